@@ -1,0 +1,39 @@
+"""Angles in radians, counter-clockwise positive."""
+
+import math
+
+__all__ = ["wrap", "yaw_from_quaternion"]
+
+_TWO_PI = 2.0 * math.pi
+
+
+def wrap(angle):
+    """Bring angles into [-pi, pi).
+
+    Parameters
+    ----------
+    angle : float or ndarray
+        Angle [rad].
+
+    Returns
+    -------
+    float or ndarray
+        The same direction, of the same shape [rad].
+    """
+    return (angle + math.pi) % _TWO_PI - math.pi
+
+
+def yaw_from_quaternion(x, y, z, w):
+    """Yaw of a unit quaternion, the rotation about the vertical axis (REP-103).
+
+    Parameters
+    ----------
+    x, y, z, w : float
+        Components of the quaternion.
+
+    Returns
+    -------
+    float
+        Yaw [rad] in [-pi, pi].
+    """
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

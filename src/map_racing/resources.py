@@ -1,0 +1,70 @@
+"""The data files shipped with the package: vehicles, tracks, controllers, plants."""
+
+from pathlib import Path
+
+from .errors import ParameterError
+
+__all__ = ["config_directory", "find_config", "list_config"]
+
+
+def config_directory():
+    """Directory of the shipped data files.
+
+    It is ``config/`` of the source tree, or ``share/map_racing/config`` of the prefix into which
+    pip or catkin installed the package.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    ParameterError
+        If the installation lacks it.
+    """
+    here = Path(__file__).resolve()
+    for parent in here.parents:
+        if (parent / "package.xml").is_file() and (parent / "config").is_dir():
+            return parent / "config"
+        if (parent / "share" / "map_racing" / "config").is_dir():
+            return parent / "share" / "map_racing" / "config"
+    raise ParameterError(f"the data files of map_racing are missing: no config/ above {here}")
+
+
+def list_config(kind):
+    """Names of the shipped files of one kind (``"vehicles"``, ``"tracks"``, ...), sorted."""
+    directory = config_directory() / kind
+    return sorted({path.name.split(".")[0] for path in directory.iterdir() if path.is_file()})
+
+
+def find_config(kind, source, suffixes):
+    """Resolve a shipped name or a path to a file.
+
+    Parameters
+    ----------
+    kind : str
+        Folder of the shipped files: ``"vehicles"``, ``"tracks"``, ``"controllers"``, ``"plants"``.
+    source : str or pathlib.Path
+        Path of an existing file, or the name of a shipped one without its suffix.
+    suffixes : tuple of str
+        Suffixes tried in order for a shipped name, such as ``(".yaml",)``.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    ParameterError
+        If there is neither such a file nor such a name; the message lists the shipped names.
+    """
+    path = Path(source)
+    if path.is_file():
+        return path
+    if path.name == str(source):
+        for suffix in suffixes:
+            candidate = config_directory() / kind / (path.name + suffix)
+            if candidate.is_file():
+                return candidate
+    known = ", ".join(list_config(kind))
+    raise ParameterError(f"{source}: no such file, nor one of the shipped {kind} ({known})")
