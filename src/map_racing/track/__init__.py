@@ -1,0 +1,1 @@
+"""The course: raceline geometry, tracking of the car along it, file formats, speed profiles."""

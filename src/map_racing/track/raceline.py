@@ -1,0 +1,568 @@
+"""Closed racelines: one internal form for every source, exact between the points.
+
+A course is given by points; a car drives the curve between them. The curve is the periodic cubic
+spline through all points over chord length, cut anew into cells of equal arc length ``ds``, each
+with one cubic for x(s) and one for y(s). A place on the course is its arc length ``s``, so the cell
+is found by one division and no query depends on the number of points. Curvature is continuous,
+the parameter is arc length (``|r'(s)| = 1`` to about 1e-6), and scalar queries are pure-float
+arithmetic, because numpy's overhead per call exceeds a whole query.
+
+Lateral deviation ``d`` is positive to the left of the direction of travel, curvature ``kappa``
+positive in left-hand bends.
+"""
+
+import math
+from typing import NamedTuple, Optional
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+
+from ..errors import ParameterError, RacelineError
+
+__all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceline"]
+
+# Points closer than this are one point written twice; the densest real courses have 2 mm.
+_SAME_POINT = 1e-4
+# Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
+# keeps memory linear in the number of points whatever their unit.
+_CELL, _CELLS_PER_POINT = 0.1, 16
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
+
+
+class CurvePoint(NamedTuple):
+    """A point of the curve: position [m], heading [rad] in [-pi, pi], curvature [1/m]."""
+
+    x: float
+    y: float
+    psi: float
+    kappa: float
+
+
+class CurveSamples(NamedTuple):
+    """Arrays along the curve; speed [m/s] and wall distances [m] are None where unknown."""
+
+    s: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    psi: np.ndarray
+    kappa: np.ndarray
+    speed: Optional[np.ndarray]
+    d_left: Optional[np.ndarray]
+    d_right: Optional[np.ndarray]
+
+
+class Projection(NamedTuple):
+    """Foot of the perpendicular from a position onto the curve.
+
+    Arc length ``s`` [m] in [0, length), lateral deviation ``d`` [m] positive to the left, and the
+    curve's heading ``psi`` [rad] and curvature ``kappa`` [1/m] there.
+    """
+
+    s: float
+    d: float
+    psi: float
+    kappa: float
+
+
+class LookaheadPoint(NamedTuple):
+    """A point of the curve at arc length ``s`` [m] and its straight-line ``distance`` [m]."""
+
+    s: float
+    x: float
+    y: float
+    distance: float
+
+
+class Raceline:
+    """Closed curve through points, with speeds and distances to the walls.
+
+    Parameters
+    ----------
+    x_m, y_m : array_like, shape (n_points,)
+        Points in driving order [m]. Consecutive repetitions and a last point that repeats the
+        first are dropped; at least four must remain.
+    vx_mps : array_like, shape (n_points,), optional
+        Speed at the points [m/s], linear in between.
+    d_left_m, d_right_m : array_like, shape (n_points,), optional
+        Distance from the points to the left and the right wall [m], linear in between. Both or
+        neither.
+    name : str, optional
+        Short name for titles and tables.
+    source : str, optional
+        Where the points come from; it opens the text of errors.
+
+    Attributes
+    ----------
+    length : float
+        Length of one lap [m].
+    n : int
+        Number of cells of the internal form.
+    ds : float
+        Length of a cell [m].
+    s, x, y, psi, kappa : ndarray, shape (n,)
+        Arc length [m], position [m], heading [rad] and curvature [1/m] at the cells' beginnings.
+    speed, d_left, d_right : ndarray, shape (n,), or None
+        Speed [m/s] and distances to the walls [m] there, None if not given.
+    name, source : str
+
+    Raises
+    ------
+    RacelineError
+        If the points do not make a closed course, or a value is not finite or impossible.
+
+    Notes
+    -----
+    Deviation from a circle of 5 m radius given by points 0.05, 0.2, 0.5 and 1 m apart:
+    1e-10, 3e-8, 1.3e-6 and 2.2e-5 m.
+    """
+
+    def __init__(
+        self, x_m, y_m, *, vx_mps=None, d_left_m=None, d_right_m=None, name="", source=""
+    ):
+        self.name, self.source = name, source
+        if (d_left_m is None) != (d_right_m is None):
+            raise self._error("expected distances to both walls or to neither")
+        given = {"x": x_m, "y": y_m, "speed": vx_mps, "d_left": d_left_m, "d_right": d_right_m}
+        columns = {key: self._column(key, v) for key, v in given.items() if v is not None}
+        if len({column.size for column in columns.values()}) > 1:
+            sizes = ", ".join(f"{column.size} of {key}" for key, column in columns.items())
+            raise self._error(f"expected as many values in each column, got {sizes}")
+        if np.any(columns.get("speed", np.zeros(1)) < 0.0):
+            index = int(np.argmax(columns["speed"] < 0.0))
+            value = columns["speed"][index]
+            raise self._error(f"point {index}: expected a speed >= 0 m/s, got {value:g}")
+        keep = distinct_points(columns["x"], columns["y"])
+        if np.count_nonzero(keep) < 4:
+            raise self._error(f"expected at least 4 distinct points, got {np.sum(keep)}")
+        self._build({key: column[keep] for key, column in columns.items()})
+
+    def _error(self, text):
+        return RacelineError(f"{self.source or self.name or 'raceline'}: {text}")
+
+    def _column(self, key, values):
+        try:
+            column = np.asarray(values, dtype=float)
+        except (TypeError, ValueError):
+            raise self._error(f"{key}: expected one number per point") from None
+        if column.ndim != 1:
+            raise self._error(f"{key}: expected one number per point, got shape {column.shape}")
+        bad = ~np.isfinite(column)
+        if bad.any():
+            index = int(np.argmax(bad))
+            raise self._error(f"point {index}: expected a finite {key}, got {column[index]}")
+        return column
+
+    def _build(self, columns):
+        """Internal form from clean columns."""
+        s_points, x, y = _arc_length_form(columns["x"], columns["y"])
+        gap, path = s_points[-1] - s_points[-2], s_points[-2]
+        if gap > 0.25 * path and gap > 10.0 * np.median(np.diff(s_points)):
+            chord = math.hypot(
+                columns["x"][0] - columns["x"][-1], columns["y"][0] - columns["y"][-1]
+            )
+            raise self._error(
+                f"expected a closed course, but the last point is {chord:.2f} m from the first"
+            )
+        self.length = length = float(s_points[-1])
+        self.n = n = x.size - 1
+        self.ds = ds = length / n
+        self._per_ds = n / length
+
+        knots = np.linspace(0.0, length, n + 1)
+        spline = CubicSpline(knots, np.stack((x, y), axis=1), bc_type="periodic")
+        self._c = c = spline.c[::-1].copy()  # ascending powers: (4, n, 2)
+        cells = [tuple(row) for row in np.concatenate((c[:, :, 0], c[:, :, 1])).T.tolist()]
+        # s * (n / length) may round up to n: one cell more instead of a check in every query.
+        cells.append(cells[0])
+        self._cells = cells
+
+        self.s = knots[:-1]
+        self.x, self.y, self.psi, self.kappa = self._curve(self.s)
+        for key in ("speed", "d_left", "d_right"):
+            column = columns.get(key)
+            if column is not None:
+                column = np.interp(self.s, s_points, np.append(column, column[0]))
+            setattr(self, key, column)
+            values = None if column is None else column.tolist() + column[:2].tolist()
+            setattr(self, "_" + key, values)
+        for key in ("s", "x", "y", "psi", "kappa", "speed", "d_left", "d_right"):
+            if getattr(self, key) is not None:
+                getattr(self, key).flags.writeable = False
+        self._tree = None
+
+    def __repr__(self):
+        return f"<Raceline {self.name or self.source!r}: {self.length:.2f} m, {self.n} cells>"
+
+    # -- along the curve ---------------------------------------------------------------------
+
+    def _curve(self, s):
+        """x, y, psi, kappa at an array of arc lengths."""
+        s = np.mod(s, self.length)
+        i = np.minimum((s * self._per_ds).astype(int), self.n - 1)
+        u = (s - i * self.ds)[..., None]
+        a, b, c, d = (coefficients[i] for coefficients in self._c)
+        r = a + u * (b + u * (c + u * d))
+        t = b + u * (2.0 * c + u * (3.0 * d))
+        k = 2.0 * c + u * (6.0 * d)
+        tx, ty = t[..., 0], t[..., 1]
+        kappa = (tx * k[..., 1] - ty * k[..., 0]) / np.hypot(tx, ty) ** 3
+        return r[..., 0], r[..., 1], np.arctan2(ty, tx), kappa
+
+    def pose(self, s):
+        """Point of the curve, with heading and curvature.
+
+        Parameters
+        ----------
+        s : float
+            Arc length [m], taken modulo the length.
+
+        Returns
+        -------
+        CurvePoint
+        """
+        s %= self.length
+        i = int(s * self._per_ds)
+        u = s - i * self.ds
+        ax, bx, cx, dx, ay, by, cy, dy = self._cells[i]
+        tx = bx + u * (2.0 * cx + u * 3.0 * dx)
+        ty = by + u * (2.0 * cy + u * 3.0 * dy)
+        kx = 2.0 * cx + u * 6.0 * dx
+        ky = 2.0 * cy + u * 6.0 * dy
+        return CurvePoint(
+            ax + u * (bx + u * (cx + u * dx)),
+            ay + u * (by + u * (cy + u * dy)),
+            math.atan2(ty, tx),
+            (tx * ky - ty * kx) / (tx * tx + ty * ty) ** 1.5,
+        )
+
+    def position(self, s):
+        """Point ``(x, y)`` [m] of the curve at arc length ``s`` [m], taken modulo the length."""
+        s %= self.length
+        i = int(s * self._per_ds)
+        u = s - i * self.ds
+        ax, bx, cx, dx, ay, by, cy, dy = self._cells[i]
+        return ax + u * (bx + u * (cx + u * dx)), ay + u * (by + u * (cy + u * dy))
+
+    def speed_at(self, s):
+        """Speed [m/s] of the raceline at arc length ``s`` [m], taken modulo the length.
+
+        Raises
+        ------
+        RacelineError
+            If the raceline has no speeds.
+        """
+        speed = self._speed
+        if speed is None:
+            raise self._error("this raceline has no speeds")
+        cell = s % self.length * self._per_ds
+        i = int(cell)
+        v = speed[i]
+        return v + (speed[i + 1] - v) * (cell - i)
+
+    def widths_at(self, s):
+        """Distances ``(left, right)`` [m] from the curve to the walls at arc length ``s`` [m].
+
+        Raises
+        ------
+        RacelineError
+            If the raceline has no walls.
+        """
+        left, right = self._d_left, self._d_right
+        if left is None:
+            raise self._error("this raceline has no distances to walls")
+        cell = s % self.length * self._per_ds
+        i = int(cell)
+        part = cell - i
+        return (
+            left[i] + (left[i + 1] - left[i]) * part,
+            right[i] + (right[i + 1] - right[i]) * part,
+        )
+
+    def sample(self, s):
+        """All quantities at many places at once.
+
+        Parameters
+        ----------
+        s : array_like
+            Arc lengths [m], taken modulo the length.
+
+        Returns
+        -------
+        CurveSamples
+            Arrays of the shape of `s`.
+        """
+        s = np.mod(np.asarray(s, dtype=float), self.length)
+        knots = np.append(self.s, self.length)
+        columns = [
+            None if column is None else np.interp(s, knots, np.append(column, column[0]))
+            for column in (self.speed, self.d_left, self.d_right)
+        ]
+        return CurveSamples(s, *self._curve(s), *columns)
+
+    def to_cartesian(self, s, d):
+        """Positions at arc length `s` and lateral deviation `d`, the inverse of `project`.
+
+        Parameters
+        ----------
+        s, d : float or array_like
+            Arc length [m], taken modulo the length, and deviation [m], positive to the left.
+
+        Returns
+        -------
+        x, y : float or ndarray
+            Position [m].
+        """
+        x, y, psi, _ = self._curve(np.asarray(s, dtype=float))
+        return x - d * np.sin(psi), y + d * np.cos(psi)
+
+    # -- from positions to the curve ---------------------------------------------------------
+
+    def project(self, x, y):
+        """Closest point of the whole curve.
+
+        Parameters
+        ----------
+        x, y : float
+            Position [m].
+
+        Returns
+        -------
+        Projection
+
+        Raises
+        ------
+        ParameterError
+            If the position is not finite.
+        """
+        if not math.isfinite(x + y):
+            raise ParameterError(f"expected a finite position, got ({x}, {y})")
+        if self._tree is None:
+            self._tree = cKDTree(np.stack((self.x, self.y), axis=1))
+        distance, i = self._tree.query((x, y))
+        s = float(self.s[i])
+        foot = self.project_near(x, y, s, reach=2.0 * self.ds)
+        if foot is not None and abs(foot.d) <= distance + 1e-9:
+            return foot
+        # At a center of curvature all points around are equally close: any of them will do.
+        point = self.pose(s)
+        side = math.cos(point.psi) * (y - point.y) - math.sin(point.psi) * (x - point.x)
+        return Projection(s, math.copysign(distance, side), point.psi, point.kappa)
+
+    def project_near(self, x, y, s_guess, reach=math.inf):
+        """Closest point of the curve around a guess: Newton's method on the squared distance.
+
+        Parameters
+        ----------
+        x, y : float
+            Position [m].
+        s_guess : float
+            Finite arc length [m] to start from, taken modulo the length.
+        reach : float, optional
+            Farthest that the foot may lie from the guess along the curve [m].
+
+        Returns
+        -------
+        Projection or None
+            None if there is no closest point within reach: the iteration did not converge, ran
+            away or ended at a farthest point, or the position is not finite.
+        """
+        length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
+        s = s_guess % length
+        moved = 0.0
+        for _ in range(12):
+            i = int(s * per_ds)
+            u = s - i * ds
+            ax, bx, cx, dx, ay, by, cy, dy = cells[i]
+            u3 = 3.0 * u
+            ex = x - ax - u * (bx + u * (cx + u * dx))
+            ey = y - ay - u * (by + u * (cy + u * dy))
+            tx = bx + u * (cx + cx + u3 * dx)
+            ty = by + u * (cy + cy + u3 * dy)
+            kx = cx + u3 * dx
+            ky = cy + u3 * dy
+            # Half the second derivative of the squared distance, 1 - kappa d on the foot. Where
+            # it is small or negative (at and beyond the center of curvature) Newton's step would
+            # run away or to the farthest point; the bounded one still goes downhill.
+            curving = tx * tx + ty * ty - 2.0 * (ex * kx + ey * ky)
+            step = (ex * tx + ey * ty) / (curving if curving > 0.1 else 0.1)
+            moved += step
+            if not -reach <= moved <= reach:
+                return None
+            s = (s + step) % length
+            # Newton converges quadratically: after a step this small 1e-8 m remain.
+            if -1e-4 < step < 1e-4:
+                if curving <= 0.0:
+                    return None
+                square = tx * tx + ty * ty
+                kappa = 2.0 * (tx * ky - ty * kx) / (square * math.sqrt(square))
+                return Projection(
+                    s,
+                    (tx * ey - ty * ex) / math.sqrt(square),
+                    math.atan2(ty, tx) + kappa * step,
+                    kappa,
+                )
+        return None
+
+    def point_ahead(self, x, y, s_from, distance):
+        """First point ahead at a given straight-line distance from a position.
+
+        Straight-line distance grows no faster than arc length. Marching on by what is missing to
+        `distance` therefore never passes the first such point; close to it, Newton's method takes
+        over.
+
+        Parameters
+        ----------
+        x, y : float
+            Position [m], normally of the car.
+        s_from : float
+            Arc length [m] where the search begins, normally the projection of the position.
+        distance : float
+            Straight-line distance [m].
+
+        Returns
+        -------
+        LookaheadPoint
+            If the curve at `s_from` is farther than `distance` already: that point. If no point in
+            the half lap ahead is that far: the farthest one there. Its `distance` is the true one.
+        """
+        length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
+        near = s_from
+        end = far = s_from + 0.5 * length
+        # Without a least step a curve that grazes the circle would take forever. An excursion
+        # beyond `distance` that is shorter than this is passed over.
+        least = max(0.01 * distance, 0.001 * length)
+        s = s_from
+        while True:
+            place = s % length
+            i = int(place * per_ds)
+            u = place - i * ds
+            ax, bx, cx, dx, ay, by, cy, dy = cells[i]
+            ex = ax + u * (bx + u * (cx + u * dx)) - x
+            ey = ay + u * (by + u * (cy + u * dy)) - y
+            tx = bx + u * (cx + cx + u * 3.0 * dx)
+            ty = by + u * (cy + cy + u * 3.0 * dy)
+            now = math.sqrt(ex * ex + ey * ey)
+            missing = distance - now
+            slope = (ex * tx + ey * ty) / now if now > 0.0 else 1.0
+            if s == s_from and not missing > 0.0:
+                if missing != missing:
+                    raise ParameterError(
+                        f"expected finite numbers, got position ({x}, {y}), distance {distance}"
+                    )
+                return LookaheadPoint(place, x + ex, y + ey, now)
+            if missing > 0.0:
+                near = s
+            else:
+                far = s
+            if slope > 0.5 and -0.1 < missing < 0.1:
+                step = missing / slope
+                if -1e-4 < step < 1e-4:
+                    return LookaheadPoint(
+                        (s + step) % length, x + ex + step * tx, y + ey + step * ty, distance
+                    )
+                s += step
+            elif missing > 0.0:
+                s += missing if missing > least else least
+            else:
+                s = near
+            if not near < s < far:
+                if far == end:
+                    return self._farthest_ahead(x, y, s_from)
+                if far - near < 1e-6:
+                    return LookaheadPoint(place, x + ex, y + ey, now)
+                s = 0.5 * (near + far)
+
+    def _farthest_ahead(self, x, y, s_from):
+        """Farthest cell beginning in the half lap ahead, found coarsely, then exactly."""
+        stride = max(1, self.n // 1024)
+        first = int(s_from % self.length * self._per_ds) + 1
+        index = np.arange(first, first + self.n // 2, stride)
+        for _ in range(2):
+            cell = index % self.n
+            square = (self.x[cell] - x) ** 2 + (self.y[cell] - y) ** 2
+            best = int(np.argmax(square))
+            index = np.arange(max(first, index[best] - stride), index[best] + stride + 1)
+        i = int(cell[best])
+        return LookaheadPoint(
+            float(self.s[i]), float(self.x[i]), float(self.y[i]), math.sqrt(square[best])
+        )
+
+    # -- the same course otherwise -----------------------------------------------------------
+
+    def _through(self, s, **columns):
+        """The course through its curve's points at `s`, with columns of the samples there."""
+        at = self.sample(s)
+        keys = {"vx_mps": at.speed, "d_left_m": at.d_left, "d_right_m": at.d_right}
+        keys.update({key: getattr(at, column) for key, column in columns.items()})
+        return Raceline(at.x, at.y, name=self.name, source=self.source, **keys)
+
+    def reversed(self):
+        """The same course driven the other way round, from the same start line."""
+        return self._through(-self.s, d_left_m="d_right", d_right_m="d_left")
+
+    def rotated(self, s0):
+        """The same course with its start line moved to arc length `s0` [m]."""
+        return self._through(self.s + s0)
+
+
+def distinct_points(x, y):
+    """Mask of the points that remain when consecutive repetitions are dropped.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n_points,)
+        Points of a closed course [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (n_points,)
+        False for a point less than 0.1 mm from the one kept before it, and for last points less
+        than that from the first.
+    """
+    keep = np.ones(x.size, dtype=bool)
+    close = np.hypot(np.diff(x), np.diff(y)) < _SAME_POINT
+    last = 0
+    if close.any():
+        for i in range(1, x.size):
+            keep[i] = math.hypot(x[i] - x[last], y[i] - y[last]) >= _SAME_POINT
+            last = i if keep[i] else last
+    for i in np.flatnonzero(keep)[:0:-1]:
+        if math.hypot(x[i] - x[0], y[i] - y[0]) >= _SAME_POINT:
+            break
+        keep[i] = False
+    return keep
+
+
+def _arc_length_form(x, y):
+    """Resample the closed spline through points at equal steps of arc length.
+
+    Returns the arc length of each point and, last, of the whole lap; and the positions at the
+    beginning of each cell and, last, of the first again.
+    """
+    x, y = np.append(x, x[0]), np.append(y, y[0])
+    chords = np.hypot(np.diff(x), np.diff(y))
+    u = np.concatenate(([0.0], np.cumsum(chords)))
+    spline = CubicSpline(u, np.stack((x, y), axis=1), bc_type="periodic")
+    velocity = spline.derivative()
+
+    def arc(begin, width):
+        # Arc length over [begin, begin + width] by Gauss-Legendre quadrature.
+        tangents = velocity(begin[:, None] + width[:, None] * _NODES)
+        return width * np.hypot(tangents[..., 0], tangents[..., 1]).dot(_WEIGHTS)
+
+    s = np.concatenate(([0.0], np.cumsum(arc(u[:-1], chords))))
+    spacing = s[-1] / chords.size
+    n = math.ceil(s[-1] / min(spacing, max(_CELL, spacing / _CELLS_PER_POINT)) - 1e-9)
+    targets = np.linspace(0.0, s[-1], n + 1)
+    segment = np.clip(np.searchsorted(s, targets, side="right") - 1, 0, chords.size - 1)
+    begin, wanted = u[segment], targets - s[segment]
+    width = wanted * chords[segment] / (s[segment + 1] - s[segment])
+    for _ in range(4):
+        tangents = velocity(begin + width)
+        width -= (arc(begin, width) - wanted) / np.hypot(tangents[:, 0], tangents[:, 1])
+    points = spline(begin + width)
+    points[-1] = points[0]  # exactly, as the periodic spline expects
+    return s, points[:, 0], points[:, 1]

@@ -1,0 +1,90 @@
+"""Where on the course the car is, update after update, at a cost independent of the course."""
+
+import math
+
+__all__ = ["CourseTracker"]
+
+
+class CourseTracker:
+    """Continuous projection of a moving car onto a raceline.
+
+    Each update looks for the closest point around where the last one must have moved to. The car
+    so stays on its own branch where the course crosses itself or runs back alongside. Only when
+    that projection is not credible is the whole course searched: on the first update, after a jump
+    of the pose, when the projection moved much farther than the pose, or when the car is implausibly
+    far from the curve.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    max_step : float, optional
+        Longest credible movement from one update to the next [m].
+    max_deviation : float, optional
+        Largest credible distance from the curve [m]. Default: 0.5 m beyond the farther wall where
+        the walls are known, else 2 m.
+
+    Attributes
+    ----------
+    reacquired : bool
+        The last update searched the whole course and found the car elsewhere than tracking expected
+        it; also true of the first update.
+    lost : bool
+        The last update left the car farther from the curve than `max_deviation`.
+    """
+
+    def __init__(self, raceline, *, max_step=3.0, max_deviation=None):
+        if max_deviation is None:
+            max_deviation = 2.0
+            if raceline.d_left is not None:
+                max_deviation = 0.5 + max(raceline.d_left.max(), raceline.d_right.max())
+        self.raceline = raceline
+        self.max_step, self.max_deviation = float(max_step), float(max_deviation)
+        self.reset()
+
+    def reset(self):
+        """Forget the car: the next update searches the whole course."""
+        self._last = None
+        self._x = self._y = 0.0
+        self.lost = self.reacquired = False
+
+    def update(self, x, y):
+        """Project the car's next position.
+
+        Parameters
+        ----------
+        x, y : float
+            Position [m].
+
+        Returns
+        -------
+        Projection
+
+        Raises
+        ------
+        ParameterError
+            If the position is not finite. The tracker then still stands where it was.
+        """
+        last = self._last
+        if last is not None:
+            dx, dy = x - self._x, y - self._y
+            moved = math.sqrt(dx * dx + dy * dy)
+            if moved <= self.max_step:
+                guess = last.s + dx * math.cos(last.psi) + dy * math.sin(last.psi)
+                # On the inside of a bend the projection moves faster than the car.
+                found = self.raceline.project_near(x, y, guess, 3.0 * moved + 0.5)
+                if found is not None and -self.max_deviation <= found.d <= self.max_deviation:
+                    self._last, self._x, self._y = found, x, y
+                    self.lost = self.reacquired = False
+                    return found
+        found = self.raceline.project(x, y)
+        self.reacquired = last is None or self._elsewhere(found, x, y)
+        self.lost = abs(found.d) > self.max_deviation
+        self._last, self._x, self._y = found, x, y
+        return found
+
+    def _elsewhere(self, found, x, y):
+        """Whether a projection lies farther along the course than the pose can have moved."""
+        moved = math.hypot(x - self._x, y - self._y)
+        half = 0.5 * self.raceline.length
+        along = (found.s - self._last.s + half) % self.raceline.length - half
+        return moved > self.max_step or abs(along) > 3.0 * moved + 0.5
