@@ -1,0 +1,1 @@
+"""The car: parameters, tires, single-track model and its steady-state table."""

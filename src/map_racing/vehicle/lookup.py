@@ -1,0 +1,410 @@
+"""The lookup table between steering angle and steady-state lateral acceleration, both ways."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from ..errors import FileFormatError, ParameterError
+from .parameters import read_yaml_mapping, write_atomically
+
+__all__ = ["LookupTable", "Provenance", "default_grid", "load_table"]
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a table comes from, written beside its CSV as ``<stem>.meta.yaml``.
+
+    Parameters
+    ----------
+    vehicle, tire_model : str
+        Name of the car and of its tire model.
+    parameter_hash : str
+        Fingerprint of the car's model, see `parameters.parameter_hash`.
+    l_wb : float
+        Wheelbase [m].
+    generator : str
+        Program and version.
+    """
+
+    vehicle: str
+    tire_model: str
+    parameter_hash: str
+    l_wb: float
+    generator: str
+
+
+class _Column(NamedTuple):
+    """One speed of the inverse: steering angle over the used share of the reachable acceleration."""
+
+    limit: float  # largest reachable acceleration [m/s^2]
+    shares: list  # a_lat / limit, strictly ascending from 0 to 1
+    angles: list  # [rad], strictly ascending from 0
+    slopes: list  # [rad] per share, of the interval that begins at each node
+
+
+class LookupTable:
+    """Steady-state lateral acceleration over speed and steering angle, and its inverse.
+
+    Parameters
+    ----------
+    speeds : array_like, shape (n_speeds,)
+        Speeds [m/s], positive, ascending.
+    angles : array_like, shape (n_angles,)
+        Steering angles [rad], not negative, ascending; published tables repeat one.
+    a_lat : array_like, shape (n_angles, n_speeds)
+        Steady-state lateral acceleration [m/s^2]; NaN where the car has no stable steady state.
+    provenance : Provenance, optional
+        Where the table comes from; published tables have none.
+
+    Attributes
+    ----------
+    speeds, angles, a_lat : ndarray
+        The table, read-only.
+    provenance : Provenance or None
+    l_wb : float
+        Wheelbase [m], from `provenance`, else estimated from the row of the smallest angle.
+
+    Raises
+    ------
+    ParameterError
+        If shapes do not fit, an axis does not ascend, or no cell can be inverted.
+
+    Notes
+    -----
+    In steady state ``delta = l_wb a / v^2 + K(a)`` up to the curvature of the arctangent. The inverse
+    is exact at the nodes and interpolates in coordinates in which the law is nearly straight:
+
+    - across acceleration, linearly on the rising branch of each column, over the share
+      ``a / a_max(v)``, so that neighboring columns begin and end together;
+    - across speed, linearly in ``1 / v^2``, the reciprocal of ``a_max`` alike.
+
+    Below the slowest column ``a_max`` shrinks with v^2, as geometry has it, and no acceleration can
+    be reached at standstill. Above the fastest one ``a_max`` stays and the wheelbase term of the
+    law is carried on as long as steering keeps rising with acceleration.
+    """
+
+    def __init__(self, speeds, angles, a_lat, provenance=None):
+        self.speeds, self.angles = _axis("speeds", speeds, True), _axis("angles", angles, False)
+        self.a_lat = _frozen(a_lat)
+        self.provenance = provenance
+        if self.speeds[0] <= 0.0:
+            raise ParameterError(f"speeds: expected positive ones, got {self.speeds[0]:g} m/s")
+        if self.angles[0] < 0.0:
+            raise ParameterError(f"angles: expected none below 0, got {self.angles[0]:g} rad")
+        if self.a_lat.shape != (self.angles.size, self.speeds.size):
+            raise ParameterError(
+                f"a_lat: expected shape {(self.angles.size, self.speeds.size)}, "
+                f"got {self.a_lat.shape}"
+            )
+        if np.any(np.isinf(self.a_lat)):
+            raise ParameterError("a_lat: expected finite values or NaN, got inf")
+        columns = [_invert(self.angles, column) for column in self.a_lat.T]
+        usable = [j for j, column in enumerate(columns) if column is not None]
+        if not usable:
+            raise ParameterError("a_lat: expected cells that rise from 0 with the angle, got none")
+        self._columns = [columns[j] for j in usable]
+        self._v = [float(self.speeds[j]) for j in usable]
+        self._w = [1.0 / (v * v) for v in self._v]
+        self.l_wb = provenance.l_wb if provenance is not None else self._estimate_wheelbase()
+        self._w_min = self._slowest_extrapolation()
+
+    def steering(self, v, a_lat):
+        """Steering angle that holds a lateral acceleration in steady state.
+
+        Odd and monotone in `a_lat`, continuous in `v`, exact at the nodes of the table.
+
+        Parameters
+        ----------
+        v : float
+            Speed [m/s]; backwards as forwards.
+        a_lat : float
+            Lateral acceleration [m/s^2], positive to the left.
+
+        Returns
+        -------
+        delta : float
+            Steering angle [rad], positive to the left.
+        saturated : bool
+            Whether the car cannot reach `a_lat`; `delta` is then the angle of the most it can.
+
+        Raises
+        ------
+        ParameterError
+            If an argument is not finite.
+        """
+        demand = a_lat if a_lat >= 0.0 else -a_lat
+        speed = v if v >= 0.0 else -v
+        if not (demand < math.inf and speed < math.inf):
+            raise ParameterError(f"steering(v={v}, a_lat={a_lat}): expected finite arguments")
+
+        k = bisect_right(self._v, speed)
+        if k == 0:
+            column = self._columns[0]
+            # at rest any acceleration is too much, but none is none
+            reach = column.limit * self._w[0] * speed * speed
+            saturated = demand > reach * _ROUNDING
+            share = 1.0 if demand >= reach else demand / reach
+            delta = _angle(column, share) if demand else 0.0
+        elif k == len(self._v):
+            column = self._columns[-1]
+            share = demand / column.limit
+            saturated = share > _ROUNDING
+            if share > 1.0:
+                share = 1.0
+            w = 1.0 / (speed * speed)
+            if w < self._w_min:
+                w = self._w_min
+            delta = _angle(column, share) + self.l_wb * share * column.limit * (w - self._w[-1])
+        else:
+            slow, fast = self._columns[k - 1], self._columns[k]
+            w_slow = self._w[k - 1]
+            t = (w_slow - 1.0 / (speed * speed)) / (w_slow - self._w[k])
+            share = demand * ((1.0 - t) / slow.limit + t / fast.limit)
+            saturated = share > _ROUNDING
+            if share > 1.0:
+                share = 1.0
+            delta = (1.0 - t) * _angle(slow, share) + t * _angle(fast, share)
+        return (delta if a_lat >= 0.0 else -delta), saturated
+
+    def max_lateral_acceleration(self, v):
+        """Largest lateral acceleration that `steering` can reach.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s]; backwards as forwards.
+
+        Returns
+        -------
+        float or ndarray
+            Lateral acceleration [m/s^2], of the same shape.
+        """
+        speed = np.abs(np.asarray(v, dtype=float))
+        w = 1.0 / np.maximum(speed, self._v[0]) ** 2
+        inverse = [1.0 / column.limit for column in self._columns]
+        limit = 1.0 / np.interp(-w, -np.asarray(self._w), inverse)
+        limit = limit * np.minimum(speed / self._v[0], 1.0) ** 2
+        return limit if np.ndim(v) else float(limit)
+
+    def acceleration(self, v, delta):
+        """Steady-state lateral acceleration, bilinear between the cells of the table.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s].
+        delta : float or ndarray
+            Steering angle [rad], positive to the left.
+
+        Returns
+        -------
+        float or ndarray
+            Lateral acceleration [m/s^2]; NaN beyond the table and beside cells that are NaN.
+        """
+        v, delta = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(delta, dtype=float))
+        magnitude = np.abs(delta)
+        i, u = _locate(self.angles, magnitude)
+        j, t = _locate(self.speeds, v)
+        i_next = np.minimum(i + 1, self.angles.size - 1)
+        j_next = np.minimum(j + 1, self.speeds.size - 1)
+        result = np.zeros(v.shape)
+        for row, across in ((i, 1.0 - u), (i_next, u)):
+            for column, along in ((j, 1.0 - t), (j_next, t)):
+                weight = across * along
+                # a neighbor without weight may be NaN
+                result = result + np.where(weight == 0.0, 0.0, weight * self.a_lat[row, column])
+        result = np.copysign(1.0, delta) * result
+        return result if result.ndim else float(result)
+
+    def save(self, path):
+        """Write the table as CSV in the published layout, and its provenance beside it.
+
+        The first row holds the speeds, the first column the angles, cell [0, 0] is 0; the numbers
+        read back exactly. ``<stem>.meta.yaml`` holds the provenance, if there is one.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            File to write.
+        """
+        path = Path(path)
+        rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
+        text = "".join(",".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
+        write_atomically(path, text)
+        if self.provenance is not None:
+            values = dataclasses.asdict(self.provenance)
+            write_atomically(_sidecar(path), yaml.safe_dump(values, sort_keys=False))
+        elif _sidecar(path).exists():
+            _sidecar(path).unlink()
+
+    def _estimate_wheelbase(self):
+        """Wheelbase [m]: at small angles ``delta / a = l_wb / v^2 + K'``, a line over 1/v^2."""
+        first = [column.angles[1] / (column.shares[1] * column.limit) for column in self._columns]
+        if len(first) == 1:
+            return first[0] / self._w[0]
+        return float(np.polyfit(self._w, first, 1)[0])
+
+    def _slowest_extrapolation(self):
+        """Least 1/v^2 at which the carried-on last column still rises with acceleration."""
+        column = self._columns[-1]
+        rise = np.diff(column.angles) / (np.diff(column.shares) * column.limit * self.l_wb)
+        # delta'(a) / l_wb at 1/v^2 = w is rise - (w_last - w): keep a tenth of the flattest part
+        return max(0.0, self._w[-1] - 0.9 * float(rise.min()))
+
+
+def default_grid(vehicle, v_max=None):
+    """Speeds and angles fine enough that interpolation costs nothing noticeable.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    v_max : float, optional
+        Fastest column [m/s]; the vehicle's own if not given.
+
+    Returns
+    -------
+    speeds, angles : ndarray
+        [m/s] and [rad], up to the vehicle's largest steering angle.
+    """
+    v_max = vehicle.v_max if v_max is None else float(v_max)
+    if not 0.5 < v_max < math.inf:
+        raise ParameterError(f"v_max: expected a speed above 0.5 m/s, got {v_max:g}")
+    speeds = np.linspace(0.5, v_max, int(math.ceil((v_max - 0.5) / 0.1)) + 1)
+    return speeds, np.linspace(0.0, vehicle.delta_max, 257)
+
+
+def load_table(path):
+    """Read a table from CSV in the published layout, with the provenance beside it if any.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Returns
+    -------
+    LookupTable
+
+    Raises
+    ------
+    FileFormatError
+        If a row is ragged or a cell is not a number (the message names the line), if an axis does
+        not ascend or cell [0, 0] is not 0. Likewise for a damaged sidecar.
+    """
+    path = Path(path)
+    rows = _read_rows(path)
+    if rows[0][0] != 0.0:
+        raise FileFormatError(f"{path}:1: expected 0 in the first cell, got {rows[0][0]:g}")
+    table = np.array(rows)
+    try:
+        return LookupTable(table[0, 1:], table[1:, 0], table[1:, 1:], _read_provenance(path))
+    except ParameterError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+
+
+# a demand that is the limit but for rounding is not saturated
+_ROUNDING = 1.0 + 1e-9
+
+
+def _angle(column, share):
+    """Steering angle [rad] of one column, `share` in [0, 1]."""
+    k = bisect_right(column.shares, share) - 1
+    return column.angles[k] + column.slopes[k] * (share - column.shares[k])
+
+
+def _invert(angles, a_lat):
+    """Rising branch of one column as a `_Column`, or None if it has none."""
+    valid = np.isfinite(a_lat)
+    end = a_lat.size if valid.all() else int(np.argmin(valid))
+    a, delta = a_lat[:end], angles[:end]
+    # cells that exceed all before them; what lies beyond the maximum is left out with them
+    before = np.maximum.accumulate(np.r_[0.0, a])[:-1]
+    rising = (a > before) & (delta > np.r_[0.0, delta[:-1]])
+    if not rising.any():
+        return None
+    a, delta = np.r_[0.0, a[rising]], np.r_[0.0, delta[rising]]
+    limit = float(a[-1])
+    shares = a / limit
+    slopes = np.r_[np.diff(delta) / np.diff(shares), 0.0]
+    return _Column(limit, shares.tolist(), delta.tolist(), slopes.tolist())
+
+
+def _locate(axis, value):
+    """Lower neighbor on an axis and the way to the upper one in [0, 1]; NaN outside the axis."""
+    k = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, max(axis.size - 2, 0))
+    width = axis[np.minimum(k + 1, axis.size - 1)] - axis[k]
+    way = (value - axis[k]) / np.where(width > 0.0, width, 1.0)
+    return k, np.where((value >= axis[0]) & (value <= axis[-1]), way, np.nan)
+
+
+def _frozen(values):
+    values = np.array(values, dtype=float)
+    values.flags.writeable = False
+    return values
+
+
+def _axis(name, values, strictly):
+    values = _frozen(values)
+    if values.ndim != 1 or not values.size or not np.all(np.isfinite(values)):
+        raise ParameterError(f"{name}: expected a list of finite numbers")
+    if np.any(np.diff(values) < 0.0) or (strictly and np.any(np.diff(values) == 0.0)):
+        k = int(np.argmin(np.diff(values)))
+        raise ParameterError(
+            f"{name}: expected ascending values, got {values[k]:g} before {values[k + 1]:g}"
+        )
+    return values
+
+
+def _sidecar(path):
+    return path.with_suffix(".meta.yaml")
+
+
+def _read_rows(path):
+    rows = []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"{path}: expected a CSV file: {error}") from None
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        row = []
+        for cell in line.split(","):
+            try:
+                row.append(float(cell))
+            except ValueError:
+                raise FileFormatError(
+                    f"{path}:{number}: expected numbers with commas between, got {cell.strip()!r}"
+                ) from None
+        if rows and len(row) != len(rows[0]):
+            raise FileFormatError(
+                f"{path}:{number}: expected {len(rows[0])} cells as in the first line, "
+                f"got {len(row)}"
+            )
+        rows.append(row)
+    if len(rows) < 2 or len(rows[0]) < 2:
+        raise FileFormatError(f"{path}: expected a row of speeds and rows of angles, found no cell")
+    return rows
+
+
+def _read_provenance(path):
+    sidecar = _sidecar(path)
+    if not sidecar.is_file():
+        return None
+    values = read_yaml_mapping(sidecar)
+    names = [field.name for field in dataclasses.fields(Provenance)]
+    if sorted(map(str, values)) != sorted(names):
+        raise FileFormatError(f"{sidecar}: expected the keys {', '.join(names)}")
+    l_wb = values["l_wb"]
+    if isinstance(l_wb, bool) or not isinstance(l_wb, (int, float)) or not 0.0 < l_wb < math.inf:
+        raise FileFormatError(f"{sidecar}: l_wb: expected a positive number, got {l_wb!r}")
+    return Provenance(**{**values, "l_wb": float(l_wb)})

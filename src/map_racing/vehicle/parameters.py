@@ -1,0 +1,348 @@
+"""The car: validated parameters, read from and written to YAML."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Union
+
+import yaml
+
+from ..errors import FileFormatError, ParameterError
+from ..resources import find_config
+from .single_track import GRAVITY
+from .tires import LinearTire, PacejkaTire
+
+__all__ = [
+    "Tire",
+    "Vehicle",
+    "linearized",
+    "load_vehicle",
+    "parameter_hash",
+    "save_vehicle",
+    "write_atomically",
+]
+
+Tire = Union[PacejkaTire, LinearTire]
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Parameters of one car; the names are those of its YAML file.
+
+    The limits from `delta_max` on have the values of the public F1TENTH simulator as defaults; the
+    single-track model does not depend on them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the car.
+    m : float
+        Mass [kg].
+    I_z : float
+        Moment of inertia about the vertical axis [kg m^2].
+    l_f, l_r : float
+        Distance of the front and of the rear axle from the center of gravity [m].
+    h_cg : float
+        Height of the center of gravity [m], which may be 0: no load transfer.
+    mu : float
+        Friction coefficient between tires and floor [-].
+    front, rear : PacejkaTire or LinearTire
+        Lateral force curve of each axle, normalized by ``mu F_z``.
+    delta_max, delta_rate_max : float
+        Largest steering angle [rad] and steering rate [rad/s].
+    v_max : float
+        Largest speed [m/s].
+    a_max, a_brake_max : float
+        Largest acceleration and deceleration [m/s^2], both positive.
+    width, length : float
+        Outer dimensions [m].
+
+    Raises
+    ------
+    ParameterError
+        If a value is not a finite number in its range, or braking or driving at the limits would
+        lift an axle.
+    """
+
+    name: str
+    m: float
+    I_z: float
+    l_f: float
+    l_r: float
+    h_cg: float
+    mu: float
+    front: Tire
+    rear: Tire
+    delta_max: float = 0.4189
+    delta_rate_max: float = 3.2
+    v_max: float = 15.0
+    a_max: float = 7.51
+    a_brake_max: float = 8.26
+    width: float = 0.296
+    length: float = 0.568
+
+    def __post_init__(self):
+        if not isinstance(self.name, str) or not self.name:
+            raise ParameterError(f"name: expected a text, got {self.name!r}")
+        for key in ("front", "rear"):
+            if not isinstance(getattr(self, key), (PacejkaTire, LinearTire)):
+                raise ParameterError(f"{key}: expected a tire, got {getattr(self, key)!r}")
+        for key in _NUMBERS:
+            value = _number(key, getattr(self, key))
+            if value < 0.0 or (value == 0.0 and key != "h_cg"):
+                raise ParameterError(f"{key}: expected a positive number, got {value:g}")
+            object.__setattr__(self, key, value)
+        if self.delta_max >= 0.5 * math.pi:
+            raise ParameterError(f"delta_max: expected less than pi/2 rad, got {self.delta_max:g}")
+        for key, lever in (("a_max", self.l_r), ("a_brake_max", self.l_f)):
+            if getattr(self, key) * self.h_cg >= GRAVITY * lever:
+                raise ParameterError(
+                    f"{key}: {getattr(self, key):g} m/s^2 would lift an axle with the center of "
+                    f"gravity {self.h_cg:g} m high (h_cg)"
+                )
+
+    @property
+    def l_wb(self):
+        """Wheelbase ``l_f + l_r`` [m]."""
+        return self.l_f + self.l_r
+
+
+_NUMBERS = tuple(
+    field.name for field in dataclasses.fields(Vehicle) if field.name not in ("name", "front", "rear")
+)
+_LIMITS = ("delta_max", "delta_rate_max", "v_max", "a_max", "a_brake_max", "width", "length")
+_REQUIRED = ("m", "I_z", "l_f", "l_r", "h_cg", "mu")
+
+# other spellings of the published model files
+_SYNONYMS = {"model_name": "name", "friction_coeff": "mu"}
+
+# tire coefficients of one axle ("f" or "r"), in each spelling of the published model files
+_TIRE_KEYS = {
+    "pacejka": lambda axle: (("C_P" + axle,), tuple(c + axle for c in "BCDE")),
+    "linear": lambda axle: (("C_S" + axle,),),
+}
+
+
+def load_vehicle(source):
+    """Read a car from a YAML file.
+
+    The format is that of the published model files, which load as they are, with the limits added
+    that they lack; ``config/vehicles/nuc4.yaml`` explains each key.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        Name of a shipped vehicle, or path of a file.
+
+    Returns
+    -------
+    Vehicle
+
+    Raises
+    ------
+    ParameterError
+        If there is no such file; if a parameter is missing, unknown or impossible.
+    FileFormatError
+        If the file is not a YAML mapping.
+    """
+    path = find_config("vehicles", source, (".yaml",))
+    values = read_yaml_mapping(path)
+    try:
+        return _vehicle(values, default_name=path.stem)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+
+
+def save_vehicle(vehicle, path):
+    """Write a car to a YAML file that `load_vehicle` reads back to an equal one.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    path : str or pathlib.Path
+        File to write; it is replaced at once or, if that fails, left as it was.
+    """
+    values = {"name": vehicle.name, **{key: getattr(vehicle, key) for key in _REQUIRED}}
+    values["tire_model"] = vehicle.front.model
+    for axle, tire in (("f", vehicle.front), ("r", vehicle.rear)):
+        coefficients = list(dataclasses.astuple(tire))
+        if isinstance(tire, PacejkaTire):
+            values["C_P" + axle] = coefficients
+        else:
+            values["C_S" + axle] = coefficients[0]
+    values.update((key, getattr(vehicle, key)) for key in _LIMITS)
+    lines = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
+    write_atomically(path, "# Vehicle of map_racing: SI units and radians\n" + lines)
+
+
+def parameter_hash(vehicle):
+    """Fingerprint of the single-track model, to tell which car a lookup table belongs to.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    str
+        Twelve hexadecimal digits that depend on masses, geometry, friction and tires; not on the
+        name, the limits, or the formatting and key order of a file.
+    """
+    model = {key: getattr(vehicle, key) for key in _REQUIRED}
+    for key in ("front", "rear"):
+        tire = getattr(vehicle, key)
+        model[key] = [tire.model, *dataclasses.astuple(tire)]
+    return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def linearized(vehicle):
+    """The same car on linear tires with the slope of its own at zero slip, ``C_S = B C D``.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    Vehicle
+        Named after the car with ``_linear`` appended.
+    """
+    return dataclasses.replace(
+        vehicle,
+        name=vehicle.name + "_linear",
+        front=LinearTire(vehicle.front.stiffness),
+        rear=LinearTire(vehicle.rear.stiffness),
+    )
+
+
+def write_atomically(path, text):
+    """Write a text file under a temporary name, then rename it: never half a file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    text : str
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(str(temporary), str(path))
+    finally:
+        if temporary.exists():
+            temporary.unlink()
+
+
+def read_yaml_mapping(path):
+    """Read a YAML file that holds one mapping.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    FileFormatError
+        If it is something else; the message is one line and names file and line.
+    """
+    try:
+        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path}: expected YAML, found bytes that are not text") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"{path}:{mark.line + 1}" if mark else str(path)
+        problem = getattr(error, "problem", None) or "invalid"
+        raise FileFormatError(f"{where}: expected YAML: {problem}") from None
+    if not isinstance(values, dict):
+        raise FileFormatError(f"{path}: expected keys and values, got {type(values).__name__}")
+    return values
+
+
+def _vehicle(values, default_name):
+    """Build a `Vehicle` from the keys of a file; each key must be understood."""
+    rest = {}
+    for key, value in values.items():
+        key = _SYNONYMS.get(key, key)
+        if key in rest:
+            raise ParameterError(f"{key}: given twice, under two names")
+        rest[key] = value
+
+    model = rest.pop("tire_model", None)
+    if model not in _TIRE_KEYS:
+        raise ParameterError(f"tire_model: expected {' or '.join(_TIRE_KEYS)}, got {model!r}")
+    arguments = {
+        "name": rest.pop("name", default_name),
+        "front": _tire(model, "f", rest),
+        "rear": _tire(model, "r", rest),
+    }
+    for key in _REQUIRED:
+        if key not in rest:
+            raise ParameterError(f"{key}: missing")
+        arguments[key] = rest.pop(key)
+    for key in _LIMITS:
+        if key in rest:
+            arguments[key] = rest.pop(key)
+    if "a_min" in rest:
+        if "a_brake_max" in arguments:
+            raise ParameterError("a_min: given beside a_brake_max, which is the same")
+        # published with either sign
+        arguments["a_brake_max"] = abs(_number("a_min", rest.pop("a_min")))
+    # a time constant of the steering servo, which belongs to the plant, not to the model
+    rest.pop("tau_steer", None)
+    wheelbase = rest.pop("l_wb", None)
+    if rest:
+        raise ParameterError(f"{', '.join(map(str, rest))}: unknown; known keys are {_known()}")
+
+    vehicle = Vehicle(**arguments)
+    if wheelbase is not None and abs(_number("l_wb", wheelbase) - vehicle.l_wb) > 1e-6:
+        raise ParameterError(f"l_wb: expected l_f + l_r = {vehicle.l_wb:g}, got {wheelbase:g}")
+    return vehicle
+
+
+def _tire(model, axle, values):
+    """Take the coefficients of one axle's tire out of `values`."""
+    spellings = _TIRE_KEYS[model](axle)
+    for keys in spellings:
+        if not any(key in values for key in keys):
+            continue
+        missing = [key for key in keys if key not in values]
+        if missing:
+            raise ParameterError(f"{missing[0]}: missing")
+        coefficients = [values.pop(key) for key in keys]
+        break
+    else:
+        raise ParameterError(f"{spellings[0][0]}: missing (tire_model is {model})")
+    try:
+        if model == "linear":
+            return LinearTire(*coefficients)
+        if len(keys) == 1:
+            (coefficients,) = coefficients
+            if not isinstance(coefficients, list) or len(coefficients) != 4:
+                raise ParameterError(f"expected a list [B, C, D, E], got {coefficients!r}")
+        return PacejkaTire(*coefficients)
+    except ParameterError as error:
+        where = "front tire" if axle == "f" else "rear tire"
+        raise ParameterError(f"{where} ({', '.join(keys)}): {error}") from None
+
+
+def _number(key, value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ParameterError(f"{key}: expected a finite number, got {value!r}")
+    return float(value)
+
+
+def _known():
+    tires = [keys for model in _TIRE_KEYS.values() for keys in model("f") + model("r")]
+    names = ["name", *_REQUIRED, "l_wb", "tire_model", *sum(tires, ()), *_LIMITS]
+    return ", ".join([*names, "a_min", "tau_steer", *_SYNONYMS])

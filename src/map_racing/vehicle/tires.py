@@ -1,0 +1,214 @@
+"""Lateral tire force against slip angle: Pacejka's Magic Formula and its linearization.
+
+Sign convention, everywhere in the package: the slip angle ``alpha`` is the direction in which the
+contact patch moves, seen from the wheel, positive to the left (`single_track.slip_angles`). The
+curves below are odd and rise through zero; the force on the car points *against* the slip::
+
+    F_y = -mu F_z normalized_force(alpha)
+
+so that in a left turn both slip angles are negative and both forces positive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..errors import ParameterError
+
+__all__ = ["LinearTire", "PacejkaTire"]
+
+
+@dataclass(frozen=True)
+class PacejkaTire:
+    """Magic Formula ``D sin(C atan(B a - E (B a - atan(B a))))``, normalized by ``mu F_z``.
+
+    Parameters
+    ----------
+    B, C, D : float
+        Stiffness, shape and peak factor [-], positive.
+    E : float
+        Curvature factor [-]. Beyond 1 the curve turns down at ``B a = 1 / sqrt(E - 1)``.
+
+    Raises
+    ------
+    ParameterError
+        If a coefficient is not a finite number in its range.
+    """
+
+    B: float
+    C: float
+    D: float
+    E: float
+
+    model = "pacejka"
+
+    def __post_init__(self):
+        _store_floats(self)
+        for name in ("B", "C", "D"):
+            _require(getattr(self, name) > 0.0, name, "positive", getattr(self, name))
+
+    @property
+    def stiffness(self):
+        """Slope at zero slip, ``B C D`` [1/rad]."""
+        return self.B * self.C * self.D
+
+    @property
+    def peak(self):
+        """Largest normalized force [-]; where the curve has no peak, the limit it rises to."""
+        return self.D * math.sin(min(self._largest_phase, 0.5 * math.pi))
+
+    @property
+    def peak_slip(self):
+        """Slip angle of the largest force [rad]; inf where the curve has no peak."""
+        if self._largest_phase <= 0.5 * math.pi:
+            return self._turning_point / self.B
+        return float(self._unbend(math.tan(0.5 * math.pi / self.C))) / self.B
+
+    def normalized_force(self, alpha):
+        """Force ``-F_y / (mu F_z)`` [-] at slip angles ``alpha`` [rad], of any shape."""
+        x = self.B * np.asarray(alpha, dtype=float)
+        return self.D * np.sin(self.C * np.arctan(x - self.E * (x - np.arctan(x))))
+
+    def slope(self, alpha):
+        """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
+        x = self.B * np.asarray(alpha, dtype=float)
+        y = x - self.E * (x - np.arctan(x))
+        bend = 1.0 - self.E * (x * x) / (1.0 + x * x)
+        return self.stiffness * np.cos(self.C * np.arctan(y)) * bend / (1.0 + y * y)
+
+    def slip(self, force):
+        """Slip angle on the rising side of the curve, the inverse of `normalized_force`.
+
+        Parameters
+        ----------
+        force : array_like
+            Normalized force [-].
+
+        Returns
+        -------
+        ndarray
+            Slip angle [rad], of the same shape; NaN where the tire cannot give that force.
+        """
+        sine = np.asarray(force, dtype=float) / self.D
+        with np.errstate(invalid="ignore"):
+            phase = np.arcsin(np.where(np.abs(sine) <= 1.0, sine, np.nan)) / self.C
+            phase = np.where(np.abs(phase) * self.C <= self._largest_phase, phase, np.nan)
+        return self._unbend(np.tan(phase)) / self.B
+
+    def scalar(self):
+        """`normalized_force` for one float as a plain function, for the loops of the plant."""
+        B, C, D, E = self.B, self.C, self.D, self.E
+        atan, sin = math.atan, math.sin
+
+        def force(alpha):
+            x = B * alpha
+            return D * sin(C * atan(x - E * (x - atan(x))))
+
+        return force
+
+    @property
+    def _turning_point(self):
+        """Where ``x - E (x - atan x)`` with ``x = B a`` stops rising: inf unless E > 1."""
+        return 1.0 / math.sqrt(self.E - 1.0) if self.E > 1.0 else math.inf
+
+    @property
+    def _largest_phase(self):
+        """Largest argument of the sine [rad], on the way to the turning point."""
+        if self.E < 1.0:
+            return 0.5 * math.pi * self.C
+        x = self._turning_point
+        y = math.atan(x) + (x - math.atan(x)) * (1.0 - self.E) if self.E > 1.0 else 0.5 * math.pi
+        return self.C * math.atan(y)
+
+    def _unbend(self, y):
+        """Solve ``x - E (x - atan x) = y`` for x up to the turning point.
+
+        Newton from ``x = y`` approaches the root from one side: for E > 0 from below a concave
+        function, for E < 0 from above a convex one (x > 0; odd otherwise). It cannot diverge.
+        """
+        y = np.asarray(y, dtype=float)
+        x = y
+        for _ in range(60):
+            step = (x - self.E * (x - np.arctan(x)) - y) / (1.0 - self.E * x * x / (1.0 + x * x))
+            x = x - step
+            with np.errstate(invalid="ignore"):
+                if not np.any(np.abs(step) > 1e-9 * (1.0 + np.abs(x))):
+                    break
+        return x
+
+
+@dataclass(frozen=True)
+class LinearTire:
+    """Force proportional to slip, ``C_S a``, normalized by ``mu F_z``.
+
+    Parameters
+    ----------
+    C_S : float
+        Cornering stiffness normalized by the vertical load [1/rad], positive.
+
+    Raises
+    ------
+    ParameterError
+        If it is not a finite positive number.
+    """
+
+    C_S: float
+
+    model = "linear"
+
+    def __post_init__(self):
+        _store_floats(self)
+        _require(self.C_S > 0.0, "C_S", "positive", self.C_S)
+
+    @property
+    def stiffness(self):
+        """Slope, ``C_S`` [1/rad]."""
+        return self.C_S
+
+    @property
+    def peak(self):
+        """Largest normalized force: inf, a linear tire does not saturate."""
+        return math.inf
+
+    @property
+    def peak_slip(self):
+        """Slip angle of the largest force: inf."""
+        return math.inf
+
+    def normalized_force(self, alpha):
+        """Force ``-F_y / (mu F_z)`` [-] at slip angles ``alpha`` [rad], of any shape."""
+        return self.C_S * np.asarray(alpha, dtype=float)
+
+    def slope(self, alpha):
+        """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
+        return np.full_like(np.asarray(alpha, dtype=float), self.C_S)
+
+    def slip(self, force):
+        """Slip angle [rad] of a normalized force [-], the inverse of `normalized_force`."""
+        return np.asarray(force, dtype=float) / self.C_S
+
+    def scalar(self):
+        """`normalized_force` for one float as a plain function, for the loops of the plant."""
+        C_S = self.C_S
+
+        def force(alpha):
+            return C_S * alpha
+
+        return force
+
+
+def _store_floats(tire):
+    for field in fields(tire):
+        value = getattr(tire, field.name)
+        number = isinstance(value, (int, float, np.floating)) and not isinstance(value, bool)
+        if not number or not math.isfinite(value):
+            raise ParameterError(f"{field.name}: expected a finite number, got {value!r}")
+        object.__setattr__(tire, field.name, float(value))
+
+
+def _require(condition, name, expected, value):
+    if not condition:
+        raise ParameterError(f"{name}: expected a value that is {expected}, got {value:g}")
