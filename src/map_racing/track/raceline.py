@@ -106,7 +106,11 @@ class Raceline:
         Arc length [m], position [m], heading [rad] and curvature [1/m] at the cells' beginnings.
     speed, d_left, d_right : ndarray, shape (n,), or None
         Speed [m/s] and distances to the walls [m] there, None if not given.
+    s_points : ndarray
+        Arc length of the given points, without the dropped ones [m].
     name, source : str
+    findings : tuple of str
+        What a reader of files or messages noticed; empty for a raceline made from arrays.
 
     Raises
     ------
@@ -122,7 +126,7 @@ class Raceline:
     def __init__(
         self, x_m, y_m, *, vx_mps=None, d_left_m=None, d_right_m=None, name="", source=""
     ):
-        self.name, self.source = name, source
+        self.name, self.source, self.findings = name, source, ()
         if (d_left_m is None) != (d_right_m is None):
             raise self._error("expected distances to both walls or to neither")
         given = {"x": x_m, "y": y_m, "speed": vx_mps, "d_left": d_left_m, "d_right": d_right_m}
@@ -166,9 +170,10 @@ class Raceline:
             raise self._error(
                 f"expected a closed course, but the last point is {chord:.2f} m from the first"
             )
+        self.s_points = s_points[:-1]
         self.length = length = float(s_points[-1])
         self.n = n = x.size - 1
-        self.ds = ds = length / n
+        self.ds = length / n
         self._per_ds = n / length
 
         knots = np.linspace(0.0, length, n + 1)
@@ -188,7 +193,7 @@ class Raceline:
             setattr(self, key, column)
             values = None if column is None else column.tolist() + column[:2].tolist()
             setattr(self, "_" + key, values)
-        for key in ("s", "x", "y", "psi", "kappa", "speed", "d_left", "d_right"):
+        for key in ("s", "x", "y", "psi", "kappa", "speed", "d_left", "d_right", "s_points"):
             if getattr(self, key) is not None:
                 getattr(self, key).flags.writeable = False
         self._tree = None

@@ -10,9 +10,9 @@ class CourseTracker:
 
     Each update looks for the closest point around where the last one must have moved to. The car
     so stays on its own branch where the course crosses itself or runs back alongside. Only when
-    that projection is not credible is the whole course searched: on the first update, after a jump
-    of the pose, when the projection moved much farther than the pose, or when the car is implausibly
-    far from the curve.
+    that projection is not credible is the whole course searched: on the first update, after a
+    jump of the pose, when the projection moved much farther than the pose, or when the car is
+    implausibly far from the curve.
 
     Parameters
     ----------
