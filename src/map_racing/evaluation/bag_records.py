@@ -1,8 +1,8 @@
 """The records of a ROS 1 bag (format 2.0), read front to back.
 
-A sound bag and a damaged one are read by the same code: it never follows the index to a message, so
-a bag that was cut off, was never closed (``.bag.active``) or has a corrupt chunk gives every complete
-message that is still in it, and says what is missing.
+A sound bag and a damaged one are read by the same code: it never follows the index to a message,
+so a bag that was cut off, was never closed (``.bag.active``) or has a corrupt chunk gives every
+complete message that is still in it, and says what is missing.
 
 Format: http://wiki.ros.org/Bags/Format/2.0
 """
@@ -13,7 +13,7 @@ import bz2
 import struct
 from itertools import permutations
 from pathlib import Path
-from typing import Callable, Dict, Iterator, NamedTuple, Optional, Tuple
+from typing import Callable, Iterator, NamedTuple
 
 import lz4.frame
 
@@ -111,8 +111,8 @@ class BagFile:
 
     def __init__(self, path):
         self.path = Path(path)
-        self.connections: Dict[int, Connection] = {}
-        self.counts: Dict[int, int] = {}
+        self.connections: dict[int, Connection] = {}
+        self.counts: dict[int, int] = {}
         self.start_ns = self.end_ns = 0
         self._damage = []
         self._read = 0
@@ -246,7 +246,7 @@ class BagFile:
         self._file.seek(position)
         return self._file.read(length)
 
-    def _record_at(self, position) -> Optional[Tuple[int, dict, int, int]]:
+    def _record_at(self, position) -> tuple[int, dict, int, int] | None:
         """``(op, header fields, start of the data, length of the data)``; None if implausible."""
         head = self._read_at(position, 4)
         if len(head) < 4:
@@ -275,7 +275,7 @@ class BagFile:
             end = start + length
             if op == _OP_CHUNK:
                 # A recorder fills in the length when it closes the chunk: 0 means open.
-                whole = 0 < length and end <= self._size
+                whole = length > 0 and end <= self._size
                 length = length if whole else min(self._size - start, _MAX_OPEN_CHUNK)
                 contents, sound = _decompress(
                     fields.get(b"compression", b""), self._read_at(start, length)
@@ -294,7 +294,7 @@ class BagFile:
 
     def _find_chunk(self, position):
         """Position of the next chunk record from ``position`` on, or the end of the file."""
-        mark, before, block = b"\x04\0\0\0op=\x05", 24, 1 << 20
+        mark, block = b"\x04\0\0\0op=\x05", 1 << 20
         while position < self._size:
             data = self._read_at(position, block + len(mark))
             at = data.find(mark)

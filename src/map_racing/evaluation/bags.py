@@ -12,7 +12,7 @@ import struct
 from array import array
 from contextlib import suppress
 from pathlib import Path
-from typing import Dict, List, NamedTuple, Optional
+from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -24,7 +24,7 @@ from ..errors import BagError, RacelineError
 from ..track.raceline import Raceline
 from . import messages as msg
 from .bag_records import BagFile
-from .samples import Commands, Recording
+from .samples import Commands, Recording, in_order
 
 __all__ = ["BagWriter", "DRIVE_TOPIC", "read_recording", "read_waypoints"]
 
@@ -79,7 +79,7 @@ class BagWriter:
             raise BagError(f"{path}: expected compression lz4 or bz2, got {compression!r}")
         self._compression = compression
         self._temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
-        self._topics: Dict[str, list] = {}
+        self._topics: dict[str, list] = {}
 
     def __enter__(self):
         self._writer = Writer(self._temporary)
@@ -269,8 +269,8 @@ def read_recording(path, pose_topic=None):
     ground truth come after all others, as do topics slower than 5 Hz; Frenet coordinates are never
     taken.
 
-    Times are the header's stamps; a message whose stamp is 0 gets the time at which it was received.
-    A damaged or unclosed bag gives what is left of it, and the notes say how much that is.
+    Times are the header's stamps; where the stamp is 0, the time of receipt. A damaged or unclosed
+    bag gives what is left of it, and the notes say how much that is.
 
     Parameters
     ----------
@@ -401,35 +401,23 @@ class _Series:
         self.values.extend(values)
 
     def columns(self, notes, topic, required=0):
-        """Times [ns] and value columns, sorted, each time once; the first `required` finite."""
+        """Times [ns] and value columns in order of time; the first `required` are finite."""
         times = np.array(self.times, dtype=np.int64)
         values = np.array(self.values, dtype=float).reshape(-1, self.width)
-        total = times.size
         if self.broken:
             notes.append(f"{topic}: {self.broken} messages too short to decode left out")
         if self.unstamped:
-            notes.append(f"{topic}: {self.unstamped} of {total} stamps are 0: receive time taken")
-        if required:
-            finite = np.isfinite(values[:, :required]).all(axis=1)
-            if not finite.all():
-                notes.append(f"{topic}: {total - int(finite.sum())} poses with NaN left out")
-                times, values = times[finite], values[finite]
-        if np.any(np.diff(times) < 0):
-            notes.append(f"{topic}: {int(np.sum(np.diff(times) < 0))} steps back in time: sorted")
-            order = np.argsort(times, kind="mergesort")
-            times, values = times[order], values[order]
-        first = np.append(True, np.diff(times) > 0)[: times.size]
-        if not first.all():
-            notes.append(f"{topic}: {int(np.sum(~first))} repeated stamps left out")
-            times, values = times[first], values[first]
-        return [times] + [np.ascontiguousarray(column) for column in values.T]
+            notes.append(f"{topic}: {self.unstamped} of {times.size} stamps are 0: receive time")
+        columns = [np.ascontiguousarray(column) for column in values.T]
+        times, columns = in_order(times, columns, notes, topic, required)
+        return [times, *columns]
 
 
 class _TransformTree:
     """Transforms of tf, kept per edge: from each frame to its parent."""
 
     def __init__(self, messages):
-        self.edges: Dict[str, tuple] = {}
+        self.edges: dict[str, tuple] = {}
         for message in messages:
             with suppress(struct.error):
                 for transform in msg.decode_transforms(message.data):
@@ -493,7 +481,7 @@ class _Source(NamedTuple):
     frame: str
     rank: tuple
     connections: frozenset = frozenset()
-    tree: Optional[_TransformTree] = None
+    tree: _TransformTree | None = None
     child: str = ""
 
 
@@ -528,7 +516,7 @@ def _choose_source(bag, pose_topic):
 
 def _topic_sources(bag):
     """Topics that carry a pose, best first."""
-    groups: Dict[tuple, List[int]] = {}
+    groups: dict[tuple, list[int]] = {}
     for number, connection in bag.connections.items():
         if bag.counts.get(number) and connection.md5sum in _POSE_DECODERS:
             groups.setdefault((connection.topic, connection.md5sum), []).append(number)
@@ -590,7 +578,7 @@ def _name_rank(topic, known):
 
 def _drive_connections(bag):
     """Topic of the drive command and its connections."""
-    counts: Dict[str, int] = {}
+    counts: dict[str, int] = {}
     for number, connection in bag.connections.items():
         if connection.md5sum == msg.MD5[msg.ACKERMANN] and bag.counts.get(number):
             counts[connection.topic] = counts.get(connection.topic, 0) + bag.counts[number]

@@ -1,8 +1,8 @@
 """Byte layouts of the ROS 1 messages that carry a race.
 
-The layouts are fixed (a message's md5 sum is a hash of its definition), so each message is packed or
-unpacked by one or two `struct` calls: decoding a ``nav_msgs/Odometry`` this way takes about 1.5 us,
-against about 30 us by a general deserializer. Only plane motion is kept.
+The layouts are fixed (a message's md5 sum is a hash of its definition), so each message is packed
+or unpacked by one or two `struct` calls. Only plane motion is kept. Decoding a ``nav_msgs/Odometry``
+takes DECODE_FIGURE.
 """
 
 from __future__ import annotations

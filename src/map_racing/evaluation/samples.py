@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import List, Optional
 
 import numpy as np
 
 from ..track.raceline import Raceline
 
-__all__ = ["Commands", "Recording"]
+__all__ = ["Commands", "Recording", "in_order"]
 
 
 @dataclass(frozen=True)
@@ -74,6 +73,43 @@ class Recording:
     topic: str = ""
     type: str = ""
     frame: str = ""
-    commands: Optional[Commands] = None
-    raceline: Optional[Raceline] = None
-    notes: List[str] = field(default_factory=list)
+    commands: Commands | None = None
+    raceline: Raceline | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def in_order(times, columns, notes, what, required=0):
+    """Bring samples into strictly increasing order of time.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    columns : sequence of ndarray, shape (n,)
+    notes : list of str
+        Gets a line for each kind of repair.
+    what : str
+        What to call the samples in the notes.
+    required : int, optional
+        Samples in which the time or one of so many first columns is not finite are left out.
+
+    Returns
+    -------
+    times : ndarray
+    columns : list of ndarray
+    """
+    keep = np.isfinite(times)
+    for column in columns[:required]:
+        keep &= np.isfinite(column)
+    if not keep.all():
+        notes.append(f"{what}: {np.count_nonzero(~keep)} of {keep.size} with NaN left out")
+        times, columns = times[keep], [column[keep] for column in columns]
+    backwards = np.count_nonzero(np.diff(times) < 0)
+    if backwards:
+        notes.append(f"{what}: {backwards} steps back in time: sorted")
+        order = np.argsort(times, kind="mergesort")
+        times, columns = times[order], [column[order] for column in columns]
+    first = np.append(True, np.diff(times) > 0)[: times.size]
+    if not first.all():
+        notes.append(f"{what}: {np.count_nonzero(~first)} repeated time stamps left out")
+        times, columns = times[first], [column[first] for column in columns]
+    return times, list(columns)

@@ -1,0 +1,291 @@
+"""Recorded driving and courses from whatever file holds them."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileFormatError, ParameterError
+from ..track.formats import load_raceline
+from .bags import read_recording, read_waypoints
+from .samples import Commands, Recording, in_order
+
+__all__ = [
+    "Commands",
+    "Recording",
+    "load_course",
+    "load_recording",
+    "parse_columns",
+    "read_csv_recording",
+]
+
+# Names under which columns of a CSV file are known; the first that the file has is taken.
+_ALIASES = {
+    "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp"),
+    "x": ("x", "x_m", "pose_x", "pos_x", "position_x"),
+    "y": ("y", "y_m", "pose_y", "pos_y", "position_y"),
+    "psi": ("psi", "psi_rad", "yaw", "yaw_rad", "theta", "heading", "pose_theta"),
+    "v_x": ("v_x", "vx", "vx_mps", "linear_vel_x", "speed", "v", "v_mps"),
+    "v_y": ("v_y", "vy", "vy_mps", "linear_vel_y"),
+    "yaw_rate": ("yaw_rate", "r", "wz", "omega", "angular_vel_z", "yaw_rate_radps"),
+    "steering": ("steering", "steering_command", "delta", "delta_rad", "angular_control"),
+    "speed_command": ("speed_command", "v_command", "translational_control"),
+}
+_REQUIRED = ("t", "x", "y")
+
+
+def load_recording(source, pose_topic=None, columns=None):
+    """Driving from a bag or a CSV file.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        A ROS 1 bag, or a CSV file (also ``.gz``).
+    pose_topic : str, optional
+        Topic of the pose in a bag, see `map_racing.evaluation.bags.read_recording`.
+    columns : str or dict, optional
+        Names of the columns of a CSV file, see `read_csv_recording`.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError
+        If the file cannot be read as what it is.
+    """
+    if not _is_csv(source):
+        return read_recording(source, pose_topic)
+    if pose_topic is not None:
+        raise ParameterError(f"{source}: a CSV file has no topic {pose_topic}")
+    return read_csv_recording(source, columns)
+
+
+def load_course(source):
+    """Raceline from wherever it is.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        Name of a shipped track, a raceline file (see `map_racing.track.formats`), or a bag with
+        ``f110_msgs/WpntArray``, optionally followed by ``#TOPIC``.
+
+    Returns
+    -------
+    Raceline
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError, RacelineError
+    """
+    path, _, topic = str(source).partition("#")
+    if _is_bag(path):
+        return read_waypoints(path, topic or None)
+    return load_raceline(source)
+
+
+def read_csv_recording(path, columns=None):
+    """Driving from a CSV file.
+
+    The file may be gzipped; lines that begin with ``#`` are comments. The names of the columns
+    stand in the first other line or, if that holds numbers, in the last comment before it. Cells
+    are separated by comma, semicolon or tab. Time is in seconds; rows without time or position
+    are left out, and so is a last line that was cut off.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    columns : str or dict, optional
+        Which column holds what, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
+        (required) and ``psi v_x v_y yaw_rate steering speed_command``, in SI units and radians.
+        What is not given is looked for under usual names.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FileFormatError
+        With file, line and column, if there is no such column or a cell is not a number.
+    ParameterError
+        If `columns` names an unknown field.
+    """
+    columns = parse_columns(columns) if isinstance(columns, str) else dict(columns or {})
+    unknown = sorted(set(columns) - set(_ALIASES))
+    if unknown:
+        raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
+    try:
+        with _open_text(path) as file:
+            names, delimiter, rows = _split_header(path, file)
+            where = _locate(path, names, columns)
+            table, notes = _parse_rows(path, rows, delimiter, names, where)
+    except (OSError, EOFError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path}: expected a text file (CSV) or a ROS 1 bag") from None
+    values = dict(zip(where, table.T))
+    nan = np.full(len(table), math.nan)
+    t, (x, y, *rest) = in_order(
+        values["t"],
+        [values.get(name, nan) for name in _ALIASES if name != "t"],
+        notes,
+        "rows",
+        required=2,
+    )
+    if t.size < 2:
+        raise FileFormatError(f"{path}: expected at least two rows with time and position")
+    psi, v_x, v_y, yaw_rate, steering, speed = rest
+    start = t[0]
+    t = t - start
+    given = [names[where[name]] for name in ("steering", "speed_command") if name in where]
+    commands = Commands(t, steering, speed, " ".join(given)) if given else None
+    return Recording(
+        t,
+        x,
+        y,
+        psi,
+        v_x,
+        v_y,
+        yaw_rate,
+        t0_ns=int(round(start * 1e9)),
+        source=str(path),
+        topic=" ".join(names[where[name]] for name in _REQUIRED),
+        type="CSV",
+        commands=commands,
+        notes=notes,
+    )
+
+
+def parse_columns(text):
+    """Column map from its text form ``"t=time,x=pose_x"``.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    dict of str to str
+
+    Raises
+    ------
+    ParameterError
+        If a part is not of the form ``field=column``.
+    """
+    columns = {}
+    for part in text.split(","):
+        name, equals, column = (piece.strip() for piece in part.partition("="))
+        if not (name and equals and column):
+            raise ParameterError(f"columns: expected field=column, got {part!r}")
+        columns[name] = column
+    return columns
+
+
+def _fields():
+    return ", ".join(_ALIASES)
+
+
+def _is_bag(path):
+    """Whether a path means a bag: by its content or, for want of a file, by its name."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(8) == b"#ROSBAG " or Path(path).suffix in (".bag", ".active")
+    except OSError:
+        return Path(path).suffix in (".bag", ".active")
+
+
+def _is_csv(path):
+    names = Path(path).name.lower()
+    return not _is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
+
+
+def _open_text(path):
+    if str(path).endswith(".gz"):
+        return gzip.open(str(path), "rt", encoding="utf-8-sig")
+    return open(path, encoding="utf-8-sig")
+
+
+def _split_header(path, file):
+    """Names of the columns, delimiter and numbered rows of an open file."""
+    comment = ""
+    lines = ((number, line.strip()) for number, line in enumerate(file, 1))
+    lines = ((number, line) for number, line in lines if line)
+    for first in lines:
+        if not first[1].startswith("#"):
+            break
+        comment = first[1].lstrip("# ")
+    else:
+        raise FileFormatError(f"{path}: expected rows of numbers, got none")
+    delimiter = max(",;\t", key=first[1].count)
+    numeric = _is_number(first[1].split(delimiter)[0])
+    header = comment if numeric else first[1]
+    names = [name.strip().strip('"') for name in header.split(delimiter)]
+    data = (row for row in lines if not row[1].startswith("#"))
+    return names, delimiter, chain([first], data) if numeric else data
+
+
+def _locate(path, names, columns):
+    """Index of the column of each field that the file has."""
+    where = {}
+    lowered = [name.lower() for name in names]
+    for name, aliases in _ALIASES.items():
+        if name in columns:
+            if columns[name] not in names:
+                listed = ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
+                raise FileFormatError(f"{path}: no column {columns[name]!r}; it has {listed}")
+            where[name] = names.index(columns[name])
+            continue
+        found = next((alias for alias in aliases if alias in lowered), None)
+        if found is not None:
+            where[name] = lowered.index(found)
+        elif name in _REQUIRED:
+            listed = ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
+            raise FileFormatError(
+                f"{path}: which column is {name}? It has {listed}; say --columns {name}=NAME"
+            )
+    return where
+
+
+def _parse_rows(path, rows, delimiter, names, where):
+    """Values of the located columns, shape (rows, fields), and notes."""
+    table, notes, short = [], [], None
+    for number, line in rows:
+        if short is not None:
+            raise FileFormatError(
+                f"{path}:{short[0]}: expected {len(names)} columns, got {short[1]}"
+            )
+        cells = line.split(delimiter)
+        if len(cells) < len(names):
+            # Only a last line may be short: the recorder was stopped while writing it.
+            short = number, len(cells)
+            continue
+        values = []
+        for index in where.values():
+            try:
+                values.append(float(cells[index]))
+            except ValueError:
+                if cells[index].strip():
+                    raise FileFormatError(
+                        f"{path}:{number}: column {names[index]}: expected a number, "
+                        f"got {cells[index].strip()!r}"
+                    ) from None
+                values.append(math.nan)
+        table.append(values)
+    if short is not None:
+        notes.append(f"line {short[0]}, the last, is cut off: left out")
+    return np.array(table, dtype=float).reshape(len(table), len(where)), notes
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
