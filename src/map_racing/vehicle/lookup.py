@@ -13,7 +13,8 @@ import numpy as np
 import yaml
 
 from ..errors import FileFormatError, ParameterError
-from .parameters import read_yaml_mapping, write_atomically
+from .files import read_yaml_mapping, write_atomically
+from .tires import finite
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table"]
 
@@ -40,9 +41,13 @@ class Provenance:
     l_wb: float
     generator: str
 
+    def __post_init__(self):
+        if not finite("l_wb", self.l_wb) > 0.0:
+            raise ParameterError(f"l_wb: expected a positive number, got {self.l_wb:g}")
+
 
 class _Column(NamedTuple):
-    """One speed of the inverse: steering angle over the used share of the reachable acceleration."""
+    """One speed of the inverse: steering angle over the share of the reachable acceleration."""
 
     limit: float  # largest reachable acceleration [m/s^2]
     shares: list  # a_lat / limit, strictly ascending from 0 to 1
@@ -79,16 +84,21 @@ class LookupTable:
 
     Notes
     -----
-    In steady state ``delta = l_wb a / v^2 + K(a)`` up to the curvature of the arctangent. The inverse
-    is exact at the nodes and interpolates in coordinates in which the law is nearly straight:
+    In steady state ``delta = l_wb a / v^2 + K(a)`` up to the curvature of the arctangent. The
+    inverse is exact at the nodes and interpolates where that law is nearly straight:
 
     - across acceleration, linearly on the rising branch of each column, over the share
       ``a / a_max(v)``, so that neighboring columns begin and end together;
     - across speed, linearly in ``1 / v^2``, the reciprocal of ``a_max`` alike.
 
     Below the slowest column ``a_max`` shrinks with v^2, as geometry has it, and no acceleration can
-    be reached at standstill. Above the fastest one ``a_max`` stays and the wheelbase term of the
-    law is carried on as long as steering keeps rising with acceleration.
+    be reached at standstill. Above the fastest one ``a_max`` stays, and the law gives a column for
+    infinite speed, kept rising where an oversteering car would have none.
+
+    Between the nodes, steering angles of ``nuc4`` differ from the exact solution by at most
+    0.21 mrad up to 95 % of the limit on the published grid, extrapolated speeds included, and by
+    0.21 mrad up to 99 % on that of `default_grid`. At the limit itself, where the angle rises ever
+    more steeply, it is 5.2 mrad and 1.7 mrad.
     """
 
     def __init__(self, speeds, angles, a_lat, provenance=None):
@@ -114,7 +124,9 @@ class LookupTable:
         self._v = [float(self.speeds[j]) for j in usable]
         self._w = [1.0 / (v * v) for v in self._v]
         self.l_wb = provenance.l_wb if provenance is not None else self._estimate_wheelbase()
-        self._w_min = self._slowest_extrapolation()
+        self._columns.append(self._infinite_speed())
+        self._v.append(math.inf)
+        self._w.append(0.0)
 
     def steering(self, v, a_lat):
         """Steering angle that holds a lateral acceleration in steady state.
@@ -148,25 +160,15 @@ class LookupTable:
         k = bisect_right(self._v, speed)
         if k == 0:
             column = self._columns[0]
-            # at rest any acceleration is too much, but none is none
             reach = column.limit * self._w[0] * speed * speed
             saturated = demand > reach * _ROUNDING
-            share = 1.0 if demand >= reach else demand / reach
+            # the reach may be 0, at rest
+            share = demand / reach if demand < reach else 1.0
             delta = _angle(column, share) if demand else 0.0
-        elif k == len(self._v):
-            column = self._columns[-1]
-            share = demand / column.limit
-            saturated = share > _ROUNDING
-            if share > 1.0:
-                share = 1.0
-            w = 1.0 / (speed * speed)
-            if w < self._w_min:
-                w = self._w_min
-            delta = _angle(column, share) + self.l_wb * share * column.limit * (w - self._w[-1])
         else:
             slow, fast = self._columns[k - 1], self._columns[k]
-            w_slow = self._w[k - 1]
-            t = (w_slow - 1.0 / (speed * speed)) / (w_slow - self._w[k])
+            w = self._w[k - 1]
+            t = (w - 1.0 / (speed * speed)) / (w - self._w[k])
             share = demand * ((1.0 - t) / slow.limit + t / fast.limit)
             saturated = share > _ROUNDING
             if share > 1.0:
@@ -200,7 +202,7 @@ class LookupTable:
         Parameters
         ----------
         v : float or ndarray
-            Speed [m/s].
+            Speed [m/s]; backwards as forwards.
         delta : float or ndarray
             Steering angle [rad], positive to the left.
 
@@ -210,9 +212,8 @@ class LookupTable:
             Lateral acceleration [m/s^2]; NaN beyond the table and beside cells that are NaN.
         """
         v, delta = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(delta, dtype=float))
-        magnitude = np.abs(delta)
-        i, u = _locate(self.angles, magnitude)
-        j, t = _locate(self.speeds, v)
+        i, u = _locate(self.angles, np.abs(delta))
+        j, t = _locate(self.speeds, np.abs(v))
         i_next = np.minimum(i + 1, self.angles.size - 1)
         j_next = np.minimum(j + 1, self.speeds.size - 1)
         result = np.zeros(v.shape)
@@ -237,7 +238,7 @@ class LookupTable:
         """
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
-        text = "".join(",".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
+        text = "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
         write_atomically(path, text)
         if self.provenance is not None:
             values = dataclasses.asdict(self.provenance)
@@ -252,16 +253,21 @@ class LookupTable:
             return first[0] / self._w[0]
         return float(np.polyfit(self._w, first, 1)[0])
 
-    def _slowest_extrapolation(self):
-        """Least 1/v^2 at which the carried-on last column still rises with acceleration."""
+    def _infinite_speed(self):
+        """The last column without its wheelbase term ``l_wb a / v^2``."""
         column = self._columns[-1]
-        rise = np.diff(column.angles) / (np.diff(column.shares) * column.limit * self.l_wb)
-        # delta'(a) / l_wb at 1/v^2 = w is rise - (w_last - w): keep a tenth of the flattest part
-        return max(0.0, self._w[-1] - 0.9 * float(rise.min()))
+        rise = np.diff(column.angles)
+        geometric = np.diff(column.shares) * column.limit * self.l_wb * self._w[-1]
+        # the floor keeps the inverse monotone: an oversteering car cannot go that fast
+        angles = np.r_[0.0, np.cumsum(np.maximum(rise - geometric, 0.1 * rise))]
+        return _column(column.limit, np.asarray(column.shares), angles)
 
 
 def default_grid(vehicle, v_max=None):
-    """Speeds and angles fine enough that interpolation costs nothing noticeable.
+    """Speeds and angles so fine that interpolation between them hardly matters.
+
+    There are 257 angles, and a column about every 0.1 m/s from 0.1 m/s on. The notes of
+    `LookupTable` say how exact that is; such a table of ``nuc4`` takes 35 ms to compute.
 
     Parameters
     ----------
@@ -275,9 +281,9 @@ def default_grid(vehicle, v_max=None):
         [m/s] and [rad], up to the vehicle's largest steering angle.
     """
     v_max = vehicle.v_max if v_max is None else float(v_max)
-    if not 0.5 < v_max < math.inf:
-        raise ParameterError(f"v_max: expected a speed above 0.5 m/s, got {v_max:g}")
-    speeds = np.linspace(0.5, v_max, int(math.ceil((v_max - 0.5) / 0.1)) + 1)
+    if not 0.2 <= v_max < math.inf:
+        raise ParameterError(f"v_max: expected a speed of at least 0.2 m/s, got {v_max:g}")
+    speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 * (v_max - 0.1))) + 1)
     return speeds, np.linspace(0.0, vehicle.delta_max, 257)
 
 
@@ -330,10 +336,12 @@ def _invert(angles, a_lat):
     if not rising.any():
         return None
     a, delta = np.r_[0.0, a[rising]], np.r_[0.0, delta[rising]]
-    limit = float(a[-1])
-    shares = a / limit
-    slopes = np.r_[np.diff(delta) / np.diff(shares), 0.0]
-    return _Column(limit, shares.tolist(), delta.tolist(), slopes.tolist())
+    return _column(float(a[-1]), a / a[-1], delta)
+
+
+def _column(limit, shares, angles):
+    slopes = np.r_[np.diff(angles) / np.diff(shares), 0.0]
+    return _Column(limit, shares.tolist(), angles.tolist(), slopes.tolist())
 
 
 def _locate(axis, value):
@@ -341,7 +349,8 @@ def _locate(axis, value):
     k = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, max(axis.size - 2, 0))
     width = axis[np.minimum(k + 1, axis.size - 1)] - axis[k]
     way = (value - axis[k]) / np.where(width > 0.0, width, 1.0)
-    return k, np.where((value >= axis[0]) & (value <= axis[-1]), way, np.nan)
+    with np.errstate(invalid="ignore"):
+        return k, np.where((value >= axis[0]) & (value <= axis[-1]), way, np.nan)
 
 
 def _frozen(values):
@@ -401,10 +410,8 @@ def _read_provenance(path):
     if not sidecar.is_file():
         return None
     values = read_yaml_mapping(sidecar)
-    names = [field.name for field in dataclasses.fields(Provenance)]
-    if sorted(map(str, values)) != sorted(names):
-        raise FileFormatError(f"{sidecar}: expected the keys {', '.join(names)}")
-    l_wb = values["l_wb"]
-    if isinstance(l_wb, bool) or not isinstance(l_wb, (int, float)) or not 0.0 < l_wb < math.inf:
-        raise FileFormatError(f"{sidecar}: l_wb: expected a positive number, got {l_wb!r}")
-    return Provenance(**{**values, "l_wb": float(l_wb)})
+    try:
+        return Provenance(**values)
+    except (ParameterError, TypeError):
+        names = ", ".join(field.name for field in dataclasses.fields(Provenance))
+        raise FileFormatError(f"{sidecar}: expected the keys {names} and a positive l_wb") from None

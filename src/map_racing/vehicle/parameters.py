@@ -6,17 +6,16 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Union
 
 import yaml
 
-from ..errors import FileFormatError, ParameterError
+from ..errors import ParameterError
 from ..resources import find_config
+from .files import read_yaml_mapping, write_atomically
 from .single_track import GRAVITY
-from .tires import LinearTire, PacejkaTire
+from .tires import LinearTire, PacejkaTire, finite
 
 __all__ = [
     "Tire",
@@ -25,7 +24,6 @@ __all__ = [
     "load_vehicle",
     "parameter_hash",
     "save_vehicle",
-    "write_atomically",
 ]
 
 Tire = Union[PacejkaTire, LinearTire]
@@ -66,8 +64,8 @@ class Vehicle:
     Raises
     ------
     ParameterError
-        If a value is not a finite number in its range, or braking or driving at the limits would
-        lift an axle.
+        If a value is not a finite number in its range, if the tires are not of one model, or if
+        driving or braking at the limits would lift an axle.
     """
 
     name: str
@@ -90,11 +88,12 @@ class Vehicle:
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name:
             raise ParameterError(f"name: expected a text, got {self.name!r}")
-        for key in ("front", "rear"):
-            if not isinstance(getattr(self, key), (PacejkaTire, LinearTire)):
-                raise ParameterError(f"{key}: expected a tire, got {getattr(self, key)!r}")
+        if not isinstance(self.front, (PacejkaTire, LinearTire)):
+            raise ParameterError(f"front: expected a tire, got {self.front!r}")
+        if type(self.rear) is not type(self.front):
+            raise ParameterError(f"rear: expected a tire as in front, got {self.rear!r}")
         for key in _NUMBERS:
-            value = _number(key, getattr(self, key))
+            value = finite(key, getattr(self, key))
             if value < 0.0 or (value == 0.0 and key != "h_cg"):
                 raise ParameterError(f"{key}: expected a positive number, got {value:g}")
             object.__setattr__(self, key, value)
@@ -114,7 +113,9 @@ class Vehicle:
 
 
 _NUMBERS = tuple(
-    field.name for field in dataclasses.fields(Vehicle) if field.name not in ("name", "front", "rear")
+    field.name
+    for field in dataclasses.fields(Vehicle)
+    if field.name not in ("name", "front", "rear")
 )
 _LIMITS = ("delta_max", "delta_rate_max", "v_max", "a_max", "a_brake_max", "width", "length")
 _REQUIRED = ("m", "I_z", "l_f", "l_r", "h_cg", "mu")
@@ -221,54 +222,6 @@ def linearized(vehicle):
     )
 
 
-def write_atomically(path, text):
-    """Write a text file under a temporary name, then rename it: never half a file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-    text : str
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(str(temporary), str(path))
-    finally:
-        if temporary.exists():
-            temporary.unlink()
-
-
-def read_yaml_mapping(path):
-    """Read a YAML file that holds one mapping.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    FileFormatError
-        If it is something else; the message is one line and names file and line.
-    """
-    try:
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected YAML, found bytes that are not text") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{path}:{mark.line + 1}" if mark else str(path)
-        problem = getattr(error, "problem", None) or "invalid"
-        raise FileFormatError(f"{where}: expected YAML: {problem}") from None
-    if not isinstance(values, dict):
-        raise FileFormatError(f"{path}: expected keys and values, got {type(values).__name__}")
-    return values
-
-
 def _vehicle(values, default_name):
     """Build a `Vehicle` from the keys of a file; each key must be understood."""
     rest = {}
@@ -297,7 +250,7 @@ def _vehicle(values, default_name):
         if "a_brake_max" in arguments:
             raise ParameterError("a_min: given beside a_brake_max, which is the same")
         # published with either sign
-        arguments["a_brake_max"] = abs(_number("a_min", rest.pop("a_min")))
+        arguments["a_brake_max"] = abs(finite("a_min", rest.pop("a_min")))
     # a time constant of the steering servo, which belongs to the plant, not to the model
     rest.pop("tau_steer", None)
     wheelbase = rest.pop("l_wb", None)
@@ -305,7 +258,7 @@ def _vehicle(values, default_name):
         raise ParameterError(f"{', '.join(map(str, rest))}: unknown; known keys are {_known()}")
 
     vehicle = Vehicle(**arguments)
-    if wheelbase is not None and abs(_number("l_wb", wheelbase) - vehicle.l_wb) > 1e-6:
+    if wheelbase is not None and abs(finite("l_wb", wheelbase) - vehicle.l_wb) > 1e-6:
         raise ParameterError(f"l_wb: expected l_f + l_r = {vehicle.l_wb:g}, got {wheelbase:g}")
     return vehicle
 
@@ -334,12 +287,6 @@ def _tire(model, axle, values):
     except ParameterError as error:
         where = "front tire" if axle == "f" else "rear tire"
         raise ParameterError(f"{where} ({', '.join(keys)}): {error}") from None
-
-
-def _number(key, value):
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ParameterError(f"{key}: expected a finite number, got {value!r}")
-    return float(value)
 
 
 def _known():

@@ -10,8 +10,8 @@ So the front slip s_f parametrizes all steady states of one speed, and delta(s_f
 reachable by turning the wheel slowly from straight ahead form the branch from s_f = 0 on which the
 Jacobian of (v_y', r') has both eigenvalues in the left half plane, with the rear tire on the rising
 side of its curve. On it delta(s_f) rises strictly (its derivative has the sign of the Jacobian's
-determinant), so each cell of the table is one monotone scalar equation. A front tire beyond its peak
-belongs to the branch: the car plows, stably.
+determinant), so each cell of the table is one monotone scalar equation. A front tire beyond its
+peak belongs to the branch: the car plows, stably. States that a car can only jump to are left out.
 """
 
 from __future__ import annotations
@@ -103,50 +103,44 @@ def simulate_to_steady_state(vehicle, v, delta, duration=20.0):
 
 def _solve(vehicle, speeds, angles):
     """Cells of the table, shape (n_angles, n_speeds)."""
-    slip, delta, last = _branches(vehicle, speeds)
-    # bracket each cell between two front slips of its branch, and start on the chord
-    low = np.empty((angles.size, speeds.size))
-    high, start = np.empty_like(low), np.empty_like(low)
-    for j in range(speeds.size):
-        s, d = slip[: last[j] + 1, j], delta[: last[j] + 1, j]
-        above = np.clip(np.searchsorted(d, angles), 1, last[j]) if last[j] else np.zeros(1, int)
-        low[:, j], high[:, j] = s[np.maximum(above - 1, 0)], s[above]
-        start[:, j] = np.interp(angles, d, s)
-    reachable = angles[:, None] <= delta[last, np.arange(speeds.size)]
-    gain = vehicle.mu * GRAVITY * vehicle.l_wb / speeds**2
-
-    i, j = np.nonzero(reachable)
-    s_f = _newton(vehicle, gain[j], angles[i], low[i, j], high[i, j], start[i, j])
-    a_lat = np.full(reachable.shape, np.nan)
+    a_lat = np.full((angles.size, speeds.size), np.nan)
+    rows, columns, brackets = [], [], []
+    for j, (slip, delta) in enumerate(_branches(vehicle, speeds)):
+        reachable = np.arange(np.searchsorted(angles, delta[-1:], side="right").sum())
+        above = np.clip(np.searchsorted(delta, angles[reachable]), 1, None)
+        rows.append(reachable)
+        columns.append(np.full_like(reachable, j))
+        brackets.append((slip[above - 1], slip[above], delta[above - 1], delta[above]))
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    s_f = _front_slip(vehicle, speeds[j], angles[i], *np.concatenate(brackets, axis=1))
     a_lat[i, j] = vehicle.mu * GRAVITY * vehicle.front.normalized_force(s_f)
     return a_lat
 
 
 def _branches(vehicle, speeds):
-    """Front slip and steering angle along the stable branch of each speed.
+    """Front slip and steering angle at points along the stable branch of each speed.
 
     Returns
     -------
-    slip, delta : ndarray, shape (n, n_speeds)
-        Up to row ``last[j]``, which is the end of the branch, column j is valid and rising.
-    last : ndarray of int, shape (n_speeds,)
+    list of (ndarray, ndarray)
+        Both rising from 0 to the end of the branch; empty where straight running is unstable.
     """
-    columns = np.arange(speeds.size)
-    slip = np.repeat(_SLIP[:, None], speeds.size, axis=1)
     delta, stable = _equilibria(vehicle, speeds, _SLIP[:, None])
-    end = np.where(stable.all(axis=0), _SLIP.size, np.argmin(stable, axis=0))
-    last = np.maximum(end - 1, 0)
-    # sharpen the end of those that end: twice, to 1/128 of the interval
-    low, high = slip[last, columns], slip[np.minimum(end, _SLIP.size - 1), columns]
+    count = np.logical_and.accumulate(stable).sum(axis=0)
+    # find the end within its interval: twice, to 1/128 each, which leaves 1e-14 rad of delta
+    low = _SLIP[np.maximum(count - 1, 0)]
+    high = _SLIP[np.minimum(count, _SLIP.size - 1)]
+    columns = np.arange(speeds.size)
     for _ in range(2):
-        fine = low + (high - low) * np.linspace(0.0, 1.0, 129)[:, None]
-        fine_delta, fine_stable = _equilibria(vehicle, speeds, fine)
-        first = np.where(fine_stable.all(axis=0), 128, np.maximum(np.argmin(fine_stable, axis=0), 1))
-        low, high = fine[first - 1, columns], fine[first, columns]
-    ends = (end > 0) & (end < _SLIP.size)
-    slip[end[ends], columns[ends]] = low[ends]
-    delta[end[ends], columns[ends]] = fine_delta[first[ends] - 1, columns[ends]]
-    return slip, delta, np.where(ends, end, last)
+        slip = low + (high - low) * np.linspace(0.0, 1.0, 129)[:, None]
+        delta_end, stable = _equilibria(vehicle, speeds, slip)
+        last = np.maximum(np.logical_and.accumulate(stable).sum(axis=0) - 1, 0)
+        low, high = slip[last, columns], slip[np.minimum(last + 1, 128), columns]
+    delta_end = delta_end[last, columns]
+    return [
+        (np.r_[_SLIP[:n], low[j]], np.r_[delta[:n, j], delta_end[j]]) if n else (_SLIP[:0],) * 2
+        for j, n in enumerate(count)
+    ]
 
 
 def _equilibria(vehicle, speeds, s_f):
@@ -170,28 +164,29 @@ def _equilibria(vehicle, speeds, s_f):
     return s_f + np.arctan(tangent), stable
 
 
-def _newton(vehicle, gain, delta, low, high, s_f):
-    """Front slip of each cell: Newton kept within its bracket by bisection."""
+def _front_slip(vehicle, speed, delta, low, high, delta_low, delta_high):
+    """Front slip of each cell: Newton from the chord, kept within its bracket by bisection."""
     front, rear = vehicle.front, vehicle.rear
+    gain = vehicle.mu * GRAVITY * vehicle.l_wb / speed**2
+    width = np.where(delta_high > delta_low, delta_high - delta_low, 1.0)
+    s_f = low + (high - low) * (delta - delta_low) / width
     result = s_f.copy()
     active = np.arange(s_f.size)
-    for _ in range(60):
+    for _ in range(100):
         force = front.normalized_force(s_f)
         s_r = rear.slip(force)
         tangent = gain * force - np.tan(s_r)
         residual = s_f + np.arctan(tangent) - delta
+        low, high = np.where(residual < 0.0, s_f, low), np.where(residual > 0.0, s_f, high)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = front.slope(s_f) * (gain - 1.0 / (rear.slope(s_r) * np.cos(s_r) ** 2))
-            step = residual / (1.0 + slope / (1.0 + tangent**2))
-        low = np.where(residual < 0.0, s_f, low)
-        high = np.where(residual > 0.0, s_f, high)
-        following = s_f - step
-        inside = (following >= low) & (following <= high)
+            following = s_f - residual / (1.0 + slope / (1.0 + tangent**2))
+            inside = (following >= low) & (following <= high)
         following = np.where(inside, following, 0.5 * (low + high))
         result[active] = following
         going = np.abs(following - s_f) > 1e-12
         if not going.any():
             break
-        active, gain, delta = active[going], gain[going], delta[going]
-        low, high, s_f = low[going], high[going], following[going]
+        active, s_f = active[going], following[going]
+        gain, delta, low, high = gain[going], delta[going], low[going], high[going]
     return result

@@ -12,13 +12,14 @@ so that in a left turn both slip angles are negative and both forces positive.
 from __future__ import annotations
 
 import math
+import numbers
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = ["LinearTire", "PacejkaTire"]
+__all__ = ["LinearTire", "PacejkaTire", "finite"]
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class PacejkaTire:
     Raises
     ------
     ParameterError
-        If a coefficient is not a finite number in its range.
+        If a coefficient is not a finite number, or not positive.
     """
 
     B: float
@@ -46,9 +47,7 @@ class PacejkaTire:
     model = "pacejka"
 
     def __post_init__(self):
-        _store_floats(self)
-        for name in ("B", "C", "D"):
-            _require(getattr(self, name) > 0.0, name, "positive", getattr(self, name))
+        _check(self, positive=("B", "C", "D"))
 
     @property
     def stiffness(self):
@@ -160,8 +159,7 @@ class LinearTire:
     model = "linear"
 
     def __post_init__(self):
-        _store_floats(self)
-        _require(self.C_S > 0.0, "C_S", "positive", self.C_S)
+        _check(self, positive=("C_S",))
 
     @property
     def stiffness(self):
@@ -200,15 +198,35 @@ class LinearTire:
         return force
 
 
-def _store_floats(tire):
+def finite(name, value):
+    """The value as a float, if it is a finite number.
+
+    Parameters
+    ----------
+    name : str
+        What it is, for the error.
+    value : object
+        Anything, such as a value read from a file.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ParameterError
+        If it is something else; a text or a truth value is not a number.
+    """
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not number or not math.isfinite(value):
+        raise ParameterError(f"{name}: expected a finite number, got {value!r}")
+    return float(value)
+
+
+def _check(tire, positive):
+    """Store the coefficients as floats, having checked them."""
     for field in fields(tire):
-        value = getattr(tire, field.name)
-        number = isinstance(value, (int, float, np.floating)) and not isinstance(value, bool)
-        if not number or not math.isfinite(value):
-            raise ParameterError(f"{field.name}: expected a finite number, got {value!r}")
-        object.__setattr__(tire, field.name, float(value))
-
-
-def _require(condition, name, expected, value):
-    if not condition:
-        raise ParameterError(f"{name}: expected a value that is {expected}, got {value:g}")
+        value = finite(field.name, getattr(tire, field.name))
+        if field.name in positive and value <= 0.0:
+            raise ParameterError(f"{field.name}: expected a positive number, got {value:g}")
+        object.__setattr__(tire, field.name, value)
