@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ..angles import wrap
-from ..errors import FileFormatError, RacelineError
+from ..errors import FileFormatError
 from ..resources import find_config
 from .raceline import Raceline, distinct_points
 
@@ -212,7 +212,7 @@ def save_raceline(raceline, path):
     ]
     # Six decimals are a micrometer; "+ 0.0" turns -0.0 into 0.0.
     table = np.round(np.stack([column for _, column in columns], axis=1), 6) + 0.0
-    lines += ["; ".join(f"{value:.6f}" for value in row) for row in table.tolist()]
+    lines += [";".join(f"{value:.6f}" for value in row) for row in table.tolist()]
     part = path.with_name(path.name + ".part")
     try:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
