@@ -18,12 +18,13 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import EvaluationError, ParameterError
+from ..track.raceline import Raceline
 from ..track.tracker import CourseTracker
 
 __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary", "evaluate"]
@@ -31,6 +32,8 @@ __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary
 _NAN = math.nan
 # A stretch shorter than this [m] is a car that stands on the line and wobbles across it.
 _WOBBLE = 0.5
+# Largest deviation [m] where neither walls nor a limit are known.
+_NO_WALLS = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,16 +50,17 @@ class LapLimits:
         Correction of the localization that is not yet a jump [m].
     max_reverse : float
         Farthest that the car may fall back along the course [m].
-    max_deviation : float
-        Largest lateral deviation where the raceline has no walls [m]. Where it has, the center of
-        the car must stay between them.
+    max_deviation : float, optional
+        Largest lateral deviation [m]. By default the center of the car must stay between the walls
+        or, where the raceline has none, within 2 m. Walls in a raceline file are often drawn
+        tighter than the hall; this overrides them.
     """
 
     max_gap: float = 0.25
     max_speed: float = 20.0
     jump_margin: float = 0.3
     max_reverse: float = 0.5
-    max_deviation: float = 2.0
+    max_deviation: float | None = None
 
 
 class LapTrace(NamedTuple):
@@ -189,10 +193,26 @@ class Summary:
 
 @dataclass(frozen=True)
 class RunResult:
-    """All stretches of a run in order, their summary, and remarks for the reader."""
+    """A run on a raceline.
+
+    Attributes
+    ----------
+    laps : list of Lap
+        All stretches in order, valid or not.
+    summary : Summary
+    raceline : Raceline
+    start_s : float
+        Arc length of the start line [m].
+    source : str
+        File of the recording.
+    notes : tuple of str
+        Remarks for the reader.
+    """
 
     laps: list
     summary: Summary
+    raceline: Raceline
+    start_s: float = 0.0
     source: str = ""
     notes: tuple = ()
 
@@ -283,7 +303,7 @@ class LapEvaluator:
         self._close_open("in-lap")
         laps = self._laps
         self._restart()
-        return RunResult(laps, Summary.of(laps))
+        return RunResult(laps, Summary.of(laps), self.raceline, self._start_s)
 
     # -- sample by sample ------------------------------------------------------------------------
 
@@ -392,18 +412,19 @@ class LapEvaluator:
         if np.isnan(command).all():
             reference, source = curve.speed, "raceline" if curve.speed is not None else ""
         speed_error = v - reference if source else np.full(v.size, _NAN)
-        if curve.d_left is None:
-            clearance = _NAN
-            outside = np.max(np.abs(d)) - self.limits.max_deviation
-        else:
+        magnitude = np.abs(d)
+        clearance, limit = _NAN, self.limits.max_deviation
+        if curve.d_left is not None:
             clearance = float(np.min(np.minimum(curve.d_left - d, curve.d_right + d)))
+        if limit is None and curve.d_left is not None:
             outside = -clearance
+        else:
+            outside = magnitude.max() - (_NO_WALLS if limit is None else limit)
         reasons = [reason] if reason else []
         reasons += [_describe(kind, self._faults[kind]) for kind in _KINDS if kind in self._faults]
         if outside > 0.0:
             reasons.append(f"off track by {outside:.2f} m")
         duration = float(t[-1] - t[0])
-        magnitude = np.abs(d)
         return Lap(
             lap=self._number,
             lap_time_s=duration if complete else _NAN,
@@ -455,7 +476,7 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
     ------
     EvaluationError
         If the car drove elsewhere: more than half of the samples are farther from the raceline
-        than its walls or, where it has none, than ``max_deviation``.
+        than its farthest wall, and than 2 m or the ``max_deviation`` given.
     """
     evaluator = LapEvaluator(
         raceline,
@@ -477,19 +498,19 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
     deviation = np.concatenate([np.abs(lap.trace.d) for lap in result.laps] or [np.zeros(0)])
     if not deviation.size:
         raise EvaluationError(f"{recording.source}: expected at least two samples")
-    limit = evaluator.limits.max_deviation
+    limit = evaluator.limits.max_deviation or _NO_WALLS
     if raceline.d_left is not None:
         limit = max(limit, float(max(raceline.d_left.max(), raceline.d_right.max())))
     if np.median(deviation) > limit:
         raise EvaluationError(
             f"{recording.source}: the car drove elsewhere: half of the time more than "
-            f"{np.median(deviation):.1f} m from the raceline {name}"
+            f"{np.median(deviation):.1f} m off the raceline {name}"
         )
     notes = list(recording.notes)
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {name}")
-    return RunResult(result.laps, result.summary, recording.source, tuple(notes))
+    return replace(result, source=recording.source, notes=tuple(notes))
 
 
 # -- statistics ----------------------------------------------------------------------------------
