@@ -60,9 +60,10 @@ def slip_angles(vehicle, v_x, v_y, r, delta, v_eps=V_EPS):
     """Slip angles of both axles, defined at every speed.
 
     The velocity of each axle is turned into the frame of its wheel, whose forward part is kept away
-    from zero: ``alpha = atan2(v_lateral, max(|v_forward|, v_eps))``. Where the wheel rolls forwards
-    faster than `v_eps` these are exactly the paper's angles; a car at rest has none, even with
-    its wheels turned.
+    from zero: ``alpha = atan2(v_lateral, max(v_forward, v_eps))``. Where the wheel rolls forwards
+    faster than `v_eps` these are exactly the paper's angles. A car at rest has none, even with its
+    wheels turned, and one that reverses is held on the circle of its wheels: its tires are stiffer
+    than real ones, whose car would swap ends above a few m/s.
 
     Parameters
     ----------
@@ -84,10 +85,9 @@ def slip_angles(vehicle, v_x, v_y, r, delta, v_eps=V_EPS):
     v_yf = v_y + r * vehicle.l_f
     v_yr = v_y - r * vehicle.l_r
     cosine, sine = np.cos(delta), np.sin(delta)
-    forward = np.maximum(np.abs(v_x * cosine + v_yf * sine), v_eps)
     return (
-        np.arctan2(v_yf * cosine - v_x * sine, forward),
-        np.arctan2(v_yr, np.maximum(np.abs(v_x), v_eps)),
+        np.arctan2(v_yf * cosine - v_x * sine, np.maximum(v_x * cosine + v_yf * sine, v_eps)),
+        np.arctan2(v_yr, np.maximum(v_x, v_eps)),
     )
 
 
@@ -121,10 +121,9 @@ def single_track_derivatives(vehicle, v_eps=V_EPS):
         v_yf = v_y + r * l_f
         cosine = cos(delta)
         sine = sin(delta)
-        forward = abs(v_x * cosine + v_yf * sine)
+        forward = v_x * cosine + v_yf * sine
         alpha_f = atan2(v_yf * cosine - v_x * sine, forward if forward > v_eps else v_eps)
-        forward = abs(v_x)
-        alpha_r = atan2(v_y - r * l_r, forward if forward > v_eps else v_eps)
+        alpha_r = atan2(v_y - r * l_r, v_x if v_x > v_eps else v_eps)
         F_yf = (front_0 + transfer * a_long) * front(alpha_f)
         F_yr = (rear_0 - transfer * a_long) * rear(alpha_r)
         return (F_yf + F_yr) / m - v_x * r, (l_f * F_yf - l_r * F_yr) / I_z
