@@ -1,7 +1,7 @@
 """Figures of runs and lookup tables.
 
 Every function returns a `matplotlib.figure.Figure` that belongs to no window and no global state;
-`save` writes it. The colors can be told apart with any color vision (Okabe-Ito, viridis, PuOr).
+`save` writes it. The colors can be told apart with any color vision (Okabe-Ito, viridis).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib import cm
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 # matplotlib 3.1 knows the projection "3d" only after this import.
@@ -31,6 +32,8 @@ __all__ = [
 
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _WALL, _RACELINE = "0.5", "0.1"
+# Gray in the middle: the white of the usual diverging maps would hide a path without error.
+_DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#D55E00", "0.75", "#0072B2"])
 
 
 def save(figure, path):
@@ -78,7 +81,7 @@ def plot_path(result, color_by="speed", title=None):
         colors, label = "viridis", "speed [m/s]"
         low, high = float(values.min()), float(values.max())
     else:
-        colors, label = "PuOr", "lateral deviation, left positive [m]"
+        colors, label = _DEVIATION, "lateral deviation, left positive [m]"
         # A single excursion would leave no color for the rest.
         high = float(np.percentile(np.abs(values), 99.5))
         low = -high
@@ -265,6 +268,7 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     axes.view_init(elev=28.0, azim=-125.0)
     axes.set_title(title)
     figure.colorbar(surface, ax=axes, shrink=0.65, pad=0.1, label="lateral acceleration [m/s²]")
+    figure.subplots_adjust(left=0.0, right=0.96, bottom=0.03, top=0.95)
     return figure
 
 
