@@ -28,6 +28,9 @@ _SAME_POINT = 1e-4
 # keeps memory linear in the number of points whatever their unit.
 _CELL, _CELLS_PER_POINT = 0.1, 16
 
+# Points by which a closed spline is continued beyond its ends; 2^-50 is the rounding of floats.
+_OVERLAP = 50
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
@@ -172,13 +175,13 @@ class Raceline:
             )
         self.s_points = s_points[:-1]
         self.length = length = float(s_points[-1])
-        self.n = n = x.size - 1
+        self.n = n = x.size
         self.ds = length / n
         self._per_ds = n / length
 
         knots = np.linspace(0.0, length, n + 1)
-        spline = CubicSpline(knots, np.stack((x, y), axis=1), bc_type="periodic")
-        self._c = c = spline.c[::-1].copy()  # ascending powers: (4, n, 2)
+        spline = _closed_spline(knots, x, y)
+        self._c = c = spline.c[::-1, _OVERLAP : _OVERLAP + n].copy()  # ascending: (4, n, 2)
         cells = [tuple(row) for row in np.concatenate((c[:, :, 0], c[:, :, 1])).T.tolist()]
         # s * (n / length) may round up to n: one cell more instead of a check in every query.
         cells.append(cells[0])
@@ -394,20 +397,19 @@ class Raceline:
             curving = tx * tx + ty * ty - 2.0 * (ex * kx + ey * ky)
             step = (ex * tx + ey * ty) / (curving if curving > 0.1 else 0.1)
             moved += step
-            if not -reach <= moved <= reach:
+            if not -reach < moved < reach:
                 return None
             s = (s + step) % length
             # Newton converges quadratically: after a step this small 1e-8 m remain.
             if -1e-4 < step < 1e-4:
                 if curving <= 0.0:
                     return None
-                square = tx * tx + ty * ty
-                kappa = 2.0 * (tx * ky - ty * kx) / (square * math.sqrt(square))
+                norm = math.sqrt(tx * tx + ty * ty)
                 return Projection(
-                    s,
-                    (tx * ey - ty * ex) / math.sqrt(square),
-                    math.atan2(ty, tx) + kappa * step,
-                    kappa,
+                    s if s < length else 0.0,  # the modulo of -1e-17 is the length itself
+                    (tx * ey - ty * ex) / norm,
+                    math.atan2(ty + 2.0 * step * ky, tx + 2.0 * step * kx),
+                    2.0 * (tx * ky - ty * kx) / (norm * norm * norm),
                 )
         return None
 
@@ -431,7 +433,8 @@ class Raceline:
         -------
         LookaheadPoint
             If the curve at `s_from` is farther than `distance` already: that point. If no point in
-            the half lap ahead is that far: the farthest one there. Its `distance` is the true one.
+            the half lap ahead is that far: the farthest one there, to one cell. Its `distance` is
+            the true one.
         """
         length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
         near = s_from
@@ -482,17 +485,18 @@ class Raceline:
 
     def _farthest_ahead(self, x, y, s_from):
         """Farthest cell beginning in the half lap ahead, found coarsely, then exactly."""
+        cells = s_from % self.length * self._per_ds
+        first, end = math.ceil(cells), math.floor(cells + 0.5 * self.n) + 1
         stride = max(1, self.n // 1024)
-        first = int(s_from % self.length * self._per_ds) + 1
-        index = np.arange(first, first + self.n // 2, stride)
+        index = np.arange(first, end, stride)
         for _ in range(2):
             cell = index % self.n
             square = (self.x[cell] - x) ** 2 + (self.y[cell] - y) ** 2
             best = int(np.argmax(square))
-            index = np.arange(max(first, index[best] - stride), index[best] + stride + 1)
-        i = int(cell[best])
+            i, farthest = int(cell[best]), float(square[best])
+            index = np.arange(max(first, index[best] - stride), min(end, index[best] + stride))
         return LookaheadPoint(
-            float(self.s[i]), float(self.x[i]), float(self.y[i]), math.sqrt(square[best])
+            float(self.s[i]), float(self.x[i]), float(self.y[i]), math.sqrt(farthest)
         )
 
     # -- the same course otherwise -----------------------------------------------------------
@@ -541,16 +545,27 @@ def distinct_points(x, y):
     return keep
 
 
+def _closed_spline(u, x, y):
+    """Cubic spline through closed points: `u` at each and, last, at the first again.
+
+    The points are continued around the lap on both sides. What the open ends are like fades at
+    least by half per point, so that nothing of it is left inside. (The periodic spline of SciPy
+    1.3 has a kink at the last point but one where the spacing is not equal.)
+    """
+    index = np.arange(-_OVERLAP, x.size + _OVERLAP + 1)
+    turn, point = np.divmod(index, x.size)
+    return CubicSpline(u[point] + turn * u[-1], np.stack((x[point], y[point]), axis=1))
+
+
 def _arc_length_form(x, y):
     """Resample the closed spline through points at equal steps of arc length.
 
     Returns the arc length of each point and, last, of the whole lap; and the positions at the
-    beginning of each cell and, last, of the first again.
+    beginning of each cell.
     """
-    x, y = np.append(x, x[0]), np.append(y, y[0])
-    chords = np.hypot(np.diff(x), np.diff(y))
+    chords = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)
     u = np.concatenate(([0.0], np.cumsum(chords)))
-    spline = CubicSpline(u, np.stack((x, y), axis=1), bc_type="periodic")
+    spline = _closed_spline(u, x, y)
     velocity = spline.derivative()
 
     def arc(begin, width):
@@ -561,7 +576,7 @@ def _arc_length_form(x, y):
     s = np.concatenate(([0.0], np.cumsum(arc(u[:-1], chords))))
     spacing = s[-1] / chords.size
     n = math.ceil(s[-1] / min(spacing, max(_CELL, spacing / _CELLS_PER_POINT)) - 1e-9)
-    targets = np.linspace(0.0, s[-1], n + 1)
+    targets = np.linspace(0.0, s[-1], n + 1)[:-1]
     segment = np.clip(np.searchsorted(s, targets, side="right") - 1, 0, chords.size - 1)
     begin, wanted = u[segment], targets - s[segment]
     width = wanted * chords[segment] / (s[segment + 1] - s[segment])
@@ -569,5 +584,4 @@ def _arc_length_form(x, y):
         tangents = velocity(begin + width)
         width -= (arc(begin, width) - wanted) / np.hypot(tangents[:, 0], tangents[:, 1])
     points = spline(begin + width)
-    points[-1] = points[0]  # exactly, as the periodic spline expects
     return s, points[:, 0], points[:, 1]
