@@ -328,13 +328,16 @@ class Raceline:
 
     # -- from positions to the curve ---------------------------------------------------------
 
-    def project(self, x, y):
+    def project(self, x, y, psi=None):
         """Closest point of the whole curve.
 
         Parameters
         ----------
         x, y : float
             Position [m].
+        psi : float, optional
+            Heading of the car [rad]: only parts of the curve that run within 90 degrees of it
+            count. It tells branches apart where the course crosses itself or runs back alongside.
 
         Returns
         -------
@@ -347,9 +350,15 @@ class Raceline:
         """
         if not math.isfinite(x + y):
             raise ParameterError(f"expected a finite position, got ({x}, {y})")
-        if self._tree is None:
-            self._tree = cKDTree(np.stack((self.x, self.y), axis=1))
-        distance, i = self._tree.query((x, y))
+        if psi is None:
+            if self._tree is None:
+                self._tree = cKDTree(np.stack((self.x, self.y), axis=1))
+            distance, i = self._tree.query((x, y))
+        else:
+            along = np.cos(self.psi - psi) >= 0.0
+            square = np.where(along, (self.x - x) ** 2 + (self.y - y) ** 2, math.inf)
+            i = int(np.argmin(square))
+            distance = math.sqrt(square[i])
         s = float(self.s[i])
         foot = self.project_near(x, y, s, reach=2.0 * self.ds)
         if foot is not None and abs(foot.d) <= distance + 1e-9:

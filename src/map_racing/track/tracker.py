@@ -47,13 +47,16 @@ class CourseTracker:
         self._x = self._y = 0.0
         self.lost = self.reacquired = False
 
-    def update(self, x, y):
+    def update(self, x, y, psi=None):
         """Project the car's next position.
 
         Parameters
         ----------
         x, y : float
             Position [m].
+        psi : float, optional
+            Heading of the car [rad]. Where the whole course is searched, a branch that runs within
+            90 degrees of it is preferred, if one is near enough.
 
         Returns
         -------
@@ -76,7 +79,9 @@ class CourseTracker:
                     self._last, self._x, self._y = found, x, y
                     self.lost = self.reacquired = False
                     return found
-        found = self.raceline.project(x, y)
+        found = self.raceline.project(x, y, psi)
+        if psi is not None and abs(found.d) > self.max_deviation:
+            found = self.raceline.project(x, y)
         self.reacquired = last is None or self._elsewhere(found, x, y)
         self.lost = abs(found.d) > self.max_deviation
         self._last, self._x, self._y = found, x, y
