@@ -38,9 +38,9 @@ def steady_state_table(vehicle, speeds, angles):
     ----------
     vehicle : Vehicle
     speeds : array_like, shape (n_speeds,)
-        Speeds [m/s], positive, ascending.
+        Speeds [m/s], ascending, at least 1 mm/s.
     angles : array_like, shape (n_angles,)
-        Steering angles [rad], not negative, ascending.
+        Steering angles [rad], ascending, at least 0.
 
     Returns
     -------
@@ -54,10 +54,13 @@ def steady_state_table(vehicle, speeds, angles):
         If an axis is not as said.
     """
     speeds, angles = np.asarray(speeds, dtype=float), np.asarray(angles, dtype=float)
-    if speeds.ndim != 1 or not np.all((speeds > 0.0) & np.isfinite(speeds)):
-        raise ParameterError(f"speeds: expected positive finite ones, got {speeds}")
-    if angles.ndim != 1 or not np.all((angles >= 0.0) & (angles < 0.5 * np.pi)):
-        raise ParameterError(f"angles: expected them in [0, pi/2), got {angles}")
+    for name, axis, least in (("speeds", speeds, 1e-3), ("angles", angles, 0.0)):
+        if axis.ndim != 1 or not axis.size or not np.all(np.isfinite(axis)):
+            raise ParameterError(f"{name}: expected a list of finite numbers")
+        if axis[0] < least or np.any(np.diff(axis) < 0.0):
+            raise ParameterError(f"{name}: expected ascending values from {least:g} on")
+    if angles[-1] >= 0.5 * np.pi:
+        raise ParameterError(f"angles: expected less than pi/2 rad, got {angles[-1]:g}")
     provenance = Provenance(
         vehicle=vehicle.name,
         tire_model=vehicle.front.model,

@@ -7,35 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from map_racing.errors import ParameterError
 from map_racing.vehicle.lookup import load_table
-from map_racing.vehicle.parameters import Vehicle, linearized, load_vehicle, parameter_hash
+from map_racing.vehicle.parameters import linearized, load_vehicle, parameter_hash
 from map_racing.vehicle.single_track import GRAVITY, single_track_derivatives
 from map_racing.vehicle.steady_state import simulate_to_steady_state, steady_state_table
 from map_racing.vehicle.tires import LinearTire, PacejkaTire
 
-NUC4 = Vehicle(
-    name="NUC4",
-    m=3.31,
-    I_z=0.09,
-    l_f=0.162,
-    l_r=0.145,
-    h_cg=0.02,
-    mu=1.0,
-    front=PacejkaTire(3.12, 2.23, 0.72, 0.23),
-    rear=PacejkaTire(29.91, 2.23, 1.21, 0.92),
-)
-SIM = Vehicle(
-    name="SIM",
-    m=3.47,
-    I_z=0.04712,
-    l_f=0.15875,
-    l_r=0.17145,
-    h_cg=0.02,
-    mu=1.0,
-    front=LinearTire(4.718),
-    rear=LinearTire(5.4562),
-)
+NUC4 = load_vehicle("nuc4")
+SIM = load_vehicle("sim")
 OVERSTEER = dataclasses.replace(NUC4, name="oversteer", front=NUC4.rear, rear=NUC4.front)
 TURNED_DOWN = dataclasses.replace(
     NUC4, name="E>1", front=PacejkaTire(4.5, 1.3, 1.0, 1.56), rear=PacejkaTire(10, 1.5, 1.3, 1.1)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from map_racing.errors import ParameterError
 from map_racing.vehicle.tires import LinearTire, PacejkaTire
 

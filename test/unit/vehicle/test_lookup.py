@@ -1,0 +1,313 @@
+"""Table lookup: exact at nodes, monotone, odd, defined everywhere; and its files."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_racing.errors import FileFormatError, ParameterError
+from map_racing.vehicle.lookup import LookupTable, Provenance, default_grid, load_table
+from map_racing.vehicle.parameters import linearized, load_vehicle
+from map_racing.vehicle.steady_state import steady_state_table
+
+NUC4 = load_vehicle("nuc4")
+OVERSTEER = dataclasses.replace(NUC4, name="oversteer", front=NUC4.rear, rear=NUC4.front)
+SPEEDS = np.linspace(0.5, 7.0, 65)
+# the published angles, of which one repeats
+ANGLES = np.r_[np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)]
+TABLES = {
+    car.name: steady_state_table(car, SPEEDS, ANGLES) for car in (NUC4, linearized(NUC4), OVERSTEER)
+}
+TABLE = TABLES["NUC4"]
+
+any_table = pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
+speeds = st.one_of(st.floats(-20.0, 20.0), st.floats(0.0, 1e300), st.sampled_from(SPEEDS.tolist()))
+accelerations = st.floats(-15.0, 15.0)
+
+
+def rising_cells(table):
+    """Row, column, up to the largest acceleration of each column."""
+    for j in np.flatnonzero(np.isfinite(table.a_lat[0])):
+        column = table.a_lat[:, j]
+        for i in range(1, int(np.nanargmax(column)) + 1):
+            if column[i] > np.nanmax(column[:i]):
+                yield i, j
+
+
+@any_table
+def test_nodes_are_exact(table):
+    for i, j in rising_cells(table):
+        v, a_lat, delta = table.speeds[j], table.a_lat[i, j], table.angles[i]
+        assert table.steering(v, a_lat) == (pytest.approx(delta, abs=1e-12), False)
+        assert table.steering(v, -a_lat)[0] == -table.steering(v, a_lat)[0]
+
+
+@any_table
+@settings(deadline=None)
+@given(v=speeds, a_lat=accelerations)
+def test_odd_in_acceleration_and_even_in_speed(table, v, a_lat):
+    delta, saturated = table.steering(v, a_lat)
+    assert table.steering(v, -a_lat) == (-delta, saturated)
+    assert table.steering(-v, a_lat) == (delta, saturated)
+
+
+@any_table
+@settings(deadline=None)
+@given(v=speeds, first=accelerations, second=accelerations)
+def test_monotone_in_acceleration(table, v, first, second):
+    low, high = sorted((first, second))
+    assert table.steering(v, low)[0] <= table.steering(v, high)[0] + 1e-15
+
+
+@any_table
+@settings(deadline=None)
+@given(v=st.one_of(st.floats(1e-3, 12.0), st.sampled_from(SPEEDS.tolist())), a_lat=accelerations)
+def test_continuous_in_speed(table, v, a_lat):
+    here = table.steering(v, a_lat)[0]
+    for toward in (0.0, math.inf):
+        neighbor = float(np.nextafter(v, toward))
+        assert table.steering(neighbor, a_lat)[0] == pytest.approx(here, abs=1e-9)
+
+
+@any_table
+@settings(deadline=None)
+@given(v=st.floats(1e-3, 20.0), excess=st.floats(1.001, 10.0))
+def test_beyond_the_limit_it_saturates_at_the_angle_of_the_limit(table, v, excess):
+    limit = table.max_lateral_acceleration(v)
+    at_limit, within = table.steering(v, limit)
+    assert not within
+    delta, saturated = table.steering(v, limit * excess)
+    assert saturated
+    assert delta == pytest.approx(at_limit, abs=1e-9)
+
+
+@any_table
+@pytest.mark.parametrize("v", [0.0, 1e-9, 0.1, 0.5, 3.3, 7.0, 30.0])
+def test_no_dead_band_and_nothing_at_zero(table, v):
+    assert table.steering(v, 0.0) == (0.0, False)
+    assert table.steering(v, 1e-9)[0] > 0.0
+
+
+def test_at_rest_every_acceleration_is_too_much():
+    assert TABLE.steering(0.0, 1e-6) == (0.4, True)
+    assert TABLE.steering(0.0, -3.0) == (-0.4, True)
+    assert TABLE.max_lateral_acceleration(0.0) == 0.0
+
+
+def test_the_limit_is_the_largest_cell_of_a_column():
+    np.testing.assert_allclose(
+        TABLE.max_lateral_acceleration(SPEEDS), TABLE.a_lat.max(axis=0), rtol=1e-12
+    )
+    v = 0.5 * (SPEEDS[3] + SPEEDS[4])
+    assert TABLE.a_lat[:, 3].max() < TABLE.max_lateral_acceleration(v) < TABLE.a_lat[:, 4].max()
+
+
+@pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
+def test_arguments_that_are_not_finite_are_refused(v):
+    for arguments in ((v, 1.0), (1.0, v)):
+        with pytest.raises(ParameterError, match="expected finite arguments"):
+            TABLE.steering(*arguments)
+
+
+def worst_error(table, v, share=0.95):
+    """Largest error [rad] of the inverse at one speed against the exact solution."""
+    angles = np.linspace(0.0, table.angles[-1], 400)
+    exact = steady_state_table(NUC4, [v], angles).a_lat[:, 0]
+    peak = int(np.argmax(exact))
+    return max(
+        abs(table.steering(v, a_lat)[0] - delta)
+        for a_lat, delta in zip(exact[:peak].tolist(), angles.tolist())
+        if a_lat < share * exact[peak]
+    )
+
+
+@pytest.mark.parametrize("v", [0.55, 0.8, 1.51, 2.59, 3.6, 4.52, 6.95])
+def test_between_the_nodes_of_the_published_grid(v):
+    assert worst_error(TABLE, v) < 0.25e-3
+
+
+@pytest.mark.parametrize("v", [7.5, 9.0, 15.0])
+def test_above_the_table_the_law_goes_on(v):
+    assert worst_error(TABLE, v) < 0.25e-3
+
+
+@pytest.mark.parametrize("v", [0.05, 0.37, 1.24, 2.55, 3.66, 4.15, 7.77, 11.94])
+def test_default_grid_is_fine_enough(v):
+    table = steady_state_table(NUC4, *default_grid(NUC4, 12.0))
+    assert worst_error(table, v, share=0.99) < 0.25e-3
+
+
+def test_default_grid_ends_at_the_limits_of_the_car():
+    car = dataclasses.replace(NUC4, v_max=9.7, delta_max=0.35)
+    speed_axis, angle_axis = default_grid(car)
+    assert (speed_axis[-1], angle_axis[0], angle_axis[-1]) == (9.7, 0.0, 0.35)
+    assert np.diff(speed_axis).max() < 0.1 + 1e-12
+
+
+@pytest.mark.parametrize("v_max", [0.0, -3.0, math.inf, math.nan])
+def test_default_grid_refuses_impossible_speeds(v_max):
+    with pytest.raises(ParameterError, match="^v_max: expected"):
+        default_grid(NUC4, v_max)
+
+
+def test_wheelbase_is_recovered_from_a_table_without_provenance():
+    bare = LookupTable(SPEEDS, ANGLES, TABLE.a_lat)
+    assert bare.l_wb == pytest.approx(NUC4.l_wb, abs=1e-5)
+    assert bare.steering(12.0, 5.0)[0] == pytest.approx(TABLE.steering(12.0, 5.0)[0], abs=1e-6)
+
+
+@any_table
+def test_lookup_there_and_back(table):
+    for v, share in itertools.product(SPEEDS[:-1:7].tolist(), (0.1, 0.5, 0.9)):
+        a_lat = share * table.max_lateral_acceleration(v)
+        delta, _ = table.steering(v, a_lat)
+        if math.isfinite(table.acceleration(v, delta)):
+            assert table.acceleration(v, delta) == pytest.approx(a_lat, rel=1e-12)
+
+
+def test_acceleration_is_bilinear():
+    v, delta = 0.25 * SPEEDS[8] + 0.75 * SPEEDS[9], 0.5 * (ANGLES[40] + ANGLES[41])
+    cells = TABLE.a_lat[40:42, 8:10]
+    expected = float(cells.mean(axis=0) @ [0.25, 0.75])
+    assert TABLE.acceleration(v, delta) == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_allclose(
+        TABLE.acceleration([[v], [-v]], [delta, -delta]), expected * np.array([[1, -1], [1, -1]])
+    )
+
+
+def test_acceleration_beyond_the_table_is_not_a_number():
+    result = TABLE.acceleration([0.4, 7.1, 2.0, np.nan, 7.0], [0.1, 0.1, 0.41, 0.1, 0.4])
+    assert np.isnan(result).tolist() == [True, True, True, True, False]
+
+
+def test_cells_beside_missing_ones_are_usable_themselves():
+    table = LookupTable([1.0, 2.0], [0.0, 0.1, 0.2], [[0, 0], [1, 3], [2, np.nan]])
+    assert table.acceleration(2.0, 0.1) == 3.0
+    assert math.isnan(table.acceleration(1.5, 0.15))
+    assert table.steering(2.0, 5.0) == (0.1, True)
+
+
+def test_only_the_rising_branch_is_inverted():
+    column = [0.0, 1.0, 0.9, 2.0, 3.0, 2.5]
+    table = LookupTable([1.0], np.arange(6) / 10.0, np.array([column]).T)
+    assert table.steering(1.0, 0.95) == (pytest.approx(0.095), False)
+    # between the records 1.0 at 0.1 rad and 2.0 at 0.3 rad
+    assert table.steering(1.0, 1.5) == (pytest.approx(0.2), False)
+    assert table.steering(1.0, 2.9) == (pytest.approx(0.39), False)
+    assert table.steering(1.0, 9.0) == (pytest.approx(0.4), True)
+
+
+def test_a_speed_without_stable_cell_is_as_the_one_before():
+    table = LookupTable([1.0, 2.0], [0.0, 0.1], [[0.0, np.nan], [1.0, np.nan]])
+    assert table.max_lateral_acceleration(2.0) == 1.0
+    assert table.steering(2.0, 2.0)[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([1.0, 1.0], [0.1], [[1, 1]]), "speeds: expected ascending values, got 1 before 1"),
+        (([0.0, 1.0], [0.1], [[1, 1]]), "speeds: expected positive ones"),
+        (([1.0], [0.2, 0.1], [[1], [2]]), "angles: expected ascending values, got 0.2 before 0.1"),
+        (([1.0], [-0.1, 0.1], [[1], [2]]), "angles: expected none below 0"),
+        (([1.0], [0.1], [[1, 2]]), r"a_lat: expected shape \(1, 1\), got \(1, 2\)"),
+        (([1.0], [0.1], [[np.inf]]), "a_lat: expected finite values or NaN, got inf"),
+        (([1.0], [0.1], [[np.nan]]), "a_lat: expected cells that rise"),
+        (([np.nan], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
+    ],
+)
+def test_impossible_tables_are_refused(arguments, message):
+    with pytest.raises(ParameterError, match=message):
+        LookupTable(*arguments)
+
+
+def test_the_table_cannot_be_changed_under_its_inverse():
+    with pytest.raises(ValueError, match="read-only"):
+        TABLE.a_lat[1, 1] = 3.0
+
+
+@any_table
+def test_saved_table_reads_back_equal(tmp_path, table):
+    table.save(tmp_path / "table.csv")
+    back = load_table(tmp_path / "table.csv")
+    np.testing.assert_array_equal(back.speeds, table.speeds)
+    np.testing.assert_array_equal(back.angles, table.angles)
+    np.testing.assert_array_equal(back.a_lat, table.a_lat)
+    assert back.provenance == table.provenance
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["table.csv", "table.meta.yaml"]
+
+
+def test_saved_layout_is_the_published_one(tmp_path):
+    table = LookupTable([0.5, 1.0], [0.0, 0.25], [[0.0, 0.0], [0.125, np.nan]])
+    table.save(tmp_path / "table.csv")
+    text = (tmp_path / "table.csv").read_text(encoding="utf-8")
+    assert text == "0.0,0.5,1.0\n0.0,0.0,0.0\n0.25,0.125,nan\n"
+
+
+def test_a_table_without_provenance_does_not_inherit_an_old_one(tmp_path):
+    TABLE.save(tmp_path / "table.csv")
+    LookupTable(SPEEDS, ANGLES, TABLE.a_lat).save(tmp_path / "table.csv")
+    assert load_table(tmp_path / "table.csv").provenance is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("0,1,2\n0.1,1\n", "table.csv:2: expected 3 cells as in the first line, got 2"),
+        ("0,1,2\n0.1,1,2\n\n0.2,x,4\n", "table.csv:4: expected numbers .* got 'x'"),
+        ("0;1;2\n0.1;1;2\n", "table.csv:1: expected numbers with commas"),
+        ("1,1,2\n0.1,1,2\n", "table.csv:1: expected 0 in the first cell, got 1"),
+        ("0,2,1\n0.1,1,2\n", "speeds: expected ascending values, got 2 before 1"),
+        ("0,1\n0.2,1\n0.1,2\n", "angles: expected ascending values, got 0.2 before 0.1"),
+        ("0,1\n0.1,inf\n", "a_lat: expected finite values or NaN"),
+        ("0,1,2\n", "found no cell"),
+        ("", "found no cell"),
+    ],
+)
+def test_malformed_files_are_refused(tmp_path, text, message):
+    path = tmp_path / "table.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FileFormatError, match=message) as error:
+        load_table(path)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_and_binary_files_are_refused(tmp_path):
+    with pytest.raises(FileFormatError, match="no such file"):
+        load_table(tmp_path / "table.csv")
+    (tmp_path / "table.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match="expected a CSV file"):
+        load_table(tmp_path / "table.csv")
+    with pytest.raises(FileFormatError, match="expected a CSV file"):
+        load_table(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["vehicle: X\n", "l_wb: -1\n", "- 1\n", "a: b: c\n", "1: 2\n"])
+def test_damaged_sidecars_are_refused(tmp_path, text):
+    TABLE.save(tmp_path / "table.csv")
+    (tmp_path / "table.meta.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(FileFormatError, match="table.meta.yaml"):
+        load_table(tmp_path / "table.csv")
+
+
+def test_provenance_refuses_an_impossible_wheelbase():
+    with pytest.raises(ParameterError, match="l_wb"):
+        Provenance("X", "linear", "0", 0.0, "test")
+
+
+@pytest.mark.parametrize("name", ["NUC4_pacejka", "SIM_linear"])
+def test_published_tables_load_and_invert(shared_data, name):
+    table = load_table(shared_data / "vehicles" / f"{name}_lookup_table.csv")
+    assert table.a_lat.shape == (60, 65)
+    assert table.provenance is None
+    assert table.l_wb == pytest.approx(
+        {"NUC4_pacejka": 0.307, "SIM_linear": 0.3302}[name], abs=1e-5
+    )
+    for i, j in rising_cells(table):
+        v, a_lat = table.speeds[j], table.a_lat[i, j]
+        # cells may differ by rounding where the table repeats an angle
+        assert table.steering(v, a_lat)[0] == pytest.approx(table.angles[i], abs=1e-9)

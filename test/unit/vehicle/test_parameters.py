@@ -1,0 +1,257 @@
+"""Vehicle files: shipped ones, published spelling, round trip, and refusals by name."""
+
+import dataclasses
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_racing.errors import FileFormatError, ParameterError
+from map_racing.vehicle.parameters import (
+    Vehicle,
+    linearized,
+    load_vehicle,
+    parameter_hash,
+    save_vehicle,
+)
+from map_racing.vehicle.tires import LinearTire, PacejkaTire
+
+MINIMAL = {
+    "m": 3.3,
+    "I_z": 0.05,
+    "l_f": 0.16,
+    "l_r": 0.15,
+    "h_cg": 0.02,
+    "mu": 0.9,
+    "tire_model": "linear",
+    "C_Sf": 4.7,
+    "C_Sr": 5.5,
+}
+PACEJKA = {
+    **{key: MINIMAL[key] for key in ("m", "I_z", "l_f", "l_r", "h_cg", "mu")},
+    "tire_model": "pacejka",
+    "C_Pf": [3.0, 2.0, 0.7, 0.2],
+    "C_Pr": [20.0, 2.0, 1.2, 0.9],
+}
+
+positive = st.floats(1e-3, 1e3)
+tires = st.builds(PacejkaTire, positive, positive, positive, st.floats(-10.0, 10.0))
+vehicles = st.builds(
+    Vehicle,
+    name=st.text("abcNUC4_-: #", min_size=1),
+    m=positive,
+    I_z=positive,
+    l_f=st.floats(0.1, 1.0),
+    l_r=st.floats(0.1, 1.0),
+    h_cg=st.floats(0.0, 0.1),
+    mu=positive,
+    front=tires,
+    rear=tires,
+    delta_max=st.floats(0.1, 1.5),
+    width=positive,
+)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(values, name="car.yaml"):
+        path = tmp_path / name
+        text = values if isinstance(values, str) else yaml.safe_dump(values)
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def without(values, *keys):
+    return {key: value for key, value in values.items() if key not in keys}
+
+
+def test_nuc4_ships_with_the_published_figures():
+    car = load_vehicle("nuc4")
+    assert (car.name, car.m, car.I_z, car.l_f, car.l_r) == ("NUC4", 3.31, 0.09, 0.162, 0.145)
+    assert (car.h_cg, car.mu, car.a_max, car.a_brake_max) == (0.02, 1.0, 3.0, 3.0)
+    assert car.front == PacejkaTire(3.12, 2.23, 0.72, 0.23)
+    assert car.rear == PacejkaTire(29.91, 2.23, 1.21, 0.92)
+    assert car.l_wb == pytest.approx(0.307, abs=1e-15)
+
+
+def test_sim_ships_with_the_published_figures():
+    car = load_vehicle("sim")
+    assert (car.name, car.m, car.I_z, car.l_f, car.l_r) == ("SIM", 3.47, 0.04712, 0.15875, 0.17145)
+    assert (car.h_cg, car.mu, car.a_max, car.a_brake_max) == (0.02, 1.0, 7.51, 8.26)
+    assert (car.front, car.rear) == (LinearTire(4.718), LinearTire(5.4562))
+    assert (car.delta_max, car.delta_rate_max, car.v_max) == (0.4189, 3.2, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "published"), [("nuc4", "NUC4_pacejka.txt"), ("sim", "SIM_linear.txt")]
+)
+def test_published_files_load_as_they_are(shared_data, name, published):
+    car, shipped = load_vehicle(shared_data / "vehicles" / published), load_vehicle(name)
+    assert parameter_hash(car) == parameter_hash(shipped)
+    assert (car.name, car.a_max, car.a_brake_max) == (
+        shipped.name,
+        shipped.a_max,
+        shipped.a_brake_max,
+    )
+
+
+def test_limits_default_to_those_of_the_class(write):
+    car = load_vehicle(write(MINIMAL))
+    assert car == Vehicle("car", 3.3, 0.05, 0.16, 0.15, 0.02, 0.9, LinearTire(4.7), LinearTire(5.5))
+
+
+def test_newer_published_spelling(write):
+    values = without(PACEJKA, "C_Pf", "C_Pr", "mu")
+    values.update(zip(("Bf", "Cf", "Df", "Ef"), PACEJKA["C_Pf"]))
+    values.update(zip(("Br", "Cr", "Dr", "Er"), PACEJKA["C_Pr"]))
+    values.update(friction_coeff=0.9, model_name="car")
+    assert load_vehicle(write(values)) == load_vehicle(write(PACEJKA))
+
+
+@pytest.mark.parametrize("a_min", [-8.26, 8.26])
+def test_published_braking_limit_of_either_sign(write, a_min):
+    assert load_vehicle(write({**MINIMAL, "a_min": a_min})).a_brake_max == 8.26
+
+
+@settings(deadline=None, max_examples=30)
+@given(vehicle=vehicles)
+def test_saved_vehicle_reads_back_equal(tmp_path_factory, vehicle):
+    path = tmp_path_factory.mktemp("vehicle") / "car.yaml"
+    save_vehicle(vehicle, path)
+    assert load_vehicle(path) == vehicle
+    assert [child.name for child in path.parent.iterdir()] == ["car.yaml"]
+
+
+def test_linear_vehicle_reads_back_equal(tmp_path):
+    vehicle = linearized(load_vehicle("nuc4"))
+    save_vehicle(vehicle, tmp_path / "car.yaml")
+    assert load_vehicle(tmp_path / "car.yaml") == vehicle
+
+
+def test_failed_save_leaves_the_old_file(write, monkeypatch):
+    path = write(MINIMAL)
+    before = path.read_text(encoding="utf-8")
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        save_vehicle(load_vehicle("nuc4"), path)
+    assert path.read_text(encoding="utf-8") == before
+    assert [child.name for child in path.parent.iterdir()] == ["car.yaml"]
+
+
+def test_linearized_keeps_everything_but_the_tires():
+    car = load_vehicle("nuc4")
+    linear = linearized(car)
+    assert linear.front == LinearTire(3.12 * 2.23 * 0.72)
+    assert linear.rear == LinearTire(29.91 * 2.23 * 1.21)
+    assert linear.name == "NUC4_linear"
+    assert dataclasses.replace(linear, name=car.name, front=car.front, rear=car.rear) == car
+
+
+def test_hash_ignores_formatting_name_and_limits(write):
+    plain = load_vehicle(write(MINIMAL))
+    shuffled = dict(reversed(list(MINIMAL.items())))
+    text = "# another car\n" + yaml.safe_dump(
+        {**shuffled, "name": "B", "v_max": 3}, sort_keys=False
+    )
+    assert parameter_hash(load_vehicle(write(text.replace("3.3", "3.30")))) == parameter_hash(plain)
+
+
+@pytest.mark.parametrize("key", ["m", "I_z", "l_f", "l_r", "h_cg", "mu", "C_Sf", "C_Sr"])
+def test_hash_depends_on_each_model_parameter(write, key):
+    changed = load_vehicle(write({**MINIMAL, key: MINIMAL[key] * 1.001}))
+    assert parameter_hash(changed) != parameter_hash(load_vehicle(write(MINIMAL)))
+
+
+@pytest.mark.parametrize("key", ["m", "I_z", "l_f", "l_r", "h_cg", "mu", "C_Sf", "C_Sr"])
+def test_missing_parameter_is_named(write, key):
+    path = write(without(MINIMAL, key))
+    with pytest.raises(ParameterError) as error:
+        load_vehicle(path)
+    assert str(error.value).startswith(f"{path}: {key}: missing")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"m": -1}, "m: expected a positive number, got -1"),
+        ({"mu": 0}, "mu: expected a positive number, got 0"),
+        ({"I_z": float("nan")}, "I_z: expected a finite number, got nan"),
+        ({"l_f": "0.16 m"}, "l_f: expected a finite number, got '0.16 m'"),
+        ({"l_r": True}, "l_r: expected a finite number, got True"),
+        ({"h_cg": None}, "h_cg: expected a finite number, got None"),
+        ({"width": [0.3]}, r"width: expected a finite number, got \[0.3\]"),
+        ({"delta_max": 24}, "delta_max: expected less than pi/2 rad, got 24"),
+        ({"l_wb": 0.32}, r"l_wb: expected l_f \+ l_r = 0.31, got 0.32"),
+        ({"mass": 3}, "mass: unknown; known keys are .*I_z"),
+        ({"name": 4}, "name: expected a text, got 4"),
+        ({"friction_coeff": 1}, "mu: given twice, under two names"),
+        ({"a_min": -3, "a_brake_max": 3}, "a_min: given beside a_brake_max"),
+        ({"h_cg": 0.2}, "a_max: 7.51 m/s.2 would lift an axle"),
+        ({"tire_model": "brush"}, "tire_model: expected pacejka or linear, got 'brush'"),
+        ({"tire_model": "pacejka"}, r"C_Pf: missing \(tire_model is pacejka\)"),
+        ({"C_Sf": 0}, r"front tire \(C_Sf\): C_S: expected a positive number, got 0"),
+        ({"C_Pf": [1, 1, 1, 0]}, "C_Pf: unknown"),
+    ],
+)
+def test_impossible_values_are_refused_by_name(write, changes, message):
+    path = write({**MINIMAL, **changes})
+    with pytest.raises(ParameterError, match=f"car.yaml: {message}") as error:
+        load_vehicle(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"C_Pr": [1, 2, 3]},
+            r"rear tire \(C_Pr\): expected a list \[B, C, D, E\], got \[1, 2, 3\]",
+        ),
+        ({"C_Pr": 5}, r"rear tire \(C_Pr\): expected a list"),
+        ({"C_Pf": [1, "x", 1, 0]}, r"front tire \(C_Pf\): C: expected a finite number, got 'x'"),
+        ({"Bf": 3}, "Bf: unknown"),
+    ],
+)
+def test_impossible_pacejka_coefficients_are_refused(write, changes, message):
+    with pytest.raises(ParameterError, match=message):
+        load_vehicle(write({**PACEJKA, **changes}))
+
+
+def test_incomplete_newer_spelling_names_the_missing_one(write):
+    values = {**without(PACEJKA, "C_Pf"), "Bf": 3.0, "Cf": 2.0, "Ef": 0.2}
+    with pytest.raises(ParameterError, match="Df: missing"):
+        load_vehicle(write(values))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("m: [1, 2", "car.yaml:1: expected YAML"),
+        ("m: 1\n\t- 2", "car.yaml:2: expected YAML"),
+        ("- 1\n- 2\n", "expected keys and values, got list"),
+        ("", "expected keys and values, got NoneType"),
+    ],
+)
+def test_other_files_are_refused(write, text, message):
+    with pytest.raises(FileFormatError, match=message) as error:
+        load_vehicle(write(text))
+    assert "\n" not in str(error.value)
+
+
+def test_binary_file_is_refused(tmp_path):
+    (tmp_path / "car.yaml").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(FileFormatError, match="not text"):
+        load_vehicle(tmp_path / "car.yaml")
+
+
+def test_unknown_name_lists_the_shipped_ones():
+    with pytest.raises(ParameterError, match="nuc4, sim"):
+        load_vehicle("nuc5")
+
+
+def test_tires_of_two_models_are_refused():
+    with pytest.raises(ParameterError, match="rear: expected a tire as in front"):
+        dataclasses.replace(load_vehicle("sim"), rear=PacejkaTire(10, 2, 1, 0))
