@@ -11,6 +11,7 @@ import gzip
 import json
 import math
 import os
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +117,7 @@ def read_raceline_file(path, key=None):
     try:
         data = path.read_bytes()
         text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode("utf-8-sig")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise FileFormatError(f"{path}: expected a raceline file: {reason}") from None
     name = path.name

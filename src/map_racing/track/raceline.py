@@ -348,8 +348,9 @@ class Raceline:
         ParameterError
             If the position is not finite.
         """
-        if not math.isfinite(x + y):
-            raise ParameterError(f"expected a finite position, got ({x}, {y})")
+        if not math.isfinite(x + y + (psi or 0.0)):
+            heading = "" if psi is None else f", heading {psi}"
+            raise ParameterError(f"expected a finite position, got ({x}, {y}){heading}")
         if psi is None:
             if self._tree is None:
                 self._tree = cKDTree(np.stack((self.x, self.y), axis=1))

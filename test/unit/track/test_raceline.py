@@ -208,6 +208,8 @@ def test_projection_of_no_position(bad):
     assert WINDING.project_near(0.0, bad, 1.0) is None
     with pytest.raises(ParameterError, match="finite position"):
         WINDING.project(bad, 0.0)
+    with pytest.raises(ParameterError, match="finite position"):
+        WINDING.project(0.0, 0.0, bad)
 
 
 # -- point ahead ---------------------------------------------------------------------------------
