@@ -54,6 +54,8 @@ class _Layout(NamedTuple):
         return cls(record.unpack_from, where[b"conn="], where[b"op="], where[b"time="])
 
     def fits(self, buffer, at):
+        if at + _HEADER_SIZE + 8 > len(buffer):
+            return False
         values = self.unpack(buffer, at)
         names = values[self.conn - 1], values[self.op - 1], values[self.time - 1]
         return values[0] == _HEADER_SIZE and names == (b"conn=", b"op=", b"time=")

@@ -24,7 +24,7 @@ from ..errors import BagError, RacelineError
 from ..track.raceline import Raceline
 from . import messages as msg
 from .bag_records import BagFile
-from .samples import Commands, Recording, in_order
+from .samples import FARTHEST, Commands, Recording, in_order
 
 __all__ = ["BagWriter", "DRIVE_TOPIC", "read_recording", "read_waypoints"]
 
@@ -288,6 +288,10 @@ def read_recording(path, pose_topic=None):
     BagError
         If the file is no bag, or has no pose, or none on `pose_topic`; the message lists the topics
         that could be taken.
+
+    Notes
+    -----
+    A recording of 63 s with 52,000 messages takes 0.08 s, an hour of odometry at 100 Hz 1.0 s.
     """
     with BagFile(path) as bag:
         source, notes = _choose_source(bag, pose_topic)
@@ -506,6 +510,7 @@ def _choose_source(bag, pose_topic):
         )
         listed = ", ".join(topics[:12]) + (", ..." if len(topics) > 12 else "")
         what = f"it has {listed}" if topics else "it has no messages"
+        what = "; ".join([what, *bag.notes()])
         on_demand = f"; --pose-topic can take {described}" if sources else ""
         raise BagError(f"{bag.path}: no topic with the pose of a car; {what}{on_demand}")
     best = sources[0]
@@ -632,7 +637,9 @@ def _collect_waypoints(collected, topic, connection, message, notes):
         # rosbags raises errors of many kinds for a definition or a message that it cannot digest.
         notes.append(f"{topic}: cannot decode {connection.type} ({error})")
         return
-    if len(waypoints):
+    if any(np.any(~(np.abs(column) < FARTHEST)) for column in columns.values()):
+        notes.append(f"{topic}: waypoints with impossible values left out")
+    elif len(waypoints):
         collected[topic] = columns
 
 

@@ -8,7 +8,10 @@ import numpy as np
 
 from ..track.raceline import Raceline
 
-__all__ = ["Commands", "Recording", "in_order"]
+__all__ = ["FARTHEST", "Commands", "Recording", "in_order"]
+
+FARTHEST = 1e8
+"""Coordinates beyond this [m] are no place on earth but damaged data."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,8 @@ def in_order(times, columns, notes, what, required=0):
     what : str
         What to call the samples in the notes.
     required : int, optional
-        Samples in which the time or one of so many first columns is not finite are left out.
+        So many first columns are coordinates [m]: samples in which the time or one of them is not
+        finite, or farther than `FARTHEST`, are left out.
 
     Returns
     -------
@@ -99,9 +103,11 @@ def in_order(times, columns, notes, what, required=0):
     """
     keep = np.isfinite(times)
     for column in columns[:required]:
-        keep &= np.isfinite(column)
+        with np.errstate(invalid="ignore"):
+            keep &= np.abs(column) < FARTHEST
     if not keep.all():
-        notes.append(f"{what}: {np.count_nonzero(~keep)} of {keep.size} with NaN left out")
+        missing = np.count_nonzero(~keep)
+        notes.append(f"{what}: {missing} of {keep.size} without a finite pose left out")
         times, columns = times[keep], [column[keep] for column in columns]
     backwards = np.count_nonzero(np.diff(times) < 0)
     if backwards:
