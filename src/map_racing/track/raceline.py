@@ -1,11 +1,13 @@
-"""Closed racelines: one internal form for every source, exact between the points.
+"""Closed racelines: one internal form for every source, smooth between the points.
 
-A course is given by points; a car drives the curve between them. The curve is the periodic cubic
+A course is given by points; a car drives the curve between them. The curve is the closed cubic
 spline through all points over chord length, cut anew into cells of equal arc length ``ds``, each
 with one cubic for x(s) and one for y(s). A place on the course is its arc length ``s``, so the cell
-is found by one division and no query depends on the number of points. Curvature is continuous,
-the parameter is arc length (``|r'(s)| = 1`` to about 1e-6), and scalar queries are pure-float
-arithmetic, because numpy's overhead per call exceeds a whole query.
+is found by one multiplication and no query but a search of the whole course depends on the number
+of points. Curvature is continuous, the parameter is arc length (``|r'(s)| = 1`` to 1e-5 on the
+shipped tracks), and scalar queries are pure-float arithmetic, because numpy's overhead per call
+exceeds a whole query: 0.2 us for a speed, 1 us for a pose, 2 us for a projection from a guess and
+3 us for the point ahead (CPython 3.11).
 
 Lateral deviation ``d`` is positive to the left of the direction of travel, curvature ``kappa``
 positive in left-hand bends.
@@ -122,13 +124,12 @@ class Raceline:
 
     Notes
     -----
-    Deviation from a circle of 5 m radius given by points 0.05, 0.2, 0.5 and 1 m apart:
-    1e-10, 3e-8, 1.3e-6 and 2.2e-5 m.
+    Points h apart on a bend of radius R leave the curve ``h^4 / (384 R^3)`` off the bend. Measured
+    on a circle of 5 m radius with points 0.05, 0.2, 0.5 and 1 m apart: 1e-10, 3e-8, 1.3e-6 and
+    2.2e-5 m.
     """
 
-    def __init__(
-        self, x_m, y_m, *, vx_mps=None, d_left_m=None, d_right_m=None, name="", source=""
-    ):
+    def __init__(self, x_m, y_m, *, vx_mps=None, d_left_m=None, d_right_m=None, name="", source=""):
         self.name, self.source, self.findings = name, source, ()
         if (d_left_m is None) != (d_right_m is None):
             raise self._error("expected distances to both walls or to neither")
@@ -435,7 +436,7 @@ class Raceline:
         x, y : float
             Position [m], normally of the car.
         s_from : float
-            Arc length [m] where the search begins, normally the projection of the position.
+            Finite arc length [m] where the search begins, normally the projection of the position.
         distance : float
             Straight-line distance [m].
 
@@ -445,6 +446,11 @@ class Raceline:
             If the curve at `s_from` is farther than `distance` already: that point. If no point in
             the half lap ahead is that far: the farthest one there, to one cell. Its `distance` is
             the true one.
+
+        Raises
+        ------
+        ParameterError
+            If the position or `distance` is not a number.
         """
         length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
         near = s_from

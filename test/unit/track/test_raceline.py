@@ -266,6 +266,18 @@ def test_point_ahead_with_lookahead_beyond_the_largest_chord():
     assert point.distance == pytest.approx(10.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("distance", [-1.0, 0.0])
+def test_point_ahead_at_no_distance_is_where_the_search_begins(distance):
+    assert circle().point_ahead(5.0, 0.0, 0.0, distance) == pytest.approx((0.0, 5.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("distance", [1e-12, 1e-6, 1e-3])
+def test_point_ahead_at_hardly_any_distance(distance):
+    x, y = WINDING.position(7.0)
+    point = WINDING.point_ahead(x, y, 7.0, distance)
+    assert point.s == pytest.approx(7.0 + distance, abs=1e-9)
+
+
 def test_point_ahead_of_a_car_far_off_is_where_the_search_begins():
     point = circle().point_ahead(9.0, 0.0, 0.0, 1.5)
     assert point == pytest.approx((0.0, 5.0, 0.0, 4.0), abs=1e-9)
