@@ -1,11 +1,14 @@
 """Tracking: on one's own branch while driving, anywhere after a jump."""
 
+import csv
+import gzip
 import math
 
 import numpy as np
 import pytest
 
 from map_racing.errors import ParameterError
+from map_racing.track.formats import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.track.tracker import CourseTracker
 
@@ -168,3 +171,22 @@ def test_implausible_follows_the_walls():
     assert CourseTracker(hairpin()).max_deviation == 2.0
     assert CourseTracker(hairpin(walls=1.2)).max_deviation == pytest.approx(1.7)
     assert CourseTracker(hairpin(walls=1.2), max_deviation=1.0).max_deviation == 1.0
+
+
+def test_real_laps_are_tracked_without_a_break(shared_data):
+    folder = shared_data / "laps" / "ipz20"
+    course = load_raceline(folder / "IPZ20_wp.csv")
+    laps = {}
+    for path in sorted(folder.glob("2026*.csv.gz")):
+        tracker, progress, last = CourseTracker(course), 0.0, None
+        with gzip.open(str(path), "rt") as lines:
+            for k, row in enumerate(csv.DictReader(line for line in lines if line[0] != "#")):
+                found = tracker.update(float(row["pose_x"]), float(row["pose_y"]))
+                assert tracker.reacquired == (k == 0)
+                assert abs(found.d) < 0.9
+                if last is not None:
+                    progress += math.remainder(found.s - last, course.length)
+                last = found.s
+        laps[path.name[11:19]] = progress / course.length
+    expected = {"01-45-24": 4.43, "01-48-12": 4.80, "01-53-39": 4.39}
+    assert laps == pytest.approx(expected, abs=0.01)
