@@ -91,13 +91,13 @@ class LookupTable:
       ``a / a_max(v)``, so that neighboring columns begin and end together;
     - across speed, linearly in ``1 / v^2``, the reciprocal of ``a_max`` alike.
 
-    Below the slowest column ``a_max`` shrinks with v^2, as geometry has it, and no acceleration can
-    be reached at standstill. Above the fastest one ``a_max`` stays, and the law gives a column for
-    infinite speed, kept rising where an oversteering car would have none.
+    Below the slowest column it turns with v^2 into the geometry of a rolling car, which reaches no
+    acceleration at standstill. Above the fastest one ``a_max`` stays, and the law gives a column
+    for infinite speed, kept rising where an oversteering car would have none.
 
     Between the nodes, steering angles of ``nuc4`` differ from the exact solution by at most
-    0.21 mrad up to 95 % of the limit on the published grid, extrapolated speeds included, and by
-    0.21 mrad up to 99 % on that of `default_grid`. At the limit itself, where the angle rises ever
+    0.21 mrad up to 95 % of the limit on the published grid, from standstill to 15 m/s, and by
+    0.18 mrad up to 99 % on that of `default_grid`. At the limit itself, where the angle rises ever
     more steeply, it is 5.2 mrad and 1.7 mrad.
     """
 
@@ -107,8 +107,11 @@ class LookupTable:
         self.provenance = provenance
         if self.speeds[0] <= 0.0:
             raise ParameterError(f"speeds: expected positive ones, got {self.speeds[0]:g} m/s")
-        if self.angles[0] < 0.0:
-            raise ParameterError(f"angles: expected none below 0, got {self.angles[0]:g} rad")
+        if self.angles[0] < 0.0 or self.angles[-1] >= 0.5 * math.pi:
+            raise ParameterError(
+                f"angles: expected them within [0, pi/2) rad, got {self.angles[0]:g} "
+                f"to {self.angles[-1]:g}"
+            )
         if self.a_lat.shape != (self.angles.size, self.speeds.size):
             raise ParameterError(
                 f"a_lat: expected shape {(self.angles.size, self.speeds.size)}, "
@@ -124,6 +127,7 @@ class LookupTable:
         self._v = [float(self.speeds[j]) for j in usable]
         self._w = [1.0 / (v * v) for v in self._v]
         self.l_wb = provenance.l_wb if provenance is not None else self._estimate_wheelbase()
+        self._at_rest = self._standstill()
         self._columns.append(self._infinite_speed())
         self._v.append(math.inf)
         self._w.append(0.0)
@@ -131,7 +135,8 @@ class LookupTable:
     def steering(self, v, a_lat):
         """Steering angle that holds a lateral acceleration in steady state.
 
-        Odd and monotone in `a_lat`, continuous in `v`, exact at the nodes of the table.
+        Odd and monotone in `a_lat`, continuous in `v`, exact at the nodes of the table. One call
+        takes 1.0 us on CPython 3.11.
 
         Parameters
         ----------
@@ -159,12 +164,13 @@ class LookupTable:
 
         k = bisect_right(self._v, speed)
         if k == 0:
-            column = self._columns[0]
-            reach = column.limit * self._w[0] * speed * speed
+            rest, slow = self._at_rest, self._columns[0]
+            t = speed * speed * self._w[0]
+            reach = t * ((1.0 - t) * rest.limit + t * slow.limit)
             saturated = demand > reach * _ROUNDING
             # the reach may be 0, at rest
             share = demand / reach if demand < reach else 1.0
-            delta = _angle(column, share) if demand else 0.0
+            delta = (1.0 - t) * _angle(rest, share) + t * _angle(slow, share) if demand else 0.0
         else:
             slow, fast = self._columns[k - 1], self._columns[k]
             w = self._w[k - 1]
@@ -193,7 +199,8 @@ class LookupTable:
         w = 1.0 / np.maximum(speed, self._v[0]) ** 2
         inverse = [1.0 / column.limit for column in self._columns]
         limit = 1.0 / np.interp(-w, -np.asarray(self._w), inverse)
-        limit = limit * np.minimum(speed / self._v[0], 1.0) ** 2
+        t = np.minimum(speed / self._v[0], 1.0) ** 2
+        limit = t * ((1.0 - t) * self._at_rest.limit + t * limit)
         return limit if np.ndim(v) else float(limit)
 
     def acceleration(self, v, delta):
@@ -252,6 +259,14 @@ class LookupTable:
         if len(first) == 1:
             return first[0] / self._w[0]
         return float(np.polyfit(self._w, first, 1)[0])
+
+    def _standstill(self):
+        """The first column as geometry has it, ``tan(delta) = l_wb a / v^2``, at the same speed."""
+        column = self._columns[0]
+        slope = math.tan(column.angles[-1])
+        limit = slope / (self.l_wb * self._w[0])
+        shares = np.asarray(column.shares)
+        return _column(limit, shares, np.arctan(slope * shares))
 
     def _infinite_speed(self):
         """The last column without its wheelbase term ``l_wb a / v^2``."""

@@ -34,6 +34,8 @@ _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
 def steady_state_table(vehicle, speeds, angles):
     """Steady-state lateral acceleration on a grid of speed and steering angle.
 
+    The published 60 x 65 grid of ``nuc4`` takes 8 ms, 0.1 % of integrating each cell for 2 s.
+
     Parameters
     ----------
     vehicle : Vehicle

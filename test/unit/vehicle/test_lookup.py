@@ -130,8 +130,8 @@ def test_between_the_nodes_of_the_published_grid(v):
     assert worst_error(TABLE, v) < 0.25e-3
 
 
-@pytest.mark.parametrize("v", [7.5, 9.0, 15.0])
-def test_above_the_table_the_law_goes_on(v):
+@pytest.mark.parametrize("v", [0.02, 0.2, 0.4, 7.5, 9.0, 15.0])
+def test_beyond_the_speeds_of_the_table_the_law_goes_on(v):
     assert worst_error(TABLE, v) < 0.25e-3
 
 
@@ -213,7 +213,11 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
         (([1.0, 1.0], [0.1], [[1, 1]]), "speeds: expected ascending values, got 1 before 1"),
         (([0.0, 1.0], [0.1], [[1, 1]]), "speeds: expected positive ones"),
         (([1.0], [0.2, 0.1], [[1], [2]]), "angles: expected ascending values, got 0.2 before 0.1"),
-        (([1.0], [-0.1, 0.1], [[1], [2]]), "angles: expected none below 0"),
+        (
+            ([1.0], [-0.1, 0.1], [[1], [2]]),
+            r"angles: expected them within \[0, pi/2\) rad, got -0.1",
+        ),
+        (([1.0], [0.1, 2.0], [[1], [2]]), r"angles: expected them within .* got 0.1 to 2"),
         (([1.0], [0.1], [[1, 2]]), r"a_lat: expected shape \(1, 1\), got \(1, 2\)"),
         (([1.0], [0.1], [[np.inf]]), "a_lat: expected finite values or NaN, got inf"),
         (([1.0], [0.1], [[np.nan]]), "a_lat: expected cells that rise"),
