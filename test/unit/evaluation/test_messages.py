@@ -90,9 +90,7 @@ def test_odometry_of_a_general_serializer_is_decoded(types):
 
 
 def test_imu_drive_and_waypoints_as_a_general_deserializer_reads_them(types):
-    imu = types.deserialize_ros1(
-        msg.encode_imu(0, STAMP, "imu", 1.0, 2.0, 9.81, 0.5), ros(msg.IMU)
-    )
+    imu = types.deserialize_ros1(msg.encode_imu(0, STAMP, "imu", 1.0, 2.0, 9.81, 0.5), ros(msg.IMU))
     acceleration = imu.linear_acceleration
     assert (acceleration.x, acceleration.y, acceleration.z) == (1.0, 2.0, 9.81)
     assert imu.angular_velocity.z == 0.5
