@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..angles import wrap
 from ..errors import BagError, RacelineError
-from ..track.raceline import Raceline
+from ..track.formats import raceline_from_columns
 from . import messages as msg
 from .bag_records import BagFile
 from .samples import FARTHEST, Commands, Recording, in_order
@@ -37,6 +37,15 @@ _POSE_DECODERS = {
     msg.MD5[msg.POSE_COVARIANCE]: msg.decode_pose,
 }
 _KINDS = {md5: rank for rank, md5 in enumerate(_POSE_DECODERS)}
+_WAYPOINT_FIELDS = {
+    "x_m": "x",
+    "y_m": "y",
+    "psi_rad": "psi",
+    "kappa_radpm": "kappa",
+    "vx_mps": "speed",
+    "d_left": "d_left",
+    "d_right": "d_right",
+}
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
 _TRUTH = ("ground_truth", "groundtruth", "gt_pose")
@@ -324,7 +333,7 @@ def read_recording(path, pose_topic=None):
         topic = min(waypoints, key=_waypoint_rank)
         try:
             raceline = _raceline(path, topic, waypoints[topic])
-            notes.append(f"raceline: {topic}")
+            notes.append("; ".join([f"raceline: {topic}", *raceline.findings]))
         except RacelineError as error:
             notes.append(f"raceline left out: {error}")
     return Recording(
@@ -630,8 +639,9 @@ def _collect_waypoints(collected, topic, connection, message, notes):
         types.register(get_types_from_msg(connection.definition, name))
         waypoints = types.deserialize_ros1(message.data, name).wpnts
         columns = {
-            field: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
-            for field in ("x_m", "y_m", "psi_rad", "vx_mps", "d_left", "d_right")
+            column: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
+            for field, column in _WAYPOINT_FIELDS.items()
+            if waypoints and hasattr(waypoints[0], field)
         }
     except Exception as error:
         # rosbags raises errors of many kinds for a definition or a message that it cannot digest.
@@ -639,20 +649,9 @@ def _collect_waypoints(collected, topic, connection, message, notes):
         return
     if any(np.any(~(np.abs(column) < FARTHEST)) for column in columns.values()):
         notes.append(f"{topic}: waypoints with impossible values left out")
-    elif len(waypoints):
+    elif {"x", "y"} <= set(columns):
         collected[topic] = columns
 
 
 def _raceline(path, topic, waypoints):
-    width = {}
-    if np.any(waypoints["d_left"]) and np.any(waypoints["d_right"]):
-        width = {"d_left_m": waypoints["d_left"], "d_right_m": waypoints["d_right"]}
-    speed = waypoints["vx_mps"]
-    return Raceline(
-        waypoints["x_m"],
-        waypoints["y_m"],
-        vx_mps=speed if np.any(speed) else None,
-        name=Path(path).stem,
-        source=f"{path}: {topic}",
-        **width,
-    )
+    return raceline_from_columns(waypoints, name=Path(path).stem, source=f"{path}: {topic}")
