@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib import cm
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
 # matplotlib 3.1 knows the projection "3d" only after this import.
@@ -247,19 +247,29 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     speeds, angles, a_lat = _table(speeds, angles, a_lat)
     figure = _figure(8.5, 6.5)
     axes = figure.add_subplot(1, 1, 1, projection="3d")
-    v, delta = np.meshgrid(speeds, angles)
+    rows, columns = (np.unique(np.linspace(0, n - 1, 80).astype(int)) for n in a_lat.shape)
+    v, delta = np.meshgrid(speeds[columns], angles[rows])
+    a_lat = a_lat[np.ix_(rows, columns)]
     top = float(np.nanmax(a_lat))
-    surface = axes.plot_surface(
+    mappable = cm.ScalarMappable(Normalize(0.0, top), cm.viridis)
+    mappable.set_array([])
+    # Not every matplotlib leaves out cells without a value by itself: they are made transparent.
+    known = np.isfinite(a_lat)
+    height = np.where(known, a_lat, 0.0)
+    colors = mappable.to_rgba(height)
+    corners = known.copy()
+    corners[:-1] &= known[1:]
+    corners[:, :-1] &= corners[:, 1:]
+    colors[~corners] = 0.0
+    axes.plot_surface(
         v,
         delta,
-        a_lat,
-        cmap="viridis",
-        vmin=0.0,
-        vmax=top,
-        rcount=80,
-        ccount=80,
+        height,
+        facecolors=colors,
+        rstride=1,
+        cstride=1,
         linewidth=0.0,
-        antialiased=True,
+        shade=False,
     )
     axes.set_xlabel("speed [m/s]", labelpad=8)
     axes.set_ylabel("steering angle [rad]", labelpad=8)
@@ -267,7 +277,7 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     axes.set_zlim(0.0, top)
     axes.view_init(elev=28.0, azim=-125.0)
     axes.set_title(title)
-    figure.colorbar(surface, ax=axes, shrink=0.65, pad=0.1, label="lateral acceleration [m/s²]")
+    figure.colorbar(mappable, ax=axes, shrink=0.65, pad=0.1, label="lateral acceleration [m/s²]")
     figure.subplots_adjust(left=0.0, right=0.96, bottom=0.03, top=0.95)
     return figure
 

@@ -1,0 +1,443 @@
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_racing.errors import EvaluationError, ParameterError
+from map_racing.evaluation.bags import read_recording
+from map_racing.evaluation.laps import LapEvaluator, LapLimits, Summary, evaluate
+from map_racing.evaluation.recordings import load_course, load_recording
+from map_racing.evaluation.samples import Commands, Recording
+
+V = 6.0
+RATE = 40.0
+
+
+def run(line, t, x, y, *columns, **options):
+    evaluator = LapEvaluator(line, **options)
+    evaluator.update(t, x, y, *columns)
+    return evaluator.finish()
+
+
+@pytest.fixture(scope="session")
+def drive(course):
+    """Function from a function s(t) and a deviation d(s) to samples ``t, x, y``."""
+
+    def make(duration, s=lambda t: V * t - 3.0, d=lambda s: np.full_like(s, 0.1), rate=RATE):
+        t = np.arange(int(duration * rate)) / rate
+        x, y, _ = course.place(s(t), d(s(t)))
+        return t, x, y
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def line(course):
+    return course.raceline(speed=V, walls=1.0)
+
+
+def reasons(result):
+    return [lap.reason.split(" of ")[0] for lap in result.laps]
+
+
+# -- known answers ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spacing", [0.02, 0.1, 0.3, 0.7])
+@pytest.mark.parametrize("phase", [0.0, 0.011])
+def test_known_laps_at_any_waypoint_spacing(course, spacing, phase):
+    """Speed and deviation vary; both are known functions of time."""
+
+    def progress(t):
+        return 7.0 * t + 0.8 * np.sin(1.7 * t) - 3.0
+
+    def deviation(s):
+        turn = 2.0 * np.pi * s / course.length
+        return 0.1 + 0.25 * np.sin(3.0 * turn) + 0.05 * np.cos(5.0 * turn)
+
+    t = np.arange(0.0, 20.0, 1.0 / RATE) + phase
+    x, y, _ = course.place(progress(t), deviation(progress(t)))
+    laps = [lap for lap in run(course.raceline(spacing), t, x, y).laps if lap.valid]
+    assert len(laps) == 4
+    fine = np.linspace(0.0, 20.0, 2000001)
+    crossings = np.interp(course.length * np.arange(5), progress(fine), fine)
+    for lap, start, end in zip(laps, crossings, crossings[1:]):
+        d = deviation(progress(np.linspace(start, end, 100001)))
+        assert lap.start_time_s == pytest.approx(start, abs=1e-3)
+        assert lap.lap_time_s == pytest.approx(end - start, abs=1e-3)
+        assert lap.rms_lateral_error_m == pytest.approx(math.sqrt(np.mean(d * d)), abs=1e-3)
+        assert lap.mean_abs_lateral_error_m == pytest.approx(np.mean(np.abs(d)), abs=1e-3)
+        assert lap.mean_lateral_error_m == pytest.approx(np.mean(d), abs=1e-3)
+        assert lap.max_abs_lateral_error_m == pytest.approx(np.abs(d).max(), abs=1e-3)
+        p95 = np.percentile(np.abs(d), 95.0)
+        assert lap.p95_abs_lateral_error_m == pytest.approx(p95, abs=1e-3)
+        assert sum(lap.sector_times_s) == pytest.approx(lap.lap_time_s, abs=1e-12)
+        thirds = progress(start) + course.length * np.array([1.0, 2.0]) / 3.0
+        ends = [start, *np.interp(thirds, progress(fine), fine), end]
+        np.testing.assert_allclose(lap.sector_times_s, np.diff(ends), atol=1e-3)
+
+
+@pytest.mark.parametrize("rate", [7.0, 25.0, 40.0, 100.0])
+def test_lap_time_does_not_depend_on_the_sampling(drive, course, line, rate):
+    limits = LapLimits(max_gap=1.0)
+    result = run(line, *drive(18.0, rate=rate), limits=limits)
+    laps = [lap for lap in result.laps if lap.valid]
+    assert len(laps) == 3
+    for lap in laps:
+        assert lap.lap_time_s == pytest.approx(course.length / V, abs=1e-3)
+        assert lap.rms_lateral_error_m == pytest.approx(0.1, abs=1e-3)
+
+
+def test_values_of_a_lap(drive, course, line):
+    t, x, y = drive(12.0)
+    v = np.full(t.size, 5.5)
+    steering = np.repeat(np.arange(t.size // 8), 8) % 2 * 0.1
+    result = run(line, t, x, y, v, None, steering, car_width=0.4, sectors=4)
+    lap = result.laps[1]
+    assert lap.valid
+    assert lap.min_clearance_m == pytest.approx(1.0 - 0.1 - 0.2, abs=1e-3)
+    assert lap.mean_speed_mps == pytest.approx(5.5)
+    assert lap.max_speed_mps == 5.5
+    assert lap.speed_reference == "raceline"
+    assert lap.rms_speed_error_mps == pytest.approx(0.5, abs=1e-9)
+    # 0.1 rad every 8 samples, however long it is held: 0.5 rad/s.
+    assert lap.mean_steering_rate_radps == pytest.approx(0.5, abs=0.02)
+    assert len(lap.sector_times_s) == 4
+    np.testing.assert_allclose(lap.sector_times_s, course.length / V / 4.0, atol=1e-3)
+    commanded = run(line, t, x, y, v, np.full(t.size, 7.0))
+    assert commanded.laps[1].speed_reference == "command"
+    assert commanded.laps[1].rms_speed_error_mps == pytest.approx(1.5)
+
+
+def test_speed_without_measurement_is_that_of_the_pose(drive, line):
+    lap = run(line, *drive(12.0, d=lambda s: np.zeros_like(s))).laps[1]
+    assert lap.mean_speed_mps == pytest.approx(V, abs=0.01)
+    assert lap.max_speed_mps == pytest.approx(V, abs=0.05)
+
+
+def test_without_walls_and_speeds(drive, course):
+    lap = run(course.raceline(), *drive(12.0)).laps[1]
+    assert lap.valid
+    assert math.isnan(lap.min_clearance_m)
+    assert math.isnan(lap.rms_speed_error_mps)
+    assert lap.speed_reference == ""
+
+
+# -- start line ------------------------------------------------------------------------------------
+
+
+def test_stretches_before_and_after_are_reported(drive, line):
+    result = run(line, *drive(12.0))
+    assert reasons(result) == ["out-lap", "", "", "in-lap"]
+    assert [lap.lap for lap in result.laps] == [0, 1, 2, 3]
+    assert [lap.valid for lap in result.laps] == [False, True, True, False]
+    assert [math.isnan(lap.lap_time_s) for lap in result.laps] == [True, False, False, True]
+    for before, after in zip(result.laps, result.laps[1:]):
+        assert before.end_time_s == after.start_time_s
+
+
+@pytest.mark.parametrize("start", [0.3, 0.5, 1.7, -0.2])
+def test_start_line_can_be_moved(drive, course, line, start):
+    result = run(line, *drive(16.0), start_s=start * course.length)
+    valid = [lap for lap in result.laps if lap.valid]
+    assert len(valid) == 2
+    expected = (3.0 + start % 1.0 * course.length) / V
+    assert valid[0].start_time_s == pytest.approx(expected, abs=1e-3)
+    for lap in valid:
+        assert lap.lap_time_s == pytest.approx(course.length / V, abs=1e-3)
+
+
+def test_a_standing_start_on_the_line_is_an_out_lap(drive, line):
+    result = run(line, *drive(11.0, s=lambda t: V * t))
+    assert reasons(result) == ["out-lap", "", "in-lap"]
+
+
+def test_crossing_the_line_to_and_fro_is_no_lap(drive, course, line):
+    """Out, over the line, 3 m on, 5 m back over the line, and then a lap."""
+    knots = [0.0, 1.0, 3.0, 4.0, 6.0, 12.0]
+    places = [-2.0, 3.0, 3.0, -2.0, -2.0, -2.0 + V * 6.0]
+    result = run(line, *drive(12.0, s=lambda t: np.interp(t, knots, places)))
+    assert reasons(result) == ["out-lap", "not completed; reverse", "", "in-lap"]
+    lap = result.laps[2]
+    assert lap.start_time_s == pytest.approx(6.0 + 2.0 / V, abs=1e-3)
+    assert lap.lap_time_s == pytest.approx(course.length / V, abs=1e-3)
+
+
+def test_a_car_that_wobbles_on_the_line_starts_its_lap_when_it_leaves(drive, course, line):
+    def s(t):
+        return np.where(t < 4.0, 0.05 * np.sin(9.0 * t - 0.1), V * (t - 4.0) + 0.01)
+
+    result = run(line, *drive(10.0, s=s))
+    assert [lap.valid for lap in result.laps].count(True) == 1
+    (lap,) = [lap for lap in result.laps if lap.valid]
+    assert lap.start_time_s == pytest.approx(3.99, abs=0.05)
+
+
+# -- laps that do not count ------------------------------------------------------------------------
+
+
+def test_gap(drive, line):
+    t, x, y = drive(17.5)
+    keep = (t < 7.0) | (t > 7.4)
+    result = run(line, t[keep], x[keep], y[keep])
+    assert reasons(result) == ["out-lap", "", "gap", "", "in-lap"]
+    assert "gap of 0.45 s" in result.laps[2].reason
+    assert not math.isnan(result.laps[2].lap_time_s)
+    assert result.summary.laps_completed == 2
+
+
+def test_gap_over_the_line_spoils_both_laps(drive, course, line):
+    t, x, y = drive(17.5)
+    crossing = (3.0 + course.length) / V
+    keep = np.abs(t - crossing) > 0.2
+    result = run(line, t[keep], x[keep], y[keep])
+    assert reasons(result) == ["out-lap", "gap", "gap", "", "in-lap"]
+
+
+def test_jump(drive, course, line):
+    t, x, y = drive(17.5)
+    x = x + np.where((t > 7.0) & (t < 7.1), 0.8, 0.0)
+    result = run(line, t, x, y, limits=LapLimits(max_deviation=5.0))
+    assert reasons(result) == ["out-lap", "", "jump", "", "in-lap"]
+
+
+def test_a_shortcut_is_a_jump(drive, course, line):
+    t, x, y = drive(17.5, s=lambda t: V * t - 3.0 + np.where(t > 7.0, 0.4 * course.length, 0.0))
+    result = run(line, t, x, y)
+    assert reasons(result)[2] == "jump"
+    assert [lap.valid for lap in result.laps] == [False, True, False, True, False]
+
+
+def test_a_car_carried_back_behind_the_line_starts_a_new_lap(drive, course, line):
+    """After a crash in the lap the car is set down before the start line."""
+    length = course.length
+
+    def s(t):
+        return np.where(t < 7.0, V * t - 3.0, V * (t - 7.0) + length - 2.0)
+
+    result = run(line, *drive(14.0, s=s))
+    assert [lap.valid for lap in result.laps] == [False, True, False, True, False]
+    assert result.laps[2].reason.startswith("not completed; jump")
+    assert result.laps[3].lap_time_s == pytest.approx(length / V, abs=1e-3)
+
+
+def test_reverse(drive, line):
+    knots = [0.0, 3.0, 4.0, 12.0]
+    places = [-3.0, 15.0, 13.0, 13.0 + 8.0 * V]
+    result = run(line, *drive(12.0, s=lambda t: np.interp(t, knots, places)))
+    assert reasons(result) == ["out-lap", "reverse", "", "in-lap"]
+    assert "reverse of 2.00 m" in result.laps[1].reason
+
+
+def test_off_track(drive, course, line):
+    def d(s):
+        return np.where(np.abs(s - 1.5 * course.length) < 1.0, 1.2, 0.1)
+
+    limits = LapLimits(max_speed=100.0)
+    result = run(line, *drive(17.5, d=d), limits=limits)
+    assert reasons(result) == ["out-lap", "", "off track by 0.20 m", "", "in-lap"]
+    assert result.laps[2].min_clearance_m == pytest.approx(-0.35, abs=1e-3)
+    limits = LapLimits(max_speed=100.0, max_deviation=1.5)
+    assert reasons(run(line, *drive(17.5, d=d), limits=limits))[2] == ""
+    without_walls = course.raceline()
+    assert (
+        reasons(run(without_walls, *drive(17.5, d=d), limits=LapLimits(max_speed=100.0)))[2] == ""
+    )
+
+
+# -- one sample or a million -----------------------------------------------------------------------
+
+
+def as_bits(result):
+    rows = [lap.row() for lap in result.laps]
+    return [
+        [np.float64(v).tobytes() if isinstance(v, float) else v for v in row.values()]
+        for row in rows
+    ]
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=25)
+def test_any_chunking_gives_identical_laps(drive, line, data):
+    t, x, y = drive(12.0)
+    t, x, y = (np.delete(column, slice(300, 320)) for column in (t, x, y))
+    columns = (t, x, y, 5.0 + 0.1 * np.sin(t), np.full(t.size, 5.0), 0.1 * np.cos(3.0 * t))
+    whole = LapEvaluator(line)
+    whole.update(*columns)
+    cuts = sorted(data.draw(st.lists(st.integers(0, t.size), max_size=8)))
+    parts = LapEvaluator(line)
+    ended = []
+    for first, last in zip([0, *cuts], [*cuts, t.size]):
+        ended += parts.update(*(column[first:last] for column in columns))
+    result = parts.finish()
+    assert as_bits(result) == as_bits(whole.finish())
+    assert [lap.lap for lap in ended] == [lap.lap for lap in result.laps[: len(ended)]]
+
+
+def test_single_samples_give_identical_laps(drive, line):
+    t, x, y = drive(12.0)
+    single = LapEvaluator(line)
+    ended = [lap for row in zip(t, x, y) for lap in single.update(*map(float, row))]
+    result = single.finish()
+    assert as_bits(result) == as_bits(run(line, t, x, y))
+    assert len(ended) == len(result.laps) - 1
+
+
+def test_samples_that_cannot_be_used_are_passed_over(drive, line):
+    t, x, y = drive(12.0)
+    expected = run(line, t, x, y)
+    rows = []
+    for i, row in enumerate(zip(t, x, y)):
+        rows.append(row)
+        if i % 50 == 0:
+            rows += [row, (row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
+            rows += [(math.nan, row[1], row[2]), (row[0] + 0.001, 1e300, 0.0)]
+    assert as_bits(run(line, *np.array(rows).T)) == as_bits(expected)
+
+
+def test_clock_set_back_begins_a_new_out_lap(drive, line):
+    t, x, y = drive(8.0)
+    evaluator = LapEvaluator(line)
+    evaluator.update(t, x, y)
+    evaluator.update(t, x, y)
+    result = evaluator.finish()
+    assert reasons(result) == ["out-lap", "", "clock set back", "out-lap", "", "in-lap"]
+    assert result.laps[1].lap_time_s == result.laps[4].lap_time_s
+
+
+def test_finish_makes_the_evaluator_as_new(drive, line):
+    evaluator = LapEvaluator(line)
+    assert evaluator.finish().laps == []
+    t, x, y = drive(12.0)
+    evaluator.update(t, x, y)
+    first = evaluator.finish()
+    evaluator.update(t + 1000.0, x, y)
+    second = evaluator.finish()
+    assert [lap.lap for lap in second.laps] == [0, 1, 2, 3]
+    assert second.summary.mean_lap_time_s == pytest.approx(first.summary.mean_lap_time_s)
+
+
+def test_memory_is_released_with_each_lap(drive, line):
+    evaluator = LapEvaluator(line)
+    t, x, y = drive(60.0)
+    evaluator.update(t, x, y)
+    assert len(evaluator._rows) < 8 * 6.0 * RATE
+    assert all(lap.trace is None for lap in evaluator.finish().laps)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"start_s": math.nan}, {"car_width": -1.0}, {"car_width": math.inf}, {"sectors": 0}],
+)
+def test_impossible_parameters(line, options):
+    with pytest.raises(ParameterError):
+        LapEvaluator(line, **options)
+
+
+# -- summary ---------------------------------------------------------------------------------------
+
+
+def test_summary_counts_valid_laps_only(drive, line):
+    t, x, y = drive(23.0)
+    keep = (t < 7.0) | (t > 7.4)
+    result = run(line, t[keep], x[keep], y[keep])
+    valid = [lap for lap in result.laps if lap.valid]
+    times = [lap.lap_time_s for lap in valid]
+    summary = result.summary
+    assert (summary.laps_completed, summary.laps_not_counted) == (3, 3)
+    assert summary.mean_lap_time_s == pytest.approx(np.mean(times))
+    assert summary.std_lap_time_s == pytest.approx(np.std(times, ddof=1))
+    assert summary.best_lap_time_s == min(times)
+    assert summary.max_abs_lateral_error_m == max(lap.max_abs_lateral_error_m for lap in valid)
+
+
+def test_summary_of_nothing_is_not_completed():
+    summary = Summary.of([])
+    assert summary.laps_completed == 0
+    assert math.isnan(summary.mean_lap_time_s)
+    assert math.isnan(summary.best_lap_time_s)
+
+
+# -- recordings ------------------------------------------------------------------------------------
+
+
+def recording(t, x, y, **options):
+    nan = np.full(t.size, math.nan)
+    values = {"psi": nan, "v_x": nan, "v_y": nan, "yaw_rate": nan, "source": "run.bag", **options}
+    return Recording(t, x, y, **values)
+
+
+def test_commands_are_held(drive, line):
+    t, x, y = drive(12.0)
+    at = np.arange(1.0, 12.0, 0.5) + 0.003
+    commands = Commands(at, np.where(np.arange(at.size) % 2, 0.1, -0.1), np.full(at.size, 4.0))
+    result = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line)
+    assert result.source == "run.bag"
+    lap = result.laps[1]
+    assert lap.speed_reference == "command"
+    assert lap.rms_speed_error_mps == pytest.approx(2.0)
+    assert lap.mean_steering_rate_radps == pytest.approx(0.2 / 0.5, abs=0.05)
+    assert lap.trace.t[0] == lap.start_time_s
+    assert lap.trace.s[0] == 0.0
+    assert lap.trace.s[-1] == pytest.approx(line.length)
+
+
+def test_car_that_drove_elsewhere(drive, line):
+    t, x, y = drive(12.0)
+    with pytest.raises(EvaluationError, match=r"run.bag: the car drove elsewhere.*bean") as error:
+        evaluate(recording(t, x + 30.0, y), line)
+    assert "\n" not in str(error.value)
+
+
+def test_car_that_drove_against_the_direction(drive, line):
+    result = evaluate(recording(*drive(12.0, s=lambda t: -V * t)), line)
+    assert result.summary.laps_completed == 0
+    assert result.laps[0].reason.startswith("out-lap; reverse")
+    assert any("against the direction" in note for note in result.notes)
+
+
+def test_hangar_recording(shared_data):
+    path = shared_data / "recordings" / "hangar_map_12laps.bag"
+    driven = read_recording(path)
+    for source in (driven, read_recording(path, "/car_state/pose")):
+        result = evaluate(source, driven.raceline)
+        valid = [lap for lap in result.laps if lap.valid]
+        assert len(valid) == 11
+        assert reasons(result) == ["out-lap"] + 11 * [""] + ["in-lap"]
+        for lap in valid:
+            assert 5.34 <= lap.lap_time_s <= 5.39
+            assert 0.10 <= lap.rms_lateral_error_m <= 0.12
+
+
+def test_hangar_laps_agree_with_the_printout_of_its_own_tracker(shared_data):
+    """Its clock restarts up to 0.1 m late, so each lap reads about 0.06 s short."""
+    folder = shared_data / "recordings"
+    driven = read_recording(folder / "hangar_map_12laps.bag")
+    text = (folder / "hangar_map_12laps.txt").read_text()
+    printed = [float(time) for time in re.findall(r"Lap duration: ([0-9.]+)", text)]
+    summary = evaluate(driven, driven.raceline).summary
+    assert summary.mean_lap_time_s - np.mean(printed[1:]) == pytest.approx(0.06, abs=0.01)
+
+
+def test_hangar_bag_on_another_course(shared_data):
+    driven = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
+    other = load_course(shared_data / "laps" / "ipz20" / "IPZ20_wp.csv")
+    with pytest.raises(EvaluationError, match="drove elsewhere"):
+        evaluate(driven, other)
+
+
+def test_real_laps(shared_data):
+    folder = shared_data / "laps" / "ipz20"
+    line = load_course(folder / "IPZ20_wp.csv")
+    times = []
+    for path in sorted(folder.glob("*.csv.gz")):
+        result = evaluate(load_recording(path), line)
+        assert result.laps[0].reason.startswith("out-lap")
+        assert result.laps[-1].reason.startswith("in-lap")
+        times += [lap.lap_time_s for lap in result.laps[1:-1]]
+    assert len(times) == 10
+    assert min(times) > 6.6
+    assert max(times) < 9.4

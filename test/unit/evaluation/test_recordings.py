@@ -1,0 +1,164 @@
+import gzip
+
+import numpy as np
+import pytest
+
+from map_racing.errors import BagError, FileFormatError, ParameterError
+from map_racing.evaluation.recordings import (
+    load_course,
+    load_recording,
+    parse_columns,
+    read_csv_recording,
+)
+from map_racing.track.formats import save_raceline
+
+ROWS = "t,x,y,yaw,v\n0.0,1.0,2.0,0.1,3.0\n0.5,1.5,2.5,0.2,4.0\n1.0,2.0,3.0,0.3,5.0\n"
+
+
+@pytest.fixture
+def csv(tmp_path):
+    def make(text, name="run.csv"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return make
+
+
+def test_usual_names_are_recognized(csv):
+    recording = read_csv_recording(csv(ROWS))
+    assert recording.t.tolist() == [0.0, 0.5, 1.0]
+    assert recording.x.tolist() == [1.0, 1.5, 2.0]
+    assert recording.psi.tolist() == [0.1, 0.2, 0.3]
+    assert recording.v_x.tolist() == [3.0, 4.0, 5.0]
+    assert np.isnan(recording.v_y).all()
+    assert np.isnan(recording.yaw_rate).all()
+    assert recording.commands is None
+    assert recording.raceline is None
+    assert recording.notes == []
+    assert recording.type == "CSV"
+
+
+def test_column_map(csv):
+    path = csv("clock,a,b,u,w\n10,1,2,0.1,3\n11,3,4,0.2,5\n")
+    recording = read_csv_recording(path, "t=clock, x=b,y=a,steering=u,speed_command=w")
+    assert recording.t.tolist() == [0.0, 1.0]
+    assert recording.t0_ns == 10 * 10**9
+    assert recording.x.tolist() == [2.0, 4.0]
+    assert recording.commands.steering_angle.tolist() == [0.1, 0.2]
+    assert recording.commands.speed.tolist() == [3.0, 5.0]
+    assert recording.commands.topic == "u w"
+    same = read_csv_recording(path, {"t": "clock", "x": "b", "y": "a"})
+    assert same.y.tolist() == recording.y.tolist()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# t;x;y\n0;1;2\n1;3;4\n",
+        "# made by hand\n\n#t,x,y\n# 0\n0,1,2\n# pause\n1,3,4\n".replace("# 0\n", ""),
+        "t\tx\ty\n0\t1\t2\n1\t3\t4\n",
+        "\ufeffT, X, Y\r\n0, 1, 2\r\n1, 3, 4\r\n",
+    ],
+)
+def test_layouts(csv, text):
+    recording = read_csv_recording(csv(text))
+    assert recording.t.tolist() == [0.0, 1.0]
+    assert (recording.x.tolist(), recording.y.tolist()) == ([1.0, 3.0], [2.0, 4.0])
+
+
+def test_gzip(tmp_path):
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(ROWS.encode()))
+    assert load_recording(path).t.size == 3
+    path.write_bytes(gzip.compress(ROWS.encode())[:-20])
+    with pytest.raises(FileFormatError, match="cannot read"):
+        load_recording(path)
+
+
+def test_rows_that_cannot_be_used_are_reported(csv):
+    text = "t,x,y\n0,1,2\n1,,3\n3,nan,3\n2,1,1\n2,5,5\n1.5,7,7\n4,0,0\n5,0"
+    recording = read_csv_recording(csv(text))
+    assert recording.t.tolist() == [0.0, 1.5, 2.0, 4.0]
+    assert recording.x.tolist() == [1.0, 7.0, 1.0, 0.0]
+    notes = "; ".join(recording.notes)
+    assert "line 9, the last, is cut off" in notes
+    assert "2 of 7 without a finite pose" in notes
+    assert "1 steps back in time" in notes
+    assert "1 repeated time stamps" in notes
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("t,x,y\n0,1,2\n1,a,2\n", r"run.csv:3: column x: expected a number, got 'a'"),
+        ("t,x,y\n0,1,2\n1,2\n2,3,4\n", r"run.csv:3: expected 3 columns, got 2"),
+        ("t,x,z\n0,1,2\n", r"which column is y\? It has t, x, z"),
+        ("", "expected rows of numbers"),
+        ("# only a comment\n", "expected rows of numbers"),
+        ("t,x,y\n", "at least two rows"),
+        ("t,x,y\n0,1,2\n", "at least two rows"),
+    ],
+)
+def test_malformed_files(csv, text, expected):
+    with pytest.raises(FileFormatError, match=expected) as error:
+        read_csv_recording(csv(text))
+    assert "\n" not in str(error.value)
+
+
+def test_malformed_arguments(csv, tmp_path):
+    path = csv(ROWS)
+    with pytest.raises(FileFormatError, match="no column 'q'; it has t, x, y, yaw, v"):
+        read_csv_recording(path, "x=q")
+    with pytest.raises(ParameterError, match="unknown field 'q'"):
+        read_csv_recording(path, "q=x")
+    for text in ("x", "x=", "=y", "x=y,,t=z"):
+        with pytest.raises(ParameterError, match="field=column"):
+            parse_columns(text)
+    with pytest.raises(ParameterError, match="has no topic"):
+        load_recording(path, pose_topic="/odom")
+    with pytest.raises(FileFormatError, match="No such file"):
+        load_recording(tmp_path / "missing.csv")
+    with pytest.raises(BagError, match="No such file"):
+        load_recording(tmp_path / "missing.bag")
+    binary = tmp_path / "image.csv"
+    binary.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(FileFormatError, match="expected a text file"):
+        load_recording(binary)
+
+
+def test_bags_are_recognized_by_their_content(race_bag, tmp_path):
+    path = tmp_path / "bag_without_suffix"
+    path.write_bytes(race_bag().read_bytes())
+    assert load_recording(path).topic == "/car_state/odom"
+    assert load_recording(path, "/car_state/pose").topic == "/car_state/pose"
+    assert load_course(path).length == pytest.approx(load_recording(path).raceline.length)
+
+
+def test_courses_from_files_and_bags(tmp_path, race_bag, course):
+    line = course.raceline(speed=5.0, walls=1.0)
+    save_raceline(line, tmp_path / "line.csv")
+    assert load_course(tmp_path / "line.csv").length == pytest.approx(line.length, abs=1e-3)
+    assert load_course(f"{race_bag()}#/global_waypoints").length == pytest.approx(
+        line.length, abs=1e-3
+    )
+    with pytest.raises(BagError, match="no raceline"):
+        load_course(f"{race_bag()}#/other")
+    with pytest.raises(ParameterError):
+        load_course("no_such_track")
+
+
+def test_real_laps(shared_data):
+    folder = shared_data / "laps" / "ipz20"
+    for path in sorted(folder.glob("*.csv.gz")):
+        recording = load_recording(path)
+        assert np.median(np.diff(recording.t)) == pytest.approx(0.04)
+        assert recording.notes == []
+        assert recording.commands.topic == "angular_control translational_control"
+        told = load_recording(
+            path,
+            columns="t=time,x=pose_x,y=pose_y,psi=pose_theta,v_x=linear_vel_x,v_y=linear_vel_y,"
+            "yaw_rate=angular_vel_z,steering=angular_control,speed_command=translational_control",
+        )
+        np.testing.assert_array_equal(told.x, recording.x)
+        np.testing.assert_array_equal(told.yaw_rate, recording.yaw_rate)
