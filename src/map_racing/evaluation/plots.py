@@ -278,7 +278,7 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     axes.view_init(elev=28.0, azim=-125.0)
     axes.set_title(title)
     figure.colorbar(mappable, ax=axes, shrink=0.65, pad=0.1, label="lateral acceleration [m/s²]")
-    figure.subplots_adjust(left=0.0, right=0.96, bottom=0.03, top=0.95)
+    figure.subplots_adjust(left=0.07, right=0.96, bottom=0.03, top=0.95)
     return figure
 
 

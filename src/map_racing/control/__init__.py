@@ -1,0 +1,1 @@
+"""Guidance, steering maps and the controller that joins them."""

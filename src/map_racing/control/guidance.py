@@ -1,0 +1,83 @@
+"""L1 guidance: from a lookahead point to the lateral acceleration that leads there.
+
+The one law behind pure pursuit and MAP. The car shall follow the circle that is tangent to its
+velocity vector and passes through a point of the path at distance ``L_d``; driven at speed ``v``
+that circle costs the lateral acceleration
+
+    a_lat = 2 v^2 / L_d sin(eta)
+
+with ``eta`` the angle from the velocity vector to the lookahead point (Becker et al. 2023, eq. 1,
+after Park, Deyst, How, "A New Nonlinear Guidance Logic for Trajectory Tracking", AIAA 2004).
+"""
+
+import math
+from typing import NamedTuple
+
+__all__ = ["LookaheadLaw", "bearing", "lateral_acceleration"]
+
+
+class LookaheadLaw(NamedTuple):
+    """Lookahead distance ``L_d = m + q v``, clipped to [`minimum`, `maximum`].
+
+    The letters are the paper's: `m` is the offset [m] and `q` the gain [s]. The authors' published
+    code has them the other way round (``L = q + m v``).
+    """
+
+    m: float
+    q: float
+    minimum: float
+    maximum: float
+
+    def distance(self, speed):
+        """Lookahead distance [m] at a speed [m/s]."""
+        distance = self.m + self.q * speed
+        if distance < self.minimum:
+            return self.minimum
+        if distance > self.maximum:
+            return self.maximum
+        return distance
+
+
+def bearing(state, x, y):
+    """Angle ``eta`` from the velocity vector of a car to a point, positive to the left.
+
+    Parameters
+    ----------
+    state : CarState
+        Standing cars are taken to move straight ahead.
+    x, y : float
+        The point, in the map frame [m].
+
+    Returns
+    -------
+    float
+        Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
+    """
+    course = state.psi + math.atan2(state.v_y, state.v_x)
+    eta = math.atan2(y - state.y, x - state.x) - course
+    return math.remainder(eta, math.tau)
+
+
+def lateral_acceleration(speed, distance, eta):
+    """The L1 law, ``a_lat = 2 v^2 / L_d sin(eta)``.
+
+    For a point behind the car (``|eta| > pi/2``) the sine would fade again, and vanish just where
+    the car points the wrong way; there the largest demand of the law is kept, to the side of the
+    point, so that the car turns round.
+
+    Parameters
+    ----------
+    speed : float
+        Speed of the car [m/s].
+    distance : float
+        Distance of the lookahead point, positive [m].
+    eta : float
+        Angle from the velocity vector to the lookahead point [rad].
+
+    Returns
+    -------
+    float
+        Lateral acceleration, positive to the left [m/s^2].
+    """
+    sine = math.sin(eta) if -0.5 * math.pi < eta < 0.5 * math.pi else math.copysign(1.0, eta)
+    return 2.0 * speed * speed / distance * sine

@@ -1,0 +1,147 @@
+"""Controller parameters and their files."""
+
+import math
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import yaml
+
+from ..errors import ParameterError
+from ..resources import find_config
+from .guidance import LookaheadLaw
+
+__all__ = ["ControllerParameters", "load_controller_parameters"]
+
+STEERING_MAPS = ("ackermann", "linear_table", "table")
+SPEED_SOURCES = ("measured", "command")
+REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
+
+
+@dataclass(frozen=True)
+class ControllerParameters:
+    """All that tunes a controller; a file in ``config/controllers`` holds the same names.
+
+    Parameters
+    ----------
+    steering_map : {"ackermann", "linear_table", "table"}
+        Pure pursuit; MAP with the vehicle's tires linearized; MAP with its tires as they are.
+    m_m, q_s : float
+        ``L_d = m + q v``: offset [m] and gain [s] (the paper's letters).
+    lookahead_min_m, lookahead_max_m : float
+        Bounds of the lookahead distance [m].
+    delay_s : float
+        Delay compensation: from the time at which the pose holds to the time at which the steering
+        acts on the car [s]. 0 as in the paper: no compensation.
+    speed_source : {"measured", "command"}
+        Speed in guidance law and steering map: the measured one, or, as in the paper, the one that
+        the controller commands.
+    speed_lookahead_s : float
+        The raceline's speed is read where the car will be after this time [s].
+    speed_scale : float
+        Scale of the raceline's speeds.
+    v_max_mps : float
+        Largest speed commanded, whatever the raceline asks [m/s].
+    reference_point : {"rear_axle", "center_of_gravity"}
+        Point of the car whose pose the localization gives, and which follows the raceline. The
+        rear axle is ``base_link``.
+
+    Raises
+    ------
+    ParameterError
+        For an impossible value, naming it.
+    """
+
+    steering_map: str
+    m_m: float
+    q_s: float
+    lookahead_min_m: float = 0.3
+    lookahead_max_m: float = 5.0
+    delay_s: float = 0.0
+    speed_source: str = "measured"
+    speed_lookahead_s: float = 0.0
+    speed_scale: float = 1.0
+    v_max_mps: float = 12.0
+    reference_point: str = "rear_axle"
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type in ("float", float) and not (
+                isinstance(value, (int, float))
+                and not isinstance(value, bool)
+                and math.isfinite(value)
+            ):
+                raise ParameterError(f"{field.name} must be a finite number, not {value!r}")
+        for name, allowed in (
+            ("steering_map", STEERING_MAPS),
+            ("speed_source", SPEED_SOURCES),
+            ("reference_point", REFERENCE_POINTS),
+        ):
+            if getattr(self, name) not in allowed:
+                raise ParameterError(
+                    f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}"
+                )
+        for name, least in (("delay_s", 0), ("speed_lookahead_s", 0), ("speed_scale", 0)):
+            if getattr(self, name) < least:
+                raise ParameterError(f"{name} must not be negative, but is {getattr(self, name)}")
+        if self.v_max_mps <= 0:
+            raise ParameterError(f"v_max_mps must be positive, but is {self.v_max_mps}")
+        if not 0 < self.lookahead_min_m <= self.lookahead_max_m:
+            raise ParameterError(
+                "expected 0 < lookahead_min_m <= lookahead_max_m, but they are "
+                f"{self.lookahead_min_m} and {self.lookahead_max_m}"
+            )
+
+    @property
+    def lookahead(self):
+        """The :class:`LookaheadLaw` of these parameters."""
+        return LookaheadLaw(self.m_m, self.q_s, self.lookahead_min_m, self.lookahead_max_m)
+
+    def with_(self, **changes):
+        """A checked copy with some values changed."""
+        return replace(self, **changes)
+
+
+def load_controller_parameters(source):
+    """Read controller parameters from YAML.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        Shipped name (``"map"``, ``"pure_pursuit"``, ...) or path of a YAML file.
+
+    Returns
+    -------
+    ControllerParameters
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing, unknown or impossible; the message names file and parameter.
+    """
+    path = find_config("controllers", source, (".yaml",))
+    return read_parameters(path, ControllerParameters)
+
+
+def read_parameters(path, kind):
+    """Read one dataclass from a YAML mapping of the same names, refusing all else by name."""
+    path = Path(path)
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        raise ParameterError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(values, dict):
+        raise ParameterError(f"{path}: expected a mapping of parameters to values")
+    known = {field.name for field in fields(kind)}
+    unknown = sorted(str(name) for name in values if name not in known)
+    if unknown:
+        raise ParameterError(
+            f"{path}: unknown parameter {', '.join(unknown)} (known: {', '.join(sorted(known))})"
+        )
+    try:
+        return kind(**values)
+    except TypeError as error:  # a required argument is missing
+        missing = str(error).split(": ")[-1]
+        raise ParameterError(f"{path}: missing parameter {missing}") from error
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from error

@@ -1,0 +1,75 @@
+"""What the controller is told of the car, and how to carry it through space and time."""
+
+import math
+from typing import NamedTuple
+
+__all__ = ["CarState", "moved", "predicted"]
+
+
+class CarState(NamedTuple):
+    """Planar state of one reference point of the car at one instant.
+
+    Parameters
+    ----------
+    t : float
+        Time of the measurement [s].
+    x, y : float
+        Position of the reference point in the map frame [m].
+    psi : float
+        Heading of the car, counter-clockwise from the map's x-axis [rad].
+    v_x, v_y : float
+        Velocity of the reference point along the car's own axes, forward and left [m/s].
+        ``v_y`` may be NaN where nothing measures it; the controller then estimates it.
+    r : float
+        Yaw rate [rad/s].
+    """
+
+    t: float
+    x: float
+    y: float
+    psi: float
+    v_x: float
+    v_y: float
+    r: float
+
+
+def moved(state, distance):
+    """The same motion seen from a reference point `distance` [m] farther forward on the car.
+
+    From the rear axle to the center of gravity it is ``l_r``, back it is ``-l_r``.
+    """
+    t, x, y, psi, v_x, v_y, r = state
+    return CarState(
+        t,
+        x + distance * math.cos(psi),
+        y + distance * math.sin(psi),
+        psi,
+        v_x,
+        v_y + distance * r,
+        r,
+    )
+
+
+def predicted(state, horizon):
+    """The state `horizon` [s] later, at constant body-fixed velocity and yaw rate (a circular arc).
+
+    The chord of the arc has the length ``v T sin(h)/h`` with ``h = r T / 2`` and points ``h`` past
+    the initial direction of motion; both are exact for constant ``v_x, v_y, r``.
+    """
+    t, x, y, psi, v_x, v_y, r = state
+    half_turn = 0.5 * r * horizon
+    if abs(half_turn) > 1e-4:
+        reach = horizon * math.sin(half_turn) / half_turn
+    else:  # sin(h)/h to double precision
+        reach = horizon * (1.0 - half_turn * half_turn / 6.0)
+    cos_chord = math.cos(psi + half_turn)
+    sin_chord = math.sin(psi + half_turn)
+    return CarState(
+        t + horizon,
+        x + reach * (v_x * cos_chord - v_y * sin_chord),
+        y + reach * (v_x * sin_chord + v_y * cos_chord),
+        psi + r * horizon,
+        v_x,
+        v_y,
+        r,
+    )

@@ -1,0 +1,1 @@
+"""Simulated cars and the closed loop with a controller."""

@@ -1,0 +1,274 @@
+"""The simulated car: single-track dynamics behind real actuators, seen through a real localization.
+
+The plant has its own parameters. A controller that only ever meets its own model proves nothing, so
+a plant file names a vehicle and by how much its tires differ from it.
+"""
+
+import math
+import random
+from collections import deque
+from dataclasses import dataclass, replace
+
+from ..control.parameters import read_parameters
+from ..control.state import CarState, moved
+from ..errors import ParameterError
+from ..resources import find_config
+from ..vehicle.parameters import load_vehicle
+from ..vehicle.single_track import single_track_derivatives
+from ..vehicle.tires import PacejkaTire
+
+__all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters"]
+
+
+@dataclass(frozen=True)
+class PlantParameters:
+    """A simulated car; a file in ``config/plants`` holds the same names.
+
+    Parameters
+    ----------
+    vehicle : str
+        Shipped vehicle or vehicle file: geometry, masses, limits and nominal tires.
+    mu_scale, front_stiffness_scale, rear_stiffness_scale : float
+        Friction and cornering stiffness of the plant's tires relative to the vehicle's.
+    steering_delay_s, steering_time_constant_s : float
+        Dead time and lag of the servo; its rate limit is the vehicle's.
+    drive_delay_s, drive_time_constant_s : float
+        Dead time and lag of the speed controller.
+    a_max_mps2, a_brake_max_mps2 : float
+        Largest acceleration and deceleration of the drive.
+    localization_rate_hz, localization_latency_s : float
+        Poses per second; time from the instant at which a pose holds to its arrival.
+    position_noise_m, heading_noise_rad, velocity_noise_mps, yaw_rate_noise_radps, acceleration_noise_mps2 : float
+        Standard deviations of white noise on what localization and IMU report.
+    measures_v_y : bool
+        Whether the odometry reports the lateral velocity; else it is NaN.
+
+    Raises
+    ------
+    ParameterError
+        For an impossible value, naming it.
+    """
+
+    vehicle: str
+    mu_scale: float = 1.0
+    front_stiffness_scale: float = 1.0
+    rear_stiffness_scale: float = 1.0
+    steering_delay_s: float = 0.0
+    steering_time_constant_s: float = 0.0
+    drive_delay_s: float = 0.0
+    drive_time_constant_s: float = 0.1
+    a_max_mps2: float = 7.51
+    a_brake_max_mps2: float = 8.26
+    localization_rate_hz: float = 40.0
+    localization_latency_s: float = 0.0
+    position_noise_m: float = 0.0
+    heading_noise_rad: float = 0.0
+    velocity_noise_mps: float = 0.0
+    yaw_rate_noise_radps: float = 0.0
+    acceleration_noise_mps2: float = 0.0
+    measures_v_y: bool = True
+
+    def __post_init__(self):
+        positive = (
+            "mu_scale",
+            "front_stiffness_scale",
+            "rear_stiffness_scale",
+            "drive_time_constant_s",
+            "a_max_mps2",
+            "a_brake_max_mps2",
+            "localization_rate_hz",
+        )
+        for name, value in vars(self).items():
+            if name in ("vehicle", "measures_v_y"):
+                continue
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ParameterError(f"{name} must be a number, not {value!r}")
+            if not math.isfinite(value) or value < 0 or (name in positive and value == 0):
+                least = "positive" if name in positive else "finite and not negative"
+                raise ParameterError(f"{name} must be {least}, but is {value}")
+        if not isinstance(self.measures_v_y, bool):
+            raise ParameterError(f"measures_v_y must be true or false, not {self.measures_v_y!r}")
+
+    def build_vehicle(self):
+        """The vehicle with the plant's own tires."""
+        vehicle = load_vehicle(self.vehicle)
+        return replace(
+            vehicle,
+            mu=vehicle.mu * self.mu_scale,
+            front=_scaled(vehicle.front, self.front_stiffness_scale),
+            rear=_scaled(vehicle.rear, self.rear_stiffness_scale),
+            a_max=float(self.a_max_mps2),
+            a_brake_max=float(self.a_brake_max_mps2),
+        )
+
+
+def _scaled(tire, factor):
+    """The tire with its cornering stiffness scaled and its peak kept."""
+    if isinstance(tire, PacejkaTire):
+        return replace(tire, B=tire.B * factor)
+    return replace(tire, C_S=tire.C_S * factor)
+
+
+def load_plant_parameters(source):
+    """Read plant parameters from a shipped name or a YAML file.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing, unknown or impossible; the message names file and parameter.
+    """
+    return read_parameters(find_config("plants", source, (".yaml",)), PlantParameters)
+
+
+class Plant:
+    """Single-track car with load transfer, integrated by RK4 (4th-order Runge-Kutta).
+
+    The state is that of the center of gravity; reports are for the rear axle (``base_link``).
+
+    Parameters
+    ----------
+    parameters : PlantParameters
+
+    Attributes
+    ----------
+    state : CarState
+        True state of the center of gravity.
+    steering_angle : float
+        True steering angle [rad].
+    acceleration : tuple of float
+        True longitudinal and lateral acceleration of the center of gravity [m/s^2].
+    """
+
+    time_step = 0.002
+
+    def __init__(self, parameters):
+        self.parameters = parameters
+        self.vehicle = parameters.build_vehicle()
+        self._derivatives = single_track_derivatives(self.vehicle)
+        self.reset(0.0, 0.0, 0.0)
+
+    def reset(self, x, y, psi, speed=0.0):
+        """Put the car's rear axle somewhere, driving straight; time starts at 0."""
+        self.state = moved(CarState(0.0, x, y, psi, speed, 0.0, 0.0), self.vehicle.l_r)
+        self.steering_angle = 0.0
+        self.acceleration = (0.0, 0.0)
+        self._steps = 0
+        self._speed_command = speed
+        step = self.time_step
+        self._steering_line = deque(
+            [0.0] * round(self.parameters.steering_delay_s / step)
+        )
+        self._speed_line = deque([speed] * round(self.parameters.drive_delay_s / step))
+
+    def reference_state(self):
+        """True state of the rear axle, which localization sees and which follows the raceline."""
+        return moved(self.state, -self.vehicle.l_r)
+
+    def advance(self, steering_command, speed_command):
+        """Integrate one time step under the given commands."""
+        step = self.time_step
+        self._steering_line.append(steering_command)
+        self._speed_line.append(speed_command)
+        delta_start = self.steering_angle
+        delta_end = self._servo(delta_start, self._steering_line.popleft(), step)
+        a_long = self._drive(self._speed_line.popleft())
+
+        _, x, y, psi, v_x, v_y, r = self.state
+        delta_mid = 0.5 * (delta_start + delta_end)
+        half, sixth = 0.5 * step, step / 6.0
+        v_mid, v_end = v_x + half * a_long, v_x + step * a_long
+        derivatives, cos, sin = self._derivatives, math.cos, math.sin
+
+        dv1, dr1 = derivatives(v_x, v_y, r, delta_start, a_long)
+        v_y2, r2, psi2 = v_y + half * dv1, r + half * dr1, psi + half * r
+        dv2, dr2 = derivatives(v_mid, v_y2, r2, delta_mid, a_long)
+        v_y3, r3, psi3 = v_y + half * dv2, r + half * dr2, psi + half * r2
+        dv3, dr3 = derivatives(v_mid, v_y3, r3, delta_mid, a_long)
+        v_y4, r4, psi4 = v_y + step * dv3, r + step * dr3, psi + step * r3
+        dv4, dr4 = derivatives(v_end, v_y4, r4, delta_end, a_long)
+
+        c1, s1, c2, s2 = cos(psi), sin(psi), cos(psi2), sin(psi2)
+        c3, s3, c4, s4 = cos(psi3), sin(psi3), cos(psi4), sin(psi4)
+        x += sixth * (
+            v_x * c1 - v_y * s1
+            + 2.0 * (v_mid * c2 - v_y2 * s2 + v_mid * c3 - v_y3 * s3)
+            + v_end * c4 - v_y4 * s4
+        )
+        y += sixth * (
+            v_x * s1 + v_y * c1
+            + 2.0 * (v_mid * s2 + v_y2 * c2 + v_mid * s3 + v_y3 * c3)
+            + v_end * s4 + v_y4 * c4
+        )
+        self._steps += 1
+        self.steering_angle = delta_end
+        self.acceleration = (a_long, dv1 + v_x * r)
+        self.state = CarState(
+            self._steps * step,
+            x,
+            y,
+            psi + sixth * (r + 2.0 * (r2 + r3) + r4),
+            v_end,
+            v_y + sixth * (dv1 + 2.0 * (dv2 + dv3) + dv4),
+            r + sixth * (dr1 + 2.0 * (dr2 + dr3) + dr4),
+        )
+
+    def _servo(self, angle, target, step):
+        """Servo: first-order lag within rate and lock."""
+        vehicle = self.vehicle
+        target = min(max(target, -vehicle.delta_max), vehicle.delta_max)
+        lag = self.parameters.steering_time_constant_s
+        move = (target - angle) * (1.0 - math.exp(-step / lag) if lag else 1.0)
+        slew = vehicle.delta_rate_max * step
+        return angle + min(max(move, -slew), slew)
+
+    def _drive(self, target):
+        """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
+        vehicle = self.vehicle
+        v_x = self.state.v_x
+        wanted = (min(max(target, 0.0), vehicle.v_max) - v_x) / self.parameters.drive_time_constant_s
+        return min(max(wanted, -vehicle.a_brake_max), vehicle.a_max)
+
+
+class Localization:
+    """What the car is told of itself: rate, latency and white noise, from a seed.
+
+    Parameters
+    ----------
+    parameters : PlantParameters
+    seed : int
+        Two runs with the same seed are identical.
+    """
+
+    def __init__(self, parameters, seed):
+        self.parameters = parameters
+        self._gauss = random.Random(seed).gauss
+
+    def measure(self, state):
+        """A noisy copy of a true state.
+
+        Parameters
+        ----------
+        state : CarState
+
+        Returns
+        -------
+        CarState
+            ``v_y`` is NaN where the plant does not measure it.
+        """
+        parameters, gauss = self.parameters, self._gauss
+        return CarState(
+            state.t,
+            state.x + gauss(0.0, parameters.position_noise_m),
+            state.y + gauss(0.0, parameters.position_noise_m),
+            state.psi + gauss(0.0, parameters.heading_noise_rad),
+            state.v_x + gauss(0.0, parameters.velocity_noise_mps),
+            state.v_y + gauss(0.0, parameters.velocity_noise_mps)
+            if parameters.measures_v_y
+            else math.nan,
+            state.r + gauss(0.0, parameters.yaw_rate_noise_radps),
+        )
+
+    def measure_acceleration(self, acceleration):
+        """Noisy longitudinal and lateral acceleration [m/s^2], as an IMU gives them."""
+        noise = self.parameters.acceleration_noise_mps2
+        return tuple(value + self._gauss(0.0, noise) for value in acceleration)

@@ -1,0 +1,144 @@
+"""The plant of the public ROS 1 simulator (``f1tenth_simulator`` and the MAP authors' version of it).
+
+A second plant, not ours, to check the closed loop against figures that were measured elsewhere: the
+CommonRoad single-track model with linear tires and small angles, one Euler step per 10 ms, steering
+commands through a delay line of five samples, a bang-bang servo and a crude speed controller.
+Model and figures as published with that simulator.
+"""
+
+import math
+from collections import deque
+
+from ..control.state import CarState
+from ..vehicle.single_track import GRAVITY
+
+__all__ = ["PublicSimulator"]
+
+
+class PublicSimulator:
+    """Plant with the interface of :class:`map_racing.simulation.plant.Plant`.
+
+    Its pose is that of the center of gravity, which it publishes as ``base_link``, and it reports
+    no lateral velocity; so does this class.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        A car with linear tires; the figures of the simulator are those of the shipped ``sim``.
+
+    Attributes
+    ----------
+    speed : float
+        Magnitude of the velocity, which the simulator calls ``linear.x`` [m/s].
+    slip_angle : float
+        Angle from heading to velocity [rad].
+    """
+
+    time_step = 0.01
+    steering_delay_steps = 5
+    steering_dead_band = 1e-4
+    dynamic_above = 0.53  # m/s, entering the dynamic model ...
+    kinematic_below = 0.50  # ... and leaving it
+
+    def __init__(self, vehicle):
+        self.vehicle = vehicle
+        self.reset(0.0, 0.0, 0.0)
+
+    def reset(self, x, y, psi, speed=0.0):
+        """Put the car somewhere, driving straight; time starts at 0."""
+        self.x, self.y, self.psi, self.speed = x, y, psi, speed
+        self.slip_angle = self.yaw_rate = self.steering_angle = 0.0
+        self.acceleration = (0.0, 0.0)
+        self._dynamic = False
+        self._steps = 0
+        self._steering_line = deque([0.0] * self.steering_delay_steps)
+
+    def reference_state(self):
+        """True state of the published pose; the velocity is given along the car's axes."""
+        return CarState(
+            self._steps * self.time_step,
+            self.x,
+            self.y,
+            self.psi,
+            self.speed * math.cos(self.slip_angle),
+            self.speed * math.sin(self.slip_angle),
+            self.yaw_rate,
+        )
+
+    def measured_state(self):
+        """What the simulator publishes: speed along the heading and no lateral velocity."""
+        return CarState(
+            self._steps * self.time_step,
+            self.x,
+            self.y,
+            self.psi,
+            self.speed,
+            math.nan,
+            self.yaw_rate,
+        )
+
+    def advance(self, steering_command, speed_command):
+        """One Euler step of 10 ms under the given commands."""
+        vehicle, dt = self.vehicle, self.time_step
+        self._steering_line.append(steering_command)
+        error = self._steering_line.popleft() - self.steering_angle
+        rate = 0.0
+        if abs(error) > self.steering_dead_band:
+            rate = math.copysign(vehicle.delta_rate_max, error)
+        accel = self._acceleration(speed_command)
+
+        v, beta, r, delta = self.speed, self.slip_angle, self.yaw_rate, self.steering_angle
+        model = self._dynamic_model if self._is_dynamic(v) else self._kinematic_model
+        beta_dot, r_dot = model(v, beta, r, delta, rate, accel)
+        course = self.psi + beta
+        self.acceleration = (accel, v * (r + beta_dot))
+        self.x += dt * v * math.cos(course)
+        self.y += dt * v * math.sin(course)
+        self.psi += dt * (r if self._dynamic else self._kinematic_yaw_rate(v, beta, delta))
+        self.speed = min(max(v + dt * accel, -vehicle.v_max), vehicle.v_max)
+        self.slip_angle += dt * beta_dot
+        self.yaw_rate += dt * r_dot
+        lock = vehicle.delta_max
+        self.steering_angle = min(max(delta + dt * rate, -lock), lock)
+        self._steps += 1
+
+    def _acceleration(self, target):
+        """Proportional when accelerating, full when braking."""
+        vehicle = self.vehicle
+        error = target - self.speed
+        if error > 0.0 or self.speed <= 0.0:
+            proportional = 2.0 * vehicle.a_max / vehicle.v_max * error
+            return min(max(proportional, -vehicle.a_max), vehicle.a_max)
+        return -vehicle.a_brake_max
+
+    def _is_dynamic(self, v):
+        self._dynamic = v >= (self.kinematic_below if self._dynamic else self.dynamic_above)
+        return self._dynamic
+
+    def _dynamic_model(self, v, beta, r, delta, rate, accel):
+        """Linear single-track model with load transfer: ``beta'`` and ``r'``."""
+        vehicle = self.vehicle
+        l_f, l_r, l_wb = vehicle.l_f, vehicle.l_r, vehicle.l_wb
+        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * vehicle.h_cg) / l_wb
+        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * vehicle.h_cg) / l_wb
+        # Axle forces per mass: stiffness times slip angle, positive to the left.
+        force_front = front * (delta - beta - l_f * r / v)
+        force_rear = rear * (-beta + l_r * r / v)
+        beta_dot = (force_front + force_rear) / v - r
+        r_dot = vehicle.m / vehicle.I_z * (l_f * force_front - l_r * force_rear)
+        return beta_dot, r_dot
+
+    def _kinematic_yaw_rate(self, v, beta, delta):
+        return v * math.tan(delta) * math.cos(beta) / self.vehicle.l_wb
+
+    def _kinematic_model(self, v, beta, r, delta, rate, accel):
+        """Kinematic single-track model, differentiated, for walking speed."""
+        l_wb, l_r = self.vehicle.l_wb, self.vehicle.l_r
+        tan, cos = math.tan(delta), math.cos(delta)
+        beta_dot = l_r / (l_wb * cos * cos) / (1.0 + (l_r / l_wb * tan) ** 2) * rate
+        r_dot = (
+            accel * tan * math.cos(beta)
+            + v * rate * math.cos(beta) / (cos * cos)
+            - v * math.sin(beta) * tan * beta_dot
+        ) / l_wb
+        return beta_dot, r_dot

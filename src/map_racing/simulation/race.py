@@ -1,0 +1,156 @@
+"""The closed loop: a controller drives a plant around a raceline, lap after lap."""
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..track.tracker import CourseTracker
+
+__all__ = ["Outcome", "RaceLog", "Sample", "race"]
+
+
+class Outcome(Enum):
+    """How a race ended."""
+
+    COMPLETED = "completed"
+    CRASHED = "crashed"  # touched a wall
+    STALLED = "stalled"  # ran out of time
+
+
+class Sample(NamedTuple):
+    """One control step: what was true, what was measured, what was commanded.
+
+    `true` and `measured` are :class:`~map_racing.control.state.CarState` of the same instant;
+    `arrival` [s] is when the measurement reached the controller; `acceleration` is the IMU's
+    (longitudinal, lateral) [m/s^2]; `result` is the controller's
+    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad].
+    """
+
+    true: tuple
+    measured: tuple
+    arrival: float
+    acceleration: tuple
+    steering_angle: float
+    result: tuple
+
+
+@dataclass
+class RaceLog:
+    """A race as it happened.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    laps : int
+        Laps completed after the out-lap.
+    duration : float
+        Simulated time [s].
+    samples : list of Sample
+    """
+
+    outcome: Outcome
+    laps: int
+    duration: float
+    samples: list = field(repr=False)
+
+    def true_path(self):
+        """True states of all control steps, shape (n, 7), columns as in CarState."""
+        return np.array([sample.true for sample in self.samples])
+
+
+def race(plant, controller, raceline, localization=None, *, rate=40.0, laps=5, time_limit=None):
+    """Race from a standing start on the start line: an out-lap, then `laps` timed laps.
+
+    Parameters
+    ----------
+    plant : Plant or PublicSimulator
+        It is put on the start line.
+    controller : Controller
+        Acts on each pose as it arrives.
+    raceline : Raceline
+        Gives the start and, where it has widths, the walls: a reference point closer to a wall than
+        half the car's width ends the race as a crash.
+    localization : Localization, optional
+        Rate, latency and noise of the poses. Without it the poses are the plant's own
+        ``measured_state()``, at `rate`, at once.
+    rate : float
+        Poses per second where `localization` is None.
+    laps : int
+        Timed laps.
+    time_limit : float, optional
+        Simulated time after which the race is called stalled [s]; by default four times what the
+        raceline's own speeds at the controller's scale would take, plus 20 s.
+
+    Returns
+    -------
+    RaceLog
+    """
+    if laps < 1:
+        raise ParameterError(f"laps must be at least 1, not {laps}")
+    if localization is not None:
+        rate = localization.parameters.localization_rate_hz
+        latency = localization.parameters.localization_latency_s
+    else:
+        latency = 0.0
+    if time_limit is None:
+        slowest = max(float(np.min(raceline.speed)) * controller.parameters.speed_scale, 0.2)
+        time_limit = 20.0 + 4.0 * (laps + 1) * raceline.length / slowest
+
+    start = raceline.pose(0.0)
+    plant.reset(start.x, start.y, start.psi)
+    controller.reset()
+    tracker = CourseTracker(raceline)
+    step = plant.time_step
+    steering, speed = 0.0, 0.0
+    samples, pending = [], []
+    progress, last_s = 0.0, None
+    poses = tick = 0
+    # A pose belongs to the last tick before it is due, and acts from that tick on.
+    due = 0.0
+    while True:
+        now = tick * step
+        if due < now + step * (1.0 - 1e-9):
+            true = plant.reference_state()
+            if localization is None:
+                measured, acceleration = plant.measured_state(), plant.acceleration
+            else:
+                measured = localization.measure(true)
+                acceleration = localization.measure_acceleration(plant.acceleration)
+            pending.append((now + latency, true, measured, acceleration))
+            poses += 1
+            due = poses / rate
+
+            s, d = tracker.update(true.x, true.y, true.psi)[:2]
+            if last_s is not None:
+                progress += math.remainder(s - last_s, raceline.length)
+            last_s = s
+            if _hits_wall(raceline, s, d, plant.vehicle.width):
+                outcome = Outcome.CRASHED
+                break
+            if progress > (laps + 1) * raceline.length + 0.5 * plant.vehicle.l_wb:
+                outcome = Outcome.COMPLETED
+                break
+            if now > time_limit:
+                outcome = Outcome.STALLED
+                break
+        while pending and pending[0][0] < now + step * (1.0 - 1e-9):
+            arrival, true, measured, acceleration = pending.pop(0)
+            result = controller.step(measured)
+            steering, speed = result.steering_angle, result.speed
+            samples.append(
+                Sample(true, measured, arrival, acceleration, plant.steering_angle, result)
+            )
+        plant.advance(steering, speed)
+        tick += 1
+    return RaceLog(outcome, max(int(progress / raceline.length) - 1, 0), now, samples)
+
+
+def _hits_wall(raceline, s, d, car_width):
+    if raceline.d_left is None:
+        return False
+    left, right = raceline.widths_at(s)
+    return d > left - 0.5 * car_width or d < 0.5 * car_width - right
