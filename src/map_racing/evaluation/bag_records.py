@@ -30,35 +30,43 @@ _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 
-# The header of a message has three fields, 38 bytes, in an order that differs from one recorder to
-# another. A fixed layout per order makes the walk three times as fast as parsing field by field.
-_HEADER_SIZE = 38
-_MESSAGE_FIELDS = {b"conn=": "4x5sI", b"op=": "4x3sB", b"time=": "4x5sII"}
+# The header of a message has three fields: conn (13 bytes), op (8) and time (17), in an order that
+# differs from one recorder to another. A fixed layout per order makes the walk WALK_FACTOR times as
+# fast as parsing field by field. Enough is compared to know the order: the whole field op, and the
+# length of conn.
+_HEADER_SIZE, _RECORD_SIZE = 38, 38 + 8
+_MESSAGE_FIELDS = {"conn": ("I5xI", 13), "op": ("Q", 8), "time": ("17x", 17)}
+(_OP_FIELD,) = struct.unpack("<Q", b"\x04\0\0\0op=\x02")
+_CONN_LENGTH = 9
 
 
 class _Layout(NamedTuple):
-    """Byte layout of a message record, and where its values are in the unpacked tuple."""
+    """Byte layout of a message record: where its values are in the unpacked tuple and the bytes."""
 
     unpack: Callable
-    conn: int
     op: int
+    conn: int
     time: int
 
     @classmethod
     def of(cls, order):
-        record = struct.Struct("<I" + "".join(_MESSAGE_FIELDS[name] for name in order) + "I")
-        at, where = 1, {}
+        form, index, at, where = "<I", 1, 4, {}
         for name in order:
-            where[name] = at + 1
-            at += 3 if name == b"time=" else 2
-        return cls(record.unpack_from, where[b"conn="], where[b"op="], where[b"time="])
+            pattern, size = _MESSAGE_FIELDS[name]
+            where[name] = at + 9 if name == "time" else index
+            form, at = form + pattern, at + size
+            index += {"conn": 2, "op": 1, "time": 0}[name]
+        return cls(struct.Struct(form + "I").unpack_from, where["op"], where["conn"], where["time"])
 
     def fits(self, buffer, at):
-        if at + _HEADER_SIZE + 8 > len(buffer):
+        if at + _RECORD_SIZE > len(buffer):
             return False
         values = self.unpack(buffer, at)
-        names = values[self.conn - 1], values[self.op - 1], values[self.time - 1]
-        return values[0] == _HEADER_SIZE and names == (b"conn=", b"op=", b"time=")
+        return (values[0], values[self.op], values[self.conn]) == (
+            _HEADER_SIZE,
+            _OP_FIELD,
+            _CONN_LENGTH,
+        )
 
 
 # How far the field "op" can lie behind the beginning of a record: it is preceded by the header's
@@ -314,31 +322,35 @@ class BagFile:
 
     def _walk(self, buffer, position, wanted):
         """Yield the wanted messages in the contents of a chunk and collect its connections."""
-        at, size, record = 0, len(buffer), _HEADER_SIZE + 8
-        unpack, conn, op, time = _LAYOUTS[0]
-        while at + record <= size:
+        at, end = 0, len(buffer) - _RECORD_SIZE
+        unpack, op, conn, time = _LAYOUTS[0]
+        while at <= end:
             values = unpack(buffer, at)
-            start = at + record
-            if values[op] == _OP_MESSAGE and values[op - 1] == b"op=" and values[0] == _HEADER_SIZE:
+            if (
+                values[op] == _OP_FIELD
+                and values[conn] == _CONN_LENGTH
+                and values[0] == _HEADER_SIZE
+            ):
+                start = at + _RECORD_SIZE
                 stop = start + values[-1]
-                if stop <= size and values[time - 1] == b"time=":
+                if stop <= len(buffer):
                     self._read += 1
-                    number = values[conn]
+                    number = values[conn + 1]
                     if wanted is None or number in wanted:
-                        time_ns = values[time] * 1000000000 + values[time + 1]
-                        yield Message(number, time_ns, buffer[start:stop])
+                        sec, nsec = _TIME.unpack_from(buffer, at + time)
+                        yield Message(number, sec * 1000000000 + nsec, buffer[start:stop])
                     at = stop
                     continue
             layout = next((layout for layout in _LAYOUTS if layout.fits(buffer, at)), None)
             if layout is not None and layout.unpack != unpack:
-                unpack, conn, op, time = layout
+                unpack, op, conn, time = layout
                 continue
             stop = self._other_record(buffer, at)
             if stop is None:
                 self._add_damage(position)
                 stop = _find_message(buffer, at + 1)
             at = stop
-        if at != size:
+        if at != len(buffer):
             self._add_damage(position)
 
     def _add_damage(self, position):

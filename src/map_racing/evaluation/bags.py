@@ -1,7 +1,8 @@
 """ROS 1 bags: write one from a race, read the driving back from any.
 
-Only this module imports rosbags. It writes the files and decodes waypoint arrays by the definition
-that the bag itself carries; the hot paths are in :mod:`.bag_records` and :mod:`.messages`.
+Only this module imports rosbags. It writes the files, and decodes waypoint arrays of unknown
+versions by the definition that the bag itself carries; all else is in :mod:`.bag_records` and
+:mod:`.messages`.
 """
 
 from __future__ import annotations
@@ -631,26 +632,36 @@ def _collect_waypoints(collected, topic, connection, message, notes):
     """Keep the first waypoint array of a topic that is not empty."""
     if topic in collected:
         return
-    package, name = connection.type.split("/")
-    name = f"{package}/msg/{name}"
     try:
-        # The definition comes with the bag, as the packages of racing stacks change.
-        types = get_typestore(Stores.EMPTY)
-        types.register(get_types_from_msg(connection.definition, name))
-        waypoints = types.deserialize_ros1(message.data, name).wpnts
-        columns = {
-            column: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
-            for field, column in _WAYPOINT_FIELDS.items()
-            if waypoints and hasattr(waypoints[0], field)
-        }
+        if connection.md5sum == msg.MD5[msg.WAYPOINTS]:
+            fields = msg.decode_waypoints(message.data)
+        else:
+            fields = _decode_by_definition(connection, message.data)
     except Exception as error:
         # rosbags raises errors of many kinds for a definition or a message that it cannot digest.
         notes.append(f"{topic}: cannot decode {connection.type} ({error})")
         return
+    columns = {
+        column: fields[field] for field, column in _WAYPOINT_FIELDS.items() if field in fields
+    }
     if any(np.any(~(np.abs(column) < FARTHEST)) for column in columns.values()):
         notes.append(f"{topic}: waypoints with impossible values left out")
-    elif {"x", "y"} <= set(columns):
+    elif len(columns.get("x", ())) and "y" in columns:
         collected[topic] = columns
+
+
+def _decode_by_definition(connection, data):
+    """Columns of a ``WpntArray`` of an unknown version, by the definition that the bag carries."""
+    package, name = connection.type.split("/")
+    name = f"{package}/msg/{name}"
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_msg(connection.definition, name))
+    waypoints = types.deserialize_ros1(data, name).wpnts
+    return {
+        field: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
+        for field in _WAYPOINT_FIELDS
+        if waypoints and hasattr(waypoints[0], field)
+    }
 
 
 def _raceline(path, topic, waypoints):

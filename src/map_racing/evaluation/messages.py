@@ -11,6 +11,8 @@ import math
 import struct
 from typing import NamedTuple
 
+import numpy as np
+
 from ..angles import yaw_from_quaternion
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "decode_odometry",
     "decode_pose",
     "decode_transforms",
+    "decode_waypoints",
     "encode_drive",
     "encode_imu",
     "encode_odometry",
@@ -81,6 +84,16 @@ _ODOMETRY_OUT = struct.Struct("<7d288x6d288x")
 _IMU_OUT = struct.Struct("<4d9d3d9d3d9d")
 _DRIVE = struct.Struct("<5f")
 _WAYPOINT = struct.Struct("<i10d")
+_WAYPOINTS = np.dtype(
+    [("id", "<i4")]
+    + [
+        (name, "<f8")
+        for name in (
+            *("s_m", "d_m", "x_m", "y_m", "d_right", "d_left"),
+            *("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
+        )
+    ]
+)
 _NAN = math.nan
 
 
@@ -143,6 +156,16 @@ def decode_transforms(data):
         psi = yaw_from_quaternion(q_x, q_y, q_z, q_w)
         transforms.append(Transform(stamp_ns, parent, child, x, y, psi))
     return transforms
+
+
+def decode_waypoints(data):
+    """Columns of a ``WpntArray``: names of the fields of ``Wpnt`` to arrays."""
+    at = decode_header(data)[2]
+    (count,) = _U32.unpack_from(data, at)
+    if at + 4 + count * _WAYPOINTS.itemsize > len(data):
+        raise struct.error("the message is too short for its waypoints")
+    table = np.frombuffer(data, _WAYPOINTS, count, at + 4)
+    return {name: table[name].astype(float) for name in _WAYPOINTS.names}
 
 
 def _string(text):

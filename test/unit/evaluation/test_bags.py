@@ -429,3 +429,16 @@ def test_other_real_recordings(shared_data):
     assert line.length == pytest.approx(21.2, abs=0.1)
     turtle = read_recording(shared_data / "bag_fixtures" / "example-bz2.bag", "/tf:turtle1")
     assert turtle.t.size > 1000
+
+
+def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, course):
+    s = np.arange(0.0, course.length, 0.2)
+    x, y, psi = course.place(s)
+    rows = np.zeros((s.size, 10))
+    rows[:, 2], rows[:, 3], rows[:, 6] = x, y, psi - math.pi / 2
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
+    findings = "; ".join(read_waypoints(path).findings)
+    assert "+y (north)" in findings
+    assert "every speed is 0" in findings

@@ -1,4 +1,5 @@
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -110,6 +111,10 @@ def test_imu_drive_and_waypoints_as_a_general_deserializer_reads_them(types):
     assert (last.s_m, last.d_m, last.x_m, last.y_m) == (20.0, 21.0, 22.0, 23.0)
     assert (last.d_right, last.d_left, last.psi_rad) == (24.0, 25.0, 26.0)
     assert (last.kappa_radpm, last.vx_mps, last.ax_mps2) == (27.0, 28.0, 29.0)
+    for name, column in msg.decode_waypoints(data).items():
+        assert column.tolist() == [getattr(waypoint, name) for waypoint in waypoints]
+    with pytest.raises(struct.error):
+        msg.decode_waypoints(data[:-1])
 
 
 def test_transform_round_trip():
