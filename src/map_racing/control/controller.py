@@ -198,12 +198,11 @@ class Controller:
         """Limit the steering angle to the lock and to the rate of the servo."""
         vehicle = self.vehicle
         lock = vehicle.delta_max
-        angle = lock if angle > lock else -lock if angle < -lock else angle
+        angle = min(max(angle, -lock), lock)
         if self._last_t is not None:
             elapsed = min(max(t - self._last_t, 0.0), LONGEST_SLEW_TIME)
             slew = vehicle.delta_rate_max * elapsed
-            last = self._last_angle
-            angle = last + slew if angle > last + slew else last - slew if angle < last - slew else angle
+            angle = min(max(angle, self._last_angle - slew), self._last_angle + slew)
         self._last_t = t
         self._last_angle = angle
         return angle

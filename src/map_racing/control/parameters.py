@@ -2,11 +2,9 @@
 
 import math
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-
-import yaml
 
 from ..errors import ParameterError
+from ..files import read_yaml_mapping
 from ..resources import find_config
 from .guidance import LookaheadLaw
 
@@ -125,13 +123,7 @@ def load_controller_parameters(source):
 
 def read_parameters(path, kind):
     """Read one dataclass from a YAML mapping of the same names, refusing all else by name."""
-    path = Path(path)
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise ParameterError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(values, dict):
-        raise ParameterError(f"{path}: expected a mapping of parameters to values")
+    values = read_yaml_mapping(path)
     known = {field.name for field in fields(kind)}
     unknown = sorted(str(name) for name in values if name not in known)
     if unknown:

@@ -2,11 +2,9 @@
 
 import math
 from bisect import bisect_right
-from pathlib import Path
-
-import yaml
 
 from ..errors import ParameterError
+from ..files import read_yaml_mapping
 
 __all__ = ["SpeedSectors", "load_speed_sectors"]
 
@@ -73,13 +71,7 @@ def load_speed_sectors(path, raceline):
     ParameterError
         If the file is missing or malformed; the message names file and field.
     """
-    path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise ParameterError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise ParameterError(f"{path}: expected a mapping with global_limit, n_sectors, Sector0 ...")
+    content = read_yaml_mapping(path)
     points = raceline.s_points
     limit = _number(path, content, "global_limit", 1.0)
     sectors = []

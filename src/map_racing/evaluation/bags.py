@@ -7,10 +7,8 @@ versions by the definition that the bag itself carries; all else is in :mod:`.ba
 
 from __future__ import annotations
 
-import math
 import os
 import struct
-from array import array
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -20,12 +18,12 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from ..angles import wrap
 from ..errors import BagError, RacelineError
 from ..track.formats import raceline_from_columns
 from . import messages as msg
 from .bag_records import BagFile
-from .samples import FARTHEST, Commands, Recording, in_order
+from .bag_series import Series, TransformTree
+from .samples import FARTHEST, Commands, Recording
 
 __all__ = ["BagWriter", "DRIVE_TOPIC", "read_recording", "read_waypoints"]
 
@@ -307,27 +305,28 @@ def read_recording(path, pose_topic=None):
         source, notes = _choose_source(bag, pose_topic)
         drive_topic, drives = _drive_connections(bag)
         lines = _waypoint_connections(bag)
-        pose, command, waypoints = _Series(6), _Series(2), {}
-        decode = _POSE_DECODERS.get(source.md5sum)
+        pose = Series(_POSE_DECODERS.get(source.md5sum))
+        command, waypoints = Series(msg.decode_drive), {}
         for message in bag.messages(source.connections.union(drives, lines)):
             number = message.connection
             if number in source.connections:
-                pose.add(message, decode)
+                pose.add(message)
             elif number in drives:
-                command.add(message, msg.decode_drive)
+                command.add(message)
             else:
                 line = bag.connections[number]
                 _collect_waypoints(waypoints, lines[number], line, message, notes)
         notes += bag.notes()
-    if source.tree is not None:
-        pose = source.tree.poses(source.child)
-    times, *columns = pose.columns(notes, source.topic, required=2)
+    if source.tree is None:
+        times, columns = pose.columns(notes, source.topic, required=2)
+    else:
+        times, columns = source.tree.columns(source.child, notes, source.topic)
     if times.size < 2:
         raise BagError(f"{path}: {source.topic}: expected at least two poses, got {times.size}")
     t0_ns = int(times[0])
     commands = None
-    if command.times:
-        at, angle, speed = command.columns(notes, drive_topic)
+    if drives:
+        at, (angle, speed) = command.columns(notes, drive_topic)
         commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic)
     raceline = None
     if waypoints:
@@ -390,95 +389,6 @@ def read_waypoints(path, topic=None):
     return _raceline(path, name, waypoints[name])
 
 
-# -- series of decoded messages ------------------------------------------------------------------
-
-
-class _Series:
-    """Decoded messages of one topic, compact: an hour at 100 Hz takes 23 MB."""
-
-    def __init__(self, width):
-        self.times = array("q")
-        self.values = array("d")
-        self.width = width
-        self.unstamped = self.broken = 0
-
-    def add(self, message, decode):
-        try:
-            stamp_ns, *values = decode(message.data)
-        except struct.error:
-            self.broken += 1
-            return
-        if stamp_ns == 0:
-            self.unstamped += 1
-            stamp_ns = message.time_ns
-        self.times.append(stamp_ns)
-        self.values.extend(values)
-
-    def columns(self, notes, topic, required=0):
-        """Times [ns] and value columns in order of time; the first `required` are finite."""
-        times = np.array(self.times, dtype=np.int64)
-        values = np.array(self.values, dtype=float).reshape(-1, self.width)
-        if self.broken:
-            notes.append(f"{topic}: {self.broken} messages too short to decode left out")
-        if self.unstamped:
-            notes.append(f"{topic}: {self.unstamped} of {times.size} stamps are 0: receive time")
-        columns = [np.ascontiguousarray(column) for column in values.T]
-        times, columns = in_order(times, columns, notes, topic, required)
-        return [times, *columns]
-
-
-class _TransformTree:
-    """Transforms of tf, kept per edge: from each frame to its parent."""
-
-    def __init__(self, messages):
-        self.edges: dict[str, tuple] = {}
-        for message in messages:
-            with suppress(struct.error):
-                for transform in msg.decode_transforms(message.data):
-                    self._add(message, transform)
-
-    def _add(self, message, transform):
-        parent, series = self.edges.get(transform.child, (None, None))
-        if parent != transform.parent:
-            series = _Series(3)
-            self.edges[transform.child] = (transform.parent, series)
-        series.add(message, lambda _: (transform.stamp_ns, *transform[3:]))
-
-    def chain(self, child):
-        """Frames from ``child`` up to ``map``, or to the root of the tree."""
-        frames = [child]
-        while frames[-1] != "map" and frames[-1] in self.edges:
-            parent = self.edges[frames[-1]][0]
-            if parent in frames:
-                break
-            frames.append(parent)
-        return frames
-
-    def poses(self, child):
-        """Poses of ``child`` in the last frame of its chain.
-
-        Their times are those of the edge that is sent most often; the others are interpolated.
-        """
-        edges = [self.edges[frame][1] for frame in self.chain(child)[:-1]]
-        lead = max(edges, key=lambda series: len(series.times))
-        times = lead.columns([], "")[0]
-        x, y, psi = np.zeros((3, times.size))
-        for series in edges:
-            own, *columns = series.columns([], "")
-            columns[2] = np.unwrap(columns[2])
-            # Differences of nanoseconds fit into a float; nanoseconds since 1970 do not.
-            since, known = (times - times[0]) * 1e-9, (own - times[0]) * 1e-9
-            e_x, e_y, e_psi = (np.interp(since, known, column) for column in columns)
-            cos, sin = np.cos(e_psi), np.sin(e_psi)
-            x, y, psi = e_x + cos * x - sin * y, e_y + sin * x + cos * y, psi + e_psi
-        poses = _Series(6)
-        poses.unstamped = lead.unstamped
-        nan = np.full(times.size, math.nan)
-        poses.times.frombytes(times.tobytes())
-        poses.values.frombytes(np.stack((x, y, wrap(psi), nan, nan, nan), axis=1).tobytes())
-        return poses
-
-
 # -- choice of topics ----------------------------------------------------------------------------
 
 
@@ -495,7 +405,7 @@ class _Source(NamedTuple):
     frame: str
     rank: tuple
     connections: frozenset = frozenset()
-    tree: _TransformTree | None = None
+    tree: TransformTree | None = None
     child: str = ""
 
 
@@ -570,7 +480,7 @@ def _tf_sources(bag):
     """Frames of tf: ``base_link`` is taken to be the car, others only on demand."""
     md5sum = msg.MD5[msg.TF]
     numbers = {number for number, c in bag.connections.items() if c.md5sum == md5sum}
-    tree = _TransformTree(bag.messages(numbers)) if numbers else None
+    tree = TransformTree(bag.messages(numbers)) if numbers else None
     sources = []
     for child in tree.edges if tree else ():
         frame = tree.chain(child)[-1]

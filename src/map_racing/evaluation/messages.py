@@ -1,8 +1,8 @@
 """Byte layouts of the ROS 1 messages that carry a race.
 
-The layouts are fixed (a message's md5 sum is a hash of its definition), so each message is packed
-or unpacked by one or two `struct` calls: an Odometry is decoded in 0.6 us, against 22 us by a
-general deserializer. Only plane motion is kept.
+The layouts are fixed (a message's md5 sum is a hash of its definition), so messages are packed by
+`struct` and unpacked by numpy, many at once: an Odometry takes DECODE_FIGURE us, against 22 us by a general
+deserializer. Only plane motion is kept.
 """
 
 from __future__ import annotations
@@ -79,7 +79,6 @@ _HEADER = struct.Struct("<IIII")
 _U32 = struct.Struct("<I")
 _POSE = struct.Struct("<7d")
 _PLANE_POSE = struct.Struct("<2d8x4d")
-_ODOMETRY = struct.Struct("<2d8x4d288x2d24xd")
 _ODOMETRY_OUT = struct.Struct("<7d288x6d288x")
 _IMU_OUT = struct.Struct("<4d9d3d9d3d9d")
 _DRIVE = struct.Struct("<5f")
@@ -94,6 +93,20 @@ _WAYPOINTS = np.dtype(
         )
     ]
 )
+# Offsets from the beginning of the body, behind the header and the child's frame.
+_POSE_FIELDS = {
+    name: ("<f8", offset)
+    for name, offset in (("x", 0), ("y", 8), ("qx", 24), ("qy", 32), ("qz", 40), ("qw", 48))
+}
+_TWIST = 56 + 288
+_ODOMETRY_FIELDS = {
+    **_POSE_FIELDS,
+    "v_x": ("<f8", _TWIST),
+    "v_y": ("<f8", _TWIST + 8),
+    "yaw_rate": ("<f8", _TWIST + 40),
+}
+_ODOMETRY_BODY = _TWIST + 48 + 288
+_DRIVE_FIELDS = {"steering_angle": ("<f4", 0), "speed": ("<f4", 8)}
 _NAN = math.nan
 
 
@@ -116,29 +129,76 @@ def decode_header(data, at=0):
     return sec * 1000000000 + nsec, frame, at + length
 
 
-def decode_odometry(data):
-    """``(stamp_ns, x, y, psi, v_x, v_y, yaw_rate)`` of a ``nav_msgs/Odometry``."""
-    _, sec, nsec, length = _HEADER.unpack_from(data)
-    at = 16 + length
-    at += 4 + _U32.unpack_from(data, at)[0]
-    x, y, q_x, q_y, q_z, q_w, v_x, v_y, yaw_rate = _ODOMETRY.unpack_from(data, at)
-    psi = yaw_from_quaternion(q_x, q_y, q_z, q_w)
-    return sec * 1000000000 + nsec, x, y, psi, v_x, v_y, yaw_rate
+def decode_odometry(batch):
+    """Decode ``nav_msgs/Odometry``.
+
+    Parameters
+    ----------
+    batch : list of bytes, length n
+
+    Returns
+    -------
+    stamps : ndarray of int64, shape (n,)
+        Stamps [ns].
+    values : ndarray, shape (n, 6)
+        ``x y psi v_x v_y yaw_rate`` [m, m, rad, m/s, m/s, rad/s].
+    good : ndarray of bool, shape (n,)
+        False for messages that are not laid out as their type is.
+    """
+    return _decode(batch, _ODOMETRY_BODY, _ODOMETRY_FIELDS, has_child=True)
 
 
-def decode_pose(data):
-    """The same of a ``PoseStamped`` or ``PoseWithCovarianceStamped``: velocities are NaN."""
-    _, sec, nsec, length = _HEADER.unpack_from(data)
-    x, y, q_x, q_y, q_z, q_w = _PLANE_POSE.unpack_from(data, 16 + length)
-    psi = yaw_from_quaternion(q_x, q_y, q_z, q_w)
-    return sec * 1000000000 + nsec, x, y, psi, _NAN, _NAN, _NAN
+def decode_pose(batch):
+    """The same of ``PoseStamped`` or ``PoseWithCovarianceStamped``: velocities are NaN."""
+    return _decode(batch, _POSE.size, _POSE_FIELDS)
 
 
-def decode_drive(data):
-    """``(stamp_ns, steering_angle, speed)`` of an ``AckermannDriveStamped``."""
-    _, sec, nsec, length = _HEADER.unpack_from(data)
-    steering_angle, _, speed, _, _ = _DRIVE.unpack_from(data, 16 + length)
-    return sec * 1000000000 + nsec, steering_angle, speed
+def decode_drive(batch):
+    """The same of ``AckermannDriveStamped``, with values ``steering_angle speed`` [rad, m/s]."""
+    return _table(batch, _DRIVE.size, _DRIVE_FIELDS)
+
+
+def _decode(batch, body, fields, has_child=False):
+    stamps, columns, good = _table(batch, body, fields, has_child)
+    x, y, q_x, q_y, q_z, q_w, *twist = columns.T
+    # Damaged messages hold any numbers.
+    with np.errstate(all="ignore"):
+        psi = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z))
+    twist = twist or [np.full(x.size, _NAN)] * 3
+    return stamps, np.stack([x, y, psi, *twist], axis=1), good
+
+
+def _table(batch, body, fields, has_child=False):
+    """Stamps and fields of messages: a header, a ``child_frame_id`` or none, and the body.
+
+    Messages of one length whose frames are of one length are laid out alike, so all of them are
+    decoded at once; in practice that is every message of a topic.
+    """
+    alike = {}
+    for index, data in enumerate(batch):
+        alike.setdefault((len(data), data[12:16]), []).append(index)
+    stamps = np.zeros(len(batch), dtype=np.int64)
+    columns = np.full((len(batch), len(fields)), _NAN)
+    good = np.zeros(len(batch), dtype=bool)
+    for (size, frame), indices in alike.items():
+        at = 16 + int.from_bytes(frame, "little")
+        start = size - body if has_child else at
+        if size < 16 or start < at + 4 * has_child or start + body > size:
+            continue
+        layout = {"sec": ("<u4", 4), "nsec": ("<u4", 8)}
+        layout.update((name, (kind, start + offset)) for name, (kind, offset) in fields.items())
+        if has_child:
+            layout["child"] = ("<u4", at)
+        formats, offsets = zip(*layout.values())
+        kind = np.dtype(
+            {"names": list(layout), "formats": formats, "offsets": offsets, "itemsize": size}
+        )
+        table = np.frombuffer(b"".join([batch[index] for index in indices]), kind)
+        stamps[indices] = table["sec"].astype(np.int64) * 1000000000 + table["nsec"]
+        for column, name in enumerate(fields):
+            columns[indices, column] = table[name]
+        good[indices] = table["child"] == start - at - 4 if has_child else True
+    return stamps, columns, good
 
 
 def decode_transforms(data):

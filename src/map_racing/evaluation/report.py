@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from contextlib import contextmanager, suppress
 from dataclasses import asdict
-from pathlib import Path
 
 import pandas as pd
 
-from ..errors import MapRacingError
+from ..files import replacing
 
 __all__ = ["lap_table", "summary_table", "to_frame", "to_json", "write_csv", "write_json"]
 
@@ -72,7 +69,7 @@ def write_csv(path, results):
     MapRacingError
         If the file cannot be written.
     """
-    with _replacing(path) as file:
+    with replacing(path) as file:
         to_frame(results).to_csv(file, index=False)
 
 
@@ -84,7 +81,7 @@ def write_json(path, results):
     MapRacingError
         If the file cannot be written.
     """
-    with _replacing(path) as file:
+    with replacing(path) as file:
         json.dump(to_json(results), file, indent=1, allow_nan=False)
         file.write("\n")
 
@@ -172,19 +169,3 @@ def _plain(row):
         name: None if isinstance(value, float) and math.isnan(value) else value
         for name, value in row.items()
     }
-
-
-@contextmanager
-def _replacing(path):
-    """Open a text file that appears under its name when it is complete."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(temporary, "w", encoding="utf-8", newline="") as file:
-            yield file
-        os.replace(temporary, path)
-    except OSError as error:
-        raise MapRacingError(f"{path}: cannot write: {error.strerror}") from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink()

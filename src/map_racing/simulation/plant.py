@@ -38,8 +38,10 @@ class PlantParameters:
         Largest acceleration and deceleration of the drive.
     localization_rate_hz, localization_latency_s : float
         Poses per second; time from the instant at which a pose holds to its arrival.
-    position_noise_m, heading_noise_rad, velocity_noise_mps, yaw_rate_noise_radps, acceleration_noise_mps2 : float
-        Standard deviations of white noise on what localization and IMU report.
+    position_noise_m, heading_noise_rad, velocity_noise_mps, yaw_rate_noise_radps : float
+        Standard deviations of white noise on what localization reports.
+    acceleration_noise_mps2 : float
+        Standard deviation of white noise on what the IMU reports.
     measures_v_y : bool
         Whether the odometry reports the lateral velocity; else it is NaN.
 
@@ -155,9 +157,7 @@ class Plant:
         self._steps = 0
         self._speed_command = speed
         step = self.time_step
-        self._steering_line = deque(
-            [0.0] * round(self.parameters.steering_delay_s / step)
-        )
+        self._steering_line = deque([0.0] * round(self.parameters.steering_delay_s / step))
         self._speed_line = deque([speed] * round(self.parameters.drive_delay_s / step))
 
     def reference_state(self):
@@ -190,14 +190,18 @@ class Plant:
         c1, s1, c2, s2 = cos(psi), sin(psi), cos(psi2), sin(psi2)
         c3, s3, c4, s4 = cos(psi3), sin(psi3), cos(psi4), sin(psi4)
         x += sixth * (
-            v_x * c1 - v_y * s1
+            v_x * c1
+            - v_y * s1
             + 2.0 * (v_mid * c2 - v_y2 * s2 + v_mid * c3 - v_y3 * s3)
-            + v_end * c4 - v_y4 * s4
+            + v_end * c4
+            - v_y4 * s4
         )
         y += sixth * (
-            v_x * s1 + v_y * c1
+            v_x * s1
+            + v_y * c1
             + 2.0 * (v_mid * s2 + v_y2 * c2 + v_mid * s3 + v_y3 * c3)
-            + v_end * s4 + v_y4 * c4
+            + v_end * s4
+            + v_y4 * c4
         )
         self._steps += 1
         self.steering_angle = delta_end
@@ -224,8 +228,8 @@ class Plant:
     def _drive(self, target):
         """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
         vehicle = self.vehicle
-        v_x = self.state.v_x
-        wanted = (min(max(target, 0.0), vehicle.v_max) - v_x) / self.parameters.drive_time_constant_s
+        error = min(max(target, 0.0), vehicle.v_max) - self.state.v_x
+        wanted = error / self.parameters.drive_time_constant_s
         return min(max(wanted, -vehicle.a_brake_max), vehicle.a_max)
 
 

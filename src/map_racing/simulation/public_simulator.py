@@ -1,4 +1,4 @@
-"""The plant of the public ROS 1 simulator (``f1tenth_simulator`` and the MAP authors' version of it).
+"""The plant of the public ROS 1 simulator, ``f1tenth_simulator``, as the MAP authors run it.
 
 A second plant, not ours, to check the closed loop against figures that were measured elsewhere: the
 CommonRoad single-track model with linear tires and small angles, one Euler step per 10 ms, steering

@@ -10,7 +10,6 @@ The outcome is told in `Raceline.findings`.
 import gzip
 import json
 import math
-import os
 import zlib
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from ..angles import wrap
 from ..errors import FileFormatError
+from ..files import replacing
 from ..resources import find_config
 from .raceline import Raceline, distinct_points
 
@@ -190,7 +190,6 @@ def save_raceline(raceline, path):
     path : str or pathlib.Path
         Replaced in one step if it exists: a reader never meets half a file.
     """
-    path = Path(path)
     columns = [
         ("s_m", raceline.s),
         ("x_m", raceline.x),
@@ -214,14 +213,8 @@ def save_raceline(raceline, path):
     # Six decimals are a micrometer; "+ 0.0" turns -0.0 into 0.0.
     table = np.round(np.stack([column for _, column in columns], axis=1), 6) + 0.0
     lines += [";".join(f"{value:.6f}" for value in row) for row in table.tolist()]
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        os.replace(str(part), str(path))
-    except OSError as error:
-        if part.exists():
-            part.unlink()
-        raise FileFormatError(f"{path}: cannot write: {error.strerror}") from None
+    with replacing(path) as file:
+        file.write("\n".join(lines) + "\n")
 
 
 # -- CSV -------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from ..errors import FileFormatError, ParameterError
-from .files import read_yaml_mapping, write_atomically
+from ..files import read_yaml_mapping, replacing
 from .tires import finite
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table"]
@@ -246,10 +246,11 @@ class LookupTable:
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
         text = "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
-        write_atomically(path, text)
+        with replacing(path) as file:
+            file.write(text)
         if self.provenance is not None:
-            values = dataclasses.asdict(self.provenance)
-            write_atomically(_sidecar(path), yaml.safe_dump(values, sort_keys=False))
+            with replacing(_sidecar(path)) as file:
+                yaml.safe_dump(dataclasses.asdict(self.provenance), file, sort_keys=False)
         elif _sidecar(path).exists():
             _sidecar(path).unlink()
 

@@ -12,8 +12,8 @@ from typing import Union
 import yaml
 
 from ..errors import ParameterError
+from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from .files import read_yaml_mapping, write_atomically
 from .single_track import GRAVITY
 from .tires import LinearTire, PacejkaTire, finite
 
@@ -168,6 +168,11 @@ def save_vehicle(vehicle, path):
     vehicle : Vehicle
     path : str or pathlib.Path
         File to write; it is replaced at once or, if that fails, left as it was.
+
+    Raises
+    ------
+    MapRacingError
+        If the file cannot be written.
     """
     values = {"name": vehicle.name, **{key: getattr(vehicle, key) for key in _REQUIRED}}
     values["tire_model"] = vehicle.front.model
@@ -179,7 +184,8 @@ def save_vehicle(vehicle, path):
             values["C_S" + axle] = coefficients[0]
     values.update((key, getattr(vehicle, key)) for key in _LIMITS)
     lines = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
-    write_atomically(path, "# Vehicle of map_racing: SI units and radians\n" + lines)
+    with replacing(path) as file:
+        file.write("# Vehicle of map_racing: SI units and radians\n" + lines)
 
 
 def parameter_hash(vehicle):

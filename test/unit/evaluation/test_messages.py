@@ -22,6 +22,13 @@ def types():
     return store
 
 
+def one(decode, data):
+    """``(stamp, value, ...)`` of a single message."""
+    stamps, values, good = decode([data])
+    assert good.tolist() == [True]
+    return (int(stamps[0]), *values[0].tolist())
+
+
 def ros(name):
     return name.replace("/", "/msg/")
 
@@ -35,7 +42,7 @@ def test_md5_sums_are_those_of_the_definitions(types, name):
 @settings(deadline=None)
 def test_odometry_round_trip(x, y, psi, v_x, v_y, yaw_rate, frame):
     data = msg.encode_odometry(7, STAMP, frame, "base_link", x, y, psi, v_x, v_y, yaw_rate)
-    stamp, x_2, y_2, psi_2, *twist = msg.decode_odometry(data)
+    stamp, x_2, y_2, psi_2, *twist = one(msg.decode_odometry, data)
     assert (stamp, x_2, y_2, twist) == (STAMP, x, y, [v_x, v_y, yaw_rate])
     assert math.cos(psi_2 - psi) == pytest.approx(1.0, abs=1e-12)
 
@@ -43,7 +50,9 @@ def test_odometry_round_trip(x, y, psi, v_x, v_y, yaw_rate, frame):
 @given(FINITE, FINITE, ANGLE)
 @settings(deadline=None)
 def test_pose_round_trip(x, y, psi):
-    stamp, x_2, y_2, psi_2, *twist = msg.decode_pose(msg.encode_pose(0, STAMP, "map", x, y, psi))
+    stamp, x_2, y_2, psi_2, *twist = one(
+        msg.decode_pose, msg.encode_pose(0, STAMP, "map", x, y, psi)
+    )
     assert (stamp, x_2, y_2) == (STAMP, x, y)
     assert math.cos(psi_2 - psi) == pytest.approx(1.0, abs=1e-12)
     assert all(math.isnan(value) for value in twist)
@@ -83,11 +92,11 @@ def test_odometry_of_a_general_serializer_is_decoded(types):
         twist=kind["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=covariance),
     )
     data = bytes(types.serialize_ros1(odometry, ros(msg.ODOMETRY)))
-    assert msg.decode_odometry(data) == (5000000006, 1.0, 2.0, math.pi, 4.0, 5.0, 9.0)
+    assert one(msg.decode_odometry, data) == (5000000006, 1.0, 2.0, math.pi, 4.0, 5.0, 9.0)
     assert msg.decode_header(data)[:2] == (5000000006, "map")
     stamped = kind[ros(msg.POSE_COVARIANCE)](header=header, pose=odometry.pose)
     data = bytes(types.serialize_ros1(stamped, ros(msg.POSE_COVARIANCE)))
-    assert msg.decode_pose(data)[:4] == (5000000006, 1.0, 2.0, math.pi)
+    assert one(msg.decode_pose, data)[:4] == (5000000006, 1.0, 2.0, math.pi)
 
 
 def test_imu_drive_and_waypoints_as_a_general_deserializer_reads_them(types):
@@ -101,7 +110,7 @@ def test_imu_drive_and_waypoints_as_a_general_deserializer_reads_them(types):
     drive = types.deserialize_ros1(data, ros(msg.ACKERMANN)).drive
     assert (drive.steering_angle, drive.steering_angle_velocity, drive.speed) == (0.25, 1.0, 4.0)
     assert (drive.acceleration, drive.jerk) == (2.0, 3.0)
-    assert msg.decode_drive(data) == (STAMP, 0.25, 4.0)
+    assert one(msg.decode_drive, data) == (STAMP, 0.25, 4.0)
 
     rows = [[float(10 * i + j) for j in range(10)] for i in range(3)]
     data = msg.encode_waypoints(0, STAMP, "map", rows)
@@ -122,3 +131,37 @@ def test_transform_round_trip():
     (transform,) = msg.decode_transforms(data)
     assert transform[:5] == (STAMP, "map", "base_link", 1.0, 2.0)
     assert transform.psi == pytest.approx(0.5)
+
+
+def test_messages_of_different_layouts_keep_their_places():
+    frames = ["map", "a", "world", "map", ""] * 3
+    children = ["base_link", "b", "bb", "", "base_link"] * 3
+    batch = [
+        msg.encode_odometry(i, STAMP + i, frame, child, i, 10.0 + i, 0.1 * i, 20.0 + i, 0.0, 0.0)
+        for i, (frame, child) in enumerate(zip(frames, children))
+    ]
+    stamps, values, good = msg.decode_odometry(batch)
+    assert good.all()
+    index = np.arange(len(batch))
+    assert (stamps - STAMP).tolist() == index.tolist()
+    np.testing.assert_array_equal(values[:, 0], index)
+    np.testing.assert_array_equal(values[:, 1], 10.0 + index)
+    np.testing.assert_allclose(values[:, 2], 0.1 * index)
+    np.testing.assert_array_equal(values[:, 3], 20.0 + index)
+
+
+@pytest.mark.parametrize("decode", [msg.decode_odometry, msg.decode_pose, msg.decode_drive])
+@given(st.lists(st.binary(max_size=900), max_size=5))
+@settings(deadline=None)
+def test_what_is_not_of_the_type_is_told(decode, batch):
+    good_one = {
+        msg.decode_odometry: msg.encode_odometry(0, STAMP, "map", "base_link", 1, 2, 0, 3, 0, 0),
+        msg.decode_pose: msg.encode_pose(0, STAMP, "map", 1.0, 2.0, 0.0),
+        msg.decode_drive: msg.encode_drive(0, STAMP, "base_link", 1.0, 2.0, 0.0, 0.0, 0.0),
+    }[decode]
+    batch = [*batch, good_one[:-1], good_one, good_one[:20], b""]
+    stamps, values, good = decode(batch)
+    assert good.tolist()[-4:] == [False, True, False, False]
+    assert stamps[-3] == STAMP
+    assert values[-3, 0] == 1.0
+    assert len(values) == len(batch)

@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from map_racing.errors import FileFormatError, ParameterError
+from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.vehicle.parameters import (
     Vehicle,
     linearized,
@@ -135,7 +135,7 @@ def test_failed_save_leaves_the_old_file(write, monkeypatch):
     path = write(MINIMAL)
     before = path.read_text(encoding="utf-8")
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(MapRacingError, match="disk full"):
         save_vehicle(load_vehicle("nuc4"), path)
     assert path.read_text(encoding="utf-8") == before
     assert [child.name for child in path.parent.iterdir()] == ["car.yaml"]

@@ -1,15 +1,16 @@
-"""Reading and writing of the small text files of a vehicle."""
+"""Reading and writing of small files, for all rooms of the package."""
 
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import yaml
 
-from ..errors import FileFormatError
+from .errors import FileFormatError, MapRacingError
 
-__all__ = ["read_yaml_mapping", "write_atomically"]
+__all__ = ["read_yaml_mapping", "replacing"]
 
 
 def read_yaml_mapping(path):
@@ -30,6 +31,8 @@ def read_yaml_mapping(path):
     """
     try:
         values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path}: expected YAML, found bytes that are not text") from None
     except yaml.YAMLError as error:
@@ -42,19 +45,30 @@ def read_yaml_mapping(path):
     return values
 
 
-def write_atomically(path, text):
-    """Write a text file under a temporary name, then rename it: never half a file.
+@contextmanager
+def replacing(path):
+    """Open a text file for writing that appears under its name only when it is complete.
+
+    It is written under a temporary name beside it and renamed at the end; after an error nothing is
+    left behind, and an existing file stays as it was.
 
     Parameters
     ----------
     path : str or pathlib.Path
-    text : str
+
+    Raises
+    ------
+    MapRacingError
+        If the file cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(str(temporary), str(path))
+        with open(temporary, "w", encoding="utf-8", newline="") as file:
+            yield file
+        os.replace(temporary, path)
+    except OSError as error:
+        raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
     finally:
-        if temporary.exists():
+        with suppress(OSError):
             temporary.unlink()

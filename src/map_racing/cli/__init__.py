@@ -1,0 +1,54 @@
+"""The command line ``map-racing``: it parses, calls the core and prints; nothing else."""
+
+import argparse
+import sys
+
+from .. import __version__
+from ..errors import MapRacingError
+from . import evaluate, lookup, race
+
+__all__ = ["main"]
+
+
+def build_parser():
+    """The parser of all commands; each command's module adds its own part."""
+    parser = argparse.ArgumentParser(
+        prog="map-racing",
+        description="Model- and Acceleration-based Pursuit for 1:10 race cars: "
+        "race a simulated car, evaluate laps from bags, make and check lookup tables.",
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands.required = True
+    for module in (race, evaluate, lookup):
+        module.add_parser(commands)
+    return parser
+
+
+def main(argv=None):
+    """Run one command.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments without the program's name; by default those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 1 after an error, which is one line on stderr. argparse itself exits with 2
+        on arguments that it cannot take.
+    """
+    arguments = build_parser().parse_args(argv)
+    try:
+        return arguments.run(arguments) or 0
+    except MapRacingError as error:
+        print(f"map-racing: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        print(f"map-racing: {name}{error.strerror or error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("map-racing: interrupted", file=sys.stderr)
+        return 130

@@ -1,0 +1,118 @@
+"""``map-racing evaluate``: laps of recorded driving."""
+
+import math
+from pathlib import Path
+
+from tqdm import tqdm
+
+from ..errors import BagError, MapRacingError, ParameterError
+from ..evaluation.laps import LapLimits, evaluate
+from ..evaluation.recordings import load_course, load_recording
+from ..evaluation.report import lap_table, summary_table, write_csv, write_json
+
+
+def add_parser(commands):
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "evaluate",
+        help="lap times and lateral errors from bags or CSV files",
+        description="Lap times and lateral errors of recorded driving. Pose and raceline are found "
+        "in the bag; a CSV file needs --raceline.",
+    )
+    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    parser.add_argument(
+        "--raceline", metavar="FILE", help="shipped track, raceline file or bag[#topic]"
+    )
+    parser.add_argument("--pose-topic", metavar="TOPIC", help="instead of the one chosen")
+    parser.add_argument(
+        "--columns",
+        metavar="MAP",
+        help="columns of CSV files where they are not found, as t=time,x=pose_x,y=pose_y",
+    )
+    parser.add_argument(
+        "--start-line", type=float, default=0.0, metavar="S", help="arc length of the line [m]"
+    )
+    parser.add_argument(
+        "--car-width", type=float, default=0.3, metavar="M", help="[m] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--sectors", type=int, default=3, metavar="N", help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--max-deviation",
+        type=float,
+        metavar="M",
+        help="off track beyond this lateral error [m] (default: the walls, or 2 m)",
+    )
+    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
+    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
+    parser.add_argument("--plots", metavar="DIR", help="write figures")
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Evaluate all recordings, print, write. Nothing is written unless all could be read."""
+    if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
+        raise ParameterError(f"--max-deviation must be positive, not {arguments.max_deviation}")
+    limits = LapLimits(max_deviation=arguments.max_deviation)
+    raceline = load_course(arguments.raceline) if arguments.raceline else None
+    results = []
+    for source in tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False):
+        recording = load_recording(source, arguments.pose_topic, arguments.columns)
+        course = raceline or recording.raceline
+        if course is None:
+            raise BagError(f"{source}: no raceline in it; give one with --raceline")
+        results.append(
+            evaluate(
+                recording,
+                course,
+                start_s=arguments.start_line,
+                car_width=arguments.car_width,
+                sectors=arguments.sectors,
+                limits=limits,
+            )
+        )
+
+    for result in results:
+        print(f"{result.source}")
+        for note in result.notes:
+            print(f"  {note}")
+        print(lap_table(result), end="\n\n")
+    names = run_names(arguments.recordings)
+    if len(results) > 1:
+        print(summary_table(zip(names, results)), end="\n\n")
+    if arguments.csv:
+        write_csv(arguments.csv, results)
+        print(f"laps written to {arguments.csv}")
+    if arguments.json:
+        write_json(arguments.json, results)
+        print(f"laps and summaries written to {arguments.json}")
+    if arguments.plots:
+        draw(Path(arguments.plots), names, results)
+        print(f"figures are in {arguments.plots}")
+
+
+def run_names(sources):
+    """Short distinct names of runs: the files' stems, or the whole paths where stems repeat."""
+    stems = [Path(source).name.split(".")[0] for source in sources]
+    return stems if len(set(stems)) == len(stems) else [str(source) for source in sources]
+
+
+def draw(folder, names, results):
+    """All figures of all runs."""
+    from ..evaluation import plots  # matplotlib takes a second, and most calls draw nothing
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    figures = []
+    for name, result in zip(names, results):
+        stem = name.replace("/", "_")
+        if any(math.isfinite(lap.lap_time_s) for lap in result.laps):
+            figures.append((f"{stem}_laps.png", plots.plot_laps, (result, name)))
+        figures.append((f"{stem}_speed.png", plots.plot_path, (result, "speed", name)))
+        figures.append((f"{stem}_error.png", plots.plot_path, (result, "error", name)))
+    figures.append(("boxes.png", plots.plot_boxes, (list(zip(names, results)),)))
+    for file_name, plot, values in tqdm(figures, desc="figures", disable=None, leave=False):
+        plots.save(plot(*values), folder / file_name)

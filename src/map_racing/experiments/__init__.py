@@ -1,0 +1,1 @@
+"""Races as experiments: from the closed loop to recorded runs."""
