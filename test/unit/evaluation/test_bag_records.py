@@ -214,6 +214,46 @@ def test_connections_of_a_lost_chunk_come_from_the_index(tmp_path):
     assert "2 of 3 messages read" in notes[0]
 
 
+def chunk_index(number, entries):
+    data = b"".join(struct.pack("<III", *divmod(time, 10**9), offset) for time, offset in entries)
+    return record(
+        [(b"op", b"\x04"), (b"ver", b"\1\0\0\0"), (b"conn", struct.pack("<I", number))], data
+    )
+
+
+@pytest.mark.parametrize("fault", ["none", "offset", "beyond", "other", "missing"])
+@pytest.mark.parametrize("order", list(permutations((b"op", b"conn", b"time"))))
+def test_index_of_a_chunk_is_only_a_short_cut(tmp_path, fault, order):
+    line = connection(1, b"/a") + connection(2, b"/b")
+    contents, places = line, {1: [], 2: []}
+    for time in range(8):
+        number = 1 + time % 2
+        places[number].append((time, len(contents)))
+        contents += message(number, time, b"data", order)
+    indices = dict(places)
+    if fault == "offset":
+        indices[1] = [(time, offset + 1) for time, offset in places[1]]
+    elif fault == "beyond":
+        indices[1] = [(time, offset + 10**6) for time, offset in places[1]]
+    elif fault == "other":
+        indices[1] = places[2]
+    elif fault == "missing":
+        indices[1] = places[1][:-1]
+    records = [chunk(contents), *(chunk_index(number, indices[number]) for number in (1, 2))]
+    path = tmp_path / "a.bag"
+    path.write_bytes(bag(*records, index=line + chunk_info(1, 4, 0, 6) + chunk_info(2, 4, 1, 7)))
+    with BagFile(path) as file:
+        found = list(file.messages({1}))
+        notes = file.notes()
+    assert {message.connection for message in found} == {1}
+    if fault == "missing":
+        assert [message.time_ns for message in found] == [0, 2, 4]
+        assert notes == ["7 messages read, but the index of the bag lists 8"]
+    else:
+        assert [message.time_ns for message in found] == [0, 2, 4, 6]
+        assert notes == []
+
+
 @given(st.data())
 @settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 def test_arbitrary_damage_never_raises_anything_else(tmp_path, whole, data):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.errors import FileFormatError, ParameterError, RacelineError
+from map_racing.errors import FileFormatError, MapRacingError, ParameterError, RacelineError
 from map_racing.track.formats import (
     load_raceline,
     raceline_from_columns,
@@ -303,7 +303,7 @@ def test_acceleration_in_the_file_is_that_of_the_speeds(tmp_path):
 
 
 def test_writing_where_there_is_no_folder(tmp_path):
-    with pytest.raises(FileFormatError, match="cannot write"):
+    with pytest.raises(MapRacingError, match="cannot write"):
         save_raceline(COURSE, tmp_path / "nowhere" / "c.csv")
 
 

@@ -78,8 +78,10 @@ def test_cells_are_stable_equilibria_of_the_equations(car):
     for i, j in np.argwhere(np.isfinite(table.a_lat)).tolist():
         residual, jacobian = equilibrium(car, SPEEDS[j], ANGLES[i], table.a_lat[i, j])
         assert residual == pytest.approx((0.0, 0.0), abs=1e-5)
-        # differences of 1e-6 leave this much of a zero at the very end of a branch
-        assert np.linalg.eigvals(jacobian).real.max() < 1e-3
+        # At the rear tire's very peak its slip cannot be told from the force: slope and with it the
+        # Jacobian go with the root of the force that is missing.
+        if table.a_lat[i, j] < (1.0 - 1e-9) * car.mu * GRAVITY * car.rear.peak:
+            assert np.linalg.eigvals(jacobian).real.max() < 1e-4
 
 
 @settings(deadline=None, max_examples=60)
