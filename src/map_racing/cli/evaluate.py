@@ -1,6 +1,7 @@
 """``map-racing evaluate``: laps of recorded driving."""
 
 import math
+import re
 from pathlib import Path
 
 from tqdm import tqdm
@@ -94,7 +95,7 @@ def run(arguments):
 
 def run_names(sources):
     """Short distinct names of runs: the files' stems, or the whole paths where stems repeat."""
-    stems = [Path(source).name.split(".")[0] for source in sources]
+    stems = [re.sub(r"\.(bag(\.active)?|csv(\.gz)?)$", "", Path(source).name) for source in sources]
     return stems if len(set(stems)) == len(stems) else [str(source) for source in sources]
 
 
