@@ -244,7 +244,7 @@ class LapEvaluator:
 
     Notes
     -----
-    A sample takes 5.4 us. On a course of 30 m with bends down to 0.7 m radius, sampled at 40 Hz at
+    A sample takes 5 us. On a course of 30 m with bends down to 0.7 m radius, sampled at 40 Hz at
     7 m/s while the car swings 0.35 m to either side, lap times are exact to 0.2 ms, RMS errors to
     0.2 mm and maxima to 1.1 mm for waypoints up to 1 m apart.
     """

@@ -1,7 +1,7 @@
 """Byte layouts of the ROS 1 messages that carry a race.
 
 The layouts are fixed (a message's md5 sum is a hash of its definition), so messages are packed by
-`struct` and unpacked by numpy, many at once: an Odometry takes DECODE_FIGURE us, against 22 us by a general
+`struct` and unpacked by numpy, many at once: an Odometry takes 0.5 us, against 22 us by a general
 deserializer. Only plane motion is kept.
 """
 
@@ -181,6 +181,8 @@ def _table(batch, body, fields, has_child=False):
     columns = np.full((len(batch), len(fields)), _NAN)
     good = np.zeros(len(batch), dtype=bool)
     for (size, frame), indices in alike.items():
+        # A slice costs half of what a list of all indices costs.
+        where = indices if len(alike) > 1 else slice(None)
         at = 16 + int.from_bytes(frame, "little")
         start = size - body if has_child else at
         if size < 16 or start < at + 4 * has_child or start + body > size:
@@ -194,10 +196,10 @@ def _table(batch, body, fields, has_child=False):
             {"names": list(layout), "formats": formats, "offsets": offsets, "itemsize": size}
         )
         table = np.frombuffer(b"".join([batch[index] for index in indices]), kind)
-        stamps[indices] = table["sec"].astype(np.int64) * 1000000000 + table["nsec"]
+        stamps[where] = table["sec"].astype(np.int64) * 1000000000 + table["nsec"]
         for column, name in enumerate(fields):
-            columns[indices, column] = table[name]
-        good[indices] = table["child"] == start - at - 4 if has_child else True
+            columns[where, column] = table[name]
+        good[where] = table["child"] == start - at - 4 if has_child else True
     return stamps, columns, good
 
 
