@@ -1,0 +1,392 @@
+"""Speed of map_racing against naive references, measured in one run; called by scripts/benchmark.
+
+Each reference is the obvious way to do the same work, written here from its description. Where two
+programs are compared they take turns, and medians are taken, so that other load on the machine
+weighs on both alike.
+"""
+
+import json
+import math
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from scipy.integrate import odeint
+
+from map_racing.cli.lookup import published_grid
+from map_racing.control.controller import Controller, build_controller, build_steering_map
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.evaluation.bags import BagWriter
+from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.recordings import load_course, load_recording
+from map_racing.experiments.race_bag import write_race_bag
+from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.race import race
+from map_racing.track.raceline import Raceline
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.steady_state import steady_state_table
+
+RECORDING = Path(__file__).parents[2] / "shared/data/recordings/hangar_map_12laps.bag"
+SYSTEM_PYTHON = "/usr/bin/python3"  # where Debian's and ROS's rosbag package is
+SPEED_SCALE = 0.7  # a pace at which the shipped controllers lap the reference track cleanly
+
+
+def main():
+    """Run all comparisons and print one table."""
+    rows, remarks = [], []
+    vehicle, raceline = load_vehicle("nuc4"), load_course("reference")
+    with tempfile.TemporaryDirectory() as folder:
+        for compare in (
+            lambda: compare_table(vehicle),
+            lambda: compare_controller(vehicle, raceline),
+            lambda: compare_recording(vehicle, raceline, Path(folder)),
+            lambda: compare_hour(raceline, Path(folder)),
+            lambda: compare_simulation(vehicle, raceline),
+        ):
+            more_rows, more_remarks = compare()
+            rows += more_rows
+            remarks += more_remarks
+            print(".", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    print(
+        f"{platform.python_implementation()} {platform.python_version()}, "
+        f"numpy {np.__version__}, {os.cpu_count()} cores\n"
+    )
+    header = ("what", "map_racing", "reference", "ratio", "goal", "met")
+    rows = [row[:-1] + ("yes" if row[-1] else "NO",) for row in rows]
+    widths = [max(map(len, column)) for column in zip(header, *rows)]
+    for row in (header, tuple("-" * width for width in widths), *rows):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+    print("\nHow it was measured:")
+    for remark in remarks:
+        print(f"- {remark}")
+
+
+def timed(function, *arguments):
+    """Seconds that a call takes, and its result."""
+    begin = perf_counter()
+    result = function(*arguments)
+    return perf_counter() - begin, result
+
+
+# -- steady-state table --------------------------------------------------------------------------
+
+
+def integrate_cell(vehicle, v, delta):
+    """Lateral acceleration [m/s^2] after 2 s at constant speed and steering angle."""
+    front, rear, mu = vehicle.front, vehicle.rear, vehicle.mu
+    weight = vehicle.m * 9.81 / vehicle.l_wb
+    load_f, load_r = weight * vehicle.l_r, weight * vehicle.l_f
+
+    def force(tire, load, slip):
+        x = tire.B * slip
+        return mu * load * tire.D * math.sin(tire.C * math.atan(x - tire.E * (x - math.atan(x))))
+
+    def right_hand_side(state, _):
+        v_y, r = state
+        force_f = force(front, load_f, delta - math.atan((v_y + r * vehicle.l_f) / v))
+        force_r = force(rear, load_r, -math.atan((v_y - r * vehicle.l_r) / v))
+        return (
+            (force_f + force_r) / vehicle.m - v * r,
+            (vehicle.l_f * force_f - vehicle.l_r * force_r) / vehicle.I_z,
+        )
+
+    states = odeint(right_hand_side, (0.0, 0.0), np.arange(0.0, 2.0, 0.01))
+    return v * states[-1, 1]
+
+
+def compare_table(vehicle):
+    """Table on the published grid, against integrating each cell."""
+    speeds, angles = published_grid()
+    ours = statistics.median(
+        timed(steady_state_table, vehicle, speeds, angles)[0] for _ in range(15)
+    )
+    table = steady_state_table(vehicle, speeds, angles)
+    # Every third angle and speed, which spreads the sample over the whole grid.
+    seconds, cells, apart = 0.0, 0, 0.0
+    for i in range(0, angles.size, 3):
+        for j in range(0, speeds.size, 3):
+            lasted, a_lat = timed(integrate_cell, vehicle, speeds[j], angles[i])
+            seconds, cells = seconds + lasted, cells + 1
+            if math.isfinite(table.a_lat[i, j]):
+                apart = max(apart, abs(a_lat - table.a_lat[i, j]))
+    reference = seconds * speeds.size * angles.size / cells
+    row = (
+        f"steady-state table, {angles.size} x {speeds.size} cells",
+        f"{1e3 * ours:.1f} ms",
+        f"{reference:.1f} s (odeint, 2 s a cell)",
+        f"{reference / ours:.0f}",
+        ">= 300",
+        reference >= 300.0 * ours,
+    )
+    remark = (
+        f"table: odeint integrated {cells} of {speeds.size * angles.size} cells, every third angle "
+        f"and speed, in {seconds:.2f} s; its time is scaled to all. Where the table has a value "
+        f"they agree to {apart:.0e} m/s^2."
+    )
+    return [row], [remark]
+
+
+# -- controller ----------------------------------------------------------------------------------
+
+
+class NaiveController:
+    """MAP as a short numpy program has it: vertices instead of a curve, nearest table column."""
+
+    def __init__(self, parameters, table, vehicle, raceline, count):
+        self.law = parameters.lookahead
+        curve = raceline.sample(np.arange(count) * raceline.length / count)
+        self.points = np.column_stack((curve.x, curve.y))
+        self.speeds = curve.speed * parameters.speed_scale
+        self.table = np.block(
+            [[np.zeros((1, 1)), table.speeds[None]], [table.angles[:, None], table.a_lat]]
+        )
+        self.delta_max = vehicle.delta_max
+
+    def step(self, state):
+        """Steering angle [rad] and speed [m/s]."""
+        points = self.points
+        position = np.array([state.x, state.y])
+        repeated = np.repeat(position[None], len(points), axis=0)
+        nearest = np.argmin(np.linalg.norm(repeated - points, axis=1))
+        speed = self.speeds[nearest]
+        lookahead = np.clip(self.law.m + self.law.q * speed, self.law.minimum, self.law.maximum)
+        ahead = nearest
+        while np.linalg.norm(points[ahead] - points[nearest]) < lookahead:
+            ahead = (ahead + 1) % len(points)
+        vector = points[ahead] - position
+        distance = np.linalg.norm(vector)
+        left = np.array([-np.sin(state.psi), np.cos(state.psi)])
+        eta = np.arcsin(np.dot(vector, left) / distance)
+        angle = self.look_up(speed, 2.0 * speed**2 / distance * np.sin(eta))
+        return np.clip(angle, -self.delta_max, self.delta_max), speed
+
+    def look_up(self, v, a_lat):
+        """Steering angle of the nearest speed's column."""
+        column = self.table[1:, 1 + np.argmin(np.abs(self.table[0, 1:] - v))]
+        end = np.nanargmax(column) + 1
+        return np.sign(a_lat) * np.interp(np.abs(a_lat), column[:end], self.table[1 : end + 1, 0])
+
+
+def compare_controller(vehicle, raceline):
+    """A controller step, against the naive one and on a far denser raceline."""
+    parameters = load_controller_parameters("map").with_(speed_scale=SPEED_SCALE)
+    log = drive(vehicle, raceline, laps=7)
+    states = [sample.measured for sample in log.samples]
+
+    def ours(count):
+        curve = raceline.sample(np.arange(count) * raceline.length / count)
+        line = Raceline(
+            curve.x, curve.y, vx_mps=curve.speed, d_left_m=curve.d_left, d_right_m=curve.d_right
+        )
+        return Controller(parameters, steering_map, vehicle, line)
+
+    steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
+    table = steady_state_table(vehicle, *published_grid())
+    controllers = (
+        ours(400),
+        NaiveController(parameters, table, vehicle, raceline, 400),
+        ours(20000),
+    )
+    # All drive the same recorded path, in turns of half a second of it.
+    turn, passes = 20, 5
+    times = [[], [], []]
+    for _ in range(passes):
+        for begin in range(0, len(states) - turn + 1, turn):
+            batch = states[begin : begin + turn]
+            for controller, seconds in zip(controllers, times):
+                seconds.append(timed(step_through, controller, batch)[0] / turn)
+    step, naive, dense = (1e6 * statistics.median(seconds) for seconds in times)
+    faster = statistics.median(b / a for a, b in zip(times[0], times[1]))
+    denser = statistics.median(b / a for a, b in zip(times[0], times[2]))
+    rows = [
+        (
+            "controller step, 400 points",
+            f"{step:.1f} us",
+            f"{naive:.0f} us (numpy over all points)",
+            f"{faster:.1f}",
+            ">= 8",
+            faster >= 8.0,
+        ),
+        ("  the aim for it", f"{step:.1f} us", "", "", "<= 15 us", step <= 15.0),
+        (
+            "controller step, 20,000 points",
+            f"{dense:.1f} us",
+            f"{step:.1f} us (400 points)",
+            f"{denser:.2f}",
+            "0.8 to 1.2",
+            0.8 <= denser <= 1.2,
+        ),
+    ]
+    remark = (
+        f"controller: all drive the same {len(states)} states of a simulated race at 40 Hz, "
+        f"{passes} times, in turns of {turn} states; medians over the turns."
+    )
+    return rows, [remark]
+
+
+def step_through(controller, states):
+    """Step a controller through states."""
+    step = controller.step
+    for state in states:
+        step(state)
+
+
+# -- evaluation ----------------------------------------------------------------------------------
+
+ROSBAG_READS = """
+import sys, time
+import rosbag
+begin = time.perf_counter()
+with rosbag.Bag(sys.argv[1]) as bag:
+    for _ in bag.read_messages(topics=[sys.argv[2]]):
+        pass
+print(time.perf_counter() - begin)
+"""
+
+ROSBAGS_READS = """
+import pathlib, sys, time
+from rosbags.highlevel import AnyReader
+begin = time.perf_counter()
+with AnyReader([pathlib.Path(sys.argv[1])]) as reader:
+    wanted = [c for c in reader.connections if c.topic == sys.argv[2]]
+    for connection, _, data in reader.messages(connections=wanted):
+        reader.deserialize(data, connection.msgtype)
+print(time.perf_counter() - begin)
+"""
+
+
+def evaluate_bag(path):
+    """In a process of its own: evaluate a bag, print what it took as JSON."""
+
+    def work():
+        recording = load_recording(path)
+        return recording, evaluate(recording, recording.raceline)
+
+    seconds, (recording, result) = timed(work)
+    figures = {
+        "seconds": seconds,
+        "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "topic": recording.topic,
+        "samples": recording.t.size,
+        "duration": float(recording.t[-1]),
+        "laps": result.summary.laps_completed,
+    }
+    print(json.dumps(figures))
+
+
+def run(command):
+    """What a program prints as JSON."""
+    return json.loads(subprocess.check_output([str(word) for word in command]))
+
+
+def run_evaluation(path):
+    """Figures of `evaluate_bag`."""
+    return run([sys.executable, __file__, path])
+
+
+def compare_recording(vehicle, raceline, folder):
+    """Evaluating a recording, against only reading its poses."""
+    bag, what = RECORDING, "a recorded race"
+    if not bag.is_file():
+        bag, what = folder / "race.bag", "a simulated race (no recording beside the repository)"
+        write_race_bag(bag, drive(vehicle, raceline, laps=7), raceline)
+    can_rosbag = [SYSTEM_PYTHON, "-c", "import rosbag"]
+    has_rosbag = (
+        Path(SYSTEM_PYTHON).exists()
+        and subprocess.run(can_rosbag, stderr=subprocess.DEVNULL, check=False).returncode == 0
+    )
+    if has_rosbag:
+        name, reads = "rosbag", [SYSTEM_PYTHON, "-c", ROSBAG_READS]
+    else:
+        name, reads = "rosbags", [sys.executable, "-c", ROSBAGS_READS]
+    ours, reference = [], []
+    for _ in range(7):
+        figures = run_evaluation(bag)
+        ours.append(figures["seconds"])
+        reference.append(run([*reads, bag, figures["topic"]]))
+    ratio = statistics.median(a / b for a, b in zip(ours, reference))
+    row = (
+        f"evaluating {figures['duration']:.0f} s of driving",
+        f"{statistics.median(ours):.3f} s",
+        f"{statistics.median(reference):.3f} s ({name} reading poses)",
+        f"{ratio:.2f}",
+        "<= 0.5",
+        ratio <= 0.5,
+    )
+    remark = (
+        f"evaluation: {what} with {figures['samples']} poses and {figures['laps']} laps, from "
+        f"opening the bag to the laps; {name} only reads {figures['topic']}. Each runs seven times "
+        "in new processes, in turns; the time of imports is left out for both."
+    )
+    return [row], [remark]
+
+
+def compare_hour(raceline, folder):
+    """An hour at 100 Hz."""
+    bag = folder / "hour.bag"
+    count, v = 360000, 5.0
+    t = np.arange(count) / 100.0
+    s = v * t
+    x, y = raceline.to_cartesian(s, 0.1 * np.sin(0.7 * s))
+    psi = raceline.sample(s).psi
+    with BagWriter(bag, compression="lz4") as writer:
+        writer.waypoints(1.0, raceline)
+        for row in zip((t + 1.0).tolist(), x.tolist(), y.tolist(), psi.tolist()):
+            writer.odometry(*row, v, 0.0, 0.0)
+    figures = run_evaluation(bag)
+    seconds, megabytes = figures["seconds"], figures["megabytes"]
+    rows = [
+        ("evaluating an hour at 100 Hz", f"{seconds:.1f} s", "", "", "< 15 s", seconds < 15.0),
+        ("  peak memory", f"{megabytes:.0f} MB", "", "", "< 500 MB", megabytes < 500.0),
+    ]
+    remark = (
+        f"hour: {figures['samples']} odometry messages made for it, {figures['laps']} laps; peak "
+        "memory is that of the whole process, libraries and traces for the figures included."
+    )
+    return rows, [remark]
+
+
+# -- simulation ----------------------------------------------------------------------------------
+
+
+def drive(vehicle, raceline, laps):
+    """A race of MAP with the shipped plant."""
+    parameters = load_controller_parameters("map").with_(speed_scale=SPEED_SCALE)
+    plant = load_plant_parameters("nuc4")
+    controller = build_controller(parameters, vehicle, raceline)
+    return race(Plant(plant), controller, raceline, Localization(plant, seed=1), laps=laps)
+
+
+def compare_simulation(vehicle, raceline):
+    """Plant, localization and controller in closed loop, against real time."""
+    runs = [timed(drive, vehicle, raceline, 7) for _ in range(3)]
+    seconds = statistics.median(run[0] for run in runs)
+    duration = runs[0][1].duration
+    row = (
+        "simulated race, plant and controller",
+        f"{seconds:.2f} s",
+        f"{duration:.0f} s (real time)",
+        f"{duration / seconds:.0f}",
+        ">= 50",
+        duration >= 50.0 * seconds,
+    )
+    remark = (
+        "simulation: plant at 500 Hz, localization and controller at 40 Hz, one core, with the "
+        "time to make the controller's table; median of three races."
+    )
+    return [row], [remark]
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        evaluate_bag(sys.argv[1])
+    else:
+        main()
