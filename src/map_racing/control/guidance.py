@@ -15,6 +15,10 @@ from typing import NamedTuple
 
 __all__ = ["LookaheadLaw", "bearing", "lateral_acceleration"]
 
+# Below this speed [m/s] the measured velocity loses its direction to noise, and the steering of a
+# standing car would swing from lock to lock after it.
+CRAWL = 0.5
+
 
 class LookaheadLaw(NamedTuple):
     """Lookahead distance ``L_d = m + q v``, clipped to [`minimum`, `maximum`].
@@ -44,7 +48,8 @@ def bearing(state, x, y):
     Parameters
     ----------
     state : CarState
-        Standing cars are taken to move straight ahead.
+        Standing cars are taken to move straight ahead; up to 0.5 m/s the direction of the velocity
+        takes over.
     x, y : float
         The point, in the map frame [m].
 
@@ -53,7 +58,12 @@ def bearing(state, x, y):
     float
         Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
     """
-    course = state.psi + math.atan2(state.v_y, state.v_x)
+    v_x, v_y = state.v_x, state.v_y
+    square = v_x * v_x + v_y * v_y
+    if square < CRAWL * CRAWL:
+        trust = math.sqrt(square) / CRAWL
+        v_x, v_y = trust * v_x + (1.0 - trust) * CRAWL, trust * v_y
+    course = state.psi + math.atan2(v_y, v_x)
     eta = math.atan2(y - state.y, x - state.x) - course
     return math.remainder(eta, math.tau)
 
