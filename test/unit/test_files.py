@@ -1,0 +1,85 @@
+"""Small files: refused in one line that says where, replaced whole or not at all."""
+
+import pytest
+
+from map_racing.errors import FileFormatError, MapRacingError
+from map_racing.files import read_yaml_mapping, replacing
+
+
+def test_reads_a_mapping(tmp_path):
+    path = tmp_path / "car.yaml"
+    path.write_text("# a car\nm: 3.5\nname: \u00dcno\n", encoding="utf-8")
+    assert read_yaml_mapping(path) == {"m": 3.5, "name": "\u00dcno"}
+    assert read_yaml_mapping(str(path)) == read_yaml_mapping(path)
+
+
+@pytest.mark.parametrize(
+    "content, expected",
+    [
+        (b"", "expected keys and values, got NoneType"),
+        (b"# nothing but prose\n", "expected keys and values, got NoneType"),
+        (b"- 1\n- 2\n", "expected keys and values, got list"),
+        (b"just a text\n", "expected keys and values, got str"),
+        (b"a: 1\nb: [1, 2\nc: 3\n", ":3: expected YAML"),
+        (b"a: 1\nb: 2: 3\n", ":2: expected YAML"),
+        (b"a: 1\n\tb: 2\n", ":2: expected YAML"),
+        (b"a: !!python/object:os.system x\n", ":1: expected YAML"),
+        (b"a: 1\x00\n", "expected YAML"),
+        (b"\xff\xfe\x00\x01", "found bytes that are not text"),
+    ],
+)
+def test_refuses_what_is_no_mapping(tmp_path, content, expected):
+    path = tmp_path / "broken.yaml"
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError) as caught:
+        read_yaml_mapping(path)
+    message = str(caught.value)
+    assert message.startswith(str(path)) and expected in message and "\n" not in message
+
+
+def test_refuses_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(FileFormatError, match=r"gone\.yaml: cannot read: No such file"):
+        read_yaml_mapping(tmp_path / "gone.yaml")
+    with pytest.raises(FileFormatError, match="cannot read: Is a directory"):
+        read_yaml_mapping(tmp_path)
+
+
+def test_a_file_appears_only_when_it_is_complete(tmp_path):
+    path = tmp_path / "table.csv"
+    with replacing(path) as file:
+        file.write("0,1\n")
+        file.flush()
+        assert not path.exists()
+    assert path.read_bytes() == b"0,1\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_an_existing_file_is_replaced(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("old")
+    with replacing(str(path)) as file:
+        file.write("new \u03b1")
+    assert path.read_text(encoding="utf-8") == "new \u03b1"
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MapRacingError])
+def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path, error):
+    path = tmp_path / "table.csv"
+    path.write_text("old")
+    with pytest.raises(error), replacing(path) as file:
+        file.write("half a ta")
+        raise error
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_what_cannot_be_written_is_named(tmp_path):
+    missing = tmp_path / "no" / "table.csv"
+    expected = r"table\.csv: cannot write: No such file"
+    with pytest.raises(MapRacingError, match=expected), replacing(missing) as file:
+        file.write("x")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with pytest.raises(MapRacingError, match="folder: cannot write"), replacing(folder) as file:
+        file.write("x")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["folder"]
