@@ -275,7 +275,7 @@ class LookupTable:
         rise = np.diff(column.angles)
         geometric = np.diff(column.shares) * column.limit * self.l_wb * self._w[-1]
         # the floor keeps the inverse monotone: an oversteering car cannot go that fast
-        angles = np.r_[0.0, np.cumsum(np.maximum(rise - geometric, 0.1 * rise))]
+        angles = _from_zero(np.cumsum(np.maximum(rise - geometric, 0.1 * rise)))
         return _column(column.limit, np.asarray(column.shares), angles)
 
 
@@ -283,7 +283,7 @@ def default_grid(vehicle, v_max=None):
     """Speeds and angles so fine that interpolation between them hardly matters.
 
     There are 257 angles, and a column about every 0.1 m/s from 0.1 m/s on. The notes of
-    `LookupTable` say how exact that is; such a table of ``nuc4`` takes 35 ms to compute.
+    `LookupTable` say how exact that is; such a table of ``nuc4`` takes 27 ms to compute.
 
     Parameters
     ----------
@@ -347,17 +347,21 @@ def _invert(angles, a_lat):
     end = a_lat.size if valid.all() else int(np.argmin(valid))
     a, delta = a_lat[:end], angles[:end]
     # cells that exceed all before them; what lies beyond the maximum is left out with them
-    before = np.maximum.accumulate(np.r_[0.0, a])[:-1]
-    rising = (a > before) & (delta > np.r_[0.0, delta[:-1]])
+    before = np.maximum.accumulate(_from_zero(a))[:-1]
+    rising = (a > before) & (delta > _from_zero(delta[:-1]))
     if not rising.any():
         return None
-    a, delta = np.r_[0.0, a[rising]], np.r_[0.0, delta[rising]]
+    a, delta = _from_zero(a[rising]), _from_zero(delta[rising])
     return _column(float(a[-1]), a / a[-1], delta)
 
 
 def _column(limit, shares, angles):
-    slopes = np.r_[np.diff(angles) / np.diff(shares), 0.0]
-    return _Column(limit, shares.tolist(), angles.tolist(), slopes.tolist())
+    slopes = np.diff(angles) / np.diff(shares)
+    return _Column(limit, shares.tolist(), angles.tolist(), slopes.tolist() + [0.0])
+
+
+def _from_zero(values):
+    return np.concatenate(([0.0], values))
 
 
 def _locate(axis, value):

@@ -34,7 +34,7 @@ _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
 def steady_state_table(vehicle, speeds, angles):
     """Steady-state lateral acceleration on a grid of speed and steering angle.
 
-    The published 60 x 65 grid of ``nuc4`` takes 8 ms, 0.1 % of integrating each cell for 2 s.
+    The published 60 x 65 grid of ``nuc4`` takes 6 ms, 0.1 % of integrating each cell for 2 s.
 
     Parameters
     ----------
@@ -143,7 +143,9 @@ def _branches(vehicle, speeds):
         low, high = slip[last, columns], slip[np.minimum(last + 1, 128), columns]
     delta_end = delta_end[last, columns]
     return [
-        (np.r_[_SLIP[:n], low[j]], np.r_[delta[:n, j], delta_end[j]]) if n else (_SLIP[:0],) * 2
+        (np.append(_SLIP[:n], low[j]), np.append(delta[:n, j], delta_end[j]))
+        if n
+        else (_SLIP[:0],) * 2
         for j, n in enumerate(count)
     ]
 
