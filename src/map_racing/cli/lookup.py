@@ -131,7 +131,8 @@ def _describe(path, table):
     else:
         print("  no provenance beside it")
     unstable = np.isnan(table.a_lat)
-    falling = np.any(np.diff(table.a_lat, axis=0) < 0.0, axis=0)
+    with np.errstate(invalid="ignore"):
+        falling = np.any(np.diff(table.a_lat, axis=0) < 0.0, axis=0)
     print(
         f"  {unstable.sum()} cells without a stable steady state; {falling.sum()} speeds at which "
         "more angle gives less acceleration beyond a peak"

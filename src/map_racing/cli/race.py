@@ -44,7 +44,13 @@ def add_parser(commands):
     parser.add_argument("--lookup-table", metavar="CSV", help="use this table for steering")
     parser.add_argument("--sectors", metavar="YAML", help="speed_scaling.yaml of the public stack")
     parser.add_argument("--laps", type=int, default=5, help="timed laps (default: %(default)s)")
-    parser.add_argument("--speed-scale", type=float, help="scale of the raceline's speeds")
+    parser.add_argument(
+        "--speed-scale",
+        type=float,
+        default=0.7,
+        help="scale of the raceline's speeds (default: %(default)s; the shipped racelines ask for "
+        "more grip than nuc4 has above about 0.85)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the noise (default: %(default)s)")
     parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
     parser.set_defaults(run=run)
@@ -53,8 +59,7 @@ def add_parser(commands):
 def run(arguments):
     """Race and record; a crash is a result, not an error."""
     parameters = load_controller_parameters(arguments.controller)
-    if arguments.speed_scale is not None:
-        parameters = parameters.with_(speed_scale=arguments.speed_scale)
+    parameters = parameters.with_(speed_scale=arguments.speed_scale)
     vehicle = load_vehicle(arguments.vehicle)
     raceline = load_course(arguments.track)
     output = Path(arguments.output)

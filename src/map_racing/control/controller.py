@@ -43,6 +43,10 @@ class Status(Enum):
     NO_RACELINE = "no raceline"  # commands a stop
 
 
+# Looking up the members of an enumeration takes its time before Python 3.12.
+_OK, _SATURATED = Status.OK, Status.SATURATED
+
+
 class ControlResult(NamedTuple):
     """Command of one control step and all that led to it.
 
@@ -159,7 +163,8 @@ class Controller:
         if parameters.delay_s:
             state = predicted(state, parameters.delay_s)
 
-        s, d, _, _ = self._tracker.update(state.x, state.y, state.psi)
+        _, x, y, psi, _, _, _ = state
+        s, d, _, _ = self._tracker.update(x, y, psi)
         speed = self._speed_command(s + parameters.speed_lookahead_s * v_x, s)
         law_speed = abs(v_x) if parameters.speed_source == "measured" else speed
         if law_speed < LOWEST_LAW_SPEED:
@@ -168,7 +173,7 @@ class Controller:
         wanted = parameters.lookahead.distance(law_speed)
         if wanted < APPROACH_FACTOR * abs(d):
             wanted = APPROACH_FACTOR * abs(d)
-        _, point_x, point_y, distance = raceline.point_ahead(state.x, state.y, s, wanted)
+        _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
         eta = bearing(state, point_x, point_y)
         a_lat = lateral_acceleration(law_speed, max(distance, 1e-3), eta)
         angle, saturated = self.steering_map.steering(law_speed, a_lat)
@@ -176,7 +181,7 @@ class Controller:
         return ControlResult(
             angle,
             speed,
-            Status.SATURATED if saturated else Status.OK,
+            _SATURATED if saturated else _OK,
             state,
             s,
             d,

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping
@@ -90,7 +91,7 @@ class ControllerParameters:
                 f"{self.lookahead_min_m} and {self.lookahead_max_m}"
             )
 
-    @property
+    @cached_property
     def lookahead(self):
         """The :class:`LookaheadLaw` of these parameters."""
         return LookaheadLaw(self.m_m, self.q_s, self.lookahead_min_m, self.lookahead_max_m)

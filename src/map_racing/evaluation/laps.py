@@ -35,6 +35,8 @@ _NAN = math.nan
 _WOBBLE = 0.5
 # Largest deviation [m] where neither walls nor a limit are known.
 _NO_WALLS = 2.0
+# So far beyond the walls [m] a car has not merely cut a corner or met walls drawn too tight.
+_ELSEWHERE = 0.5
 
 
 @dataclass(frozen=True)
@@ -481,8 +483,8 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
     Raises
     ------
     EvaluationError
-        If the car drove elsewhere: more than half of the samples are farther from the raceline
-        than its farthest wall, and than 2 m or the ``max_deviation`` given.
+        If the car drove elsewhere: more than half of the samples are off the track, and farther than
+        walls are ever drawn too tight, or without following the raceline.
     """
     evaluator = LapEvaluator(
         raceline,
@@ -501,19 +503,25 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
     evaluator.update(recording.t, recording.x, recording.y, v, speed_command, steering)
     result = evaluator.finish()
     name = raceline.name or raceline.source or "raceline"
-    deviation = np.concatenate([np.abs(lap.trace.d) for lap in result.laps] or [np.zeros(0)])
-    if not deviation.size:
+    if not result.laps:
         raise EvaluationError(f"{recording.source}: expected at least two samples")
-    limit = evaluator.limits.max_deviation or _NO_WALLS
-    if raceline.d_left is not None:
-        limit = max(limit, float(max(raceline.d_left.max(), raceline.d_right.max())))
-    if np.median(deviation) > limit:
+    s, d = (np.concatenate([lap.trace[i] for lap in result.laps]) for i in (3, 4))
+    deviation = np.abs(d)
+    allowed = limits.max_deviation if limits else None
+    if allowed is None and raceline.d_left is not None:
+        curve = raceline.sample(s + start_s)
+        allowed = np.where(d > 0.0, curve.d_left, curve.d_right)
+    elif allowed is None:
+        allowed = _NO_WALLS
+    beyond = float(np.median(deviation - allowed))
+    progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
+    driven = float(np.sum(np.hypot(np.diff(recording.x), np.diff(recording.y))))
+    if beyond > _ELSEWHERE or (beyond > 0.0 and abs(progress) < 0.5 * driven):
         raise EvaluationError(
             f"{recording.source}: the car drove elsewhere: half of the time more than "
             f"{np.median(deviation):.1f} m off the raceline {name}"
         )
     notes = list(recording.notes)
-    progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {name}")
     return replace(result, source=recording.source, notes=tuple(notes))

@@ -26,6 +26,7 @@ __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceli
 
 # Points closer than this are one point written twice; the densest real courses have 2 mm.
 _SAME_POINT = 1e-4
+_FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m].
 # Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
 # keeps memory linear in the number of points whatever their unit.
 _CELL, _CELLS_PER_POINT = 0.1, 16
@@ -161,6 +162,9 @@ class Raceline:
         if bad.any():
             index = int(np.argmax(bad))
             raise self._error(f"point {index}: expected a finite {key}, got {column[index]}")
+        if np.any(np.abs(column) > _FARTHEST):
+            index = int(np.argmax(np.abs(column)))
+            raise self._error(f"point {index}: expected {key} in meters, got {column[index]:g}")
         return column
 
     def _build(self, columns):

@@ -369,3 +369,9 @@ def test_missing_columns_are_named():
 def test_arrays_cannot_be_changed():
     with pytest.raises(ValueError, match="read-only"):
         WINDING.speed[0] = 99.0
+
+
+def test_coordinates_beyond_the_earth_are_refused():
+    x, y = [0.0, 1.0, 1e300, 0.0], [0.0, 0.0, 1.0, 1.0]
+    with pytest.raises(RacelineError, match="point 2: expected x in meters, got 1e\\+300"):
+        Raceline(x, y)

@@ -1,0 +1,264 @@
+"""The command line as its users meet it: exit codes, one line per error, files."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from map_racing.cli import main
+from map_racing.cli.evaluate import run_names
+from map_racing.cli.lookup import published_grid
+from map_racing.evaluation.bags import read_recording
+from map_racing.vehicle.lookup import load_table
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Bags of two short races, by name of the controller."""
+    folder = tmp_path_factory.mktemp("races")
+    paths = {}
+    for controller in ("map", "pure_pursuit"):
+        paths[controller] = folder / f"{controller}_0.7.bag"
+        arguments = ["--laps", "2", "--speed-scale", "0.7", "--output", str(paths[controller])]
+        assert main(["race", "--controller", controller, *arguments]) == 0
+    return paths
+
+
+def refused(capsys, *arguments):
+    """Run a command that must fail; its one line on stderr."""
+    assert main([str(argument) for argument in arguments]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("map-racing: ")
+    return lines[0]
+
+
+# -- race ----------------------------------------------------------------------------------------
+
+
+def test_race_says_how_it_ended(tmp_path, capsys):
+    assert main(["race", "--laps", "1", "--output", str(tmp_path / "a.bag")]) == 0
+    assert "completed after 1 timed laps" in capsys.readouterr().out
+
+
+def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
+    path = tmp_path / "a.bag"
+    arguments = ["--controller", "pure_pursuit_paper", "--speed-scale", "0.9"]
+    assert main(["race", *arguments, "--output", str(path)]) == 0
+    assert "crashed after 0 timed laps" in capsys.readouterr().out
+    assert main(["evaluate", str(path)]) == 0
+    assert "N.C." in capsys.readouterr().out
+
+
+def test_same_seed_same_bag(tmp_path):
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        output = str(tmp_path / f"{name}.bag")
+        assert main(["race", "--laps", "1", "--seed", seed, "--output", output]) == 0
+    a, b, c = (read_recording(tmp_path / f"{name}.bag") for name in "abc")
+    assert np.array_equal(a.x, b.x) and not np.array_equal(a.x[:50], c.x[:50])
+
+
+def test_race_with_a_table_and_sectors(tmp_path, capsys):
+    table, sectors = tmp_path / "t.csv", tmp_path / "s.yaml"
+    assert main(["lookup", "generate", "--vehicle", "nuc4", "--output", str(table)]) == 0
+    sectors.write_text(
+        "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 400, scaling: 0.5}\n"
+    )
+    output = ["--laps", "1", "--output", str(tmp_path / "a.bag")]
+    extra = ["--lookup-table", str(table), "--sectors", str(sectors)]
+    assert main(["race", "--speed-scale", "1", *extra, *output]) == 0
+    assert main(["evaluate", str(tmp_path / "a.bag"), "--json", str(tmp_path / "a.json")]) == 0
+    (run,) = json.loads((tmp_path / "a.json").read_text())["runs"]
+    assert run["summary"]["max_speed_mps"] == pytest.approx(0.5 * 8.5, abs=0.35)
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--track", "nowhere"], "nowhere: .*reference"),
+        (["--vehicle", "nowhere"], "nowhere: .*nuc4"),
+        (["--controller", "nowhere"], "nowhere: .*pure_pursuit"),
+        (["--plant", "nowhere"], "nowhere: "),
+        (["--laps", "0"], "laps must be at least 1"),
+        (["--speed-scale", "-1"], "speed_scale"),
+        (["--speed-scale", "nan"], "speed_scale"),
+        (["--lookup-table", "nowhere.csv"], "nowhere.csv"),
+        (["--sectors", "nowhere.yaml"], "nowhere.yaml"),
+        (["--controller", "pure_pursuit", "--lookup-table", "t.csv"], "no lookup table"),
+    ],
+)
+def test_race_refuses(tmp_path, capsys, arguments, said):
+    line = refused(capsys, "race", *arguments, "--output", tmp_path / "a.bag")
+    assert re.search(said, line), line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_race_refuses_a_folder_that_is_not_there(tmp_path, capsys):
+    assert "does not exist" in refused(capsys, "race", "--output", tmp_path / "no" / "a.bag")
+
+
+# -- evaluate ------------------------------------------------------------------------------------
+
+
+def test_evaluate_writes_what_it_prints(bags, tmp_path, capsys):
+    paths = [str(path) for path in bags.values()]
+    table, report, plots = tmp_path / "l.csv", tmp_path / "l.json", tmp_path / "plots"
+    files = ["--csv", str(table), "--json", str(report), "--plots", str(plots)]
+    assert main(["evaluate", *paths, *files]) == 0
+    printed = capsys.readouterr().out
+    assert "map_0.7" in printed and "out-lap" in printed
+
+    laps = pd.read_csv(table)
+    assert list(laps.columns[:8]) == [
+        "bag",
+        "lap",
+        "lap_time_s",
+        "rms_lateral_error_m",
+        "mean_abs_lateral_error_m",
+        "max_abs_lateral_error_m",
+        "valid",
+        "reason",
+    ]
+    runs = json.loads(report.read_text())["runs"]
+    assert [run["bag"] for run in runs] == paths
+    for run in runs:
+        assert run["summary"]["laps_completed"] == 2
+        valid = [lap for lap in run["laps"] if lap["valid"]]
+        read = laps[(laps["bag"] == run["bag"]) & laps["valid"]]
+        assert [lap["lap_time_s"] for lap in valid] == pytest.approx(list(read["lap_time_s"]))
+    ours, theirs = (run["summary"]["mean_rms_lateral_error_m"] for run in runs)
+    assert ours < 0.3 * theirs
+    names = {path.name for path in plots.iterdir()}
+    assert names == {"boxes.png"} | {
+        f"{name}_0.7_{kind}.png" for name in bags for kind in ("laps", "speed", "error")
+    }
+
+
+def test_evaluate_refuses(bags, tmp_path, capsys):
+    bag = bags["map"]
+    assert "no such file" in refused(capsys, "evaluate", tmp_path / "none.bag").lower()
+    (tmp_path / "text.bag").write_text("hello\n" * 100)
+    assert "text.bag" in refused(capsys, "evaluate", tmp_path / "text.bag")
+    (tmp_path / "empty.bag").write_bytes(b"")
+    assert "empty.bag" in refused(capsys, "evaluate", tmp_path / "empty.bag")
+    assert "/nothing" in refused(capsys, "evaluate", bag, "--pose-topic", "/nothing")
+    assert "club" in refused(capsys, "evaluate", bag, "--raceline", "club")
+    assert "max-deviation" in refused(capsys, "evaluate", bag, "--max-deviation", "0")
+    path = tmp_path / "run.csv"
+    path.write_text("t,x,y\n0,0,0\n1,1,0\n")
+    assert "no raceline" in refused(capsys, "evaluate", path)
+    assert refused(capsys, "evaluate", bag, "--csv", tmp_path / "no" / "laps.csv")
+
+
+def test_a_truncated_bag_gives_the_laps_it_still_has(bags, tmp_path, capsys):
+    data = bags["map"].read_bytes()
+    path = tmp_path / "cut.bag"
+    path.write_bytes(data[: int(0.6 * len(data))])
+    assert main(["evaluate", str(path), "--json", str(tmp_path / "l.json")]) == 0
+    (run,) = json.loads((tmp_path / "l.json").read_text())["runs"]
+    assert any("messages" in note for note in run["notes"])
+    assert run["laps"]
+
+
+def test_the_hangar_recording_as_it_is(shared_data, tmp_path):
+    recording = shared_data / "recordings" / "hangar_map_12laps.bag"
+    assert main(["evaluate", str(recording), "--csv", str(tmp_path / "l.csv")]) == 0
+    laps = pd.read_csv(tmp_path / "l.csv")
+    laps = laps[laps["valid"]]
+    assert len(laps) == 11
+    assert laps["lap_time_s"].between(5.34, 5.39).all()
+    assert laps["rms_lateral_error_m"].between(0.10, 0.12).all()
+
+
+def test_real_laps_from_csv(shared_data, tmp_path):
+    folder = shared_data / "laps" / "ipz20"
+    runs = sorted(str(path) for path in folder.glob("*.csv.gz"))
+    raceline, report = str(folder / "IPZ20_wp.csv"), tmp_path / "l.json"
+    assert main(["evaluate", *runs, "--raceline", raceline, "--json", str(report)]) == 0
+    runs = json.loads(report.read_text())["runs"]
+    times = [lap["lap_time_s"] for run in runs for lap in run["laps"] if lap["lap_time_s"]]
+    assert len(times) == 10
+    assert min(times) > 6.6 and max(times) < 9.4
+
+
+def test_names_of_runs_keep_their_dots():
+    assert run_names(["a/map_0.7.bag", "b/pp.csv.gz", "c.bag.active"]) == ["map_0.7", "pp", "c"]
+    assert run_names(["a/x.bag", "b/x.bag"]) == ["a/x.bag", "b/x.bag"]
+
+
+# -- lookup --------------------------------------------------------------------------------------
+
+
+def test_generated_table_checks_against_its_vehicle(tmp_path, capsys):
+    path = tmp_path / "t.csv"
+    arguments = ["--vehicle", "nuc4", "--output", str(path), "--published-grid"]
+    assert main(["lookup", "generate", *arguments]) == 0
+    speeds, angles = published_grid()
+    table = load_table(path)
+    assert np.array_equal(table.speeds, speeds) and np.array_equal(table.angles, angles)
+    assert main(["lookup", "check", str(path), "--vehicle", "nuc4"]) == 0
+    assert "largest difference 0.00e+00" in capsys.readouterr().out
+    assert "not a table of SIM" in refused(capsys, "lookup", "check", path, "--vehicle", "sim")
+
+
+def test_table_is_drawn(tmp_path):
+    arguments = ["--vehicle", "sim", "--output", str(tmp_path / "t.csv"), "--v-max", "8"]
+    plots = tmp_path / "plots"
+    assert main(["lookup", "generate", *arguments, "--linear", "--plots", str(plots)]) == 0
+    names = ["lookup_curves.png", "lookup_surface.png"]
+    assert sorted(path.name for path in plots.iterdir()) == names
+
+
+def test_published_tables_follow_from_the_shipped_vehicles(shared_data, capsys):
+    for vehicle, file in (("nuc4", "NUC4_pacejka"), ("sim", "SIM_linear")):
+        path = shared_data / "vehicles" / f"{file}_lookup_table.csv"
+        assert main(["lookup", "check", str(path), "--vehicle", vehicle]) == 0
+
+
+def test_lookup_refuses(tmp_path, capsys):
+    output = ["--output", tmp_path / "t.csv"]
+    assert "nowhere" in refused(capsys, "lookup", "generate", "--vehicle", "nowhere", *output)
+    line = refused(capsys, "lookup", "generate", "--vehicle", "nuc4", "--v-max", "0", *output)
+    assert "--v-max" in line
+    (tmp_path / "bad.csv").write_text("0,1,2\n0,0,x\n")
+    assert "bad.csv:2" in refused(capsys, "lookup", "check", tmp_path / "bad.csv")
+
+
+# -- the program ---------------------------------------------------------------------------------
+
+
+def test_wrong_arguments_exit_with_2(capsys):
+    for arguments in ([], ["nothing"], ["race"], ["lookup"], ["evaluate"]):
+        with pytest.raises(SystemExit) as exit_code:
+            main(arguments)
+        assert exit_code.value.code == 2
+
+
+def test_installed_copy_finds_its_data(tmp_path):
+    """What pip installs, without the source tree: command, packages and data files."""
+    source = __file__[: __file__.index("/test/unit/")]
+    copy = tmp_path / "source"
+    ignore = shutil.ignore_patterns(".git", ".venv*", "results", "build", "*.egg-info", "test")
+    shutil.copytree(source, str(copy), ignore=ignore)
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--disable-pip-version-check"]
+    subprocess.run([*pip, "--target", str(tmp_path / "target"), str(copy)], check=True)
+    code = (
+        "from map_racing.cli import main; import map_racing, sys\n"
+        f"assert map_racing.__file__.startswith({str(tmp_path / 'target')!r})\n"
+        "sys.exit(main(['race', '--laps', '1', '--output', 'a.bag']))"
+    )
+    environment = {"PYTHONPATH": str(tmp_path / "target"), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=str(tmp_path),
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""  # no progress bar where stderr is no terminal
+    assert (tmp_path / "a.bag").is_file()
