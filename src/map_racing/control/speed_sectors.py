@@ -15,35 +15,47 @@ class SpeedSectors:
     Parameters
     ----------
     sectors : iterable of (start_m, end_m, scale)
-        Stretches by arc length [m]; outside of all of them the scale is 1. One that ends before
-        it starts crosses the start line.
+        Stretches by arc length [m], within 0 to `length`. One that ends before it starts crosses
+        the start line.
     length : float
         Length of the course [m].
+    elsewhere : float
+        Scale outside of all sectors.
 
     Raises
     ------
     ParameterError
-        For a scale that is negative or not finite, or overlapping sectors.
+        For a scale that is negative or not finite, a sector off the course or without length, or
+        overlapping sectors.
     """
 
-    def __init__(self, sectors, length):
+    def __init__(self, sectors, length, elsewhere=1.0):
+        if not 0.0 <= elsewhere < math.inf:
+            raise ParameterError(f"speed elsewhere: expected a scale >= 0, not {elsewhere:g}")
         stretches = []
         for start, end, scale in sectors:
-            if not (math.isfinite(start + end + scale) and scale >= 0.0):
+            where = f"speed sector {start:g} to {end:g} m"
+            if not 0.0 <= scale < math.inf:
+                raise ParameterError(f"{where}: expected a scale >= 0, not {scale:g}")
+            if not (0.0 <= start <= length and 0.0 <= end <= length and start != end):
                 raise ParameterError(
-                    f"speed sector {start:g} to {end:g} m: expected a scale >= 0, not {scale:g}"
+                    f"{where}: expected places within 0 to {length:g} m, not equal"
                 )
             if start < end:
                 stretches.append((start, end, scale))
             else:
                 stretches += [(start, length, scale), (0.0, end, scale)]
         self._length = length
-        self._starts, self._scales = [0.0], [1.0]
-        for start, end, scale in sorted(stretches):
+        self._starts, self._scales = [0.0], [elsewhere]
+        for start, end, scale in sorted(
+            stretch for stretch in stretches if stretch[0] < stretch[1]
+        ):
             if start < self._starts[-1] - 1e-9:
                 raise ParameterError(f"speed sectors overlap at {start:g} m")
             self._starts += [start, end]
-            self._scales += [scale, 1.0]
+            self._scales += [scale, elsewhere]
+        if self._starts[-1] >= length:  # the modulo of -1e-17 is the length itself
+            del self._starts[-1], self._scales[-1]
 
     def scale_at(self, s):
         """Scale of the speed at arc length `s` [m]."""
@@ -75,27 +87,27 @@ def load_speed_sectors(path, raceline):
     points = raceline.s_points
     limit = _number(path, content, "global_limit", 1.0)
     sectors = []
-    for index in range(int(_number(path, content, "n_sectors"))):
+    for index in range(_index(path, content, "n_sectors")):
         key = f"Sector{index}"
         sector = content.get(key)
         if not isinstance(sector, dict):
             raise ParameterError(f"{path}: {key}: expected start, end and scaling")
-        start, end = (int(_number(path, sector, name, where=key)) for name in ("start", "end"))
-        if not 0 <= start <= end:
-            raise ParameterError(f"{path}: {key}: expected 0 <= start <= end, not {start}, {end}")
-        last = len(points) - 1
-        # A sector reaches up to the first point of the next one.
-        sectors.append(
-            (
-                points[min(start, last)],
-                points[end + 1] if end < last else raceline.length,
-                min(_number(path, sector, "scaling", where=key), limit),
+        start, end = (_index(path, sector, name, where=key) for name in ("start", "end"))
+        if start > end:
+            raise ParameterError(f"{path}: {key}: expected start <= end, not {start}, {end}")
+        # Files count the closing point, which repeats the first.
+        if start > len(points):
+            raise ParameterError(
+                f"{path}: {key}: start: {start} is beyond the {len(points)} points of the raceline"
             )
-        )
+        if start == len(points):
+            continue
+        # A sector reaches up to the first point of the next one.
+        place = points[end + 1] if end + 1 < len(points) else raceline.length
+        scale = min(_number(path, sector, "scaling", where=key), limit)
+        sectors.append((points[start], place, scale))
     try:
-        return SpeedSectors(
-            [sector for sector in sectors if sector[0] < sector[1]], raceline.length
-        )
+        return SpeedSectors(sectors, raceline.length, elsewhere=min(1.0, limit))
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error
 
@@ -105,3 +117,13 @@ def _number(path, mapping, key, default=None, where=""):
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise ParameterError(f"{path}: {where + ': ' if where else ''}{key}: expected a number")
     return value
+
+
+def _index(path, mapping, key, where=""):
+    value = _number(path, mapping, key, where=where)
+    if value != int(value) or value < 0:
+        raise ParameterError(
+            f"{path}: {where + ': ' if where else ''}{key}: expected a whole number >= 0, "
+            f"not {value:g}"
+        )
+    return int(value)

@@ -1,0 +1,169 @@
+"""Speed sectors: scales by stretch, across the start line, and the public stack's files."""
+
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors
+from map_racing.errors import FileFormatError, ParameterError
+from map_racing.evaluation.recordings import load_course
+from map_racing.track.raceline import Raceline
+
+FILE = """\
+global_limit: 0.9
+n_sectors: 2
+Sector0: {start: 0, end: 9, scaling: 0.5, only_FTG: false, no_FTG: false}
+Sector1: {start: 10, end: 19, scaling: 1.0, only_FTG: false, no_FTG: false}
+"""
+
+
+def circle(points=20):
+    angle = 2.0 * np.pi * np.arange(points) / points
+    return Raceline(3.0 * np.cos(angle), 3.0 * np.sin(angle), vx_mps=np.full(points, 4.0))
+
+
+def load(tmp_path, text=FILE, raceline=None):
+    path = tmp_path / "speed_scaling.yaml"
+    path.write_text(text)
+    return load_speed_sectors(path, raceline or circle())
+
+
+def test_scales_hold_from_start_to_end_and_are_1_elsewhere():
+    sectors = SpeedSectors([(6.0, 8.0, 0.5), (2.0, 3.0, 0.0), (3.0, 4.0, 1.2)], 10.0)
+    for s, scale in [(0.0, 1.0), (1.999, 1.0), (2.0, 0.0), (2.999, 0.0), (3.0, 1.2), (3.999, 1.2)]:
+        assert sectors.scale_at(s) == scale
+    for s, scale in [(4.0, 1.0), (6.0, 0.5), (7.999, 0.5), (8.0, 1.0), (9.999, 1.0)]:
+        assert sectors.scale_at(s) == scale
+    assert SpeedSectors([], 10.0).scale_at(3.0) == 1.0
+
+
+@pytest.mark.parametrize("lap", [-2, -1, 1, 7])
+def test_places_repeat_every_lap(lap):
+    sectors = SpeedSectors([(2.0, 3.0, 0.5)], 10.0)
+    assert sectors.scale_at(2.5 + 10.0 * lap) == 0.5
+    assert sectors.scale_at(3.5 + 10.0 * lap) == 1.0
+
+
+def test_a_sector_may_cross_the_start_line():
+    sectors = SpeedSectors([(8.0, 1.0, 0.5), (1.0, 2.0, 0.7)], 10.0)
+    for s, scale in [(7.9, 1.0), (8.0, 0.5), (9.99, 0.5), (0.0, 0.5), (0.99, 0.5), (1.0, 0.7)]:
+        assert sectors.scale_at(s) == scale
+
+
+def test_a_sector_of_the_whole_lap_leaves_no_hole_at_the_line():
+    sectors = SpeedSectors([(0.0, 10.0, 0.5)], 10.0)
+    for s in (0.0, 5.0, 9.999999999, 10.0):
+        assert sectors.scale_at(s) == 0.5
+    # Python's modulo of a tiny negative number is the divisor itself.
+    assert -1e-17 % 10.0 == 10.0
+    assert sectors.scale_at(-1e-17) == 0.5
+
+
+@pytest.mark.parametrize(
+    "stretches",
+    [
+        [(1.0, 3.0, 0.5), (2.0, 4.0, 0.6)],
+        [(2.0, 4.0, 0.6), (1.0, 3.0, 0.5)],
+        [(1.0, 5.0, 0.5), (2.0, 3.0, 0.6)],
+        [(1.0, 3.0, 0.5), (1.0, 3.0, 0.5)],
+        [(8.0, 2.0, 0.5), (1.0, 3.0, 0.6)],
+        [(8.0, 2.0, 0.5), (7.0, 9.0, 0.6)],
+    ],
+)
+def test_overlap_is_refused(stretches):
+    with pytest.raises(ParameterError, match="overlap at [0-9.]+ m"):
+        SpeedSectors(stretches, 10.0)
+
+
+@pytest.mark.parametrize("scale", [-0.1, math.nan, math.inf])
+def test_impossible_scales_are_refused(scale):
+    with pytest.raises(ParameterError, match=f"1 to 2 m: expected a scale >= 0, not {scale:g}"):
+        SpeedSectors([(1.0, 2.0, scale)], 10.0)
+    with pytest.raises(ParameterError, match=f"expected a scale >= 0, not {scale:g}"):
+        SpeedSectors([], 10.0, elsewhere=scale)
+
+
+@pytest.mark.parametrize("start, end", [(-1.0, 2.0), (12.0, 15.0), (8.0, 11.0), (11.0, 1.0)])
+def test_places_off_the_course_are_refused(start, end):
+    """They would silently have no effect."""
+    with pytest.raises(ParameterError, match=r"expected places within 0 to 10 m"):
+        SpeedSectors([(start, end, 0.5)], 10.0)
+
+
+def test_a_sector_without_length_is_refused():
+    """Taken as crossing the line it would silently scale the whole lap."""
+    with pytest.raises(ParameterError, match="speed sector 5 to 5 m: expected"):
+        SpeedSectors([(5.0, 5.0, 0.5)], 10.0)
+
+
+def test_indices_are_those_of_the_racelines_points(tmp_path):
+    raceline = circle()
+    sectors = load(tmp_path, raceline=raceline)
+    border = raceline.s_points[10]
+    assert sectors.scale_at(0.0) == sectors.scale_at(border - 1e-6) == 0.5
+    # the second sector's 1.0 is cut by the global limit, and reaches up to the line
+    assert sectors.scale_at(border) == sectors.scale_at(raceline.length - 1e-6) == 0.9
+
+
+def test_the_global_limit_holds_between_sectors_too(tmp_path):
+    sectors = load(
+        tmp_path, "{global_limit: 0.6, n_sectors: 1, Sector0: {start: 5, end: 9, scaling: 0.4}}"
+    )
+    assert sectors.scale_at(0.0) == 0.6
+    raceline = circle()
+    assert sectors.scale_at(raceline.s_points[6]) == 0.4
+    assert sectors.scale_at(raceline.s_points[15]) == 0.6
+
+
+def test_ends_beyond_the_points_mean_the_line(tmp_path):
+    """Files count the closing point, which a raceline drops."""
+    sectors = load(tmp_path, "{n_sectors: 1, Sector0: {start: 0, end: 20, scaling: 0.5}}")
+    assert sectors.scale_at(circle().length - 1e-6) == 0.5
+
+
+@pytest.mark.parametrize("track, scale", [("circle", 0.7), ("hangar", 0.5)])
+def test_real_files(shared_data, track, scale):
+    folder = shared_data / "tracks" / track
+    raceline = load_course(folder / "global_waypoints.json.gz")
+    sectors = load_speed_sectors(folder / "speed_scaling.yaml", raceline)
+    found = {sectors.scale_at(s) for s in np.linspace(0.0, raceline.length, 1000)}
+    assert found == {scale}
+
+
+@pytest.mark.parametrize(
+    "old, new, expected",
+    [
+        ("n_sectors: 2", "", "n_sectors: expected a number"),
+        ("n_sectors: 2", "n_sectors: two", "n_sectors: expected a number"),
+        ("n_sectors: 2", "n_sectors: true", "n_sectors: expected a number"),
+        ("n_sectors: 2", "n_sectors: 3", "Sector2: expected start, end and scaling"),
+        ("n_sectors: 2", "n_sectors: -1", "n_sectors: expected a whole number >= 0, not -1"),
+        ("n_sectors: 2", "n_sectors: 1.5", "n_sectors: expected a whole number >= 0, not 1.5"),
+        ("global_limit: 0.9", "global_limit: .nan", "global_limit: expected a number"),
+        ("global_limit: 0.9", "global_limit: -1", "expected a scale >= 0"),
+        ("start: 10", "begin: 10", "Sector1: start: expected a number"),
+        ("start: 10", "start: 9", "overlap"),
+        ("start: 10", "start: 9.7", "Sector1: start: expected a whole number >= 0, not 9.7"),
+        ("start: 10", "start: -1", "Sector1: start: expected a whole number >= 0, not -1"),
+        ("start: 10", "start: 25", "Sector1: expected start <= end, not 25, 19"),
+        ("start: 10, end: 19", "start: 40, end: 50", "Sector1: start: 40 is beyond the 20 points"),
+        ("scaling: 0.5", "scaling: fast", "Sector0: scaling: expected a number"),
+        ("scaling: 0.5", "scaling: -0.5", "expected a scale >= 0, not -0.5"),
+        ("Sector1:", "Sector7:", "Sector1: expected start, end and scaling"),
+    ],
+)
+def test_malformed_files_are_refused_by_field(tmp_path, old, new, expected):
+    assert old in FILE
+    with pytest.raises(ParameterError) as caught:
+        load(tmp_path, FILE.replace(old, new))
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "speed_scaling.yaml")) and "\n" not in message
+    assert expected in message
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    with pytest.raises(FileFormatError, match=r"speed_scaling\.yaml: cannot read"):
+        load_speed_sectors(tmp_path / "speed_scaling.yaml", circle())
+    with pytest.raises(FileFormatError, match=r"speed_scaling\.yaml: expected keys and values"):
+        load(tmp_path, "- 1\n")
