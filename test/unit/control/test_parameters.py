@@ -1,0 +1,159 @@
+"""Controller parameters: the shipped files, and every refusal by name and file."""
+
+import dataclasses
+import math
+
+import pytest
+import yaml
+
+from map_racing.control.guidance import LookaheadLaw
+from map_racing.control.parameters import ControllerParameters, load_controller_parameters
+from map_racing.errors import FileFormatError, ParameterError
+from map_racing.resources import find_config, list_config
+
+NUMBERS = [
+    "m_m",
+    "q_s",
+    "lookahead_min_m",
+    "lookahead_max_m",
+    "delay_s",
+    "speed_lookahead_s",
+    "speed_scale",
+    "v_max_mps",
+]
+
+
+def written(tmp_path, **changes):
+    """A controller file with some values changed, or left out where None."""
+    values = dataclasses.asdict(load_controller_parameters("map"))
+    values.update(changes)
+    path = tmp_path / "tuned.yaml"
+    path.write_text(yaml.safe_dump({k: v for k, v in values.items() if v is not None}))
+    return path
+
+
+def refusal(path):
+    """The one-line message with which a file is refused."""
+    with pytest.raises(ParameterError) as caught:
+        load_controller_parameters(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("name", list_config("controllers"))
+def test_shipped_files_say_everything(name):
+    """A reader of the file must not have to know the defaults."""
+    parameters = load_controller_parameters(name)
+    text = find_config("controllers", name, (".yaml",)).read_text(encoding="utf-8")
+    assert set(yaml.safe_load(text)) == {
+        field.name for field in dataclasses.fields(ControllerParameters)
+    }
+    assert load_controller_parameters(name) == parameters
+
+
+@pytest.mark.parametrize(
+    "name, steering_map",
+    [("map", "table"), ("map_linear", "linear_table"), ("pure_pursuit", "ackermann")],
+)
+def test_compensation_is_on_by_default_and_off_as_published(name, steering_map):
+    default = load_controller_parameters(name)
+    assert default.steering_map == steering_map
+    assert default.delay_s > 0.0 and default.speed_source == "measured"
+    paper = load_controller_parameters(name + "_paper")
+    assert paper.steering_map == steering_map
+    assert paper.delay_s == paper.speed_lookahead_s == 0.0
+    assert paper.speed_source == "command"
+
+
+def test_a_file_reads_back(tmp_path):
+    path = written(tmp_path, m_m=-0.165, q_s=0.6, speed_scale=0, v_max_mps=7)
+    expected = load_controller_parameters("map").with_(
+        m_m=-0.165, q_s=0.6, speed_scale=0, v_max_mps=7
+    )
+    assert load_controller_parameters(path) == expected
+    assert load_controller_parameters(str(path)).lookahead == LookaheadLaw(-0.165, 0.6, 0.3, 5.0)
+
+
+@pytest.mark.parametrize("name", ["steering_map", "m_m", "q_s"])
+def test_what_is_required_is_missed_by_name(tmp_path, name):
+    assert refusal(written(tmp_path, **{name: None})).endswith(f"missing parameter '{name}'")
+
+
+def test_all_that_is_missing_is_named(tmp_path):
+    path = tmp_path / "tuned.yaml"
+    path.write_text("steering_map: table\n")
+    assert "'m_m'" in refusal(path) and "'q_s'" in refusal(path)
+
+
+def test_the_rest_has_defaults(tmp_path):
+    path = tmp_path / "tuned.yaml"
+    path.write_text("{steering_map: table, m_m: 0.1, q_s: 0.2}\n")
+    assert load_controller_parameters(path) == ControllerParameters("table", 0.1, 0.2)
+
+
+@pytest.mark.parametrize("name", ["m_l1", "M_m", "delay", 3])
+def test_unknown_names_are_refused_with_the_known_ones(tmp_path, name):
+    path = written(tmp_path)
+    path.write_text(path.read_text() + f"{name}: 1\n")
+    message = refusal(path)
+    assert f"unknown parameter {name} " in message
+    assert "lookahead_max_m" in message
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.3", True, [0.3], "1e-1"])
+def test_what_is_no_number_is_refused_by_name(tmp_path, name, value):
+    assert f"{name} must be a finite number, not {value!r}" in refusal(
+        written(tmp_path, **{name: value})
+    )
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_an_empty_value_is_refused_by_name(tmp_path, name):
+    path = written(tmp_path, **{name: "EMPTY"})
+    path.write_text(path.read_text().replace("EMPTY", ""))
+    assert f"{name} must be a finite number, not None" in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["steering_map", "speed_source", "reference_point"])
+@pytest.mark.parametrize("value", ["Table", "", 1, ["table"], {"a": 1}])
+def test_choices_are_refused_with_what_there_is(tmp_path, name, value):
+    message = refusal(written(tmp_path, **{name: value}))
+    assert f"{name} must be one of" in message and message.endswith(f"not {value!r}")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"delay_s": -0.01},
+        {"speed_lookahead_s": -0.1},
+        {"speed_scale": -1e-9},
+        {"v_max_mps": 0.0},
+        {"v_max_mps": -3.0},
+        {"lookahead_min_m": 0.0},
+        {"lookahead_min_m": -0.5},
+        {"lookahead_max_m": 0.2},
+    ],
+)
+def test_impossible_values_are_refused_by_name(tmp_path, changes):
+    message = refusal(written(tmp_path, **changes))
+    ((name, value),) = changes.items()
+    assert name in message and str(value) in message
+
+
+def test_a_changed_copy_is_checked_too():
+    parameters = load_controller_parameters("map")
+    assert parameters.with_(speed_scale=0.7).speed_scale == 0.7
+    assert parameters.speed_scale == 1.0
+    with pytest.raises(ParameterError, match="speed_scale"):
+        parameters.with_(speed_scale=-1.0)
+
+
+def test_unknown_files_and_broken_ones_are_refused(tmp_path):
+    with pytest.raises(ParameterError, match=r"mpa: no such file.*controllers .*map_paper"):
+        load_controller_parameters("mpa")
+    path = tmp_path / "broken.yaml"
+    path.write_text("steering_map: [table\n")
+    with pytest.raises(FileFormatError, match=r"broken\.yaml:"):
+        load_controller_parameters(path)
