@@ -209,7 +209,7 @@ def compare_controller(vehicle, raceline):
             for state in states
         )
     )
-    # In turns of five seconds of driving, so that what one program leaves in the caches for the next
+    # In turns of five seconds of driving, so that what one program leaves in the caches for the
     # hardly counts; and each comes as often behind either of the others.
     turn, passes = 200, 8
     times = [[], [], []]
