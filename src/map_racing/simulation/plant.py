@@ -80,6 +80,8 @@ class PlantParameters:
             "a_brake_max_mps2",
             "localization_rate_hz",
         )
+        if not isinstance(self.vehicle, str) or not self.vehicle:
+            raise ParameterError(f"vehicle must be a name or a path, not {self.vehicle!r}")
         for name, value in vars(self).items():
             if name in ("vehicle", "measures_v_y"):
                 continue
@@ -229,7 +231,8 @@ class Plant:
         """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
         vehicle = self.vehicle
         error = min(max(target, 0.0), vehicle.v_max) - self.state.v_x
-        wanted = error / self.parameters.drive_time_constant_s
+        # A lag shorter than the step would overshoot, and end a braking backwards.
+        wanted = error / max(self.parameters.drive_time_constant_s, self.time_step)
         return min(max(wanted, -vehicle.a_brake_max), vehicle.a_max)
 
 
