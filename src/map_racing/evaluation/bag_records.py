@@ -60,15 +60,18 @@ class _Layout(NamedTuple):
             index += {"conn": 2, "op": 1, "time": 0}[name]
         return cls(struct.Struct(form + "I").unpack_from, where["op"], where["conn"], where["time"])
 
-    def fits(self, buffer, at):
+    def read(self, buffer, at):
+        """The unpacked record, or None if it is not one of this layout."""
         if at + _RECORD_SIZE > len(buffer):
-            return False
+            return None
         values = self.unpack(buffer, at)
-        return (values[0], values[self.op], values[self.conn]) == (
-            _HEADER_SIZE,
-            _OP_FIELD,
-            _CONN_LENGTH,
-        )
+        if (
+            values[self.op] == _OP_FIELD
+            and values[self.conn] == _CONN_LENGTH
+            and values[0] == _HEADER_SIZE
+        ):
+            return values
+        return None
 
 
 # How far the field "op" can lie behind the beginning of a record: it is preceded by the header's
@@ -350,11 +353,12 @@ class BagFile:
         picked, layout = [], _LAYOUTS[0]
         places = sorted((at, number) for number in wanted for at in index.get(number, ()))
         for at, number in places:
-            if not layout.fits(buffer, at):
-                layout = next((layout for layout in _LAYOUTS if layout.fits(buffer, at)), None)
+            values = layout.read(buffer, at)
+            if values is None:
+                layout = _layout_at(buffer, at)
                 if layout is None:
                     return None
-            values = layout.unpack(buffer, at)
+                values = layout.read(buffer, at)
             start = at + _RECORD_SIZE
             stop = start + values[-1]
             if values[layout.conn + 1] != number or stop > len(buffer):
@@ -385,7 +389,7 @@ class BagFile:
                         yield Message(number, sec * 1000000000 + nsec, buffer[start:stop])
                     at = stop
                     continue
-            layout = next((layout for layout in _LAYOUTS if layout.fits(buffer, at)), None)
+            layout = _layout_at(buffer, at)
             if layout is not None and layout.unpack != unpack:
                 unpack, op, conn, time = layout
                 continue
@@ -414,13 +418,18 @@ class BagFile:
         return stop if self._add_connection(fields, buffer, data, stop) else None
 
 
+def _layout_at(buffer, at):
+    """Layout of the message record that begins at ``at``; None if there is none."""
+    return next((layout for layout in _LAYOUTS if layout.read(buffer, at)), None)
+
+
 def _find_message(buffer, at):
     """Position of the next message record from ``at`` on, or the end of the buffer."""
     mark = b"\x04\0\0\0op=\x02"
     found = buffer.find(mark, at)
     while found >= 0:
         for start in (found - offset for offset in _OP_OFFSETS_MESSAGE):
-            if start >= at and any(layout.fits(buffer, start) for layout in _LAYOUTS):
+            if start >= at and _layout_at(buffer, start) is not None:
                 return start
         found = buffer.find(mark, found + 1)
     return len(buffer)

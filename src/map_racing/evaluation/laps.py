@@ -483,8 +483,8 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
     Raises
     ------
     EvaluationError
-        If the car drove elsewhere: more than half of the samples are off the track, and farther than
-        walls are ever drawn too tight, or without following the raceline.
+        If the car drove elsewhere: more than half of the samples are off the track, and either
+        farther than walls are ever drawn too tight or without following the raceline.
     """
     evaluator = LapEvaluator(
         raceline,
