@@ -29,6 +29,10 @@ LOWEST_LAW_SPEED = 0.5
 # has reached is unknown, and must not be taken to be anywhere.
 LONGEST_SLEW_TIME = 0.1
 
+# Numbers beyond this (m, m/s, rad, rad/s) come from a broken message, and would overflow somewhere;
+# geographic coordinates stay below.
+CREDIBLE = 1e8
+
 # A pose farther from the path than the lookahead distance has no lookahead point on its circle;
 # sqrt(2) of the lateral error makes the car approach the path at 45 degrees.
 APPROACH_FACTOR = math.sqrt(2.0)
@@ -39,7 +43,7 @@ class Status(Enum):
 
     OK = "ok"
     SATURATED = "saturated"  # the demand exceeds what the steering map can give
-    INVALID_STATE = "invalid state"  # NaN or infinite: commands a stop
+    INVALID_STATE = "invalid state"  # NaN, infinite or absurd: commands a stop
     NO_RACELINE = "no raceline"  # commands a stop
 
 
@@ -116,10 +120,14 @@ class Controller:
             vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         )
         self.raceline = raceline
+        self.reset()
 
     @property
     def raceline(self):
-        """The raceline followed; setting another one restarts tracking."""
+        """The raceline followed; setting another one restarts tracking.
+
+        The steering goes on from where it is.
+        """
         return self._raceline
 
     @raceline.setter
@@ -128,7 +136,6 @@ class Controller:
             raise ParameterError(f"{raceline.source or raceline.name}: the raceline has no speeds")
         self._raceline = raceline
         self._tracker = None if raceline is None else CourseTracker(raceline)
-        self.reset()
 
     def reset(self):
         """Forget the past: the car was moved, or time jumped back."""
@@ -148,12 +155,21 @@ class Controller:
         Returns
         -------
         ControlResult
-            With a state that is not finite, or without raceline: speed 0, the last steering angle.
+            With a state that is not finite or absurd, or without raceline: speed 0, the last
+            steering angle.
         """
         parameters = self.parameters
         t, x, y, psi, v_x, v_y, r = state
-        checksum = t + x + y + psi + v_x + r
-        if checksum - checksum != 0.0 or v_y in (math.inf, -math.inf):
+        # A NaN fails every comparison.
+        if not (
+            t - t == 0.0
+            and -CREDIBLE < x < CREDIBLE
+            and -CREDIBLE < y < CREDIBLE
+            and -CREDIBLE < psi < CREDIBLE
+            and -CREDIBLE < v_x < CREDIBLE
+            and -CREDIBLE < r < CREDIBLE
+            and (v_y != v_y or -CREDIBLE < v_y < CREDIBLE)
+        ):
             return self._stop(state, Status.INVALID_STATE)
         raceline = self._raceline
         if raceline is None:
