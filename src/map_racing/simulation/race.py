@@ -16,13 +16,16 @@ __all__ = ["Outcome", "RaceLog", "Sample", "race"]
 # The race begins and ends so far past the line [m] that noise does not take the car back over it.
 START_S = 0.3
 
+# A car that does not get HEADWAY [m] farther along the course within PATIENCE [s] has stalled.
+HEADWAY, PATIENCE = 0.5, 10.0
+
 
 class Outcome(Enum):
     """How a race ended."""
 
     COMPLETED = "completed"
     CRASHED = "crashed"  # touched a wall
-    STALLED = "stalled"  # ran out of time
+    STALLED = "stalled"  # made no headway, or ran out of time
 
 
 class Sample(NamedTuple):
@@ -96,8 +99,8 @@ def race(
     laps : int
         Timed laps.
     time_limit : float, optional
-        Simulated time after which the race is called stalled [s]; by default four times what the
-        raceline's own speeds at the controller's scale would take, plus 20 s.
+        Simulated time after which the race is called stalled [s]. Without it only a car that makes
+        no headway for 10 s has stalled, however slow a race is asked for.
     progress : callable, optional
         Called now and then with the laps driven so far, as a float.
 
@@ -113,9 +116,7 @@ def race(
     else:
         latency = 0.0
     if time_limit is None:
-        scale = max(controller.parameters.speed_scale, 0.01)
-        lap_time = raceline.ds * float(np.sum(1.0 / np.maximum(raceline.speed, 0.1))) / scale
-        time_limit = 20.0 + 4.0 * (laps + 1) * lap_time
+        time_limit = math.inf
 
     start = raceline.pose(START_S)
     plant.reset(start.x, start.y, start.psi)
@@ -125,6 +126,7 @@ def race(
     steering, speed = 0.0, 0.0
     samples, pending = [], []
     driven, last_s = START_S, None
+    headway, headway_at = driven, 0.0
     poses = tick = 0
     # A pose belongs to the last tick before it is due, and acts from that tick on.
     due = 0.0
@@ -153,7 +155,9 @@ def race(
             if driven > (laps + 1) * raceline.length + START_S:
                 outcome = Outcome.COMPLETED
                 break
-            if now > time_limit:
+            if driven > headway + HEADWAY:
+                headway, headway_at = driven, now
+            if now > time_limit or now > headway_at + PATIENCE:
                 outcome = Outcome.STALLED
                 break
         while pending and pending[0][0] < now + step * (1.0 - 1e-9):

@@ -1,0 +1,325 @@
+"""Closed loops: laps, crashes, stalls, timing, and what the compensation is worth."""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from map_racing.control.controller import Controller, build_controller, build_steering_map
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.speed_sectors import SpeedSectors
+from map_racing.errors import ParameterError
+from map_racing.evaluation.laps import LapEvaluator
+from map_racing.evaluation.recordings import load_course
+from map_racing.simulation.plant import (
+    Localization,
+    Plant,
+    PlantParameters,
+    load_plant_parameters,
+)
+from map_racing.simulation.public_simulator import PublicSimulator
+from map_racing.simulation.race import Outcome, race
+from map_racing.track.formats import load_raceline
+from map_racing.track.raceline import Raceline
+from map_racing.vehicle.parameters import load_vehicle
+
+NUC4 = load_vehicle("nuc4")
+TABLE = build_steering_map("table", NUC4, 12.0)
+MAP = load_controller_parameters("map")
+REFERENCE = load_raceline("reference")
+PLANT = load_plant_parameters("nuc4")
+IDEAL = PlantParameters(vehicle="nuc4")
+
+
+def circle(radius=3.0, speed=4.0, left=None, right=None):
+    angle = 2.0 * np.pi * np.arange(120) / 120
+    widths = {}
+    if left is not None:
+        widths = {"d_left_m": np.full(120, left), "d_right_m": np.full(120, right)}
+    return Raceline(
+        radius * np.cos(angle), radius * np.sin(angle), vx_mps=np.full(120, speed), **widths
+    )
+
+
+def drive(raceline=REFERENCE, plant=IDEAL, seed=None, sectors=None, laps=1, limit=None, **changes):
+    controller = Controller(MAP.with_(**changes), TABLE, NUC4, raceline, sectors)
+    localization = None if seed is None else Localization(plant, seed)
+    subject = _Honest(plant) if localization is None else Plant(plant)
+    return race(subject, controller, raceline, localization, laps=laps, time_limit=limit)
+
+
+class _Honest(Plant):
+    """A plant whose pose is measured perfectly and at once."""
+
+    def measured_state(self):
+        return self.reference_state()
+
+
+def evaluated(log, raceline, car_width=0.296):
+    path = log.true_path()
+    evaluator = LapEvaluator(raceline, car_width=car_width)
+    evaluator.update(path[:, 0], path[:, 1], path[:, 2], np.hypot(path[:, 4], path[:, 5]))
+    return evaluator.finish()
+
+
+# -- laps ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("laps", [1, 3])
+def test_a_race_is_an_out_lap_and_the_laps_asked_for(laps):
+    log = drive(plant=PLANT, seed=1, laps=laps, speed_scale=0.7)
+    assert (log.outcome, log.laps) == (Outcome.COMPLETED, laps)
+    result = evaluated(log, REFERENCE)
+    assert sum(lap.valid for lap in result.laps) == laps
+    assert result.laps[0].reason == "out-lap"
+    assert log.duration == pytest.approx(log.samples[-1].true.t, abs=0.1)
+    times = [lap.lap_time_s for lap in result.laps if lap.valid]
+    assert 7.0 < min(times) <= max(times) < 9.5
+
+
+def test_lap_time_on_a_circle_is_length_over_speed():
+    """At a speed long since reached and without lateral error: to 1 ms."""
+    raceline = circle(3.0, 3.0)
+    log = drive(raceline, laps=5)
+    lap = [lap for lap in evaluated(log, raceline).laps if lap.valid][-1]
+    assert lap.rms_lateral_error_m < 1e-3
+    assert lap.lap_time_s == pytest.approx(raceline.length / 3.0, abs=1e-3)
+
+
+def test_the_shipped_race_is_won_by_the_tires_as_they_are():
+    """MAP follows closest, then MAP on linear tires, then pure pursuit; on a car of its own."""
+    errors = {}
+    for name in ("map", "map_linear", "pure_pursuit"):
+        parameters = load_controller_parameters(name).with_(speed_scale=0.8)
+        controller = build_controller(parameters, NUC4, REFERENCE)
+        log = race(Plant(PLANT), controller, REFERENCE, Localization(PLANT, 1), laps=2)
+        laps = [lap for lap in evaluated(log, REFERENCE).laps if lap.valid]
+        assert log.outcome is Outcome.COMPLETED
+        errors[name] = np.mean([lap.rms_lateral_error_m for lap in laps])
+    assert errors["map"] < errors["map_linear"] < errors["pure_pursuit"]
+    assert errors["map"] < 0.06
+
+
+def test_same_seed_same_race_and_another_seed_another():
+    first, again, other = (
+        drive(plant=PLANT, seed=seed, speed_scale=0.6).true_path() for seed in (5, 5, 6)
+    )
+    assert np.array_equal(first, again)
+    n = min(len(first), len(other))
+    assert not np.array_equal(first[:n], other[:n])
+    assert np.array_equal(first[0], other[0])
+
+
+def test_the_mirrored_race_is_the_mirror_image():
+    """Through controller, actuators, plant and walls."""
+    mirrored = Raceline(
+        REFERENCE.x,
+        -REFERENCE.y,
+        vx_mps=REFERENCE.speed,
+        d_left_m=REFERENCE.d_right,
+        d_right_m=REFERENCE.d_left,
+    )
+    plain = Raceline(
+        REFERENCE.x,
+        REFERENCE.y,
+        vx_mps=REFERENCE.speed,
+        d_left_m=REFERENCE.d_left,
+        d_right_m=REFERENCE.d_right,
+    )
+    noiseless = dataclasses.replace(
+        IDEAL, steering_delay_s=0.02, steering_time_constant_s=0.03, mu_scale=0.95
+    )
+    left, right = (
+        drive(course, noiseless, speed_scale=0.75).true_path() for course in (plain, mirrored)
+    )
+    assert left.shape == right.shape
+    signs = np.array([1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+    np.testing.assert_allclose(right * signs, left, rtol=0.0, atol=1e-4)
+
+
+# -- how it ends ----------------------------------------------------------------------------------
+
+
+def test_absurd_speed_ends_in_the_wall():
+    log = drive(plant=PLANT, seed=1, speed_scale=2.0, v_max_mps=20.0)
+    assert (log.outcome, log.laps) == (Outcome.CRASHED, 0)
+    assert 1.0 < log.duration < 20.0
+    # the last sample but one is still on the track
+    result = evaluated(log, REFERENCE)
+    assert -0.3 < min(lap.min_clearance_m for lap in result.laps) < 0.1
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_cars_own_width_is_kept_from_the_walls(side):
+    """On the line: it passes where half its width fits, and does not start where it does not."""
+    half = 0.5 * NUC4.width
+    for gap, outcome in ((half + 0.03, Outcome.COMPLETED), (half - 0.001, Outcome.CRASHED)):
+        walls = {"left": 1.0, "right": 1.0, side: gap}
+        log = drive(circle(3.0, 3.0, **walls))
+        assert log.outcome is outcome
+    assert (log.duration, log.samples) == (0.0, [])
+
+
+def test_without_walls_there_is_nothing_to_hit():
+    raceline = Raceline(REFERENCE.x, REFERENCE.y, vx_mps=REFERENCE.speed)
+    assert drive(raceline, PLANT, seed=1, speed_scale=1.1).outcome is Outcome.COMPLETED
+
+
+def test_a_car_that_is_told_to_stand_stalls():
+    log = drive(speed_scale=0.0, limit=5.0)
+    assert (log.outcome, log.laps) == (Outcome.STALLED, 0)
+    assert log.duration == pytest.approx(5.0, abs=0.1)
+    path = log.true_path()
+    assert np.ptp(path[:, 1]) == np.ptp(path[:, 2]) == 0.0
+
+
+def test_a_car_that_makes_no_headway_is_not_waited_for():
+    """Standing, or going round in circles."""
+    assert drive(speed_scale=0.0).outcome is Outcome.STALLED
+    raceline = Raceline(REFERENCE.x, REFERENCE.y, vx_mps=REFERENCE.speed)
+    log = race(Plant(IDEAL), _Circling(), raceline, Localization(IDEAL, 1))
+    assert log.outcome is Outcome.STALLED
+    assert np.ptp(log.true_path()[:, 3]) > 4.0 * math.pi
+    assert log.duration < 20.0
+
+
+@pytest.mark.parametrize("kind", ["limit", "sectors"])
+def test_a_slow_race_is_no_stall(kind):
+    if kind == "limit":
+        log = drive(v_max_mps=0.8)
+    else:
+        log = drive(sectors=SpeedSectors([(0.0, REFERENCE.length, 0.12)], REFERENCE.length))
+    assert (log.outcome, log.laps) == (Outcome.COMPLETED, 1)
+
+
+@pytest.mark.parametrize("laps", [0, -1])
+def test_no_laps_are_no_race(laps):
+    with pytest.raises(ParameterError, match=f"laps must be at least 1, not {laps}"):
+        drive(laps=laps)
+
+
+def test_progress_is_told_in_laps():
+    told = []
+    controller = Controller(MAP.with_(speed_scale=0.6), TABLE, NUC4, REFERENCE)
+    race(_Honest(IDEAL), controller, REFERENCE, laps=1, progress=told.append)
+    assert told == sorted(told)
+    assert 0.0 < told[0] < 0.5 and 1.5 < told[-1] < 2.1
+
+
+# -- when things happen -----------------------------------------------------------------------
+
+
+class _Command(NamedTuple):
+    steering_angle: float
+    speed: float
+
+
+class _Recorder:
+    """A controller that notes when it was called and commands what tells so."""
+
+    def __init__(self):
+        self.states = []
+
+    def reset(self):
+        pass
+
+    def step(self, state):
+        self.states.append(state)
+        return _Command(1e-6 * len(self.states), 1.0)
+
+
+class _Circling:
+    """A controller that keeps the wheels turned."""
+
+    def reset(self):
+        pass
+
+    def step(self, state):
+        return _Command(0.4, 1.5)
+
+
+class _Witness(Plant):
+    """A plant that notes the commands it is given, and when."""
+
+    def __init__(self, parameters):
+        super().__init__(parameters)
+        self.commands = []
+
+    def advance(self, steering_command, speed_command):
+        self.commands.append((self.state.t, steering_command))
+        super().advance(steering_command, speed_command)
+
+
+@pytest.mark.parametrize("rate", [40.0, 50.0, 33.0, 500.0])
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.055])
+def test_poses_come_at_their_rate_and_act_after_their_latency(rate, latency):
+    parameters = PlantParameters(
+        vehicle="nuc4", localization_rate_hz=rate, localization_latency_s=latency
+    )
+    plant, controller = _Witness(parameters), _Recorder()
+    log = race(plant, controller, circle(), Localization(parameters, 1), laps=1, time_limit=1.0)
+    step = plant.time_step
+    held = np.array([sample.true.t for sample in log.samples])
+    due = np.arange(held.size) / rate
+    assert np.all(held <= due + 1e-9) and np.all(held > due - step - 1e-9)
+    assert len(held) == pytest.approx(rate * (log.duration - latency), abs=1.5)
+    for sample, state in zip(log.samples, controller.states):
+        assert sample.measured == state == sample.true
+        assert sample.arrival == pytest.approx(sample.true.t + latency)
+    # the plant runs under a command from the tick in which its pose arrived
+    first = {}
+    for t, steering in plant.commands:
+        first.setdefault(round(steering * 1e6), t)
+    for k, arrival in enumerate(held + latency):
+        if k + 1 in first:
+            assert first[k + 1] == pytest.approx(arrival, abs=step - 1e-9)
+
+
+def test_samples_hold_what_localization_and_imu_reported():
+    log = drive(plant=PLANT, seed=3, speed_scale=0.6)
+    errors = np.array([np.subtract(s.measured, s.true) for s in log.samples])
+    expected = [0.0, 0.005, 0.005, 0.005, 0.05, 0.05, 0.03]
+    np.testing.assert_allclose(errors.std(axis=0), expected, rtol=0.15, atol=0.0)
+    path = log.true_path()
+    lateral = np.array([sample.acceleration[1] for sample in log.samples])
+    assert np.std(lateral - path[:, 4] * path[:, 6]) < 1.0
+    assert np.corrcoef(lateral, path[:, 4] * path[:, 6])[0, 1] > 0.98
+
+
+# -- the public simulator -----------------------------------------------------------------------
+
+
+def hangar_race(shared_data, name, walls=True):
+    """Mean RMS lateral error [m] and slowest lap [s] of 12 laps at 40 Hz."""
+    raceline = load_course(shared_data / "recordings" / "hangar_global_waypoints.bag")
+    if not walls:
+        raceline = Raceline(raceline.x, raceline.y, vx_mps=raceline.speed)
+    vehicle = load_vehicle("sim")
+    # its base_link is the center of gravity
+    parameters = load_controller_parameters(name).with_(reference_point="center_of_gravity")
+    controller = build_controller(parameters, vehicle, raceline)
+    log = race(PublicSimulator(vehicle), controller, raceline, rate=40.0, laps=12)
+    assert (log.outcome, log.laps) == (Outcome.COMPLETED, 12)
+    laps = [lap for lap in evaluated(log, raceline, vehicle.width).laps if lap.valid]
+    assert len(laps) == 12
+    return (
+        np.mean([lap.rms_lateral_error_m for lap in laps]),
+        max(lap.lap_time_s for lap in laps),
+    )
+
+
+def test_the_shipped_map_reaches_its_figure_on_the_public_simulator(shared_data):
+    """The public MAP controller has 0.107 m and 5.37 s there."""
+    error, lap_time = hangar_race(shared_data, "map")
+    assert error <= 0.025
+    assert lap_time < 5.30
+
+
+@pytest.mark.parametrize("name", ["map_paper", "pure_pursuit", "pure_pursuit_paper"])
+def test_what_the_compensation_and_the_tires_are_worth_there(shared_data, name):
+    """Without either the error is at least half as large again; pure pursuit needs no walls."""
+    error, _ = hangar_race(shared_data, name, walls=False)
+    assert error > 1.5 * hangar_race(shared_data, "map", walls=False)[0]
+    assert math.isfinite(error)
