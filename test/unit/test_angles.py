@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.angles import wrap, yaw_from_quaternion
 
 
+@settings(deadline=None)
 @given(angle=st.floats(-100.0, 100.0))
 def test_wrap_keeps_the_direction(angle):
     wrapped = wrap(angle)
@@ -35,12 +36,14 @@ def test_wrap_works_on_arrays_of_any_shape():
     np.testing.assert_allclose(wrap(angles), expected, atol=1e-15)
 
 
+@settings(deadline=None)
 @given(yaw=st.floats(-3.14, 3.14))
 def test_yaw_of_a_rotation_about_the_vertical(yaw):
     found = yaw_from_quaternion(0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
     assert found == pytest.approx(yaw, abs=1e-12)
 
 
+@settings(deadline=None)
 @given(yaw=st.floats(-3.1, 3.1), pitch=st.floats(-1.4, 1.4), roll=st.floats(-3.1, 3.1))
 def test_yaw_of_a_car_that_pitches_and_rolls(yaw, pitch, roll):
     """Z-Y-X Euler angles: first roll, then pitch, then yaw."""
@@ -56,6 +59,7 @@ def test_yaw_of_a_car_that_pitches_and_rolls(yaw, pitch, roll):
     assert math.remainder(found - yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
+@settings(deadline=None)
 @given(yaw=st.floats(-3.14, 3.14))
 def test_a_quaternion_and_its_negative_are_the_same_rotation(yaw):
     z, w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)

@@ -59,6 +59,7 @@ def test_the_angle_is_from_the_velocity_not_from_the_heading():
     assert bearing(state, 1.0, -1.0) == pytest.approx(0.0, abs=1e-15)
 
 
+@settings(deadline=None)
 @given(psi=st.floats(-50.0, 50.0), x=st.floats(-9.0, 9.0), y=st.floats(-9.0, 9.0))
 def test_bearing_is_one_turn_at_most_and_points_there(psi, x, y):
     distance = math.hypot(x, y)
@@ -69,6 +70,7 @@ def test_bearing_is_one_turn_at_most_and_points_there(psi, x, y):
     assert distance * math.sin(psi + eta) == pytest.approx(y, abs=1e-9)
 
 
+@settings(deadline=None)
 @given(eta=angles, speed=st.floats(0.1, 15.0), distance=st.floats(0.1, 10.0))
 def test_the_law_is_odd_and_bounded(eta, speed, distance):
     a_lat = lateral_acceleration(speed, distance, eta)

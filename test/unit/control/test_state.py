@@ -48,11 +48,13 @@ def test_a_half_circle_ends_on_the_other_side():
     assert ahead[:4] == pytest.approx((1.0 + 0.25 * math.pi, 3.0, 5.0, math.pi), abs=1e-12)
 
 
+@settings(deadline=None)
 @given(state=states)
 def test_no_horizon_no_change(state):
     assert predicted(state, 0.0) == state
 
 
+@settings(deadline=None)
 @given(state=states, first=horizons, second=horizons)
 def test_predictions_add_up(state, first, second):
     together = predicted(state, first + second)
@@ -69,6 +71,7 @@ def test_straight_ahead_joins_the_arcs_without_a_step(sign):
     assert below == pytest.approx(above, abs=1e-11)
 
 
+@settings(deadline=None)
 @given(state=states, distance=st.floats(-0.5, 0.5))
 def test_moving_there_and_back(state, distance):
     assert moved(moved(state, distance), -distance) == pytest.approx(state, abs=1e-13)
@@ -79,6 +82,7 @@ def test_the_center_of_gravity_of_a_turning_car_moves_outward_of_its_rear_axle()
     assert moved(axle, 0.15) == pytest.approx((0.0, 1.0, 2.15, 0.5 * math.pi, 3.0, 0.3, 2.0))
 
 
+@settings(deadline=None)
 @given(state=states, distance=st.floats(-0.5, 0.5), horizon=horizons)
 def test_all_points_of_a_rigid_body_are_predicted_alike(state, distance, horizon):
     there = moved(predicted(state, horizon), distance)

@@ -27,6 +27,7 @@ def test_ackermann_angle_is_that_of_the_circle_through_both_axles():
         assert not saturated
 
 
+@settings(deadline=None)
 @given(speed=st.floats(0.1, 15.0), distance=st.floats(0.2, 5.0), eta=st.floats(-1.5, 1.5))
 def test_with_the_l1_law_ackermann_is_pure_pursuit(speed, distance, eta):
     """The textbook form delta = atan(2 l_wb sin(eta) / L) knows no speed."""
