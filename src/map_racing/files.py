@@ -35,7 +35,7 @@ def read_yaml_mapping(path):
         raise FileFormatError(f"{path}: cannot read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path}: expected YAML, found bytes that are not text") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2020-13-45
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else str(path)
         problem = getattr(error, "problem", None) or "not readable"

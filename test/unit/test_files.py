@@ -25,6 +25,7 @@ def test_reads_a_mapping(tmp_path):
         (b"a: 1\n\tb: 2\n", ":2: expected YAML"),
         (b"a: !!python/object:os.system x\n", ":1: expected YAML"),
         (b"a: 1\x00\n", "expected YAML"),
+        (b"a: 2020-13-45\n", "expected YAML"),
         (b"\xff\xfe\x00\x01", "found bytes that are not text"),
     ],
 )

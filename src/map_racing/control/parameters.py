@@ -80,9 +80,11 @@ class ControllerParameters:
                 raise ParameterError(
                     f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}"
                 )
-        for name, least in (("delay_s", 0), ("speed_lookahead_s", 0), ("speed_scale", 0)):
-            if getattr(self, name) < least:
-                raise ParameterError(f"{name} must not be negative, but is {getattr(self, name)}")
+        if self.speed_scale < 0:
+            raise ParameterError(f"speed_scale must not be negative, but is {self.speed_scale}")
+        for name in ("delay_s", "speed_lookahead_s"):  # a larger one is meant in milliseconds
+            if not 0 <= getattr(self, name) <= 1:
+                raise ParameterError(f"{name} must be 0 to 1 s, but is {getattr(self, name)}")
         if self.v_max_mps <= 0:
             raise ParameterError(f"v_max_mps must be positive, but is {self.v_max_mps}")
         if not 0 < self.lookahead_min_m <= self.lookahead_max_m:
