@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -277,8 +278,9 @@ def read_recording(path, pose_topic=None):
     ground truth come after all others, as do topics slower than 5 Hz; Frenet coordinates are never
     taken.
 
-    Times are the header's stamps; where the stamp is 0, the time of receipt. A damaged or unclosed
-    bag gives what is left of it, and the notes say how much that is.
+    Times are the header's stamps; where the stamp is 0, or all over if the stamps of pose or
+    command fall back by 1 s or more (a clock was set back), the times of receipt. A damaged or
+    unclosed bag gives what is left of it, and the notes say how much that is.
 
     Parameters
     ----------
@@ -294,8 +296,8 @@ def read_recording(path, pose_topic=None):
     Raises
     ------
     BagError
-        If the file is no bag, or has no pose, or none on `pose_topic`; the message lists the topics
-        that could be taken.
+        If the file is no bag, or has no pose, or none on `pose_topic` (the message lists the topics
+        that could be taken), or the times of receipt fall back as well: it holds several runs.
 
     Notes
     -----
@@ -317,16 +319,26 @@ def read_recording(path, pose_topic=None):
                 line = bag.connections[number]
                 _collect_waypoints(waypoints, lines[number], line, message, notes)
         notes += bag.notes()
+    series = {"required": 2} if source.tree is None else {}
     if source.tree is None:
-        times, columns = pose.columns(notes, source.topic, required=2)
+        jumps, read = pose.jump_back, pose.columns
     else:
-        times, columns = source.tree.columns(source.child, notes, source.topic)
+        jumps = partial(source.tree.jump_back, source.child)
+        read = partial(source.tree.columns, source.child)
+    jump = jumps(**series) or command.jump_back()
+    if jump:
+        again = jumps(received=True, **series) or command.jump_back(received=True)
+        if again:
+            raise BagError(f"{path}: time jumps back by {again:.1f} s: two runs in one bag?")
+        notes.append(f"header stamps jump back by {jump:.1f} s: time of receipt used instead")
+    received = jump is not None
+    times, columns = read(notes, source.topic, received=received, **series)
     if times.size < 2:
         raise BagError(f"{path}: {source.topic}: expected at least two poses, got {times.size}")
     t0_ns = int(times[0])
     commands = None
     if drives:
-        at, (angle, speed) = command.columns(notes, drive_topic)
+        at, (angle, speed) = command.columns(notes, drive_topic, received=received)
         commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic)
     raceline = None
     if waypoints:

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import FileFormatError, ParameterError
 from ..track.formats import load_raceline
 from .bags import read_recording, read_waypoints
-from .samples import Commands, Recording, in_order
+from .samples import Commands, Recording, in_order, jump_back, usable
 
 __all__ = [
     "Commands",
@@ -112,7 +112,8 @@ def read_csv_recording(path, columns=None):
     Raises
     ------
     FileFormatError
-        With file, line and column, if there is no such column or a cell is not a number.
+        With file, line and column, if there is no such column or a cell is not a number, or if
+        time falls back by 1 s or more (two runs in one file).
     ParameterError
         If `columns` names an unknown field.
     """
@@ -124,7 +125,7 @@ def read_csv_recording(path, columns=None):
         with _open_text(path) as file:
             names, delimiter, rows = _split_header(path, file)
             where = _locate(path, names, columns)
-            table, notes = _parse_rows(path, rows, delimiter, names, where)
+            table, numbers, notes = _parse_rows(path, rows, delimiter, names, where)
     except (OSError, EOFError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
@@ -132,6 +133,13 @@ def read_csv_recording(path, columns=None):
         raise FileFormatError(f"{path}: expected a text file (CSV) or a ROS 1 bag") from None
     values = dict(zip(where, table.T))
     nan = np.full(len(table), math.nan)
+    kept = np.flatnonzero(usable(values["t"], [values["x"], values["y"]]))
+    jump = jump_back(values["t"][kept])
+    if jump:
+        raise FileFormatError(
+            f"{path}: time jumps back by {jump[1]:.1f} s at line {numbers[kept[jump[0]]]}: "
+            "two runs in one file?"
+        )
     t, (x, y, *rest) = in_order(
         values["t"],
         [values.get(name, nan) for name in _ALIASES if name != "t"],
@@ -254,8 +262,8 @@ def _locate(path, names, columns):
 
 
 def _parse_rows(path, rows, delimiter, names, where):
-    """Values of the located columns, shape (rows, fields), and notes."""
-    table, notes, short = [], [], None
+    """Values of the located columns, shape (rows, fields), numbers of their lines, and notes."""
+    table, numbers, notes, short = [], [], [], None
     for number, line in rows:
         if short is not None:
             raise FileFormatError(
@@ -278,9 +286,10 @@ def _parse_rows(path, rows, delimiter, names, where):
                     ) from None
                 values.append(math.nan)
         table.append(values)
+        numbers.append(number)
     if short is not None:
         notes.append(f"line {short[0]}, the last, is cut off: left out")
-    return np.array(table, dtype=float).reshape(len(table), len(where)), notes
+    return np.array(table, dtype=float).reshape(len(table), len(where)), numbers, notes
 
 
 def _is_number(text):

@@ -8,10 +8,14 @@ import numpy as np
 
 from ..track.raceline import Raceline
 
-__all__ = ["FARTHEST", "Commands", "Recording", "in_order"]
+__all__ = ["FARTHEST", "Commands", "Recording", "in_order", "jump_back", "usable"]
 
 FARTHEST = 1e8
 """Coordinates beyond this [m] are no place on earth but damaged data."""
+
+# Steps back in time shorter than this [s] come from transport and threads; longer ones mean that a
+# clock was set back or that another run begins.
+_JITTER = 1.0
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,47 @@ class Recording:
     notes: list[str] = field(default_factory=list)
 
 
+def usable(times, columns):
+    """Which samples have a finite time and values within `FARTHEST`.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    columns : sequence of ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    keep = np.isfinite(times)
+    for column in columns:
+        with np.errstate(invalid="ignore"):
+            keep &= np.abs(column) < FARTHEST
+    return keep
+
+
+def jump_back(times, second=1):
+    """First place where time falls back by so much that the samples are not of one run.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        In the order of recording.
+    second : int, optional
+        One second in the unit of ``times``.
+
+    Returns
+    -------
+    tuple of (int, float) or None
+        Index of the sample, and how far behind the latest earlier one it is [s].
+    """
+    back = np.maximum.accumulate(times) - times
+    far = np.flatnonzero(back >= _JITTER * second)
+    return (int(far[0]), float(back[far[0]] / second)) if far.size else None
+
+
 def in_order(times, columns, notes, what, required=0):
-    """Bring samples into strictly increasing order of time.
+    """Bring samples of one run (see `jump_back`) into strictly increasing order of time.
 
     Parameters
     ----------
@@ -101,10 +144,7 @@ def in_order(times, columns, notes, what, required=0):
     times : ndarray
     columns : list of ndarray
     """
-    keep = np.isfinite(times)
-    for column in columns[:required]:
-        with np.errstate(invalid="ignore"):
-            keep &= np.abs(column) < FARTHEST
+    keep = usable(times, columns[:required])
     if not keep.all():
         missing = np.count_nonzero(~keep)
         notes.append(f"{what}: {missing} of {keep.size} without a finite pose left out")

@@ -442,3 +442,70 @@ def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, course):
     findings = "; ".join(read_waypoints(path).findings)
     assert "+y (north)" in findings
     assert "every speed is 0" in findings
+
+
+# -- clocks --------------------------------------------------------------------------------------
+
+HOUR = 3600.0
+
+
+def two_runs(fill, receipt_restarts=False):
+    """Stamps begin anew after 30 of 50 messages, as in the first run; receipts may, too."""
+
+    def stamped(bag, i, t):
+        stamp = TIMES[0] + 0.1 * (i % 30)
+        fill(bag, i, stamp, stamp if receipt_restarts else HOUR + T0 + 0.1 * i)
+
+    return stamped
+
+
+def fill_odometry(bag, i, stamp, received):
+    bag.odometry(stamp, i, 0.0, 0.0, 1.0, 0.0, 0.0, received=received)
+    bag.drive(stamp, 0.001 * i, 1.0, received=received)
+
+
+def fill_transforms(bag, i, stamp, received):
+    if i == 0:
+        bag.transform(1.0, 0.0, 0.0, 0.0, parent="base", child="base_link", static=True)
+    bag.transform(stamp, i, 0.0, 0.0, parent="map", child="base", received=received)
+
+
+@pytest.mark.parametrize("fill", [fill_odometry, fill_transforms])
+def test_two_runs_whose_stamps_begin_anew_are_not_interleaved(tmp_path, fill):
+    recording = read_recording(write(tmp_path / "a.bag", two_runs(fill)))
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+    np.testing.assert_allclose(recording.t, 0.1 * np.arange(len(TIMES)), atol=5e-7)
+    assert "header stamps jump back by 2.9 s: time of receipt used instead" in recording.notes
+    if fill is fill_odometry:
+        np.testing.assert_array_equal(recording.commands.t, recording.t)
+        np.testing.assert_allclose(recording.commands.steering_angle, 0.001 * recording.x)
+
+
+@pytest.mark.parametrize("fill", [fill_odometry, fill_transforms])
+def test_two_runs_that_no_clock_tells_apart_are_refused(tmp_path, fill):
+    path = write(tmp_path / "a.bag", two_runs(fill, receipt_restarts=True))
+    with pytest.raises(BagError, match=r"a.bag: time jumps back by 2.9 s: two runs in one bag\?"):
+        read_recording(path)
+
+
+def test_commands_whose_clock_is_set_back_bring_the_pose_to_the_time_of_receipt(tmp_path):
+    def fill(bag, i, t):
+        bag.pose(t, i, 0.0, 0.0, received=t + HOUR)
+        bag.drive(t - (5.0 if i > 30 else 0.0), 0.0, 1.0, received=t + HOUR)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.t0_ns == int((T0 + HOUR) * 1e9)
+    np.testing.assert_array_equal(recording.commands.t, recording.t)
+    assert any("jump back by 5.0 s" in note for note in recording.notes)
+
+
+def test_a_late_message_is_no_jump(tmp_path):
+    """Out of order by less than a second is what transport does."""
+
+    def fill(bag, i, t):
+        bag.pose(TIMES[0] + 0.1 * (i if i != 20 else 11.5), i, 0.0, 0.0, received=t + HOUR)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.t0_ns == int(T0 * 1e9)
+    assert recording.x[12] == 20.0
+    assert any("1 steps back in time: sorted" in note for note in recording.notes)

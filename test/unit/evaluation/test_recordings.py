@@ -162,3 +162,10 @@ def test_real_laps(shared_data):
         )
         np.testing.assert_array_equal(told.x, recording.x)
         np.testing.assert_array_equal(told.yaw_rate, recording.yaw_rate)
+
+
+def test_two_runs_in_one_file_are_refused(csv):
+    text = "t,x,y\n" + "".join(f"{t},1,2\n" for t in [0, 5, 12.5, "nan", 0.2, 5.2])
+    expected = r"run.csv: time jumps back by 12.3 s at line 6: two runs in one file\?"
+    with pytest.raises(FileFormatError, match=expected):
+        read_csv_recording(csv(text))
