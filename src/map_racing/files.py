@@ -30,11 +30,13 @@ def read_yaml_mapping(path):
         If it is something else; the message is one line and names file and line.
     """
     try:
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        values = yaml.load(Path(path).read_text(encoding="utf-8"), _UniqueKeyLoader)
     except OSError as error:
         raise FileFormatError(f"{path}: cannot read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path}: expected YAML, found bytes that are not text") from None
+    except RecursionError:
+        raise FileFormatError(f"{path}: expected YAML: nested too deeply") from None
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2020-13-45
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else str(path)
@@ -45,12 +47,27 @@ def read_yaml_mapping(path):
     return values
 
 
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """Safe loader that refuses a key given twice, of which YAML would take the last."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                problem = f"{key.value}: given twice"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+            if isinstance(key.value, str):
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 @contextmanager
 def replacing(path):
     """Open a text file for writing that appears under its name only when it is complete.
 
     It is written under a temporary name beside it and renamed at the end; after an error nothing is
-    left behind, and an existing file stays as it was.
+    left behind, and an existing file stays as it was. A link stays a link to the file replaced; a
+    device or pipe is written to as it is.
 
     Parameters
     ----------
@@ -61,14 +78,19 @@ def replacing(path):
     MapRacingError
         If the file cannot be written.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    target = Path(os.path.realpath(str(path)))
+    if not Path(path).name or target.is_dir():
+        raise MapRacingError(f"{path}: cannot write: expected the name of a file")
+    special = target.exists() and not target.is_file()
+    temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         with open(temporary, "w", encoding="utf-8", newline="") as file:
             yield file
-        os.replace(temporary, path)
+        if not special:
+            os.replace(str(temporary), str(target))
     except OSError as error:
         raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
     finally:
-        with suppress(OSError):
-            temporary.unlink()
+        if not special:
+            with suppress(OSError):
+                temporary.unlink()

@@ -2,6 +2,8 @@
 
 import math
 import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -10,6 +12,7 @@ from ..errors import BagError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_course, load_recording
 from ..evaluation.report import lap_table, summary_table, write_csv, write_json
+from .outputs import check_outputs
 
 
 def add_parser(commands):
@@ -22,28 +25,50 @@ def add_parser(commands):
     )
     parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
     parser.add_argument(
-        "--raceline", metavar="FILE", help="shipped track, raceline file or bag[#topic]"
+        "--raceline",
+        metavar="FILE",
+        help="shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag[#topic]; by "
+        "default that of the bag",
     )
-    parser.add_argument("--pose-topic", metavar="TOPIC", help="instead of the one chosen")
+    parser.add_argument(
+        "--reverse", action="store_true", help="the raceline was driven the other way round"
+    )
+    parser.add_argument(
+        "--pose-topic", metavar="TOPIC", help="topic of the pose instead of the one chosen"
+    )
     parser.add_argument(
         "--columns",
         metavar="MAP",
-        help="columns of CSV files where they are not found, as t=time,x=pose_x,y=pose_y",
+        help="columns of CSV files where they are not found, as t=time,x=pose_x,y=pose_y; also "
+        "psi v_x v_y yaw_rate steering speed_command",
     )
     parser.add_argument(
-        "--start-line", type=float, default=0.0, metavar="S", help="arc length of the line [m]"
+        "--start-line",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="arc length of the start line on the raceline [m] (default: its first point)",
     )
     parser.add_argument(
-        "--car-width", type=float, default=0.3, metavar="M", help="[m] (default: %(default)s)"
+        "--car-width",
+        type=float,
+        default=0.3,
+        metavar="M",
+        help="for the clearance between the car's side and the wall [m] (default: %(default)s)",
     )
     parser.add_argument(
-        "--sectors", type=int, default=3, metavar="N", help="(default: %(default)s)"
+        "--sectors",
+        type=int,
+        default=3,
+        metavar="N",
+        help="number of sectors to time, in CSV and JSON (default: %(default)s)",
     )
     parser.add_argument(
         "--max-deviation",
         type=float,
         metavar="M",
-        help="off track beyond this lateral error [m] (default: the walls, or 2 m)",
+        help="off track is the car's center beyond this lateral error [m] (default: the walls or, "
+        "where none are known, 2 m)",
     )
     parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
     parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
@@ -52,36 +77,32 @@ def add_parser(commands):
 
 
 def run(arguments):
-    """Evaluate all recordings, print, write. Nothing is written unless all could be read."""
+    """Evaluate, print, write; a recording that cannot be read does not hold up the others."""
     if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
         raise ParameterError(f"--max-deviation must be positive, not {arguments.max_deviation}")
-    limits = LapLimits(max_deviation=arguments.max_deviation)
-    raceline = load_course(arguments.raceline) if arguments.raceline else None
-    results = []
-    for source in tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False):
-        recording = load_recording(source, arguments.pose_topic, arguments.columns)
-        course = raceline or recording.raceline
-        if course is None:
-            raise BagError(f"{source}: no raceline in it; give one with --raceline")
-        results.append(
-            evaluate(
-                recording,
-                course,
-                start_s=arguments.start_line,
-                car_width=arguments.car_width,
-                sectors=arguments.sectors,
-                limits=limits,
-            )
-        )
+    given = (arguments.raceline or "").partition("#")[0]
+    check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
+    course = load_course(arguments.raceline) if arguments.raceline else None
+    names, results, failed = [], [], 0
+    bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
+    for source, name in zip(bar, run_names(arguments.recordings)):
+        try:
+            results.append(evaluate_one(source, course, arguments))
+        except MapRacingError as error:
+            tqdm.write(f"map-racing: {error}", file=sys.stderr)
+            failed = 1
+            continue
+        names.append(name)
 
     for result in results:
         print(f"{result.source}")
         for note in result.notes:
             print(f"  {note}")
         print(lap_table(result), end="\n\n")
-    names = run_names(arguments.recordings)
     if len(results) > 1:
         print(summary_table(zip(names, results)), end="\n\n")
+    if not results:
+        return failed
     if arguments.csv:
         write_csv(arguments.csv, results)
         print(f"laps written to {arguments.csv}")
@@ -91,6 +112,30 @@ def run(arguments):
     if arguments.plots:
         draw(Path(arguments.plots), names, results)
         print(f"figures are in {arguments.plots}")
+    return failed
+
+
+def evaluate_one(source, course, arguments):
+    """Laps of one recording on the course given or, without one, on its own."""
+    recording = load_recording(source, arguments.pose_topic, arguments.columns)
+    notes = recording.notes
+    if course is not None:
+        notes = [note for note in notes if not note.startswith("raceline:")]
+        notes.append("; ".join([f"raceline: {arguments.raceline}", *course.findings]))
+    elif recording.raceline is None:
+        raise BagError(f"{source}: no raceline in it; give one with --raceline")
+    raceline = course or recording.raceline
+    if arguments.reverse:
+        raceline = raceline.reversed()
+        notes = [*notes, "raceline reversed"]
+    return evaluate(
+        replace(recording, notes=list(notes)),
+        raceline,
+        start_s=arguments.start_line,
+        car_width=arguments.car_width,
+        sectors=arguments.sectors,
+        limits=LapLimits(max_deviation=arguments.max_deviation),
+    )
 
 
 def run_names(sources):

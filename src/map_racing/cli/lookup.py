@@ -8,6 +8,7 @@ from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
 from ..vehicle.steady_state import steady_state_table
+from .outputs import check_outputs
 
 # Lateral accelerations beyond this [m/s^2] are reached only by linear tires, which never slide, and
 # tables made by integration for a fixed time had not settled there.
@@ -30,7 +31,9 @@ def add_parser(commands):
     generate.add_argument("--vehicle", required=True, help="shipped vehicle or vehicle file")
     generate.add_argument("--output", required=True, metavar="CSV", help="table to write")
     generate.add_argument("--linear", action="store_true", help="linearize the tires")
-    generate.add_argument("--v-max", type=float, metavar="V", help="largest speed [m/s]")
+    generate.add_argument(
+        "--v-max", type=float, metavar="V", help="largest speed [m/s] (default: the vehicle's)"
+    )
     generate.add_argument(
         "--published-grid",
         action="store_true",
@@ -55,6 +58,7 @@ def add_parser(commands):
 
 def run_generate(arguments):
     """Make a table and write it."""
+    check_outputs([arguments.output], [arguments.vehicle])
     vehicle = _vehicle(arguments)
     if arguments.published_grid:
         if arguments.v_max is not None:

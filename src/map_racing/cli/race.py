@@ -10,13 +10,17 @@ from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..evaluation.recordings import load_course
 from ..experiments.race_bag import write_race_bag
+from ..resources import list_config
 from ..simulation.plant import Localization, Plant, load_plant_parameters
 from ..simulation.public_simulator import PublicSimulator
-from ..simulation.race import race
+from ..simulation.race import Outcome, race
 from ..vehicle.lookup import load_table
-from ..vehicle.parameters import load_vehicle
+from ..vehicle.parameters import load_vehicle, parameter_hash
+from .outputs import check_outputs
 
 PUBLIC_SIMULATOR = "public_simulator"
+KINDS = ("tracks", "controllers", "plants", "vehicles")
+MOST_LAPS = 1000  # a race is kept in memory until its bag is written
 
 
 def add_parser(commands):
@@ -24,32 +28,45 @@ def add_parser(commands):
     parser = commands.add_parser(
         "race",
         help="race a simulated car, write a ROS 1 bag",
-        description="Race a simulated car from a standing start: an out-lap, then timed laps. "
-        "Names are those of the shipped files; each also takes a path.",
+        description="Race a simulated car from a standing start: an out-lap, then timed laps. A "
+        "crash is a result, not an error. Shipped: "
+        + "; ".join(f"{kind} {', '.join(list_config(kind))}" for kind in KINDS)
+        + ".",
     )
-    parser.add_argument("--track", default="reference", help="track, raceline file or bag")
-    parser.add_argument("--vehicle", default="nuc4", help="the car as the controller knows it")
+    parser.add_argument(
+        "--track",
+        default="reference",
+        help="shipped track, raceline file or bag[#topic] (default: %(default)s)",
+    )
     parser.add_argument(
         "--controller",
         default="map",
-        help="map, map_linear, pure_pursuit, or one of these with _paper: as published, without "
-        "delay compensation",
+        help="shipped controller or YAML file; those with _paper are as published, without delay "
+        "compensation (default: %(default)s)",
     )
     parser.add_argument(
         "--plant",
         default="nuc4",
-        help=f"the car as it is: a plant file, or {PUBLIC_SIMULATOR} for the plant of the public "
-        "ROS 1 simulator",
+        help=f"the car as it is: shipped plant, YAML file, or {PUBLIC_SIMULATOR} for the plant of "
+        "the public ROS 1 simulator, which has no noise (default: %(default)s)",
     )
-    parser.add_argument("--lookup-table", metavar="CSV", help="use this table for steering")
-    parser.add_argument("--sectors", metavar="YAML", help="speed_scaling.yaml of the public stack")
+    parser.add_argument(
+        "--vehicle",
+        help="the car as the controller knows it: shipped vehicle or YAML file (default: the "
+        "plant's, with the tires that its file says)",
+    )
+    parser.add_argument(
+        "--lookup-table", metavar="CSV", help="steer with this table instead of the vehicle's own"
+    )
+    parser.add_argument(
+        "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of the public stack"
+    )
     parser.add_argument("--laps", type=int, default=5, help="timed laps (default: %(default)s)")
     parser.add_argument(
         "--speed-scale",
         type=float,
-        default=0.7,
-        help="scale of the raceline's speeds (default: %(default)s; the shipped racelines ask for "
-        "more grip than nuc4 has above about 0.85)",
+        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's; on the "
+        "shipped tracks nuc4 runs out of grip above about 0.8)",
     )
     parser.add_argument("--seed", type=int, default=1, help="of the noise (default: %(default)s)")
     parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
@@ -57,31 +74,41 @@ def add_parser(commands):
 
 
 def run(arguments):
-    """Race and record; a crash is a result, not an error."""
-    parameters = load_controller_parameters(arguments.controller)
-    parameters = parameters.with_(speed_scale=arguments.speed_scale)
-    vehicle = load_vehicle(arguments.vehicle)
-    raceline = load_course(arguments.track)
+    """Race and record."""
+    if not 1 <= arguments.laps <= MOST_LAPS:
+        raise ParameterError(f"--laps must be 1 to {MOST_LAPS}, not {arguments.laps}")
     output = Path(arguments.output)
-    if not output.parent.is_dir():
-        raise ParameterError(f"{output}: the folder {output.parent} does not exist")
+    inputs = (
+        arguments.track.partition("#")[0],
+        *(arguments.controller, arguments.plant, arguments.vehicle),
+        *(arguments.lookup_table, arguments.speed_sectors),
+    )
+    check_outputs([arguments.output], inputs)
+    parameters = load_controller_parameters(arguments.controller)
+    if arguments.speed_scale is not None:
+        parameters = parameters.with_(speed_scale=arguments.speed_scale)
+    raceline = load_course(arguments.track)
+    for finding in raceline.findings:
+        print(f"{arguments.track}: {finding}")
 
     if arguments.plant == PUBLIC_SIMULATOR:
-        plant, localization = PublicSimulator(load_vehicle("sim")), None
+        plant, localization, plant_vehicle = PublicSimulator(load_vehicle("sim")), None, "sim"
         # It publishes the pose of the center of gravity under the name of base_link.
         parameters = parameters.with_(reference_point="center_of_gravity")
     else:
         plant_parameters = load_plant_parameters(arguments.plant)
-        plant = Plant(plant_parameters)
+        plant, plant_vehicle = Plant(plant_parameters), plant_parameters.vehicle
         localization = Localization(plant_parameters, arguments.seed)
+    vehicle = load_vehicle(arguments.vehicle or plant_vehicle)
+    if parameter_hash(vehicle) != parameter_hash(load_vehicle(plant_vehicle)):
+        print(f"the controller knows {vehicle.name}, but the plant is {plant.vehicle.name}")
 
+    steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
     if arguments.lookup_table:
-        if parameters.steering_map == "ackermann":
-            raise ParameterError(f"{arguments.controller}: pure pursuit uses no lookup table")
-        steering_map = load_table(arguments.lookup_table)
-    else:
-        steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
-    sectors = load_speed_sectors(arguments.sectors, raceline) if arguments.sectors else None
+        steering_map = given_table(arguments.lookup_table, parameters, vehicle, steering_map)
+    sectors = None
+    if arguments.speed_sectors:
+        sectors = load_speed_sectors(arguments.speed_sectors, raceline)
     controller = Controller(parameters, steering_map, vehicle, raceline, sectors)
 
     bar_format = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} laps [{elapsed}]"
@@ -94,8 +121,31 @@ def run(arguments):
 
         log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
     write_race_bag(output, log, raceline)
+    if raceline.d_left is None:
+        print(f"{arguments.track}: no walls are known, so no crash is seen")
+    end = ""
+    if log.outcome is not Outcome.COMPLETED and log.samples:
+        x, y = log.samples[-1].true[1:3]
+        place = raceline.project(x, y)
+        side = "left" if place.d > 0.0 else "right"
+        end = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
     print(
         f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
         f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
-        f"{log.duration:.1f} s"
+        f"{log.duration:.1f} s{end}"
     )
+
+
+def given_table(path, parameters, vehicle, own):
+    """The table of a file, after a look at whether it can be that of the vehicle."""
+    if parameters.steering_map == "ackermann":
+        raise ParameterError(f"{path}: pure pursuit uses no lookup table")
+    table = load_table(path)
+    made_for = f" for {table.provenance.vehicle}" if table.provenance else ""
+    v, a_lat = 3.0, 0.5 * own.max_lateral_acceleration(3.0)
+    angles = [steering_map.steering(v, a_lat)[0] for steering_map in (table, own)]
+    print(
+        f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
+        f"that of {vehicle.name} has {angles[1]:.4f} rad"
+    )
+    return table

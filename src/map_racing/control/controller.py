@@ -38,17 +38,23 @@ CREDIBLE = 1e8
 APPROACH_FACTOR = math.sqrt(2.0)
 
 
+# Commanded where the car is off the course or the path lies behind it [m/s]: it shall find back at
+# walking pace.
+RECOVERY_SPEED = 1.0
+
+
 class Status(Enum):
     """What the controller made of its input."""
 
     OK = "ok"
     SATURATED = "saturated"  # the demand exceeds what the steering map can give
+    OFF_COURSE = "off course"  # too far from the path, or pointing away from it: walking pace
     INVALID_STATE = "invalid state"  # NaN, infinite or absurd: commands a stop
     NO_RACELINE = "no raceline"  # commands a stop
 
 
 # Looking up the members of an enumeration takes its time before Python 3.12.
-_OK, _SATURATED = Status.OK, Status.SATURATED
+_OK, _SATURATED, _OFF_COURSE = Status.OK, Status.SATURATED, Status.OFF_COURSE
 
 
 class ControlResult(NamedTuple):
@@ -89,6 +95,7 @@ class ControlResult(NamedTuple):
 
 
 _NAN = math.nan
+_RIGHT_ANGLE = 0.5 * math.pi
 
 
 class Controller:
@@ -195,10 +202,15 @@ class Controller:
         a_lat = lateral_acceleration(law_speed, max(distance, 1e-3), eta)
         angle, saturated = self.steering_map.steering(law_speed, a_lat)
         angle = self._limited(angle, t)
+        status = _SATURATED if saturated else _OK
+        if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:
+            status = _OFF_COURSE
+            if speed > RECOVERY_SPEED:
+                speed = RECOVERY_SPEED
         return ControlResult(
             angle,
             speed,
-            _SATURATED if saturated else _OK,
+            status,
             state,
             s,
             d,

@@ -48,8 +48,8 @@ def bearing(state, x, y):
     Parameters
     ----------
     state : CarState
-        Standing cars are taken to move straight ahead; up to 0.5 m/s the direction of the velocity
-        takes over.
+        Cars that stand or roll backwards are taken to move straight ahead; up to 0.5 m/s the
+        direction of the velocity takes over.
     x, y : float
         The point, in the map frame [m].
 
@@ -58,7 +58,8 @@ def bearing(state, x, y):
     float
         Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
     """
-    v_x, v_y = state.v_x, state.v_y
+    # A car that rolls backwards is meant to drive on forwards, where its nose points.
+    v_x, v_y = max(state.v_x, 0.0), state.v_y
     square = v_x * v_x + v_y * v_y
     if square < CRAWL * CRAWL:
         trust = math.sqrt(square) / CRAWL

@@ -80,8 +80,10 @@ class ControllerParameters:
                 raise ParameterError(
                     f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}"
                 )
-        if self.speed_scale < 0:
-            raise ParameterError(f"speed_scale must not be negative, but is {self.speed_scale}")
+        if not 0 <= self.speed_scale <= 2:
+            raise ParameterError(
+                f"speed_scale must be 0 to 2 (0.7 is 70 %), but is {self.speed_scale:g}"
+            )
         for name in ("delay_s", "speed_lookahead_s"):  # a larger one is meant in milliseconds
             if not 0 <= getattr(self, name) <= 1:
                 raise ParameterError(f"{name} must be 0 to 1 s, but is {getattr(self, name)}")

@@ -96,9 +96,9 @@ def load_speed_sectors(path, raceline):
         if start > end:
             raise ParameterError(f"{path}: {key}: expected start <= end, not {start}, {end}")
         # Files count the closing point, which repeats the first.
-        if start > len(points):
+        if end > len(points) + 1:  # some count the closing point, some the points
             raise ParameterError(
-                f"{path}: {key}: start: {start} is beyond the {len(points)} points of the raceline"
+                f"{path}: {key}: end: {end} is beyond the {len(points)} points of the raceline"
             )
         if start == len(points):
             continue

@@ -27,7 +27,8 @@ class PlantParameters:
     Parameters
     ----------
     vehicle : str
-        Shipped vehicle or vehicle file: geometry, masses, limits and nominal tires.
+        Shipped vehicle or vehicle file, by a path from the plant's own file: geometry, masses,
+        limits and nominal tires.
     mu_scale, front_stiffness_scale, rear_stiffness_scale : float
         Friction and cornering stiffness of the plant's tires relative to the vehicle's.
     steering_delay_s, steering_time_constant_s : float
@@ -116,12 +117,17 @@ def _scaled(tire, factor):
 def load_plant_parameters(source):
     """Read plant parameters from a shipped name or a YAML file.
 
+    A vehicle file that it names is looked for beside it.
+
     Raises
     ------
     ParameterError
         If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
-    return read_parameters(find_config("plants", source, (".yaml",)), PlantParameters)
+    path = find_config("plants", source, (".yaml",))
+    parameters = read_parameters(path, PlantParameters)
+    beside = path.parent / parameters.vehicle
+    return replace(parameters, vehicle=str(beside)) if beside.is_file() else parameters
 
 
 class Plant:

@@ -309,6 +309,8 @@ def _json_columns(text, path, key):
     """Columns of one waypoint array of a race_stack JSON file."""
     try:
         content = json.loads(text)
+    except RecursionError:
+        raise FileFormatError(f"{path}: broken JSON: nested too deeply") from None
     except ValueError as error:
         raise FileFormatError(f"{path}: broken JSON: {error}") from None
     arrays = {}

@@ -154,7 +154,7 @@ class Raceline:
     def _column(self, key, values):
         try:
             column = np.asarray(values, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise self._error(f"{key}: expected one number per point") from None
         if column.ndim != 1:
             raise self._error(f"{key}: expected one number per point, got shape {column.shape}")

@@ -127,6 +127,11 @@ class LookupTable:
         self._v = [float(self.speeds[j]) for j in usable]
         self._w = [1.0 / (v * v) for v in self._v]
         self.l_wb = provenance.l_wb if provenance is not None else self._estimate_wheelbase()
+        if not 0.01 <= self.l_wb <= 10.0:
+            raise ParameterError(
+                "a_lat: expected a steady-state table, whose cells at small angles give the "
+                f"wheelbase; these give {self.l_wb:.3g} m"
+            )
         self._at_rest = self._standstill()
         self._columns.append(self._infinite_speed())
         self._v.append(math.inf)
@@ -246,13 +251,13 @@ class LookupTable:
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
         text = "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
-        with replacing(path) as file:
-            file.write(text)
         if self.provenance is not None:
             with replacing(_sidecar(path)) as file:
                 yaml.safe_dump(dataclasses.asdict(self.provenance), file, sort_keys=False)
         elif _sidecar(path).exists():
             _sidecar(path).unlink()
+        with replacing(path) as file:
+            file.write(text)
 
     def _estimate_wheelbase(self):
         """Wheelbase [m]: at small angles ``delta / a = l_wb / v^2 + K'``, a line over 1/v^2."""

@@ -238,7 +238,9 @@ def _vehicle(values, default_name):
         rest[key] = value
 
     model = rest.pop("tire_model", None)
-    if model not in _TIRE_KEYS:
+    if model is None:
+        raise ParameterError(f"tire_model: missing, expected {' or '.join(_TIRE_KEYS)}")
+    if not isinstance(model, str) or model not in _TIRE_KEYS:
         raise ParameterError(f"tire_model: expected {' or '.join(_TIRE_KEYS)}, got {model!r}")
     arguments = {
         "name": rest.pop("name", default_name),

@@ -66,10 +66,10 @@ def test_race_with_a_table_and_sectors(tmp_path, capsys):
     table, sectors = tmp_path / "t.csv", tmp_path / "s.yaml"
     assert main(["lookup", "generate", "--vehicle", "nuc4", "--output", str(table)]) == 0
     sectors.write_text(
-        "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 400, scaling: 0.5}\n"
+        "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 365, scaling: 0.5}\n"
     )
     output = ["--laps", "1", "--output", str(tmp_path / "a.bag")]
-    extra = ["--lookup-table", str(table), "--sectors", str(sectors)]
+    extra = ["--lookup-table", str(table), "--speed-sectors", str(sectors)]
     assert main(["race", "--speed-scale", "1", *extra, *output]) == 0
     assert main(["evaluate", str(tmp_path / "a.bag"), "--json", str(tmp_path / "a.json")]) == 0
     (run,) = json.loads((tmp_path / "a.json").read_text())["runs"]
@@ -83,11 +83,11 @@ def test_race_with_a_table_and_sectors(tmp_path, capsys):
         (["--vehicle", "nowhere"], "nowhere: .*nuc4"),
         (["--controller", "nowhere"], "nowhere: .*pure_pursuit"),
         (["--plant", "nowhere"], "nowhere: "),
-        (["--laps", "0"], "laps must be at least 1"),
+        (["--laps", "0"], "--laps must be 1 to 1000"),
         (["--speed-scale", "-1"], "speed_scale"),
         (["--speed-scale", "nan"], "speed_scale"),
         (["--lookup-table", "nowhere.csv"], "nowhere.csv"),
-        (["--sectors", "nowhere.yaml"], "nowhere.yaml"),
+        (["--speed-sectors", "nowhere.yaml"], "nowhere.yaml"),
         (["--controller", "pure_pursuit", "--lookup-table", "t.csv"], "no lookup table"),
     ],
 )

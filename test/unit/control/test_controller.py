@@ -91,8 +91,19 @@ def test_the_result_is_what_was_computed_and_from_what():
 def test_a_car_that_points_backwards_turns_round_the_shorter_way(turn):
     result = controller().step(on_course(REFERENCE, 2.0, turn=turn))
     assert math.copysign(1.0, result.steering_angle) == -math.copysign(1.0, turn)
-    assert result.status is Status.SATURATED
+    assert result.status is Status.OFF_COURSE
+    assert result.speed == 1.0
     assert abs(result.steering_angle) == TABLE.steering(4.0, 100.0)[0]
+
+
+@pytest.mark.parametrize("v_x", [-0.02, -0.3, -0.36, -0.6, -3.0])
+def test_a_car_that_rolls_backwards_steers_for_where_its_nose_points(v_x):
+    """Noise at standstill or a push back must not throw the steering to a lock."""
+    backwards = controller().step(on_course(REFERENCE, 2.0, v_x=v_x))
+    forwards = controller().step(on_course(REFERENCE, 2.0, v_x=-v_x))
+    assert backwards.eta == pytest.approx(forwards.eta, abs=1e-9)
+    assert backwards.steering_angle == pytest.approx(forwards.steering_angle, abs=1e-9)
+    assert backwards.status is Status.OK
 
 
 def test_beside_the_path_it_steers_back():
@@ -175,7 +186,7 @@ def test_speed_scales_of_sectors_hold_where_the_car_is():
 @given(
     s=st.floats(0.0, 40.0),
     v_x=st.floats(-5.0, 30.0),
-    scale=st.floats(0.0, 1e6),
+    scale=st.floats(0.0, 2.0),
     sector=st.floats(0.0, 1e6),
     v_max=st.floats(0.01, 20.0),
 )
@@ -194,7 +205,7 @@ def test_paper_mode_uses_the_commanded_speed_and_the_pose_as_it_is():
         parameters = load_controller_parameters(name)
         result = build_controller(parameters, NUC4, REFERENCE).step(state)
         assert result.state == state
-        assert result.speed == pytest.approx(REFERENCE.speed_at(result.s), abs=1e-9)
+        assert result.speed == pytest.approx(0.7 * REFERENCE.speed_at(result.s), abs=1e-9)
         assert result.lookahead_distance == pytest.approx(
             parameters.lookahead.distance(result.speed)
         )
@@ -429,16 +440,17 @@ def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
 
 
 @pytest.mark.parametrize("direction", np.linspace(0.0, 6.0, 7))
-def test_from_50_m_away_it_comes_back(direction):
+def test_from_far_outside_it_comes_back_at_walking_pace(direction):
     center = float(np.mean(REFERENCE.x)), float(np.mean(REFERENCE.y))
-    x, y = center[0] + 50.0 * math.cos(direction), center[1] + 50.0 * math.sin(direction)
+    x, y = center[0] + 20.0 * math.cos(direction), center[1] + 20.0 * math.sin(direction)
     subject = controller(speed_scale=0.6)
     plant = Plant(PlantParameters(vehicle="nuc4"))
     plant.reset(x, y, direction + 2.0)
     for tick in range(60 * 500):
         if tick % 12 == 0:
             result = subject.step(plant.reference_state())
-            assert result.status in (Status.OK, Status.SATURATED)
+            if abs(result.d) > 2.0:
+                assert (result.status, result.speed) == (Status.OFF_COURSE, 1.0)
             if abs(result.d) < 0.1 and abs(result.eta) < 0.5:
                 break
         plant.advance(result.steering_angle, result.speed)

@@ -144,10 +144,12 @@ def test_impossible_values_are_refused_by_name(tmp_path, changes):
 
 def test_a_changed_copy_is_checked_too():
     parameters = load_controller_parameters("map")
-    assert parameters.with_(speed_scale=0.7).speed_scale == 0.7
-    assert parameters.speed_scale == 1.0
+    assert parameters.with_(speed_scale=1.0).speed_scale == 1.0
+    assert parameters.speed_scale == 0.7
     with pytest.raises(ParameterError, match="speed_scale"):
         parameters.with_(speed_scale=-1.0)
+    with pytest.raises(ParameterError, match="0.7 is 70 %"):
+        parameters.with_(speed_scale=70.0)
 
 
 def test_unknown_files_and_broken_ones_are_refused(tmp_path):

@@ -147,7 +147,7 @@ def test_real_files(shared_data, track, scale):
         ("start: 10", "start: 9.7", "Sector1: start: expected a whole number >= 0, not 9.7"),
         ("start: 10", "start: -1", "Sector1: start: expected a whole number >= 0, not -1"),
         ("start: 10", "start: 25", "Sector1: expected start <= end, not 25, 19"),
-        ("start: 10, end: 19", "start: 40, end: 50", "Sector1: start: 40 is beyond the 20 points"),
+        ("start: 10, end: 19", "start: 40, end: 50", "Sector1: end: 50 is beyond the 20 points"),
         ("scaling: 0.5", "scaling: fast", "Sector0: scaling: expected a number"),
         ("scaling: 0.5", "scaling: -0.5", "expected a scale >= 0, not -0.5"),
         ("Sector1:", "Sector7:", "Sector1: expected start, end and scaling"),

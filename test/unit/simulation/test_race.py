@@ -27,7 +27,7 @@ from map_racing.vehicle.parameters import load_vehicle
 
 NUC4 = load_vehicle("nuc4")
 TABLE = build_steering_map("table", NUC4, 12.0)
-MAP = load_controller_parameters("map")
+MAP = load_controller_parameters("map").with_(speed_scale=1.0)
 REFERENCE = load_raceline("reference")
 PLANT = load_plant_parameters("nuc4")
 IDEAL = PlantParameters(vehicle="nuc4")
@@ -296,7 +296,9 @@ def hangar_race(shared_data, name):
     raceline = load_course(shared_data / "recordings" / "hangar_global_waypoints.bag")
     vehicle = load_vehicle("sim")
     # its base_link is the center of gravity
-    parameters = load_controller_parameters(name).with_(reference_point="center_of_gravity")
+    parameters = load_controller_parameters(name).with_(
+        reference_point="center_of_gravity", speed_scale=1.0
+    )
     controller = build_controller(parameters, vehicle, raceline)
     log = race(PublicSimulator(vehicle), controller, raceline, rate=40.0, laps=12)
     assert (log.outcome, log.laps) == (Outcome.COMPLETED, 12)

@@ -1,0 +1,47 @@
+"""Outputs that would destroy what the user still needs are refused before any work."""
+
+from pathlib import Path
+
+from ..errors import ParameterError
+
+__all__ = ["check_outputs"]
+
+BAG_MAGIC = b"#ROSBAG V2"
+
+
+def check_outputs(outputs, inputs=()):
+    """Refuse outputs that cannot be meant.
+
+    Parameters
+    ----------
+    outputs : iterable of str or None
+        Files that the command is about to write; None for those not asked for.
+    inputs : iterable of str or None
+        Files that it reads.
+
+    Raises
+    ------
+    ParameterError
+        If an output is also an input or another output, is no file name, has no folder, or would
+        replace a recorded bag by something else.
+    """
+    taken = {_identity(path): "an input" for path in inputs if path}
+    for path in outputs:
+        if path is None:
+            continue
+        name = Path(path)
+        if not name.name or name.is_dir():
+            raise ParameterError(f"{path!r}: expected the name of a file to write")
+        if not name.parent.is_dir():
+            raise ParameterError(f"{path}: the folder {name.parent} does not exist")
+        if _identity(path) in taken:
+            raise ParameterError(f"{path}: is also {taken[_identity(path)]}")
+        taken[_identity(path)] = "another output"
+        if name.suffix != ".bag" and name.is_file():
+            with open(path, "rb") as file:
+                if file.read(len(BAG_MAGIC)) == BAG_MAGIC:
+                    raise ParameterError(f"{path}: is a bag, which would be lost")
+
+
+def _identity(path):
+    return str(Path(path).resolve())
