@@ -129,8 +129,9 @@ class BagFile:
         self.connections: dict[int, Connection] = {}
         self.counts: dict[int, int] = {}
         self.start_ns = self.end_ns = 0
-        self._damage = []
-        self._read = 0
+        self._damage = set()
+        # Messages that the poorest complete run of `messages` found; None before the first.
+        self._found = None
         try:
             self._file = self.path.open("rb")
         except OSError as error:
@@ -166,27 +167,27 @@ class BagFile:
         wanted : set of int, optional
             Identifiers of the connections to yield; all by default.
         """
-        self._damage, self._read = [], 0
+        self._read = 0
         for buffer, position, index in self._chunks():
             picked = self._pick(buffer, index, wanted) if wanted and index else None
             yield from self._walk(buffer, position, wanted) if picked is None else picked
+        self._found = self._read if self._found is None else min(self._found, self._read)
 
     def notes(self):
-        """Lines that say what the last complete run of `messages` could not read; none if sound."""
+        """Lines that say what the runs of `messages` could not read; none if the bag is sound."""
         notes = []
         expected = sum(self.counts.values())
         if self._damage:
-            read = f"{self._read} of {expected}" if self.indexed else f"{self._read}"
-            where = ", ".join(str(position) for position in self._damage[:3])
+            read = f"{self._found} of {expected}" if self.indexed else f"{self._found}"
+            read = "" if self._found is None else f"{read} messages read; "
+            where = ", ".join(str(position) for position in sorted(self._damage)[:3])
             more = ", ..." if len(self._damage) > 3 else ""
-            notes.append(
-                f"damaged bag: {read} messages read; damage at byte {where}{more} of {self._size}"
-            )
-        elif self.indexed and self._read != expected:
-            notes.append(f"{self._read} messages read, but the index of the bag lists {expected}")
+            notes.append(f"damaged bag: {read}damage at byte {where}{more} of {self._size}")
+        elif self.indexed and self._found not in (None, expected):
+            notes.append(f"{self._found} messages read, but the index of the bag lists {expected}")
         elif not self.indexed:
             notes.append(
-                f"the bag was not closed (no index): all {self._read} messages "
+                f"the bag was not closed (no index): all {self._found} messages "
                 f"until its end at byte {self._size} read"
             )
         return notes
@@ -402,8 +403,7 @@ class BagFile:
             self._add_damage(position)
 
     def _add_damage(self, position):
-        if not self._damage or self._damage[-1] != position:
-            self._damage.append(position)
+        self._damage.add(position)
 
     def _other_record(self, buffer, at):
         """Take up a connection record; the position after it, None if it is none."""

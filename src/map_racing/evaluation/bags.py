@@ -318,7 +318,8 @@ def read_recording(path, pose_topic=None):
             else:
                 line = bag.connections[number]
                 _collect_waypoints(waypoints, lines[number], line, message, notes)
-        notes += bag.notes()
+        damage = bag.notes()
+        notes += damage
     series = {"required": 2} if source.tree is None else {}
     if source.tree is None:
         jumps, read = pose.jump_back, pose.columns
@@ -332,9 +333,14 @@ def read_recording(path, pose_topic=None):
             raise BagError(f"{path}: time jumps back by {again:.1f} s: two runs in one bag?")
         notes.append(f"header stamps jump back by {jump:.1f} s: time of receipt used instead")
     received = jump is not None
+    before = len(notes)
     times, columns = read(notes, source.topic, received=received, **series)
     if times.size < 2:
-        raise BagError(f"{path}: {source.topic}: expected at least two poses, got {times.size}")
+        why = "; ".join([*notes[before:], *damage])
+        raise BagError(
+            f"{path}: {source.topic}: expected at least two poses, got {times.size}"
+            + (f" ({why})" if why else "")
+        )
     t0_ns = int(times[0])
     commands = None
     if drives:

@@ -148,7 +148,8 @@ def read_csv_recording(path, columns=None):
         required=2,
     )
     if t.size < 2:
-        raise FileFormatError(f"{path}: expected at least two rows with time and position")
+        why = f" ({'; '.join(notes)})" if notes else ""
+        raise FileFormatError(f"{path}: expected at least two rows with time and position{why}")
     psi, v_x, v_y, yaw_rate, steering, speed = rest
     start = t[0]
     t = t - start

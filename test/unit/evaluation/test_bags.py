@@ -509,3 +509,57 @@ def test_a_late_message_is_no_jump(tmp_path):
     assert recording.t0_ns == int(T0 * 1e9)
     assert recording.x[12] == 20.0
     assert any("1 steps back in time: sorted" in note for note in recording.notes)
+
+
+# -- damage --------------------------------------------------------------------------------------
+
+
+def test_damage_is_reported_when_the_pose_comes_from_tf(tmp_path):
+    def fill(bag, i, t):
+        bag.transform(t, math.nan if i == 40 else i, 0.0, 0.0)
+        bag.drive(t, 0.1, 1.0)
+
+    path = write(tmp_path / "a.bag", fill)
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<d", 20.0))
+    data[at - 300 : at + 300] = bytes(600)
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert 40 < recording.t.size < 49
+    notes = "; ".join(recording.notes)
+    assert "damaged bag: " in notes
+    assert f"of {2 * len(TIMES)} messages read; damage at byte" in notes
+    assert "/tf: map to base_link: 1 of" in notes
+
+
+def test_messages_of_tf_that_cannot_be_decoded_are_counted(tmp_path):
+    path = write(tmp_path / "a.bag", transform())
+    data = bytearray(path.read_bytes())
+    at = data.index(b"base_link", data.index(struct.pack("<d", 19.0)))
+    data[at - 4 : at] = b"\xff\xff\xff\x7f"
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert recording.t.size == len(TIMES) - 1
+    assert "/tf: 1 messages that are not of their type left out" in recording.notes
+
+
+def test_a_sound_bag_without_a_pose_does_not_look_damaged(tmp_path, shared_data):
+    path = write(tmp_path / "a.bag", lambda bag, i, t: bag.imu(t, 0.0, 0.0, 0.0))
+    for sound in (path, shared_data / "recordings" / "vesc_motor_servo.bag"):
+        with pytest.raises(BagError, match="no topic with the pose") as error:
+            read_recording(sound)
+        assert "messages read" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("fill", "expected"),
+    [
+        (lambda bag, i, t: bag.pose(t, math.nan, 0, 0), "50 of 50 without a finite pose left out"),
+        (lambda bag, i, t: bag.pose(T0, i, 0, 0), "49 repeated time stamps left out"),
+        (lambda bag, i, t: bag.transform(t, 0, math.nan, 0), "50 of 50 without a finite pose"),
+    ],
+)
+def test_too_few_poses_are_explained(tmp_path, fill, expected):
+    path = write(tmp_path / "a.bag", fill)
+    with pytest.raises(BagError, match=rf"expected at least two poses, got \d \(.*{expected}"):
+        read_recording(path)
