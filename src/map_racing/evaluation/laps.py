@@ -31,8 +31,10 @@ from .samples import FARTHEST
 __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary", "evaluate"]
 
 _NAN = math.nan
-# A stretch shorter than this [m] is a car that stands on the line and wobbles across it.
+# A stretch that is shorter than this [m] and this [s] is a car that stands on the line and wobbles
+# across it.
 _WOBBLE = 0.5
+_WOBBLE_TIME = 1.0
 # Largest deviation [m] where neither walls nor a limit are known.
 _NO_WALLS = 2.0
 # So far beyond the walls [m] a car has not merely cut a corner or met walls drawn too tight.
@@ -386,7 +388,10 @@ class LapEvaluator:
             self._close("out-lap", complete=False)
         elif line > self._line:
             self._close("", complete=True)
-        elif self._farthest - self._line * self.raceline.length > _WOBBLE:
+        elif (
+            self._farthest - self._line * self.raceline.length > _WOBBLE
+            or crossing[0] - self._rows[0] > _WOBBLE_TIME
+        ):
             self._close("not completed", complete=False)
         self._begin(line)
         self._faults.update(faults)

@@ -179,6 +179,23 @@ def test_a_car_that_wobbles_on_the_line_starts_its_lap_when_it_leaves(drive, cou
 # -- laps that do not count ------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("pause", "expected"), [(0.2, []), (3.0, ["not completed"])])
+def test_time_spent_at_the_line_does_not_vanish(drive, line, pause, expected):
+    """The car crosses the line, stands 0.3 m behind it, falls back 0.4 m and sets out again."""
+
+    def progress(t):
+        times = [0.0, 1.0, 1.2, 1.2 + pause, 1.4 + pause, 2.0 + pause, 20.0]
+        return np.interp(t, times, [-3.0, 0.0, 0.3, 0.3, -0.1, 0.2, 0.2 + 6.0 * (18.0 - pause)])
+
+    result = run(line, *drive(16.0, progress))
+    laps = len([lap for lap in result.laps if lap.valid])
+    assert laps >= 2
+    assert reasons(result) == ["out-lap", *expected, *[""] * laps, "in-lap"]
+    if expected:
+        stood = result.laps[1]
+        assert stood.end_time_s - stood.start_time_s == pytest.approx(3.6, abs=0.02)
+
+
 def test_gap(drive, line):
     t, x, y = drive(17.5)
     keep = (t < 7.0) | (t > 7.4)
