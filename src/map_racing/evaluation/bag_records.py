@@ -121,7 +121,7 @@ class BagFile:
     Raises
     ------
     BagError
-        If the file is missing, is a directory, is empty or is no bag of format 2.0.
+        If the file is missing, is no regular file, is empty or is no bag of format 2.0.
     """
 
     def __init__(self, path):
@@ -132,6 +132,9 @@ class BagFile:
         self._damage = set()
         # Messages that the poorest complete run of `messages` found; None before the first.
         self._found = None
+        if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
+            # Opening a pipe would wait for a writer.
+            raise BagError(f"{path}: cannot open the bag: it is neither a file nor a directory")
         try:
             self._file = self.path.open("rb")
         except OSError as error:

@@ -39,6 +39,7 @@ _WOBBLE_TIME = 1.0
 _NO_WALLS = 2.0
 # So far beyond the walls [m] a car has not merely cut a corner or met walls drawn too tight.
 _ELSEWHERE = 0.5
+_MOST_SECTORS = 1000
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,7 @@ class LapEvaluator:
     car_width : float, optional
         Width of the car [m].
     sectors : int, optional
-        Number of sectors.
+        Number of sectors, up to 1000.
     limits : LapLimits, optional
     keep_traces : bool, optional
         Keep the samples of each lap in `Lap.trace`, for plots.
@@ -260,8 +261,8 @@ class LapEvaluator:
             raise ParameterError(f"expected a finite start_s, got {start_s}")
         if not (math.isfinite(car_width) and car_width >= 0.0):
             raise ParameterError(f"expected a car_width >= 0 m, got {car_width}")
-        if sectors < 1:
-            raise ParameterError(f"expected at least one sector, got {sectors}")
+        if not 1 <= sectors <= _MOST_SECTORS:
+            raise ParameterError(f"expected 1 to {_MOST_SECTORS} sectors, got {sectors}")
         self.raceline, self.limits = raceline, limits or LapLimits()
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)

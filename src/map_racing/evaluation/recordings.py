@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import zlib
 from itertools import chain
 from pathlib import Path
 
@@ -36,6 +37,8 @@ _ALIASES = {
     "speed_command": ("speed_command", "v_command", "translational_control"),
 }
 _REQUIRED = ("t", "x", "y")
+# Beyond this [s] a time is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
+_LATEST = 9.2e9
 
 
 def load_recording(source, pose_topic=None, columns=None):
@@ -59,6 +62,7 @@ def load_recording(source, pose_topic=None, columns=None):
     BagError, FileFormatError, ParameterError
         If the file cannot be read as what it is.
     """
+    _refuse_special(source)
     if not _is_csv(source):
         return read_recording(source, pose_topic)
     if pose_topic is not None:
@@ -84,6 +88,7 @@ def load_course(source):
     BagError, FileFormatError, ParameterError, RacelineError
     """
     path, _, topic = str(source).partition("#")
+    _refuse_special(path)
     if _is_bag(path):
         return read_waypoints(path, topic or None)
     return load_raceline(source)
@@ -121,12 +126,13 @@ def read_csv_recording(path, columns=None):
     unknown = sorted(set(columns) - set(_ALIASES))
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
+    _refuse_special(path)
     try:
         with _open_text(path) as file:
             names, delimiter, rows = _split_header(path, file)
             where = _locate(path, names, columns)
             table, numbers, notes = _parse_rows(path, rows, delimiter, names, where)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
     except UnicodeDecodeError:
@@ -201,6 +207,13 @@ def _fields():
     return ", ".join(_ALIASES)
 
 
+def _refuse_special(path):
+    """Refuse pipes and devices: reading one may never end."""
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FileFormatError(f"{path}: expected a file, got a pipe or a device")
+
+
 def _is_bag(path):
     """Whether a path means a bag: by its content or, for want of a file, by its name."""
     try:
@@ -265,6 +278,7 @@ def _locate(path, names, columns):
 def _parse_rows(path, rows, delimiter, names, where):
     """Values of the located columns, shape (rows, fields), numbers of their lines, and notes."""
     table, numbers, notes, short = [], [], [], None
+    fields = list(where)
     for number, line in rows:
         if short is not None:
             raise FileFormatError(
@@ -286,6 +300,12 @@ def _parse_rows(path, rows, delimiter, names, where):
                         f"got {cells[index].strip()!r}"
                     ) from None
                 values.append(math.nan)
+        time = values[fields.index("t")]
+        if math.isfinite(time) and abs(time) > _LATEST:
+            raise FileFormatError(
+                f"{path}:{number}: column {names[where['t']]}: expected a time in seconds, "
+                f"got {time:g}"
+            )
         table.append(values)
         numbers.append(number)
     if short is not None:

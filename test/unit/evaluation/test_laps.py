@@ -347,7 +347,13 @@ def test_memory_is_released_with_each_lap(drive, line):
 
 @pytest.mark.parametrize(
     "options",
-    [{"start_s": math.nan}, {"car_width": -1.0}, {"car_width": math.inf}, {"sectors": 0}],
+    [
+        {"start_s": math.nan},
+        {"car_width": -1.0},
+        {"car_width": math.inf},
+        {"sectors": 0},
+        {"sectors": 1001},
+    ],
 )
 def test_impossible_parameters(line, options):
     with pytest.raises(ParameterError):

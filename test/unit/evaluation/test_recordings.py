@@ -1,9 +1,11 @@
 import gzip
+import os
 
 import numpy as np
 import pytest
 
 from map_racing.errors import BagError, FileFormatError, ParameterError
+from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.recordings import (
     load_course,
     load_recording,
@@ -98,6 +100,9 @@ def test_rows_that_cannot_be_used_are_reported(csv):
         ("# only a comment\n", "expected rows of numbers"),
         ("t,x,y\n", "at least two rows"),
         ("t,x,y\n0,1,2\n", "at least two rows"),
+        ("t,x,y\n0,,2\n1,,3\n", "at least two rows .*2 of 2 without a finite pose left out"),
+        ("t,x,y\n0,1,2\n1e300,1,2\n", "run.csv:3: column t: expected a time in sec.* 1e.300"),
+        ("t,x,y\n-1e300,1,2\n1,1,2\n", "run.csv:2: column t: expected a time in seconds"),
     ],
 )
 def test_malformed_files(csv, text, expected):
@@ -169,3 +174,25 @@ def test_two_runs_in_one_file_are_refused(csv):
     expected = r"run.csv: time jumps back by 12.3 s at line 6: two runs in one file\?"
     with pytest.raises(FileFormatError, match=expected):
         read_csv_recording(csv(text))
+
+
+def test_damaged_gzip_is_one_line(tmp_path):
+    rows = "t,x,y\n" + "".join(f"{0.025 * i},{i % 7},{i % 13}\n" for i in range(2000))
+    data = gzip.compress(rows.encode())
+    path = tmp_path / "run.csv.gz"
+    for at in range(20, len(data) - 8, 97):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :])
+        with pytest.raises(FileFormatError, match="run.csv.gz") as error:
+            load_recording(path)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["run.bag", "run.csv", "run", "run.csv.gz"])
+def test_pipes_are_refused_before_they_are_opened(tmp_path, name):
+    path = tmp_path / name
+    os.mkfifo(path)
+    for read in (load_recording, load_course, read_csv_recording):
+        with pytest.raises(FileFormatError, match=f"{name}: expected a file, got a pipe"):
+            read(path)
+    with pytest.raises(BagError, match=f"{name}: cannot open the bag: it is neither"):
+        read_recording(path)
