@@ -430,7 +430,7 @@ class _Source(NamedTuple):
 def _choose_source(bag, pose_topic):
     """The source to take the pose from, and notes that explain the choice."""
     sources = _topic_sources(bag)
-    wanted = "/" + pose_topic.lstrip("/") if pose_topic else None
+    wanted = _canonical(pose_topic) if pose_topic else None
     matching = [source for source in sources if source.topic == wanted]
     certain = sources and sources[0].rank[:2] == (0, 0)
     if (wanted and not matching) or not (wanted or certain):
@@ -455,6 +455,15 @@ def _choose_source(bag, pose_topic):
     others = [source.topic for source in sources[1:] if source.rank[0] < 2]
     note = f"pose: {best.topic} ({best.type} in frame {best.frame or '(unnamed)'})"
     return best, [note + (f", preferred to {', '.join(others)}" if others else "")]
+
+
+def _canonical(topic):
+    """Name of a source in the form of `_Source.topic`."""
+    topic = "/" + topic.lstrip("/")
+    if topic.startswith("/tf:"):
+        frame = topic[4:].lstrip("/")
+        return "/tf" if frame == "base_link" else f"/tf:{frame}"
+    return topic
 
 
 def _topic_sources(bag):

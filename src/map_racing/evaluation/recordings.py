@@ -64,6 +64,8 @@ def load_recording(source, pose_topic=None, columns=None):
     """
     _refuse_special(source)
     if not _is_csv(source):
+        if columns:
+            raise ParameterError(f"{source}: a bag has no columns; they are for CSV files")
         return read_recording(source, pose_topic)
     if pose_topic is not None:
         raise ParameterError(f"{source}: a CSV file has no topic {pose_topic}")
@@ -192,13 +194,15 @@ def parse_columns(text):
     Raises
     ------
     ParameterError
-        If a part is not of the form ``field=column``.
+        If a part is not of the form ``field=column``, or a field is given twice.
     """
     columns = {}
     for part in text.split(","):
         name, equals, column = (piece.strip() for piece in part.partition("="))
         if not (name and equals and column):
             raise ParameterError(f"columns: expected field=column, got {part!r}")
+        if name in columns:
+            raise ParameterError(f"columns: field {name!r} is given twice")
         columns[name] = column
     return columns
 

@@ -228,7 +228,8 @@ def test_pose_topic_overrides_the_choice(tmp_path):
     path = write(tmp_path / "a.bag", fill)
     for topic in ("/other", "other"):
         assert read_recording(path, topic).x[-1] == -(len(TIMES) - 1)
-    assert read_recording(path, "/tf").y[-1] == len(TIMES) - 1
+    for topic in ("/tf", "/tf:base_link", "tf:/base_link"):
+        assert read_recording(path, topic).y[-1] == len(TIMES) - 1
     assert read_recording(path, "/tf:laser").y[-1] == len(TIMES) + 9
     with pytest.raises(BagError, match=r"no pose on /nothing: expected one of .*/other"):
         read_recording(path, "/nothing")

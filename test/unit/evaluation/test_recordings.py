@@ -120,6 +120,8 @@ def test_malformed_arguments(csv, tmp_path):
     for text in ("x", "x=", "=y", "x=y,,t=z"):
         with pytest.raises(ParameterError, match="field=column"):
             parse_columns(text)
+    with pytest.raises(ParameterError, match="field 't' is given twice"):
+        parse_columns("t=t,t=x")
     with pytest.raises(ParameterError, match="has no topic"):
         load_recording(path, pose_topic="/odom")
     with pytest.raises(FileFormatError, match="No such file"):
@@ -137,6 +139,8 @@ def test_bags_are_recognized_by_their_content(race_bag, tmp_path):
     path.write_bytes(race_bag().read_bytes())
     assert load_recording(path).topic == "/car_state/odom"
     assert load_recording(path, "/car_state/pose").topic == "/car_state/pose"
+    with pytest.raises(ParameterError, match="a bag has no columns"):
+        load_recording(path, columns="t=time")
     assert load_course(path).length == pytest.approx(load_recording(path).raceline.length)
 
 
