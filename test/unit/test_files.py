@@ -1,5 +1,8 @@
 """Small files: refused in one line that says where, replaced whole or not at all."""
 
+import os
+import stat
+
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError
@@ -25,6 +28,9 @@ def test_reads_a_mapping(tmp_path):
         (b"a: 1\n\tb: 2\n", ":2: expected YAML"),
         (b"a: !!python/object:os.system x\n", ":1: expected YAML"),
         (b"a: 1\x00\n", "expected YAML"),
+        (b"a: 1\nb: 2\na: 3\n", ":3: expected YAML: a: given twice"),
+        (b"s: {a: 1, a: 2}\n", ":1: expected YAML: a: given twice"),
+        (b"[" * 3000, "nested too deeply"),
         (b"a: 2020-13-45\n", "expected YAML"),
         (b"\xff\xfe\x00\x01", "found bytes that are not text"),
     ],
@@ -84,3 +90,31 @@ def test_what_cannot_be_written_is_named(tmp_path):
     with pytest.raises(MapRacingError, match="folder: cannot write"), replacing(folder) as file:
         file.write("x")
     assert [entry.name for entry in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_link_stays_a_link(tmp_path):
+    target, link = tmp_path / "target.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    link.symlink_to(target)
+    with replacing(link) as file:
+        file.write("new")
+    assert link.is_symlink() and target.read_text() == "new"
+
+
+def test_a_pipe_is_written_to_as_it_is(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(str(pipe))
+    reader = os.open(str(pipe), os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with replacing(pipe) as file:
+            file.write("through")
+        assert os.read(reader, 100) == b"through"
+        assert stat.S_ISFIFO(os.stat(str(pipe)).st_mode)
+    finally:
+        os.close(reader)
+
+
+@pytest.mark.parametrize("path", ["", ".", "/"])
+def test_refuses_what_is_no_file_name(path):
+    with pytest.raises(MapRacingError, match="expected the name of a file"), replacing(path):
+        pass

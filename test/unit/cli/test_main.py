@@ -14,6 +14,7 @@ from map_racing.cli import main
 from map_racing.cli.evaluate import run_names
 from map_racing.cli.lookup import published_grid
 from map_racing.evaluation.bags import read_recording
+from map_racing.resources import find_config
 from map_racing.vehicle.lookup import load_table
 
 
@@ -49,7 +50,8 @@ def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
     path = tmp_path / "a.bag"
     arguments = ["--controller", "pure_pursuit_paper", "--speed-scale", "0.9"]
     assert main(["race", *arguments, "--output", str(path)]) == 0
-    assert "crashed after 0 timed laps" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "crashed after 0 timed laps" in printed and "of the raceline" in printed
     assert main(["evaluate", str(path)]) == 0
     assert "N.C." in capsys.readouterr().out
 
@@ -152,6 +154,57 @@ def test_evaluate_refuses(bags, tmp_path, capsys):
     path.write_text("t,x,y\n0,0,0\n1,1,0\n")
     assert "no raceline" in refused(capsys, "evaluate", path)
     assert refused(capsys, "evaluate", bag, "--csv", tmp_path / "no" / "laps.csv")
+
+
+def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, capsys):
+    ours, theirs = (tmp_path / f"{name}.bag" for name in ("ours", "theirs"))
+    for path in (ours, theirs):
+        shutil.copy(str(bags["map"]), str(path))
+    before = ours.read_bytes()
+    assert "an input" in refused(capsys, "evaluate", ours, "--csv", ours)
+    assert "another output" in refused(
+        capsys, "evaluate", ours, "--csv", tmp_path / "a", "--json", tmp_path / "a"
+    )
+    shutil.copy(str(ours), str(tmp_path / "unnamed"))
+    line = refused(capsys, "evaluate", theirs, "--csv", tmp_path / "unnamed")
+    assert "is a bag, which would be lost" in line
+    car = tmp_path / "car.yaml"
+    shutil.copy(str(find_config("vehicles", "nuc4", (".yaml",))), str(car))
+    text = car.read_text()
+    assert "an input" in refused(capsys, "lookup", "generate", "--vehicle", car, "--output", car)
+    assert "an input" in refused(capsys, "race", "--vehicle", car, "--output", car)
+    assert "name of a file" in refused(capsys, "race", "--output", ".")
+    assert (ours.read_bytes(), car.read_text()) == (before, text)
+
+
+def test_one_bad_recording_does_not_hold_up_the_others(bags, tmp_path, capsys):
+    table = tmp_path / "laps.csv"
+    paths = [str(bags["map"]), str(tmp_path / "none.bag"), str(bags["pure_pursuit"])]
+    assert main(["evaluate", *paths, "--csv", str(table)]) == 1
+    printed = capsys.readouterr()
+    assert len(printed.err.splitlines()) == 1 and "none.bag" in printed.err
+    assert set(pd.read_csv(table)["bag"]) == {paths[0], paths[2]}
+
+
+def test_the_report_tells_the_raceline_that_was_used(bags, tmp_path, capsys):
+    assert main(["evaluate", str(bags["map"]), "--raceline", "reference"]) == 0
+    printed = capsys.readouterr().out
+    assert "raceline: reference; heading" in printed and "/global_waypoints" not in printed
+    assert main(["evaluate", str(bags["map"]), "--reverse"]) == 0
+    printed = capsys.readouterr().out
+    assert "raceline reversed" in printed and "0 laps counted" in printed
+
+
+def test_driven_the_other_way_round(shared_data, tmp_path):
+    folder = shared_data / "laps" / "ipz20"
+    run = str(min(folder.glob("*.csv.gz")))
+    reports = []
+    for raceline, option in (("IPZ20_wp.csv", []), ("IPZ20_wp_reverse.csv", ["--reverse"])):
+        report = tmp_path / f"{raceline}.json"
+        arguments = ["--raceline", str(folder / raceline), "--json", str(report), *option]
+        assert main(["evaluate", run, "--max-deviation", "1", *arguments]) == 0
+        reports.append(json.loads(report.read_text())["runs"][0]["summary"])
+    assert reports[0]["laps_completed"] == reports[1]["laps_completed"] == 3
 
 
 def test_a_truncated_bag_gives_the_laps_it_still_has(bags, tmp_path, capsys):

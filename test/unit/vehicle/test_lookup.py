@@ -315,3 +315,10 @@ def test_published_tables_load_and_invert(shared_data, name):
         v, a_lat = table.speeds[j], table.a_lat[i, j]
         # cells may differ by rounding where the table repeats an angle
         assert table.steering(v, a_lat)[0] == pytest.approx(table.angles[i], abs=1e-9)
+
+
+def test_cells_that_give_no_wheelbase_are_no_table():
+    angles = np.linspace(0.0, 0.4, 20)
+    cells = np.outer(angles, [10.0, 9.0, 8.0, 7.0, 6.0])
+    with pytest.raises(ParameterError, match="wheelbase"):
+        LookupTable([1.0, 2.0, 3.0, 4.0, 5.0], angles, cells)
