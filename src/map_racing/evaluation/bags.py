@@ -75,7 +75,8 @@ class BagWriter:
     Raises
     ------
     BagError
-        If the file cannot be written, the compression is unknown, or a message cannot be packed.
+        If the file cannot be written, `path` is a directory, a pipe or a device, the compression is
+        unknown, or a message cannot be packed.
 
     Notes
     -----
@@ -87,10 +88,20 @@ class BagWriter:
         if compression not in (None, "lz4", "bz2"):
             raise BagError(f"{path}: expected compression lz4 or bz2, got {compression!r}")
         self._compression = compression
-        self._temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        if not self.path.name or self.path.is_dir():
+            raise BagError(f"{path}: cannot write the bag: expected a file, got a directory")
+        if self.path.exists() and not self.path.is_file():
+            raise BagError(f"{path}: cannot write the bag: expected a file, got a pipe or a device")
+        # A link stays one: what it points to is replaced.
+        self._target = Path(os.path.realpath(str(path)))
+        self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
         self._topics: dict[str, list] = {}
 
     def __enter__(self):
+        # First what takes long, so that an interrupt meets no file yet.
+        self._types = get_typestore(Stores.ROS1_NOETIC)
+        for name, definition in msg.DEFINITIONS.items():
+            self._types.register(get_types_from_msg(definition, name))
         self._writer = Writer(self._temporary)
         if self._compression:
             self._writer.set_compression(Writer.CompressionFormat[self._compression.upper()])
@@ -100,16 +111,13 @@ class BagWriter:
             self._writer.open()
         except OSError as error:
             raise BagError(f"{self.path}: cannot write the bag: {error.strerror}") from None
-        self._types = get_typestore(Stores.ROS1_NOETIC)
-        for name, definition in msg.DEFINITIONS.items():
-            self._types.register(get_types_from_msg(definition, name))
         return self
 
     def __exit__(self, exception_type, exception, traceback):
         try:
             self._writer.close()
             if exception_type is None:
-                os.replace(self._temporary, self.path)
+                os.replace(self._temporary, self._target)
         except OSError as error:
             raise BagError(f"{self.path}: cannot write the bag: {error.strerror}") from None
         finally:

@@ -1,4 +1,5 @@
 import math
+import os
 import struct
 
 import numpy as np
@@ -166,6 +167,36 @@ def test_places_where_no_bag_can_be(tmp_path):
         pass
     with pytest.raises(BagError, match="expected compression"):
         BagWriter(tmp_path / "a.bag", "zip")
+    for path in (".", "", "/", tmp_path, tmp_path / ".."):
+        with pytest.raises(BagError, match="expected a file, got a directory"):
+            BagWriter(path)
+    os.mkfifo(tmp_path / "pipe.bag")
+    with pytest.raises(BagError, match="pipe.bag: .*expected a file, got a pipe"):
+        BagWriter(tmp_path / "pipe.bag")
+
+
+def test_a_link_is_written_through(tmp_path):
+    (tmp_path / "store").mkdir()
+    for name, old in (("a.bag", b"old"), ("new.bag", None)):
+        target, link = tmp_path / "store" / name, tmp_path / name
+        if old is not None:
+            target.write_bytes(old)
+        link.symlink_to(target)
+        write(link, pose("/car_state/pose"))
+        assert link.is_symlink()
+        assert read_recording(target).t.size == len(TIMES)
+    assert sorted(path.name for path in (tmp_path / "store").iterdir()) == ["a.bag", "new.bag"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bag", "new.bag", "store"]
+
+
+def test_an_interrupt_at_the_start_leaves_nothing(tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("map_racing.evaluation.bags.get_typestore", interrupt)
+    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "a.bag"):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 # -- choice of the pose --------------------------------------------------------------------------
