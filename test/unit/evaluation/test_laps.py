@@ -11,6 +11,7 @@ from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.laps import LapEvaluator, LapLimits, Summary, evaluate
 from map_racing.evaluation.recordings import load_course, load_recording
 from map_racing.evaluation.samples import Commands, Recording
+from map_racing.track.raceline import Raceline
 
 V = 6.0
 RATE = 40.0
@@ -78,6 +79,28 @@ def test_known_laps_at_any_waypoint_spacing(course, spacing, phase):
         thirds = progress(start) + course.length * np.array([1.0, 2.0]) / 3.0
         ends = [start, *np.interp(thirds, progress(fine), fine), end]
         np.testing.assert_allclose(lap.sector_times_s, np.diff(ends), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("count", "phase", "expected"),
+    [(52, 0.0, 2.3e-3), (52, 0.5, 7.8e-3), (104, 0.0, 0.3e-3), (104, 0.5, 0.5e-3)],
+)
+def test_waypoints_that_are_coarse_for_a_bend(count, phase, expected):
+    """A lap on an ellipse with ends of 0.7 m radius, known by points 1 m or 0.5 m apart."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 100001)
+    x, y = 12.0 * np.cos(angle), 2.9 * np.sin(angle)
+    s = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+
+    def place(at):
+        at = np.interp(at % s[-1], s, angle)
+        return 12.0 * np.cos(at), 2.9 * np.sin(at)
+
+    line = Raceline(*place((np.arange(count) + phase) * s[-1] / count))
+    t = np.arange(0.0, 20.0, 1.0 / RATE)
+    laps = [lap for lap in run(line, t, *place(V * t - 3.0), start_s=1.0).laps if lap.valid]
+    assert len(laps) == 2
+    for lap in laps:
+        assert lap.rms_lateral_error_m == pytest.approx(expected, abs=0.1e-3)
 
 
 @pytest.mark.parametrize("rate", [7.0, 25.0, 40.0, 100.0])
