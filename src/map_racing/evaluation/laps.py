@@ -494,8 +494,8 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
     Raises
     ------
     EvaluationError
-        If the car drove elsewhere: more than half of the samples are off the track, and either
-        farther than walls are ever drawn too tight or without following the raceline.
+        If the car drove elsewhere: more than half of the samples are farther off the track than
+        walls are ever drawn too tight, or it drove without coming along the raceline.
     """
     evaluator = LapEvaluator(
         raceline,
@@ -526,16 +526,32 @@ def evaluate(recording, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limi
         allowed = _NO_WALLS
     beyond = float(np.median(deviation - allowed))
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
-    driven = float(np.sum(np.hypot(np.diff(recording.x), np.diff(recording.y))))
-    if beyond > _ELSEWHERE or (beyond > 0.0 and abs(progress) < 0.5 * driven):
+    driven = _driven(recording.x.tolist(), recording.y.tolist())
+    if beyond > _ELSEWHERE:
         raise EvaluationError(
             f"{recording.source}: the car drove elsewhere: half of the time more than "
             f"{np.median(deviation):.1f} m off the raceline {name}"
+        )
+    followed = result.summary.laps_completed or abs(progress) > 0.5 * driven
+    if driven > 0.5 * raceline.length and not followed:
+        raise EvaluationError(
+            f"{recording.source}: the car drove elsewhere: of {driven:.0f} m it came "
+            f"{abs(progress):.0f} m along the raceline {name}"
         )
     notes = list(recording.notes)
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {name}")
     return replace(result, source=recording.source, notes=tuple(notes))
+
+
+def _driven(x, y):
+    """Distance driven [m], in steps that noise on a standing car does not make."""
+    driven, x0, y0 = 0.0, x[0], y[0]
+    for x1, y1 in zip(x, y):
+        step = math.hypot(x1 - x0, y1 - y0)
+        if step > _WOBBLE:
+            driven, x0, y0 = driven + step, x1, y1
+    return driven
 
 
 # -- statistics ----------------------------------------------------------------------------------
