@@ -116,10 +116,11 @@ class Controller:
             vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         )
         self.raceline = raceline
+        self.reset()
 
     @property
     def raceline(self):
-        """The raceline followed; setting another one restarts tracking."""
+        """The raceline followed; setting another one restarts tracking, but not the steering."""
         return self._raceline
 
     @raceline.setter
@@ -128,7 +129,6 @@ class Controller:
             raise ParameterError(f"{raceline.source or raceline.name}: the raceline has no speeds")
         self._raceline = raceline
         self._tracker = None if raceline is None else CourseTracker(raceline)
-        self.reset()
 
     def reset(self):
         """Forget the past: the car was moved, or time jumped back."""
@@ -191,6 +191,27 @@ class Controller:
             eta,
             a_lat,
         )
+
+    def lateral_error(self, state, result):
+        """Lateral deviation of a measured state, where `result` holds that of its prediction.
+
+        Parameters
+        ----------
+        state : CarState
+            The argument of the last step.
+        result : ControlResult
+            What it returned.
+
+        Returns
+        -------
+        float
+            Deviation from the raceline, left positive [m]; NaN without one.
+        """
+        if result.s != result.s:
+            return _NAN
+        guess = result.s - state.v_x * self.parameters.delay_s
+        found = self._raceline.project_near(state.x, state.y, guess, 1.0)
+        return (found or self._raceline.project(state.x, state.y)).d
 
     def _speed_command(self, s_ahead, s):
         parameters = self.parameters
