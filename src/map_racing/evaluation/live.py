@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FileFormatError, MapRacingError, ParameterError
-from .laps import Lap, LapEvaluator, LapLimits
+from .laps import Lap, LapEvaluator, LapLimits, check_options
 from .samples import FARTHEST
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
@@ -153,6 +153,7 @@ class LiveEvaluation:
     ):
         if not patience >= 0.0:
             raise ParameterError(f"expected a patience >= 0 s, got {patience}")
+        check_options(start_s, car_width, sectors)
         self._limits = limits or LapLimits()
         self._options = {
             "limits": self._limits,

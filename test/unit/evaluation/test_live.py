@@ -216,6 +216,8 @@ def test_nothing_to_finish_is_no_run(line):
     assert taken.runs == []
     with pytest.raises(ParameterError, match="patience"):
         Taken(line, patience=math.nan)
+    with pytest.raises(ParameterError, match="car_width"):
+        Taken(car_width=-1.0)
 
 
 # -- the file of laps ------------------------------------------------------------------------------
