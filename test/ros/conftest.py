@@ -1,4 +1,4 @@
-"""Real nodes against a real roscore; ``./scripts/test_ros`` runs these tests in a catkin workspace."""
+"""Real nodes against a real roscore; ``./scripts/test_ros`` makes the workspace and runs them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -96,7 +97,7 @@ class Process:
 
 @pytest.fixture(scope="session")
 def roscore(tmp_path_factory):
-    """URI of a master of this test session's own, on a free port, with its logs in a temporary folder."""
+    """URI of a master of this session's own: on a free port, with its logs in a temporary folder."""
     folder = tmp_path_factory.mktemp("ros")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -142,10 +143,9 @@ def _clean_parameters(roscore):
     yield
     for name in master.getParamNames():
         if not name.startswith(("/ros", "/run_id")):
-            try:
+            # It may have gone with its namespace.
+            with suppress(rosgraph.MasterError):
                 master.deleteParam(name)
-            except rosgraph.MasterError:
-                pass  # it went with its namespace
 
 
 @pytest.fixture
@@ -250,7 +250,7 @@ class Inbox(list):
 
 @pytest.fixture
 def listen(ros):
-    """``listen("/drive", AckermannDriveStamped)`` subscribes and collects messages in an `Inbox`."""
+    """``listen("/drive", AckermannDriveStamped)`` collects messages in an `Inbox`."""
     subscribers = []
 
     def subscribe(topic, kind):
