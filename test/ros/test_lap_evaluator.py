@@ -6,6 +6,7 @@ import signal
 import time
 
 import pytest
+import rosgraph
 from ackermann_msgs.msg import AckermannDriveStamped
 from map_racing.msg import LapResult
 from nav_msgs.msg import Odometry
@@ -84,10 +85,40 @@ def assert_same(laps, others):
     assert max(largest.values()) <= SAME, largest
 
 
+@pytest.fixture
+def evaluator(start):
+    """Start the node, and wait until it has subscribed to its last topic."""
+
+    def run(params, remaps=REMAPS):
+        node = start("lap_evaluator", params, remaps)
+        topic = remaps[params.get("pose_source", "odom")]
+        master = rosgraph.Master("/test")
+        wait_for(
+            lambda: any(
+                name == topic and "/lap_evaluator" in nodes
+                for name, nodes in master.getSystemState()[1]
+            ),
+            what=f"the node to subscribe to {topic}",
+        )
+        return node
+
+    return run
+
+
+def wait_for(condition, timeout=10.0, what="the condition"):
+    """Wait until a condition is true."""
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, f"waited in vain for {what}"
+        time.sleep(0.02)
+
+
 def play(processes, bag, *options):
     """Play a bag to its end."""
     # A queue that holds what a busy computer cannot take at once: nothing may be lost.
-    player = processes(["rosbag", "play", "--quiet", "--clock", "--queue=10000", "--delay=1", *options, bag])
+    player = processes(
+        ["rosbag", "play", "--quiet", "--clock", "--queue=10000", "--delay=1", *options, bag]
+    )
     assert player.wait(120.0) == 0, player.output
 
 
@@ -99,18 +130,18 @@ def stop(node):
 
 
 @pytest.mark.parametrize("rate", [1, 10])
-def test_replay_is_offline(rate, race_bag, start, processes, tmp_path):
-    node = start("lap_evaluator", {"csv": str(tmp_path / "laps.csv")}, REMAPS)
+def test_replay_is_offline(rate, race_bag, evaluator, processes, tmp_path):
+    node = evaluator({"csv": str(tmp_path / "laps.csv")})
     play(processes, race_bag, f"--rate={rate}")
     output = stop(node)
     assert_same(rows(tmp_path / "laps.csv"), offline(race_bag))
     assert "2 laps counted, 2 stretches not" in output
 
 
-def test_live_is_its_own_recording(log, start, processes, advertise, tmp_path):
+def test_live_is_its_own_recording(log, evaluator, processes, advertise, tmp_path):
     """Odometry at 40 Hz in real time, commands with the stamp of their pose, all of it recorded."""
     bag, table = tmp_path / "live.bag", tmp_path / "laps.csv"
-    node = start("lap_evaluator", {"csv": str(table), "raceline": "reference"}, REMAPS)
+    node = evaluator({"csv": str(table), "raceline": "reference"})
     recorder = processes(["rosbag", "record", "-O", bag, "/car_state/odom", DRIVE_TOPIC])
     odometry = advertise("/car_state/odom", Odometry, subscribers=2)
     drive = advertise(DRIVE_TOPIC, AckermannDriveStamped, subscribers=2)
@@ -132,7 +163,7 @@ def test_live_is_its_own_recording(log, start, processes, advertise, tmp_path):
 
     for rate in (1, 10):
         again = tmp_path / f"laps{rate}.csv"
-        node = start("lap_evaluator", {"csv": str(again), "raceline": "reference"}, REMAPS)
+        node = evaluator({"csv": str(again), "raceline": "reference"})
         play(processes, bag, f"--rate={rate}")
         stop(node)
         assert_same(rows(again), live)
@@ -148,10 +179,10 @@ def odometry_message(state, begin_ns):
     return message
 
 
-def test_recorded_laps_of_the_public_stack(shared_data, start, processes, tmp_path):
+def test_recorded_laps_of_the_public_stack(shared_data, evaluator, processes, tmp_path):
     """Waypoints of a message package that is not built here; each lap as offline."""
     bag = shared_data / "recordings" / "hangar_map_12laps.bag"
-    node = start("lap_evaluator", {"csv": str(tmp_path / "laps.csv")}, REMAPS)
+    node = evaluator({"csv": str(tmp_path / "laps.csv")})
     play(processes, bag, "--rate=10")
     output = stop(node)
     expected = offline(bag)
@@ -160,10 +191,10 @@ def test_recorded_laps_of_the_public_stack(shared_data, start, processes, tmp_pa
     assert "11 laps counted" in output
 
 
-def test_a_bag_played_again_is_another_run(race_bag, start, processes, listen, tmp_path):
+def test_a_bag_played_again_is_another_run(race_bag, evaluator, processes, listen, tmp_path):
     table = tmp_path / "laps.csv"
     results = listen("/lap_result", LapResult)
-    node = start("lap_evaluator", {"csv": str(table)}, REMAPS)
+    node = evaluator({"csv": str(table)})
     play(processes, race_bag, "--rate=10")
     play(processes, race_bag, "--rate=10")
     output = stop(node)
@@ -177,8 +208,8 @@ def test_a_bag_played_again_is_another_run(race_bag, start, processes, listen, t
     ]
 
 
-def test_results_and_text_are_published_and_latched(race_bag, start, processes, listen):
-    node = start("lap_evaluator", {"sectors": 2}, REMAPS)
+def test_results_and_text_are_published_and_latched(race_bag, evaluator, processes, listen):
+    node = evaluator({"sectors": 2})
     play(processes, race_bag, "--rate=10")
     result = listen("/lap_result", LapResult).wait()
     markers = listen("/lap_markers", MarkerArray).wait().markers
@@ -197,10 +228,10 @@ def test_results_and_text_are_published_and_latched(race_bag, start, processes, 
     assert node.running
 
 
-def test_poses_without_twist_or_command(race_bag, start, processes, tmp_path):
+def test_poses_without_twist_or_command(race_bag, evaluator, processes, tmp_path):
     table = tmp_path / "laps.csv"
     parameters = {"csv": str(table), "pose_source": "pose", "start_line": 5, "max_deviation": 1.5}
-    node = start("lap_evaluator", parameters, {**REMAPS, "drive": "/nobody"})
+    node = evaluator(parameters, {**REMAPS, "drive": "/nobody"})
     play(processes, race_bag, "--rate=10")
     stop(node)
     expected = offline(race_bag, start_s=5.0)
@@ -212,9 +243,9 @@ def test_poses_without_twist_or_command(race_bag, start, processes, tmp_path):
     assert laps[1]["speed_reference"] == "raceline"
 
 
-def test_no_lap_is_lost_when_the_node_is_killed(race_bag, start, processes, tmp_path):
+def test_no_lap_is_lost_when_the_node_is_killed(race_bag, evaluator, processes, tmp_path):
     table = tmp_path / "laps.csv"
-    node = start("lap_evaluator", {"csv": str(table)}, REMAPS)
+    node = evaluator({"csv": str(table)})
     play(processes, race_bag, "--rate=10")
     time.sleep(0.5)
     node.signal(signal.SIGKILL)
@@ -230,9 +261,7 @@ def test_waypoints_without_points_are_refused_and_later_ones_taken(start, advert
     line = load_course("reference")
     points = [waypoint(x_m=x, y_m=y, vx_mps=3.0) for x, y in zip(line.x, line.y)]
     publisher.publish(array(wpnts=points))
-    end = time.monotonic() + 10.0
-    while "raceline global_waypoints" not in node.output and time.monotonic() < end:
-        time.sleep(0.05)
+    wait_for(lambda: "raceline global_waypoints" in node.output)
     assert "expected waypoints" in node.output
     assert f"raceline global_waypoints, {line.length:.2f} m" in node.output
 
