@@ -37,6 +37,7 @@ from ..evaluation.recordings import load_course
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
+from .node import get_parameter, run
 from .transforms import TransformListener
 from .waypoints import RacelineSubscriber
 
@@ -53,16 +54,6 @@ LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
 UNITS = {"_m": "[m]", "_s": "[s]", "_rad": "[rad]", "_mps": "[m/s]", "_mps2": "[m/s^2]"}
 
 
-def _parameter(name, default, meaning=""):
-    value = rospy.get_param(f"~{name}", default)
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not type(default):
-        raise ParameterError(f"~{name}: expected {type(default).__name__}, got {value!r}")
-    rospy.loginfo("~%s = %r %s", name, value, meaning)
-    return value
-
-
 def _overridden(values):
     """A dataclass with those of its values replaced that are private parameters of the node."""
     changes = {}
@@ -70,7 +61,7 @@ def _overridden(values):
         unit = UNITS.get("_" + field.name.rpartition("_")[2], "")
         default = getattr(values, field.name)
         default = float(default) if isinstance(default, int) else default
-        changes[field.name] = _parameter(field.name, default, unit)
+        changes[field.name] = get_parameter(field.name, default, unit)
     return replace(values, **changes)
 
 
@@ -78,18 +69,18 @@ class ControllerNode:
     """Reads its parameters, then drives until it is told to end."""
 
     def __init__(self):
-        controller = _parameter("controller", "map", "shipped name or file")
-        vehicle = load_vehicle(_parameter("vehicle", "nuc4", "shipped name or file"))
-        source = _parameter("raceline", "", "track, file or bag; empty: topic global_waypoints")
-        pose_source = _parameter("pose_source", "odom", "odom, pose or tf")
-        table = _parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
-        self._sectors = _parameter("sectors", "", "speed_scaling.yaml; empty: none")
+        controller = get_parameter("controller", "map", "shipped name or file")
+        vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
+        source = get_parameter("raceline", "", "track, file or bag; empty: topic global_waypoints")
+        pose_source = get_parameter("pose_source", "odom", "odom, pose or tf")
+        table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
+        self._sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
         self._frames = tuple(
-            _parameter(f"{name}_frame", default, "with pose_source tf")
+            get_parameter(f"{name}_frame", default, "with pose_source tf")
             for name, default in (("map", "map"), ("base", "base_link"))
         )
         ros_home = os.environ.get("ROS_HOME") or Path.home() / ".ros"
-        self._save_to = _parameter(
+        self._save_to = get_parameter(
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         if pose_source not in ("odom", "pose", "tf"):
@@ -501,10 +492,4 @@ def _trace(text):
 
 def main():
     """Run the node; an impossible parameter or file is one line and exit code 1."""
-    rospy.init_node("controller")
-    try:
-        ControllerNode()
-    except MapRacingError as error:
-        rospy.logfatal("%s", error)
-        sys.exit(1)
-    rospy.spin()
+    run("controller", ControllerNode)
