@@ -128,9 +128,7 @@ def test_walls_and_the_way_back(start, listen, drive, advertise):
     advertise("/initialpose", PoseWithCovarianceStamped).publish(put)
     back = odometry.wait(
         lambda m: (
-            math.hypot(
-                m.pose.pose.position.x - start_pose.x, m.pose.pose.position.y - start_pose.y
-            )
+            math.hypot(m.pose.pose.position.x - start_pose.x, m.pose.pose.position.y - start_pose.y)
             < 0.05
             and m.header.stamp > still.header.stamp
         )
@@ -183,9 +181,7 @@ def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
         laps.append([lap for lap in evaluator.finish().laps if lap.valid])
     assert len(laps[0]) == len(laps[1]) == 1
     assert laps[0][0].lap_time_s == pytest.approx(laps[1][0].lap_time_s, abs=1e-4)
-    assert laps[0][0].rms_lateral_error_m == pytest.approx(
-        laps[1][0].rms_lateral_error_m, abs=1e-5
-    )
+    assert laps[0][0].rms_lateral_error_m == pytest.approx(laps[1][0].rms_lateral_error_m, abs=1e-5)
 
 
 @pytest.mark.parametrize(
