@@ -30,10 +30,9 @@ def waypoint_rows(raceline, spacing=0.1, speed=None):
     s = np.arange(count) * (raceline.length / count)
     curve = raceline.sample(s)
     zeros = np.zeros(count)
+    v = zeros if curve.speed is None else curve.speed
     if speed is not None:
         v = speed(s)
-    else:
-        v = zeros if curve.speed is None else curve.speed
     a_x = (np.roll(v, -1) ** 2 - v**2) / (2.0 * raceline.length / count)
     right = zeros if curve.d_right is None else curve.d_right
     left = zeros if curve.d_left is None else curve.d_left
