@@ -18,6 +18,8 @@ from ..evaluation.live import LapLog, LiveEvaluation
 from ..evaluation.recordings import load_course
 from ..evaluation.report import lap_table
 from .conversions import frame, stamp_ns, to_time
+from .markers import delete_all, make_marker
+from .node import get_parameter, run
 from .waypoints import RacelineSubscriber
 
 __all__ = ["LapEvaluatorNode", "main"]
@@ -34,15 +36,15 @@ class LapEvaluatorNode:
     """
 
     def __init__(self):
-        source = _parameter("raceline", "", "raceline file; empty: topic global_waypoints")
-        pose = _parameter("pose_source", "odom", "odom or pose")
-        start_s = _parameter("start_line", 0.0, "arc length of the start line [m]")
-        car_width = _parameter("car_width", 0.3, "[m]")
-        sectors = _parameter("sectors", 3, "number of sectors")
-        deviation = _parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
-        patience = _parameter("patience", 1.0, "longest wait for a drive command [s]")
-        csv = _parameter("csv", "", "file that laps are appended to; empty: none")
-        self._text_size = _parameter("text_size", 0.5, "height of the lap text [m]")
+        source = get_parameter("raceline", "", "raceline file; empty: topic global_waypoints")
+        pose = get_parameter("pose_source", "odom", "odom or pose")
+        start_s = get_parameter("start_line", 0.0, "arc length of the start line [m]")
+        car_width = get_parameter("car_width", 0.3, "[m]")
+        sectors = get_parameter("sectors", 3, "number of sectors")
+        deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
+        patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
+        csv = get_parameter("csv", "", "file that laps are appended to; empty: none")
+        self._text_size = get_parameter("text_size", 0.5, "height of the lap text [m]")
         if pose not in ("odom", "pose"):
             raise ParameterError(f"~pose_source: expected odom or pose, got {pose!r}")
         if not deviation >= 0.0:
@@ -64,7 +66,7 @@ class LapEvaluatorNode:
         self._log = LapLog(csv, sectors) if csv else None
         self._results = rospy.Publisher("lap_result", LapResult, queue_size=100, latch=True)
         self._markers = rospy.Publisher("lap_markers", MarkerArray, queue_size=10, latch=True)
-        self._markers.publish(MarkerArray([Marker(action=Marker.DELETEALL)]))
+        self._markers.publish(delete_all())
 
         rospy.on_shutdown(lambda: self._queue.put((_STOP, None, 0, 0.0)))
         if not source:
@@ -166,14 +168,14 @@ class LapEvaluatorNode:
 
     def _marker(self, text):
         raceline = self._laps.raceline
-        marker = Marker(ns="lap", id=0, type=Marker.TEXT_VIEW_FACING, text=text)
-        marker.header.frame_id = self._frame
+        size = (0.0, 0.0, self._text_size)
+        marker = make_marker(
+            Marker.TEXT_VIEW_FACING, "lap", self._frame, LAP_TEXT_COLOR, scale=size
+        )
+        marker.text = text
         marker.pose.position.x = 0.5 * (raceline.x.min() + raceline.x.max())
         marker.pose.position.y = 0.5 * (raceline.y.min() + raceline.y.max())
         marker.pose.position.z = self._text_size
-        marker.pose.orientation.w = 1.0
-        marker.scale.z = self._text_size
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = LAP_TEXT_COLOR
         return marker
 
     def _summarize(self, run, result):
@@ -181,7 +183,7 @@ class LapEvaluatorNode:
         rospy.loginfo("run %d\n%s", run, lap_table(result))
 
 
-LAP_TEXT_COLOR = (1.0, 1.0, 1.0, 1.0)
+LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
 """White: nothing else in the layout is."""
 
 
@@ -194,22 +196,6 @@ def _text(lap, best):
     )
 
 
-def _parameter(name, default, meaning):
-    value = rospy.get_param(f"~{name}", default)
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not type(default):
-        raise ParameterError(f"~{name}: expected {type(default).__name__}, got {value!r}")
-    rospy.loginfo("~%s = %r (%s)", name, value, meaning)
-    return value
-
-
 def main():
-    """Run the node; an impossible parameter or file is one line and exit code 1."""
-    rospy.init_node("lap_evaluator")
-    try:
-        node = LapEvaluatorNode()
-    except MapRacingError as error:
-        rospy.logfatal("%s", error)
-        raise SystemExit(1) from None
-    node.run()
+    """Run the node."""
+    run("lap_evaluator", LapEvaluatorNode)
