@@ -4,6 +4,7 @@ import math
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 import yaml
@@ -11,12 +12,12 @@ from ackermann_msgs.msg import AckermannDriveStamped
 from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
+from map_racing.msg import Guidance
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.msg import Guidance
 from map_racing.nodes.conversions import set_plane_pose
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
@@ -516,7 +517,7 @@ def test_tuning_and_saving(rig, ros, tmp_path):
 
     client.update_configuration({"steering_map": "ackermann"})
     wait_for(lambda: rig.status()["steering map"] == "ackermann")
-    saved = yaml.safe_load(open(rig.call(ros, "save").message))
+    saved = yaml.safe_load(Path(rig.call(ros, "save").message).read_text())
     assert (saved["steering_map"], saved["m_m"]) == ("ackermann", 0.4)
     assert saved["q_s"] == shipped["pure_pursuit"].q_s
     rig.driving()

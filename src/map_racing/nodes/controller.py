@@ -44,6 +44,7 @@ from .waypoints import RacelineSubscriber
 __all__ = ["ControllerNode", "main"]
 
 WATCHDOG_HZ = 20.0
+SWITCH_S = 0.0005
 # Lines of the log about the same thing are at least this far apart [s].
 QUIET_S = 1.0
 # Whence the lookahead of the steering maps that the parameters are not for.
@@ -109,6 +110,7 @@ class ControllerNode:
         self._ending = self._failing = False
         self._frame = "map"
         self._last_angle = 0.0
+        self._message = AckermannDriveStamped()
         self._shown = None
         self._tally = _Tally()
 
@@ -239,7 +241,9 @@ class ControllerNode:
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
-        command = AckermannDriveStamped(header=header)
+        # One message for all commands: making one takes as long as the control step.
+        command = self._message
+        command.header = header
         command.drive.steering_angle = steering_angle
         command.drive.speed = speed
         self._drive.publish(command)
@@ -492,4 +496,6 @@ def _trace(text):
 
 def main():
     """Run the node; an impossible parameter or file is one line and exit code 1."""
+    # rospy sends in a thread of its own: it shall not wait 5 ms for the one that computes.
+    sys.setswitchinterval(SWITCH_S)
     run("controller", ControllerNode)

@@ -112,7 +112,11 @@ class RacelineSubscriber:
     def __init__(self, topic, on_raceline, on_error):
         self._on_raceline, self._on_error = on_raceline, on_error
         self._content = None
-        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=2)
+        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
+
+    def unregister(self):
+        """Listen no longer."""
+        self._subscriber.unregister()
 
     def _receive(self, message):
         try:
