@@ -14,10 +14,12 @@ from ..evaluation.recordings import load_course
 from ..track.waypoints import scaled_speed, waypoint_rows
 from .colors import WALL, gradient
 from .conversions import frame, set_plane_pose
+from .markers import delete_all
 from .node import get_parameter, run
 from .waypoints import waypoint_array_class
 
 __all__ = ["RacelinePublisherNode", "main"]
+
 
 FIELDS = (
     *("s_m", "d_m", "x_m", "y_m", "d_right", "d_left"),
@@ -94,7 +96,8 @@ class RacelinePublisherNode:
         closed = [*self._rows, self._rows[0]]
         line = self._strip("raceline", 0, 0.06, [Point(row[2], row[3], 0.01) for row in closed])
         line.colors = [gradient((row[8] - least) / span) for row in closed]
-        arrays = [Marker(action=Marker.DELETEALL), line]
+        array = delete_all()
+        array.markers.append(line)
         if self._raceline.d_left is not None:
             s = [row[0] for row in closed]
             for number, (side, column) in enumerate(((1.0, 5), (-1.0, 4))):
@@ -102,8 +105,8 @@ class RacelinePublisherNode:
                 points = [Point(x, y, 0.0) for x, y in zip(*(axis.tolist() for axis in wall))]
                 strip = self._strip("walls", number, 0.04, points)
                 strip.color = ColorRGBA(*WALL, 1.0)
-                arrays.append(strip)
-        return MarkerArray(arrays)
+                array.markers.append(strip)
+        return array
 
     def _strip(self, namespace, number, width, points):
         marker = Marker(ns=namespace, id=number, type=Marker.LINE_STRIP, points=points)
