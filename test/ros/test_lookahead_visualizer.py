@@ -7,8 +7,8 @@ import pytest
 from map_racing.msg import Guidance
 from visualization_msgs.msg import Marker, MarkerArray
 
-from map_racing.nodes.colors import gradient
 from map_racing.nodes.conversions import to_time
+from map_racing.nodes.lookahead_visualizer import ERROR_COLORS
 
 PARAMETERS = {"rate": 50.0}
 
@@ -114,14 +114,11 @@ def test_all_is_drawn_where_guidance_says(drawing):
 def test_the_trail_is_colored_by_the_error_and_bounded(drawing):
     screen = drawing(guidance(i, d=0.0 if i < 8200 else 0.5) for i in range(8000, 8600))
     trail = screen.trail
-    assert len(trail.points) == len(trail.colors) <= 801
+    assert len(trail.points) == len(trail.colors) <= 301
 
-    def rgb(color):
-        return color.r, color.g, color.b
-
-    colors = [rgb(color) for color in trail.colors]
-    assert colors[0] == pytest.approx(rgb(gradient(0.0)))
-    assert colors[-1] == pytest.approx(rgb(gradient(1.0)))
+    colors = [(color.r, color.g, color.b) for color in trail.colors]
+    assert colors[0] == pytest.approx(ERROR_COLORS[0])
+    assert colors[-1] == pytest.approx(ERROR_COLORS[1])
 
 
 def test_more_than_the_grip_is_said_and_taken_back(drawing):

@@ -7,6 +7,7 @@ import math
 from collections import deque
 
 import rospy
+from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from map_racing.msg import Guidance
@@ -14,7 +15,6 @@ from map_racing.msg import Guidance
 from ..control.guidance import arc_to
 from ..errors import ParameterError
 from ..vehicle.parameters import load_vehicle
-from .colors import gradient
 from .markers import delete_all, make_marker, points_of
 from .node import get_parameter, run
 
@@ -33,6 +33,14 @@ ARC_COLOR = (1.0, 0.0, 1.0)
 STEERING_COLOR = (0.0, 1.0, 1.0)
 CAR_COLOR = (0.1, 0.4, 1.0)
 LABEL_COLOR = (1.0, 0.5, 0.0)
+# Of the trail: no error, and the largest. Not the colors of the raceline's speeds.
+ERROR_COLORS = (0.65, 0.8, 1.0), (1.0, 0.4, 0.0)
+
+
+def error_color(fraction):
+    """Color of a lateral error from 0 to 1, and of all beyond."""
+    fraction = min(fraction, 1.0)
+    return ColorRGBA(*(a + fraction * (b - a) for a, b in zip(*ERROR_COLORS)), 1.0)
 
 
 class LookaheadVisualizer:
@@ -42,7 +50,7 @@ class LookaheadVisualizer:
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file: its size"))
         self._base = get_parameter("base_frame", "base_link", "frame of the rear axle")
         rate = get_parameter("rate", 20.0, "most pictures per second [Hz]")
-        trail = get_parameter("trail_length", 40.0, "length of the driven trail [m]")
+        trail = get_parameter("trail_length", 15.0, "length of the driven trail [m]")
         self._error = get_parameter("trail_error", 0.2, "lateral error of the last color [m]")
         for name, value in (("rate", rate), ("trail_error", self._error)):
             if not 0.0 < value < math.inf:
@@ -94,7 +102,7 @@ class LookaheadVisualizer:
                 return
             if moved > _TRAIL_JUMP:
                 self._trail.clear()
-        self._trail.append((guidance.x, guidance.y, gradient(abs(guidance.d) / self._error)))
+        self._trail.append((guidance.x, guidance.y, abs(guidance.d)))
 
     def _drawn(self, guidance, frame):
         """Markers of one message."""
@@ -144,8 +152,9 @@ class LookaheadVisualizer:
             lifetime=_LIFETIME,
         )
         label.text = _label(guidance)
-        label.pose.position.x, label.pose.position.y = x, y
-        label.pose.position.z = 0.8
+        # Beside the circle, where it covers nothing that it speaks of.
+        label.pose.position.x, label.pose.position.y = x, y + distance + 0.3
+        label.pose.position.z = 0.3
         if not label.text:
             label.action = Marker.DELETE
         yield label
@@ -153,11 +162,12 @@ class LookaheadVisualizer:
     def _drawn_trail(self, frame):
         trail = make_marker(
             *(Marker.LINE_STRIP, "trail", frame, CAR_COLOR),
-            scale=(0.04, 0.0, 0.0),
+            # Broad and beneath the raceline, so that both are seen where they coincide.
+            scale=(0.14, 0.0, 0.0),
             lifetime=_TRAIL_LIFETIME,
         )
-        trail.points = points_of(((x, y) for x, y, _ in self._trail), 0.03)
-        trail.colors = [color for _, _, color in self._trail]
+        trail.points = points_of((x, y) for x, y, _ in self._trail)
+        trail.colors = [error_color(error / self._error) for _, _, error in self._trail]
         return trail
 
 
