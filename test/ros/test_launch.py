@@ -6,9 +6,9 @@ from xml.etree import ElementTree
 
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
+from map_racing.msg import LapResult
 
 from map_racing.cli import main
-from map_racing.msg import LapResult
 
 STACKS = {
     "race_stack": ("/car_state/odom", "/vesc/high_level/ackermann_cmd_mux/input/nav_1"),
