@@ -14,6 +14,7 @@ from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
 from map_racing.msg import Guidance
 from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
@@ -458,7 +459,7 @@ from map_racing.nodes import controller
 step, count = Controller.step, [0]
 def failing(self, state):
     count[0] += 1
-    if 100 < count[0] < 200:
+    if count[0] == 100:
         raise ZeroDivisionError("a fault")
     return step(self, state)
 Controller.step = failing
@@ -472,10 +473,41 @@ controller.main()
     try:
         rig.stops("controller failed")
         assert "ZeroDivisionError: a fault" in node.output
+        time.sleep(1.0)
+        rig.wait_mode("stopped", "controller failed")
         assert rig.call(ros, "resume").success
-        wait_for(lambda: "stopped" in rig.status().get("mode", ""))
+        rig.driving()
     finally:
         car.stop()
+
+
+def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
+    """As when a bag is played in a loop."""
+    ros.set_param("/use_sim_time", True)
+    clock = advertise("/clock", Clock, subscribers=0)
+    begin = [1000.0 - time.monotonic()]
+    end = threading.Event()
+
+    def tick():
+        while not end.wait(0.005):
+            clock.publish(ros.Time.from_sec(begin[0] + time.monotonic()))
+
+    thread = threading.Thread(target=tick, daemon=True)
+    thread.start()
+    try:
+        rig = rig()
+        rig.car.now = lambda: ros.Time.from_sec(begin[0] + time.monotonic())
+        rig.driving()
+        begin[0] -= 500.0
+        rig.car.s += 15.0
+        wait_for(lambda: "time was set back" in rig.node.output, what="the new beginning")
+        rig.driving()
+        # The watchdog has outlived it.
+        rig.car.silent = True
+        rig.wait_mode("stopped", "pose too old")
+    finally:
+        end.set()
+        thread.join()
 
 
 @pytest.mark.parametrize(

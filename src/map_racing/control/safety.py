@@ -69,7 +69,8 @@ class SafetyLimits:
     max_deviation_m : float
         Largest distance from the raceline [m].
     max_saturated_s : float
-        Longest time for which the demand may exceed the grip without pause [s].
+        Longest time for which the demand may exceed the grip without pause [s]. It does so for up
+        to 1.3 s in simulated races that come to their end.
     stop_deceleration_mps2 : float
         Deceleration of a stop [m/s^2].
     recovery_s : float

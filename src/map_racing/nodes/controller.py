@@ -4,6 +4,7 @@ Each pose makes one control step, in the callback that brings it. A timer looks 
 coming. The controller and its supervisor are the core's; here messages are converted.
 """
 
+import gc
 import os
 import sys
 import threading
@@ -155,6 +156,9 @@ class ControllerNode:
             rospy.Timer(every(1.0 / WATCHDOG_HZ), self._watch, reset=True),
             rospy.Timer(every(1.0), lambda _: self._diagnose(), reset=True),
         ]
+        # What there is now stays: the garbage collector need not look through it while driving.
+        gc.collect()
+        gc.freeze()
 
     # -- poses -------------------------------------------------------------------------------
 

@@ -60,7 +60,8 @@ class LookaheadVisualizer:
         self._period_ns = int(1e9 / rate)
         self._size = vehicle.length, vehicle.width, 0.5 * vehicle.width
         self._l_wb = vehicle.l_wb
-        self._trail = deque(maxlen=int(trail / _TRAIL_STEP) + 1)
+        self._trail_length = trail
+        self._trail = deque()
         self._restart()
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
@@ -95,14 +96,18 @@ class LookaheadVisualizer:
             self._markers.publish(MarkerArray(markers))
 
     def _extend_trail(self, guidance):
+        driven = 0.0
         if self._trail:
-            x, y, _ = self._trail[-1]
+            x, y, _, driven = self._trail[-1]
             moved = math.hypot(guidance.x - x, guidance.y - y)
             if moved < _TRAIL_STEP:
                 return
             if moved > _TRAIL_JUMP:
                 self._trail.clear()
-        self._trail.append((guidance.x, guidance.y, abs(guidance.d)))
+            driven += moved
+        self._trail.append((guidance.x, guidance.y, abs(guidance.d), driven))
+        while driven - self._trail[0][3] > self._trail_length:
+            self._trail.popleft()
 
     def _drawn(self, guidance, frame):
         """Markers of one message."""
@@ -166,8 +171,8 @@ class LookaheadVisualizer:
             scale=(0.14, 0.0, 0.0),
             lifetime=_TRAIL_LIFETIME,
         )
-        trail.points = points_of((x, y) for x, y, _ in self._trail)
-        trail.colors = [error_color(error / self._error) for _, _, error in self._trail]
+        trail.points = points_of((x, y) for x, y, _, _ in self._trail)
+        trail.colors = [error_color(error / self._error) for _, _, error, _ in self._trail]
         return trail
 
 
