@@ -7,9 +7,7 @@ import time
 
 import pytest
 import rosgraph
-from ackermann_msgs.msg import AckermannDriveStamped
 from map_racing.msg import LapResult
-from nav_msgs.msg import Odometry
 from visualization_msgs.msg import MarkerArray
 
 from map_racing.control.controller import build_controller
@@ -18,7 +16,6 @@ from map_racing.evaluation.bags import DRIVE_TOPIC
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_course, load_recording
 from map_racing.experiments.race_bag import write_race_bag
-from map_racing.nodes.conversions import set_plane_pose, to_time
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import race
@@ -138,57 +135,46 @@ def test_replay_is_offline(rate, race_bag, evaluator, processes, tmp_path):
     assert "2 laps counted, 2 stretches not" in output
 
 
-def test_live_is_its_own_recording(log, evaluator, processes, advertise, tmp_path):
-    """Odometry at 40 Hz in real time, commands with the stamp of their pose, all of it recorded."""
-    bag, table = tmp_path / "live.bag", tmp_path / "laps.csv"
-    node = evaluator({"csv": str(table), "raceline": "reference"})
-    recorder = processes(["rosbag", "record", "-O", bag, "/car_state/odom", DRIVE_TOPIC])
-    odometry = advertise("/car_state/odom", Odometry, subscribers=2)
-    drive = advertise(DRIVE_TOPIC, AckermannDriveStamped, subscribers=2)
-    begin, begin_ns = time.monotonic(), time.time_ns()
-    for sample in log.samples[: 20 * 40]:
-        time.sleep(max(begin + sample.arrival - time.monotonic(), 0.0))
-        odometry.publish(odometry_message(sample.measured, begin_ns))
-        command = AckermannDriveStamped()
-        command.header.stamp = to_time(begin_ns + round(sample.measured.t * 1e9))
-        command.drive.steering_angle = sample.result.steering_angle
-        command.drive.speed = sample.result.speed
-        drive.publish(command)
-    stop(node)
-    assert recorder.stop() == 0
-    live = rows(table)
-    assert [row["valid"] for row in live] == ["False", "True", "False"]
-    assert live[1]["speed_reference"] == "command"
-    assert_same(live, offline(bag))
+def test_live_is_replay_is_offline(launch, listen, tmp_path):
+    """The laps of a simulated race: as it was driven, from its bag at two rates, and offline."""
+    table = tmp_path / "live.csv"
+    race = launch(
+        "simulate.launch", speed_scale=0.8, csv=table, record="true", record_to=tmp_path / "race"
+    )
+    listen("/lap_result", LapResult).wait(lambda result: result.laps_completed == 2, 90.0)
+    time.sleep(1.0)
+    assert race.stop() == 0, race.output
+    (bag,) = tmp_path.glob("race*.bag")
+    expected = offline(bag)
+    assert [row["valid"] for row in expected] == [False, True, True, False]
+    assert expected[1]["speed_reference"] == "command"
+    # The recorder and the node did not begin and end with the same pose: only laps can be equal,
+    # counted in time from their own beginnings.
+    laps = [relative(row) for row in expected[1:3]]
+    assert_same([relative(row) for row in rows(table)[1:3]], laps)
 
     for rate in (1, 10):
-        again = tmp_path / f"laps{rate}.csv"
-        node = evaluator({"csv": str(again), "raceline": "reference"})
-        play(processes, bag, f"--rate={rate}")
-        stop(node)
-        assert_same(rows(again), live)
+        table = tmp_path / f"replay{rate}.csv"
+        replay = launch("replay.launch", bag=bag, rate=rate, csv=table)
+        replay.wait(90.0)
+        assert_same(rows(table), expected)
 
 
-def odometry_message(state, begin_ns):
-    message = Odometry()
-    message.header.stamp = to_time(begin_ns + round(state.t * 1e9))
-    message.header.frame_id = "/map"
-    set_plane_pose(message.pose.pose, state.x, state.y, state.psi)
-    message.twist.twist.linear.x, message.twist.twist.linear.y = state.v_x, state.v_y
-    message.twist.twist.angular.z = state.r
-    return message
+def relative(row):
+    """A lap without its place in the run."""
+    return {name: v for name, v in row.items() if name not in ("start_time_s", "end_time_s")}
 
 
-def test_recorded_laps_of_the_public_stack(shared_data, evaluator, processes, tmp_path):
+@pytest.mark.parametrize("rate", [1, 10])
+def test_recorded_laps_of_the_public_stack(rate, shared_data, launch, tmp_path):
     """Waypoints of a message package that is not built here; each lap as offline."""
-    bag = shared_data / "recordings" / "hangar_map_12laps.bag"
-    node = evaluator({"csv": str(tmp_path / "laps.csv")})
-    play(processes, bag, "--rate=10")
-    output = stop(node)
+    bag, table = shared_data / "recordings" / "hangar_map_12laps.bag", tmp_path / "laps.csv"
+    replay = launch("replay.launch", bag=bag, rate=rate, csv=table)
+    replay.wait(120.0)
     expected = offline(bag)
     assert sum(row["valid"] for row in expected) == 11
-    assert_same(rows(tmp_path / "laps.csv"), expected)
-    assert "11 laps counted" in output
+    assert_same(rows(table), expected)
+    assert "11 laps counted" in replay.output
 
 
 def test_a_bag_played_again_is_another_run(race_bag, evaluator, processes, listen, tmp_path):

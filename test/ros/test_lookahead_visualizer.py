@@ -112,10 +112,10 @@ def test_all_is_drawn_where_guidance_says(drawing):
 
 
 def test_the_trail_is_colored_by_the_error_and_bounded(drawing):
-    screen = drawing(guidance(i, d=0.0 if i < 8200 else 0.5) for i in range(8000, 8600))
+    screen = drawing(guidance(i, d=0.0 if i < 8550 else 0.5) for i in range(8000, 8600))
     trail = screen.trail
-    assert len(trail.points) == len(trail.colors) <= 301
-
+    assert len(trail.points) == len(trail.colors)
+    assert 14.0 < trail.points[-1].x - trail.points[0].x <= 15.0
     colors = [(color.r, color.g, color.b) for color in trail.colors]
     assert colors[0] == pytest.approx(ERROR_COLORS[0])
     assert colors[-1] == pytest.approx(ERROR_COLORS[1])
