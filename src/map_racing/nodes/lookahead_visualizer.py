@@ -90,7 +90,7 @@ class LookaheadVisualizer:
                 self._clear = False
             markers = [_lookahead_point(guidance, frame), *self._drawn(guidance, frame)]
             # The trail changes slowly and is by far the largest.
-            if stamp_ns >= self._trail_ns + 4 * self._period_ns and len(self._trail) > 1:
+            if stamp_ns >= self._trail_ns + 2 * self._period_ns and len(self._trail) > 1:
                 self._trail_ns = stamp_ns
                 markers.append(self._drawn_trail(frame))
             self._markers.publish(MarkerArray(markers))
@@ -183,7 +183,8 @@ def _lookahead_point(guidance, frame):
         lifetime=_LIFETIME,
     )
     point.pose.position.x, point.pose.position.y = guidance.lookahead_x, guidance.lookahead_y
-    point.pose.position.z = 0.1
+    # Above the steering arrow, which often points at it.
+    point.pose.position.z = 0.3
     return point
 
 
