@@ -112,7 +112,7 @@ class ControllerNode:
         self._frame = "map"
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
-        self._shown = None
+        self._shown, self._quiet_until = None, {}
         self._tally = _Tally()
 
         def publisher(topic, kind, size=10, **options):
@@ -167,16 +167,24 @@ class ControllerNode:
         now = rospy.Time.now().to_nsec()
         stamp = stamp_ns(message.header, now)
         with self._lock:
-            state = self._reader.odometry(message, 1e-9 * stamp)
-            self._act(begin, 1e-9 * now, state, message.header)
+            self._act(
+                begin,
+                1e-9 * now,
+                message.header,
+                lambda: self._reader.odometry(message, 1e-9 * stamp),
+            )
 
     def _on_pose(self, message):
         begin = time.perf_counter()
         now = rospy.Time.now().to_nsec()
         stamp = stamp_ns(message.header, now)
         with self._lock:
-            state = self._reader.pose(message.pose, 1e-9 * stamp)
-            self._act(begin, 1e-9 * now, state, message.header)
+            self._act(
+                begin,
+                1e-9 * now,
+                message.header,
+                lambda: self._reader.pose(message.pose, 1e-9 * stamp),
+            )
 
     def _on_transforms(self):
         begin = time.perf_counter()
@@ -186,13 +194,18 @@ class ControllerNode:
                 return
             self._transform_stamp, *pose = found
             header = Header(stamp=to_time(found[0]), frame_id=self._frames[0])
-            state = self._reader.plane(1e-9 * found[0], *pose)
-            self._act(begin, rospy.Time.now().to_sec(), state, header)
+            self._act(
+                begin,
+                rospy.Time.now().to_sec(),
+                header,
+                lambda: self._reader.plane(1e-9 * found[0], *pose),
+            )
 
-    def _act(self, begin, now, state, header):
-        """One control step; whatever fails in it stops the car."""
+    def _act(self, begin, now, header, read):
+        """One control step on the state that `read` returns; whatever fails in it stops the car."""
         header.frame_id = self._frame = frame(header.frame_id) or "map"
         try:
+            state = read()
             trusted = self._supervisor.observe(now, state)
             if self._supervisor.restarted:
                 self._restart()
@@ -299,13 +312,12 @@ class ControllerNode:
             return
         before, self._shown = self._shown, shown
         mode, reason = shown
-        if mode is Mode.DRIVING:
-            rospy.loginfo_throttle(QUIET_S, "driving")
-        elif before is None or reason is not before[1]:
-            if mode is Mode.WAITING:
-                rospy.loginfo_throttle(QUIET_S, f"waiting: {reason.value}")
-            else:
-                rospy.logwarn_throttle(QUIET_S, f"{mode.value}: {reason.value}")
+        now = time.monotonic()
+        # Not each time that a cause comes and goes, and not again when the car has come to stand.
+        if now > self._quiet_until.get(reason, 0.0) and (before is None or reason is not before[1]):
+            self._quiet_until[reason] = now + QUIET_S
+            log = rospy.logwarn if mode in (Mode.STOPPING, Mode.STOPPED) else rospy.loginfo
+            log(mode.value + (f": {reason.value}" if reason is not Reason.NONE else ""))
         self._diagnose()
 
     def _diagnose(self):
