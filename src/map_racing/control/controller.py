@@ -120,7 +120,10 @@ class Controller:
 
     @property
     def raceline(self):
-        """The raceline followed; setting another one restarts tracking, but not the steering."""
+        """The raceline followed; setting another one restarts tracking.
+
+        The steering goes on from where it is.
+        """
         return self._raceline
 
     @raceline.setter

@@ -250,7 +250,7 @@ class Supervisor:
             self._seen[Reason.INVALID_RACELINE] = now
         if result is not None:
             self._judge(now, result)
-            if result.status in (Status.OK, Status.SATURATED):
+            if result.status not in (Status.INVALID_STATE, Status.NO_RACELINE):
                 if math.isfinite(result.steering_angle + result.speed):
                     angle, wanted = result.steering_angle, result.speed
                 else:

@@ -278,7 +278,7 @@ class ControllerNode:
         for name, value in numbers.items():
             if self._numbers[name].get_num_connections():
                 self._numbers[name].publish(value())
-        if not self._guidance.get_num_connections() or result.status not in _GUIDED:
+        if not self._guidance.get_num_connections() or result.status in _UNGUIDED:
             return
         guided = result.state
         self._guidance.publish(
@@ -468,7 +468,7 @@ class ControllerNode:
             self._supervisor.limits = limits
 
 
-_GUIDED = (Status.OK, Status.SATURATED)
+_UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
 
 
 class _Tally:
