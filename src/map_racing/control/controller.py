@@ -221,6 +221,27 @@ class Controller:
             a_lat,
         )
 
+    def lateral_error(self, state, result):
+        """Lateral deviation of a measured state, where `result` holds that of its prediction.
+
+        Parameters
+        ----------
+        state : CarState
+            The argument of the last step.
+        result : ControlResult
+            What it returned.
+
+        Returns
+        -------
+        float
+            Deviation from the raceline, left positive [m]; NaN without one.
+        """
+        if result.s != result.s:
+            return _NAN
+        guess = result.s - state.v_x * self.parameters.delay_s
+        found = self._raceline.project_near(state.x, state.y, guess, 1.0)
+        return (found or self._raceline.project(state.x, state.y)).d
+
     def _speed_command(self, s_ahead, s):
         parameters = self.parameters
         speed = self._raceline.speed_at(s_ahead) * parameters.speed_scale

@@ -13,7 +13,7 @@ after Park, Deyst, How, "A New Nonlinear Guidance Logic for Trajectory Tracking"
 import math
 from typing import NamedTuple
 
-__all__ = ["LookaheadLaw", "bearing", "lateral_acceleration"]
+__all__ = ["LookaheadLaw", "arc_to", "bearing", "lateral_acceleration"]
 
 # Below this speed [m/s] the measured velocity loses its direction to noise, and the steering of a
 # standing car would swing from lock to lock after it.
@@ -92,3 +92,43 @@ def lateral_acceleration(speed, distance, eta):
     """
     sine = math.sin(eta) if -0.5 * math.pi < eta < 0.5 * math.pi else math.copysign(1.0, eta)
     return 2.0 * speed * speed / distance * sine
+
+
+def arc_to(x, y, point_x, point_y, eta, count=20):
+    """The arc that the L1 law asks the car to follow to a point, for drawing.
+
+    It leaves the car along its velocity vector. For a point behind the car, where the law keeps to
+    its largest demand, it is the half circle with the distance of the point as diameter.
+
+    Parameters
+    ----------
+    x, y : float
+        The car [m].
+    point_x, point_y : float
+        The point [m].
+    eta : float
+        Angle from the velocity vector to the point, as from `bearing` [rad].
+    count : int, optional
+        Number of points.
+
+    Returns
+    -------
+    list of (float, float)
+        From the car to the end of the arc [m].
+    """
+    distance = math.hypot(point_x - x, point_y - y)
+    course = math.atan2(point_y - y, point_x - x) - eta
+    turn = min(max(eta, -0.5 * math.pi), 0.5 * math.pi)
+    points = []
+    for i in range(count):
+        # A chord of a circle turns half as fast as the circle.
+        part = i / (count - 1)
+        chord = part if abs(turn) < 1e-6 else math.sin(part * turn) / math.sin(turn)
+        direction = course + part * turn
+        points.append(
+            (
+                x + distance * chord * math.cos(direction),
+                y + distance * chord * math.sin(direction),
+            )
+        )
+    return points

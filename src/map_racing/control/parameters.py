@@ -1,15 +1,17 @@
 """Controller parameters and their files."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 
+import yaml
+
 from ..errors import ParameterError
-from ..files import read_yaml_mapping
+from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
 from .guidance import LookaheadLaw
 
-__all__ = ["ControllerParameters", "load_controller_parameters"]
+__all__ = ["ControllerParameters", "load_controller_parameters", "save_controller_parameters"]
 
 STEERING_MAPS = ("ackermann", "linear_table", "table")
 SPEED_SOURCES = ("measured", "command")
@@ -124,6 +126,25 @@ def load_controller_parameters(source):
     """
     path = find_config("controllers", source, (".yaml",))
     return read_parameters(path, ControllerParameters)
+
+
+def save_controller_parameters(parameters, path):
+    """Write controller parameters to YAML, such that `load_controller_parameters` reads the same.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    path : str or pathlib.Path
+        A file there is replaced when the new one is complete.
+
+    Raises
+    ------
+    MapRacingError
+        If it cannot be written.
+    """
+    with replacing(path) as file:
+        file.write("# Every name is explained in map_racing.control.parameters.\n\n")
+        yaml.safe_dump(asdict(parameters), file, sort_keys=False)
 
 
 def read_parameters(path, kind):

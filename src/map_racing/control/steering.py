@@ -36,3 +36,7 @@ class AckermannSteering:
         if abs(delta) > self.delta_max:
             return math.copysign(self.delta_max, delta), True
         return delta, False
+
+    def max_lateral_acceleration(self, v):
+        """Lateral acceleration at full lock [m/s^2] at a speed [m/s], by geometry alone."""
+        return v * v * math.tan(self.delta_max) / self.l_wb

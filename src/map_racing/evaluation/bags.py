@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..errors import BagError, RacelineError
 from ..track.formats import raceline_from_columns
+from ..track.waypoints import waypoint_rows
 from . import messages as msg
 from .bag_records import BagFile
 from .bag_series import Series, TransformTree
@@ -212,22 +213,10 @@ class BagWriter:
         ----------
         stamp : float or int
         raceline : Raceline
-            Speeds and widths that it lacks are written as 0.
         spacing : float, optional
-            Distance between the waypoints [m], rounded so that they divide the lap evenly.
+            Distance between the waypoints [m], see `map_racing.track.waypoints.waypoint_rows`.
         """
-        count = max(4, int(round(raceline.length / spacing)))
-        s = np.arange(count) * (raceline.length / count)
-        curve = raceline.sample(s)
-        zeros = np.zeros(count)
-        speed = zeros if curve.speed is None else curve.speed
-        # Constant from one waypoint to the next: v_2^2 = v_1^2 + 2 a ds.
-        a_x = (np.roll(speed, -1) ** 2 - speed**2) / (2.0 * raceline.length / count)
-        right = zeros if curve.d_right is None else curve.d_right
-        left = zeros if curve.d_left is None else curve.d_left
-        rows = np.stack(
-            (s, zeros, curve.x, curve.y, right, left, curve.psi, curve.kappa, speed, a_x), axis=1
-        )
+        rows = waypoint_rows(raceline, spacing)
         self._write(
             *(topic, msg.WAYPOINTS, stamp, received, msg.encode_waypoints, frame, rows.tolist()),
             latched=latched,

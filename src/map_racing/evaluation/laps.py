@@ -223,6 +223,16 @@ class RunResult:
     notes: tuple = ()
 
 
+def check_options(start_s, car_width, sectors):
+    """Raise a ParameterError if an option of `LapEvaluator` is impossible on any raceline."""
+    if not math.isfinite(start_s):
+        raise ParameterError(f"expected a finite start_s, got {start_s}")
+    if not (math.isfinite(car_width) and car_width >= 0.0):
+        raise ParameterError(f"expected a car_width >= 0 m, got {car_width}")
+    if not 1 <= sectors <= _MOST_SECTORS:
+        raise ParameterError(f"expected 1 to {_MOST_SECTORS} sectors, got {sectors}")
+
+
 class LapEvaluator:
     """Laps of a car on a raceline, from one sample at a time or from a million.
 
@@ -262,12 +272,7 @@ class LapEvaluator:
     def __init__(
         self, raceline, *, start_s=0.0, car_width=0.3, sectors=3, limits=None, keep_traces=False
     ):
-        if not math.isfinite(start_s):
-            raise ParameterError(f"expected a finite start_s, got {start_s}")
-        if not (math.isfinite(car_width) and car_width >= 0.0):
-            raise ParameterError(f"expected a car_width >= 0 m, got {car_width}")
-        if not 1 <= sectors <= _MOST_SECTORS:
-            raise ParameterError(f"expected 1 to {_MOST_SECTORS} sectors, got {sectors}")
+        check_options(start_s, car_width, sectors)
         self.raceline, self.limits = raceline, limits or LapLimits()
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..track.tracker import CourseTracker
+from .car import SimulatedCar, hits_wall
 
 __all__ = ["Outcome", "RaceLog", "Sample", "race"]
 
@@ -110,70 +111,50 @@ def race(
     """
     if laps < 1:
         raise ParameterError(f"laps must be at least 1, not {laps}")
-    if localization is not None:
-        rate = localization.parameters.localization_rate_hz
-        latency = localization.parameters.localization_latency_s
-    else:
-        latency = 0.0
     if time_limit is None:
         time_limit = math.inf
 
     start = raceline.pose(START_S)
-    plant.reset(start.x, start.y, start.psi)
+    car = SimulatedCar(plant, localization, rate)
+    car.put(start.x, start.y, start.psi)
     controller.reset()
     tracker = CourseTracker(raceline)
-    step = plant.time_step
     steering, speed = 0.0, 0.0
-    samples, pending = [], []
+    samples = []
     driven, last_s = START_S, None
     headway, headway_at = driven, 0.0
-    poses = tick = 0
-    # A pose belongs to the last tick before it is due, and acts from that tick on.
-    due = 0.0
+    poses = 0
     while True:
-        now = tick * step
-        if due < now + step * (1.0 - 1e-9):
-            true = plant.reference_state()
-            if localization is None:
-                measured, acceleration = plant.measured_state(), plant.acceleration
-            else:
-                measured = localization.measure(true)
-                acceleration = localization.measure_acceleration(plant.acceleration)
-            pending.append((now + latency, true, measured, acceleration))
+        taken, arrived = car.observe()
+        if taken is not None:
             poses += 1
-            due = poses / rate
-
-            s, d = tracker.update(true.x, true.y, true.psi)[:2]
+            _, x, y, psi, _, _, _ = taken.true
+            s, d = tracker.update(x, y, psi)[:2]
             if last_s is not None:
                 driven += math.remainder(s - last_s, raceline.length)
             last_s = s
             if progress is not None and poses % 40 == 0:
                 progress(driven / raceline.length)
-            if _hits_wall(raceline, s, d, plant.vehicle.width):
+            if hits_wall(raceline, s, d, plant.vehicle.width):
                 outcome = Outcome.CRASHED
                 break
             if driven > (laps + 1) * raceline.length + START_S:
                 outcome = Outcome.COMPLETED
                 break
             if driven > headway + HEADWAY:
-                headway, headway_at = driven, now
-            if now > time_limit or now > headway_at + PATIENCE:
+                headway, headway_at = driven, car.now
+            if car.now > time_limit or car.now > headway_at + PATIENCE:
                 outcome = Outcome.STALLED
                 break
-        while pending and pending[0][0] < now + step * (1.0 - 1e-9):
-            arrival, true, measured, acceleration = pending.pop(0)
-            result = controller.step(measured)
+        for seen in arrived:
+            result = controller.step(seen.measured)
             steering, speed = result.steering_angle, result.speed
             samples.append(
-                Sample(true, measured, arrival, acceleration, plant.steering_angle, result)
+                Sample(
+                    *(seen.true, seen.measured, seen.arrival, seen.acceleration),
+                    plant.steering_angle,
+                    result,
+                )
             )
-        plant.advance(steering, speed)
-        tick += 1
-    return RaceLog(outcome, max(int(driven / raceline.length) - 1, 0), now, samples)
-
-
-def _hits_wall(raceline, s, d, car_width):
-    if raceline.d_left is None:
-        return False
-    left, right = raceline.widths_at(s)
-    return d > left - 0.5 * car_width or d < 0.5 * car_width - right
+        car.advance(steering, speed)
+    return RaceLog(outcome, max(int(driven / raceline.length) - 1, 0), car.now, samples)

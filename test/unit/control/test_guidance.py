@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from map_racing.control.guidance import LookaheadLaw, bearing, lateral_acceleration
+from map_racing.control.guidance import LookaheadLaw, arc_to, bearing, lateral_acceleration
 from map_racing.control.state import CarState
 
 angles = st.floats(-math.pi, math.pi)
@@ -109,3 +109,32 @@ def test_the_velocity_takes_over_smoothly_from_the_heading():
         assert previous <= eta + 1e-12 and eta - previous < 0.02
         previous = eta
     assert previous == pytest.approx(drift, abs=1e-12)
+
+
+@pytest.mark.parametrize("eta", [-1.5, -0.4, -1e-9, 0.0, 1e-5, 0.7, 0.5 * math.pi])
+def test_the_arc_is_the_circle_of_the_law(eta):
+    """It ends in the point and turns as v^2 / R = a says."""
+    state, distance, speed = car(x=2.0, y=-1.0, psi=0.9, v_x=3.0, v_y=0.4), 1.3, math.hypot(3, 0.4)
+    course = state.psi + math.atan2(state.v_y, state.v_x)
+    x = state.x + distance * math.cos(course + eta)
+    y = state.y + distance * math.sin(course + eta)
+    points = arc_to(state.x, state.y, x, y, bearing(state, x, y), 101)
+    assert points[0] == (state.x, state.y)
+    assert points[-1] == pytest.approx((x, y), abs=1e-12)
+    curvature = lateral_acceleration(speed, distance, eta) / speed**2
+    offsets = [
+        (py - state.y) * math.cos(course) - (px - state.x) * math.sin(course) for px, py in points
+    ]
+    ahead = [
+        (px - state.x) * math.cos(course) + (py - state.y) * math.sin(course) for px, py in points
+    ]
+    # All points are 1/curvature away from the center, which is abreast of the car.
+    for a, o in zip(ahead, offsets):
+        assert curvature * (a * a + o * o) == pytest.approx(2.0 * o, abs=1e-9)
+
+
+def test_the_arc_to_a_point_behind_is_a_half_circle_to_its_side():
+    points = arc_to(0.0, 0.0, -1.0, 0.2, bearing(car(v_x=2.0), -1.0, 0.2), 51)
+    distance = math.hypot(1.0, 0.2)
+    assert points[-1] == pytest.approx((0.0, distance), abs=1e-12)
+    assert max(p[0] for p in points) == pytest.approx(0.5 * distance, rel=1e-3)

@@ -1,0 +1,359 @@
+"""When the car may drive, and how it stops when it may not.
+
+Every pose passes the supervisor before the controller sees it, and every command after. A cause to
+stop ramps the speed down; the car steers along the raceline meanwhile if its pose can be trusted,
+else it keeps the steering angle. Causes that pass by themselves (a late pose, a jump, a missing
+raceline) release the car some time after they are gone. A requested stop, grip exceeded for long
+and a failure of the controller wait for `Supervisor.resume`.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import NamedTuple
+
+from ..errors import ParameterError
+from .controller import Status
+
+__all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
+
+# Faster than this [m/s] the steering table, not the lock, limits the turn; and the pose changes.
+MOVING = 1.0
+
+# After a jump, for this long [s] velocities that were worked out from poses may hold the jump.
+SETTLING = 0.15
+
+# A clock that goes back by more than this [s] was set back: a bag that loops, a simulator's reset.
+BACKWARDS = 0.5
+
+
+class Mode(Enum):
+    """What the car is let to do."""
+
+    WAITING = "waiting"  # it has not driven yet
+    DRIVING = "driving"
+    STOPPING = "stopping"  # the commanded speed ramps down
+    STOPPED = "stopped"
+
+
+class Reason(Enum):
+    """Why the car may not drive; of several the first in this order is named."""
+
+    NONE = ""
+    STOP_REQUESTED = "stop requested"
+    FAILURE = "controller failed"
+    NO_POSE = "no pose yet"
+    INVALID_POSE = "pose not finite"
+    STALE_POSE = "pose too old"
+    FROZEN_POSE = "pose frozen while moving"
+    JUMP = "pose jumped"
+    INVALID_RACELINE = "raceline not drivable"
+    NO_RACELINE = "no raceline"
+    DEVIATION = "too far from the raceline"
+    GRIP = "grip exceeded for long"
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of what the car may do and be told.
+
+    Parameters
+    ----------
+    max_speed_mps : float
+        Largest speed ever commanded [m/s].
+    max_pose_age_s : float
+        Largest age of a pose by its own stamp, and longest time without one [s]. A stamp may be
+        as far in the future.
+    max_jump_m, max_turn_rad : float
+        How much farther than the car can have driven or turned a pose may be from the last one.
+    max_deviation_m : float
+        Largest distance from the raceline [m].
+    max_saturated_s : float
+        Longest time for which the demand may exceed the grip without pause [s]. It does so for up
+        to 1.3 s in simulated races that come to their end.
+    stop_deceleration_mps2 : float
+        Deceleration of a stop [m/s^2].
+    recovery_s : float
+        Time after which a cause that has gone lets the car drive again [s]; at least 0.15.
+    hold_s : float
+        Time for which a stopped car without poses is still told to stand [s].
+
+    Raises
+    ------
+    ParameterError
+        For an impossible value, naming it.
+    """
+
+    max_speed_mps: float = 12.0
+    max_pose_age_s: float = 0.2
+    max_jump_m: float = 0.5
+    max_turn_rad: float = 0.8
+    max_deviation_m: float = 1.5
+    max_saturated_s: float = 1.5
+    stop_deceleration_mps2: float = 4.0
+    recovery_s: float = 0.5
+    hold_s: float = 2.0
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ParameterError(f"{field.name} must be a number, not {value!r}")
+            least = SETTLING if field.name == "recovery_s" else 0.0
+            if not (math.isfinite(value) and value >= least and value > 0.0):
+                wanted = f"at least {least:g}" if least else "positive and finite"
+                raise ParameterError(f"{field.name} must be {wanted}, but is {value}")
+
+
+class Decision(NamedTuple):
+    """What the car is told, and why."""
+
+    mode: Mode
+    reason: Reason
+    steering_angle: float
+    speed: float
+
+
+class Supervisor:
+    """State machine between the poses, the controller and the drive.
+
+    For each pose: `observe` it; if it may be trusted, let the controller step; `decide` on the
+    result. `watch` is for a timer, which notices poses that stop coming. All times are on one
+    clock, that of the poses' stamps [s].
+
+    Parameters
+    ----------
+    limits : SafetyLimits
+
+    Attributes
+    ----------
+    limits : SafetyLimits
+        May be replaced at any time.
+    mode : Mode
+    reason : Reason
+    jumped : bool
+        The last pose observed is elsewhere than the car can have driven since the one before.
+    restarted : bool
+        The last observation found that the clock was set back; the past is forgotten.
+    pose_age : float
+        Age of the last pose when it was observed [s].
+    """
+
+    def __init__(self, limits):
+        self.limits = limits
+        self._requests = set()
+        self._failed = self._lost_grip = False
+        self._raceline_valid = True
+        self._forget()
+
+    def _forget(self):
+        self.mode, self.reason = Mode.WAITING, Reason.NO_POSE
+        self.jumped = self.restarted = False
+        self.pose_age = math.nan
+        self._seen = {}  # passing causes: when they were last seen
+        self._pose = None
+        self._speed = 0.0
+        self._now = self._arrival = self._changed = None
+        self._saturated_since = self._stopped_since = None
+        self._command = (0.0, 0.0)  # steering angle, speed
+        self._commanded = None
+
+    # -- what comes from outside -------------------------------------------------------------
+
+    def request_stop(self, source):
+        """Stop and stay, until `resume`; `source` tells who asks."""
+        self._requests.add(source)
+
+    def withdraw(self, source):
+        """The stop that `source` asked for is no longer wanted."""
+        self._requests.discard(source)
+
+    def fail(self):
+        """The controller failed: stop and stay, until `resume`."""
+        self._failed = True
+
+    def resume(self):
+        """Let the car drive again after a requested stop, grip exceeded for long or a failure."""
+        self._requests.clear()
+        self._failed = self._lost_grip = False
+        self._saturated_since = None
+
+    def raceline_changed(self, valid):
+        """Tell whether the latest raceline that came can be driven."""
+        self._raceline_valid = valid
+
+    # -- poses and commands ------------------------------------------------------------------
+
+    def observe(self, now, state):
+        """Look at a pose.
+
+        Parameters
+        ----------
+        now : float
+            Time at which it arrived [s].
+        state : CarState
+
+        Returns
+        -------
+        bool
+            Whether the controller should act on it.
+        """
+        self._advance(now)
+        self.jumped = False
+        limits = self.limits
+        if self._arrival is not None and now - self._arrival > limits.max_pose_age_s:
+            self._seen[Reason.STALE_POSE] = now
+        self._arrival = now
+        self._seen.pop(Reason.NO_POSE, None)
+        self.pose_age = now - state.t
+        t, x, y, psi, v_x, _, r = state
+        if not math.isfinite(t + x + y + psi + v_x + r):
+            self._seen[Reason.INVALID_POSE] = now
+            return False
+        last = self._pose
+        self._pose = state
+        trusted = True
+        if not abs(self.pose_age) <= limits.max_pose_age_s:
+            self._seen[Reason.STALE_POSE] = now
+            trusted = False
+        if last is None or (x, y, psi) != last[1:4] or abs(v_x) < MOVING:
+            self._changed = now
+        elif now - self._changed > limits.max_pose_age_s:
+            self._seen[Reason.FROZEN_POSE] = now
+            trusted = False
+        if last is not None and self._is_jump(last, state):
+            self._seen[Reason.JUMP] = now
+            self.jumped = True
+        if now - self._seen.get(Reason.JUMP, -math.inf) <= SETTLING:
+            trusted = False
+        if trusted:
+            self._speed = v_x
+        return trusted
+
+    def decide(self, now, result):
+        """Turn the controller's result into what the car is told.
+
+        Parameters
+        ----------
+        now : float
+            Time [s].
+        result : ControlResult or None
+            None where the pose was not to be trusted.
+
+        Returns
+        -------
+        Decision
+        """
+        angle = self._command[0]
+        wanted = None
+        if not self._raceline_valid:
+            self._seen[Reason.INVALID_RACELINE] = now
+        if result is not None:
+            self._judge(now, result)
+            if result.status not in (Status.INVALID_STATE, Status.NO_RACELINE):
+                if math.isfinite(result.steering_angle + result.speed):
+                    angle, wanted = result.steering_angle, result.speed
+                else:
+                    self._failed = True
+        else:
+            self._saturated_since = None
+        self.reason = self._cause(now)
+        if self.reason is Reason.NONE and wanted is not None:
+            self.mode, self._stopped_since, speed = Mode.DRIVING, None, wanted
+        else:
+            speed = self._stop(now, wanted)
+        speed = min(max(speed, 0.0), self.limits.max_speed_mps)
+        self._command, self._commanded = (angle, speed), now
+        return Decision(self.mode, self.reason, angle, speed)
+
+    def watch(self, now):
+        """Look whether poses still come.
+
+        Returns
+        -------
+        Decision or None
+            What the car is to be told where no pose does it. None while poses come, and after a
+            stopped car was told so long enough.
+        """
+        self._advance(now)
+        if self._arrival is None:
+            self._seen[Reason.NO_POSE] = now
+            self.reason = self._cause(now)
+            return None
+        if now - self._arrival <= self.limits.max_pose_age_s:
+            return None
+        self._seen[Reason.STALE_POSE] = now
+        self.pose_age = now - (self._arrival if self._pose is None else self._pose.t)
+        decision = self.decide(now, None)
+        if self.mode is Mode.WAITING:
+            return None
+        if self._stopped_since is not None and now - self._stopped_since > self.limits.hold_s:
+            return None
+        return decision
+
+    def _advance(self, now):
+        self.restarted = self._now is not None and now < self._now - BACKWARDS
+        if self.restarted:
+            self._forget()
+            self.restarted = True
+        self._now = now
+
+    def _is_jump(self, last, state):
+        elapsed = max(state.t - last.t, 0.0)
+        speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self.limits.max_speed_mps)
+        moved = math.hypot(state.x - last.x, state.y - last.y)
+        turned = abs(math.remainder(state.psi - last.psi, math.tau))
+        return (
+            moved > self.limits.max_jump_m + speed * elapsed
+            or turned > self.limits.max_turn_rad + abs(last.r) * elapsed
+        )
+
+    def _judge(self, now, result):
+        """Note the causes to stop that lie in the controller's result."""
+        if result.status is Status.INVALID_STATE:
+            self._seen[Reason.INVALID_POSE] = now
+        elif result.status is Status.NO_RACELINE:
+            self._seen[Reason.NO_RACELINE] = now
+        elif not abs(result.d) <= self.limits.max_deviation_m:
+            self._seen[Reason.DEVIATION] = now
+        if result.status is not Status.SATURATED or abs(self._pose.v_x) < MOVING:
+            self._saturated_since = None
+        elif self._saturated_since is None:
+            self._saturated_since = now
+        elif now - self._saturated_since > self.limits.max_saturated_s:
+            self._lost_grip = True
+
+    def _cause(self, now):
+        """The first of all causes that hold, or have gone only a moment ago."""
+        recent = [
+            reason for reason, seen in self._seen.items() if now - seen <= self.limits.recovery_s
+        ]
+        self._seen = {reason: self._seen[reason] for reason in recent}
+        if self._requests:
+            return Reason.STOP_REQUESTED
+        if self._failed:
+            return Reason.FAILURE
+        if recent:
+            return min(recent, key=_ORDER.__getitem__)
+        return Reason.GRIP if self._lost_grip else Reason.NONE
+
+    def _stop(self, now, wanted):
+        """Speed of a stop, and the mode that belongs to it."""
+        if self.mode is Mode.WAITING:
+            return 0.0
+        speed = self._command[1]
+        if self.mode is Mode.DRIVING:
+            # A car that is still accelerating must not go on up to the last command.
+            speed = min(speed, max(self._speed, 0.0))
+            self.mode = Mode.STOPPING
+        speed -= self.limits.stop_deceleration_mps2 * (now - self._commanded)
+        if wanted is not None:
+            speed = min(speed, wanted)
+        if speed > 0.0:
+            return speed
+        if self.mode is Mode.STOPPING:
+            self.mode, self._stopped_since = Mode.STOPPED, now
+        return 0.0
+
+
+_ORDER = {reason: number for number, reason in enumerate(Reason)}

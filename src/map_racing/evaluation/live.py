@@ -1,0 +1,353 @@
+"""Laps while the car drives: poses and commands as they come in, one by one.
+
+Evaluation of a recording knows everything at once. Live, a pose is there before the command that
+was in force at its time, and perhaps before the raceline. Here poses wait for both, so that the
+laps are those of the recording, whatever the order and speed in which the messages arrive.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from bisect import bisect_right
+from collections import deque
+from dataclasses import fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import FileFormatError, MapRacingError, ParameterError
+from .laps import Lap, LapEvaluator, LapLimits, check_options
+from .samples import FARTHEST
+
+__all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
+
+# Poses kept while there is no raceline: 30 minutes at 100 Hz.
+_LONGEST_WAIT = 180000
+# Passed commands are deleted so many at a time.
+_PASSED = 4096
+
+
+class LiveLap(NamedTuple):
+    """A stretch that ended.
+
+    ``run`` counts from 1, ``end_ns`` is the time stamp of the end [ns], ``lap`` a
+    `map_racing.evaluation.laps.Lap`.
+    """
+
+    run: int
+    end_ns: int
+    lap: Lap
+
+
+class _Pose(NamedTuple):
+    stamp_ns: int
+    x: float
+    y: float
+    v: float
+    received: float
+
+
+class _Commands:
+    """Commands in the order of their time stamps, of one run."""
+
+    def __init__(self, gap_ns):
+        self._gap_ns = gap_ns
+        self.clear()
+
+    def clear(self):
+        self._stamps, self._values = [], []
+        # Commands after a step back in time, which the poses have yet to make.
+        self._ahead = []
+        # From here on [ns] a command belongs to the run that ended.
+        self._end_ns = math.inf
+
+    def add(self, stamp_ns, value):
+        if stamp_ns > self._end_ns:
+            return
+        self._end_ns = math.inf
+        if self._stamps and stamp_ns < self._stamps[-1] - self._gap_ns:
+            self._ahead.append((stamp_ns, value))
+            return
+        self._insert(stamp_ns, value)
+        # Time went on where it was: the step back was a stray message or two.
+        for entry in self._ahead:
+            self._insert(*entry)
+        self._ahead = []
+
+    def _insert(self, stamp_ns, value):
+        at = bisect_right(self._stamps, stamp_ns)
+        if at == 0 or self._stamps[at - 1] != stamp_ns:
+            self._stamps.insert(at, stamp_ns)
+            self._values.insert(at, value)
+            if len(self._stamps) > 2 * _LONGEST_WAIT:
+                self._forget(_LONGEST_WAIT)
+
+    def beyond(self, stamp_ns):
+        """Whether a command later than that has come."""
+        return bool(self._stamps) and self._stamps[-1] > stamp_ns
+
+    def at(self, stamp_ns):
+        """Command in force; no later call may ask for an earlier time."""
+        index = bisect_right(self._stamps, stamp_ns) - 1
+        value = self._values[index] if index >= 0 else (math.nan, math.nan)
+        if index > _PASSED:
+            self._forget(index)
+        return value
+
+    def restart(self, begin_ns, end_ns):
+        """Poses stepped back from time ``end_ns`` to ``begin_ns``."""
+        ahead = self._ahead
+        self.clear()
+        for entry in ahead:
+            self._insert(*entry)
+        if not ahead:
+            self._end_ns = (begin_ns + end_ns) // 2
+
+    def _forget(self, count):
+        del self._stamps[:count], self._values[:count]
+
+
+class LiveEvaluation:
+    """Laps from messages as they arrive.
+
+    A pose is evaluated when the raceline is known and a command later than the pose has come, so
+    that none before it can be missing; or, where no commands come, `patience` after its arrival. A
+    step back in time by more than ``limits.max_gap`` (a bag that is played again, a simulation that
+    was restarted) and another raceline end the run and begin the next.
+
+    Parameters
+    ----------
+    raceline : Raceline, optional
+        Without it poses wait for `set_raceline`.
+    patience : float, optional
+        Longest wait for a command [s].
+    on_lap : callable, optional
+        Called with the `LiveLap` of each stretch that ended.
+    on_run : callable, optional
+        Called with the number and the `RunResult` of each run that ended.
+    limits : LapLimits, optional
+    start_s, car_width, sectors : optional
+        See `LapEvaluator`.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is impossible.
+    """
+
+    def __init__(
+        self,
+        raceline=None,
+        *,
+        patience=1.0,
+        on_lap=None,
+        on_run=None,
+        limits=None,
+        start_s=0.0,
+        car_width=0.3,
+        sectors=3,
+    ):
+        if not patience >= 0.0:
+            raise ParameterError(f"expected a patience >= 0 s, got {patience}")
+        check_options(start_s, car_width, sectors)
+        self._limits = limits or LapLimits()
+        self._options = {
+            "limits": self._limits,
+            "start_s": start_s,
+            "car_width": car_width,
+            "sectors": sectors,
+        }
+        self._patience = patience
+        self._on_lap = on_lap or (lambda lap: None)
+        self._on_run = on_run or (lambda number, result: None)
+        self._poses = deque(maxlen=_LONGEST_WAIT)
+        self._raceline = self._evaluator = None
+        self._run = 1
+        self._t0_ns = self._last_ns = None
+        self._gap_ns = int(round(self._limits.max_gap * 1e9))
+        self._commands = _Commands(self._gap_ns)
+        self._reported = 0
+        if raceline is not None:
+            self.set_raceline(raceline)
+
+    @property
+    def raceline(self):
+        """The raceline, or None as long as it is unknown."""
+        return self._raceline
+
+    @property
+    def deadline(self):
+        """When `advance` has something to do at the latest, on the clock of `received`, or None."""
+        if self._evaluator is None or not self._poses:
+            return None
+        return self._poses[0].received + self._patience
+
+    def set_raceline(self, raceline):
+        """Evaluate on a raceline from now on; the same again changes nothing."""
+        if self._raceline is not None:
+            if _same(self._raceline, raceline):
+                return
+            self.finish()
+        self._evaluator = LapEvaluator(raceline, **self._options)
+        self._raceline = raceline
+
+    def add_pose(self, stamp_ns, x, y, v_x, v_y, received):
+        """Take up a pose.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Time stamp [ns].
+        x, y : float
+            Position [m]. Without a finite place on earth the pose is left out.
+        v_x, v_y : float
+            Velocity in the body frame [m/s], NaN where unknown.
+        received : float
+            When the message came, on any steady clock [s].
+        """
+        if abs(x) < FARTHEST and abs(y) < FARTHEST:
+            # numpy's hypot, because math's differs in the last bit.
+            v = float(np.hypot(v_x, 0.0 if math.isnan(v_y) else v_y))
+            self._poses.append(_Pose(stamp_ns, x, y, v, received))
+
+    def add_command(self, stamp_ns, speed, steering_angle):
+        """Take up a drive command: time stamp [ns], speed [m/s], steering angle [rad]."""
+        self._commands.add(stamp_ns, (speed, steering_angle))
+
+    def advance(self, now):
+        """Evaluate the poses that need not wait any longer.
+
+        Parameters
+        ----------
+        now : float
+            Time on the clock of `received` [s].
+        """
+        if self._evaluator is None:
+            return
+        batch = []
+        while self._poses:
+            pose = self._poses[0]
+            if self._last_ns is not None and pose.stamp_ns < self._last_ns - self._gap_ns:
+                self._evaluate(batch)
+                batch = []
+                last_ns = self._last_ns
+                self._end_run()
+                self._commands.restart(pose.stamp_ns, last_ns)
+            waited = now - pose.received >= self._patience
+            over = self._poses[-1].stamp_ns < pose.stamp_ns - self._gap_ns
+            if not (waited or over or self._commands.beyond(pose.stamp_ns)):
+                break
+            self._poses.popleft()
+            if self._t0_ns is None:
+                self._t0_ns = pose.stamp_ns
+            self._last_ns = pose.stamp_ns
+            # The same arithmetic as for a recording.
+            t = (pose.stamp_ns - self._t0_ns) * 1e-9
+            batch.append((t, *pose[1:4], *self._commands.at(pose.stamp_ns)))
+        self._evaluate(batch)
+
+    def finish(self):
+        """Evaluate the poses that still wait and end the run. The next pose begins another."""
+        self.advance(math.inf)
+        if self._t0_ns is not None:
+            self._end_run()
+            self._commands.clear()
+
+    def _evaluate(self, batch):
+        if batch:
+            self._report(self._evaluator.update(*zip(*batch)))
+
+    def _report(self, laps):
+        for lap in laps:
+            end_ns = self._t0_ns + int(round(lap.end_time_s * 1e9))
+            self._on_lap(LiveLap(self._run, end_ns, lap))
+        self._reported += len(laps)
+
+    def _end_run(self):
+        result = self._evaluator.finish()
+        self._report(result.laps[self._reported :])
+        self._on_run(self._run, result)
+        self._run += 1
+        self._reported = 0
+        self._t0_ns = self._last_ns = None
+
+
+class LapLog:
+    """Laps appended to a CSV file as they come, each safe on the disk before `add` returns.
+
+    The columns are those of `map_racing.evaluation.report.write_csv`, with the number of the run in
+    place of the name of the bag. A file of an earlier run is continued. A last line that was cut
+    off, because the power went while it was written, is removed.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    sectors : int
+        Number of sectors of the laps to come.
+
+    Raises
+    ------
+    FileFormatError
+        If the file exists and has other columns.
+    MapRacingError
+        If it cannot be written.
+    """
+
+    def __init__(self, path, sectors):
+        self.path = Path(path)
+        names = [field.name for field in fields(Lap)[:-2]]
+        self._names = ["run", *names, *(f"sector_{i}_s" for i in range(1, sectors + 1))]
+        header = ",".join(self._names)
+        try:
+            self._file = open(self.path, "a+b")  # noqa: SIM115 - it stays open for the next laps
+            self._file.seek(0)
+            content = self._file.read()
+        except OSError as error:
+            raise MapRacingError(f"{path}: cannot write: {error.strerror}") from None
+        complete = content[: content.rfind(b"\n") + 1]
+        if complete and complete.split(b"\n", 1)[0] != header.encode():
+            self._file.close()
+            raise FileFormatError(f"{path}: expected a new file or one that begins with {header}")
+        if content and not complete and not header.encode().startswith(content):
+            self._file.close()
+            raise FileFormatError(f"{path}: expected a new file or one of laps")
+        self._file.truncate(len(complete))
+        if not complete:
+            self._append(self._names)
+
+    def add(self, live_lap):
+        """Append a `LiveLap`."""
+        row = {"run": live_lap.run, **live_lap.lap.row()}
+        self._append([_cell(row[name]) for name in self._names])
+
+    def close(self):
+        """Close the file."""
+        self._file.close()
+
+    def _append(self, cells):
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(cells)
+        try:
+            # One write, so that a killed process leaves no half of a line.
+            self._file.write(text.getvalue().encode())
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise MapRacingError(f"{self.path}: cannot write: {error.strerror}") from None
+
+
+def _cell(value):
+    """As pandas writes it: nothing for NaN."""
+    return "" if isinstance(value, float) and math.isnan(value) else value
+
+
+def _same(one, other):
+    """Whether two racelines are the same course, to the last bit."""
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("x", "y", "speed", "d_left", "d_right")
+    )

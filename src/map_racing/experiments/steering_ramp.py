@@ -1,0 +1,220 @@
+"""The drive from which tires are identified: constant speed, slowly tightening circles.
+
+The car settles at a constant speed, then the steering angle rises so slowly that each instant is a
+steady state: from rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
+section on the identification of the tires).
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from ..errors import ParameterError
+
+__all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
+
+STANDSTILL = 0.1  # m/s
+SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
+
+
+@dataclass(frozen=True)
+class RampParameters:
+    """What is driven.
+
+    Parameters
+    ----------
+    speed_mps : float
+        Constant speed [m/s].
+    rate_radps : float
+        Rate at which the steering angle rises [rad/s].
+    start_rad, limit_rad : float
+        Steering angle at which it begins and ends [rad]. The circle of the first, with its radius
+        of wheelbase by angle, must fit into the area.
+    settle_s : float
+        Time at constant speed and start angle before the ramp [s].
+    acceleration_mps2 : float
+        At which the commanded speed rises [m/s^2]; to stop, it drops at once.
+    sides : {"both", "left", "right"}
+        With "both", left comes first and the car stops in between.
+
+    Raises
+    ------
+    ParameterError
+    """
+
+    speed_mps: float = 2.0
+    rate_radps: float = 0.02
+    start_rad: float = 0.1
+    limit_rad: float = 0.4
+    settle_s: float = 1.0
+    acceleration_mps2: float = 2.0
+    sides: str = "both"
+
+    def __post_init__(self):
+        for name in ("speed_mps", "rate_radps", "limit_rad", "acceleration_mps2"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ParameterError(f"{name}: expected more than 0, got {value}")
+        if not 0.0 <= self.start_rad < self.limit_rad:
+            raise ParameterError(
+                f"start_rad: expected 0 to less than limit_rad, {self.limit_rad}, "
+                f"got {self.start_rad}"
+            )
+        if not 0.0 <= self.settle_s < math.inf:
+            raise ParameterError(f"settle_s: expected 0 or more, got {self.settle_s}")
+        if self.sides not in SIDES:
+            raise ParameterError(f"sides: expected {', '.join(SIDES)}, got {self.sides!r}")
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Area within a radius [m] of a center [m]."""
+
+    x: float
+    y: float
+    radius: float
+
+    def __post_init__(self):
+        if not (math.isfinite(self.x + self.y) and 0.0 < self.radius < math.inf):
+            raise ParameterError(f"area: expected a circle, got {self}")
+
+    def contains(self, x, y):
+        """Whether a position [m] lies within; one that is not finite does not."""
+        return math.hypot(x - self.x, y - self.y) <= self.radius
+
+
+@dataclass(frozen=True)
+class Box:
+    """Area between limits of x and y [m]."""
+
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+
+    def __post_init__(self):
+        if not (self.x_min < self.x_max and self.y_min < self.y_max):
+            raise ParameterError(f"area: expected a box of some size, got {self}")
+
+    def contains(self, x, y):
+        """Whether a position [m] lies within; one that is not finite does not."""
+        return self.x_min <= x <= self.x_max and self.y_min <= y <= self.y_max
+
+
+class Phase(Enum):
+    """What the car is doing."""
+
+    WAITING = "waiting for the dead-man button"
+    OUTSIDE = "outside of the area"
+    STARTING = "reaching its speed"
+    RAMPING = "ramping"
+    STOPPING = "stopping"
+    DONE = "done"
+
+
+class RampCommand(NamedTuple):
+    """Steering angle [rad], speed [m/s], and why."""
+
+    steering_angle: float
+    speed: float
+    phase: Phase
+
+
+class SteeringRamp:
+    """Steering ramps to either side within an area, as long as somebody holds the button.
+
+    Letting go of the button, or leaving the area, stops the car. When both are in order again and
+    the car stands, the ramp that was cut short begins anew.
+
+    Parameters
+    ----------
+    parameters : RampParameters
+    area : Circle or Box
+
+    Attributes
+    ----------
+    completed : int
+        Ramps driven to their end.
+    """
+
+    def __init__(self, parameters, area):
+        self.parameters = parameters
+        self.area = area
+        self.completed = 0
+        self._sides = SIDES[parameters.sides]
+        self._phase = Phase.WAITING
+        self._angle = 0.0
+        self._speed = 0.0
+        self._since = 0.0
+        self._last_t = None
+
+    def update(self, t, x, y, v, enabled):
+        """The command for one pose.
+
+        Parameters
+        ----------
+        t : float
+            Time of the pose [s].
+        x, y : float
+            Position [m].
+        v : float
+            Measured speed [m/s].
+        enabled : bool
+            Whether the dead-man button is held.
+
+        Returns
+        -------
+        RampCommand
+        """
+        elapsed = 0.0 if self._last_t is None else min(max(t - self._last_t, 0.0), 0.1)
+        self._last_t = t
+        if self._phase is Phase.DONE:
+            return self._command()
+        inside = self.area.contains(x, y)
+        if not (enabled and inside and math.isfinite(v)):
+            self._phase = Phase.OUTSIDE if not inside else Phase.WAITING
+            self._speed = 0.0
+        elif self._phase in (Phase.WAITING, Phase.OUTSIDE, Phase.STOPPING):
+            self._rest(v)
+        elif self._phase is Phase.STARTING:
+            self._start(t, elapsed)
+        else:
+            self._ramp(elapsed)
+        return self._command()
+
+    def _command(self):
+        return RampCommand(self._angle, self._speed, self._phase)
+
+    def _rest(self, v):
+        """Once it stands: to the next ramp, or to the end."""
+        self._speed = 0.0
+        if abs(v) > STANDSTILL:
+            return
+        if self.completed == len(self._sides):
+            self._phase, self._angle = Phase.DONE, 0.0
+            return
+        self._phase, self._since = Phase.STARTING, None
+        self._angle = self._sides[self.completed] * self.parameters.start_rad
+
+    def _start(self, t, elapsed):
+        parameters = self.parameters
+        self._speed = min(
+            self._speed + parameters.acceleration_mps2 * elapsed, parameters.speed_mps
+        )
+        if self._speed < parameters.speed_mps:
+            return
+        if self._since is None:
+            self._since = t
+        if t - self._since >= parameters.settle_s:
+            self._phase = Phase.RAMPING
+
+    def _ramp(self, elapsed):
+        side = self._sides[self.completed]
+        angle = abs(self._angle) + self.parameters.rate_radps * elapsed
+        if angle < self.parameters.limit_rad:
+            self._angle = side * angle
+            return
+        self._angle = side * self.parameters.limit_rad
+        self.completed += 1
+        self._phase, self._speed = Phase.STOPPING, 0.0

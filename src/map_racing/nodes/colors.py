@@ -1,0 +1,35 @@
+"""Colors of markers."""
+
+from std_msgs.msg import ColorRGBA
+
+__all__ = ["WALL", "gradient"]
+
+# Of the color map viridis, which the figures use: its order is also that of the brightness.
+_STOPS = (
+    (0.27, 0.00, 0.33),
+    (0.23, 0.32, 0.55),
+    (0.13, 0.57, 0.55),
+    (0.37, 0.79, 0.38),
+    (0.99, 0.91, 0.14),
+)
+
+WALL = (0.55, 0.55, 0.55)
+
+
+def gradient(fraction, alpha=1.0):
+    """Color from dark violet over teal to yellow.
+
+    Parameters
+    ----------
+    fraction : float
+        0 to 1; what lies outside is drawn as the nearer end.
+
+    Returns
+    -------
+    std_msgs/ColorRGBA
+    """
+    at = min(max(fraction, 0.0), 1.0) * (len(_STOPS) - 1)
+    index = min(int(at), len(_STOPS) - 2)
+    part = at - index
+    below, above = _STOPS[index], _STOPS[index + 1]
+    return ColorRGBA(*(b + part * (a - b) for b, a in zip(below, above)), alpha)

@@ -1,0 +1,201 @@
+"""Node ``lap_evaluator``: laps of live or replayed driving, the same as of its recording."""
+
+import math
+import queue
+import time
+
+import rospy
+from ackermann_msgs.msg import AckermannDriveStamped
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from visualization_msgs.msg import Marker, MarkerArray
+
+from map_racing.msg import LapResult
+
+from ..errors import MapRacingError, ParameterError
+from ..evaluation.laps import LapLimits
+from ..evaluation.live import LapLog, LiveEvaluation
+from ..evaluation.recordings import load_course
+from ..evaluation.report import lap_table
+from .conversions import frame, stamp_ns, to_time
+from .markers import delete_all, make_marker
+from .node import get_parameter, run
+from .waypoints import RacelineSubscriber
+
+__all__ = ["LapEvaluatorNode", "main"]
+
+_STOP = object()
+_NAN = math.nan
+
+
+class LapEvaluatorNode:
+    """Queue what comes, evaluate it in one thread, publish the laps.
+
+    Callbacks only queue: a message that waits in the queue is not lost, however fast a bag is
+    played.
+    """
+
+    def __init__(self):
+        source = get_parameter("raceline", "", "raceline file; empty: topic global_waypoints")
+        pose = get_parameter("pose_source", "odom", "odom or pose")
+        start_s = get_parameter("start_line", 0.0, "arc length of the start line [m]")
+        car_width = get_parameter("car_width", 0.3, "[m]")
+        sectors = get_parameter("sectors", 3, "number of sectors")
+        deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
+        patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
+        csv = get_parameter("csv", "", "file that laps are appended to; empty: none")
+        self._text_size = get_parameter("text_size", 0.5, "height of the lap text [m]")
+        if pose not in ("odom", "pose"):
+            raise ParameterError(f"~pose_source: expected odom or pose, got {pose!r}")
+        if not deviation >= 0.0:
+            raise ParameterError(f"~max_deviation: expected 0 or more [m], got {deviation}")
+
+        self._queue = queue.Queue()
+        self._frame = "map"
+        self._best, self._counted = _NAN, 0
+        self._laps = LiveEvaluation(
+            load_course(source) if source else None,
+            patience=patience,
+            on_lap=self._publish,
+            on_run=self._summarize,
+            limits=LapLimits(max_deviation=deviation or None),
+            start_s=start_s,
+            car_width=car_width,
+            sectors=sectors,
+        )
+        self._log = LapLog(csv, sectors) if csv else None
+        self._results = rospy.Publisher("lap_result", LapResult, queue_size=100, latch=True)
+        self._markers = rospy.Publisher("lap_markers", MarkerArray, queue_size=10, latch=True)
+        self._markers.publish(delete_all())
+
+        rospy.on_shutdown(lambda: self._queue.put((_STOP, None, 0, 0.0)))
+        if not source:
+            self._raceline_topic = RacelineSubscriber(
+                "global_waypoints",
+                lambda raceline: self._put(self._set_raceline, raceline),
+                lambda error: rospy.logwarn("%s", error),
+            )
+        self._subscribe("drive", AckermannDriveStamped, self._add_command)
+        if pose == "odom":
+            self._subscribe("odom", Odometry, self._add_odometry)
+        else:
+            self._subscribe("pose", PoseStamped, self._add_pose)
+
+    def _subscribe(self, topic, kind, handle):
+        # Without a queue size nothing is dropped; the buffer takes in many messages at once.
+        rospy.Subscriber(
+            topic,
+            kind,
+            lambda message: self._put(handle, message),
+            queue_size=None,
+            buff_size=1 << 20,
+            tcp_nodelay=True,
+        )
+
+    def _put(self, handle, message):
+        self._queue.put((handle, message, rospy.Time.now().to_nsec(), time.monotonic()))
+
+    def run(self):
+        """Evaluate until the node is shut down, then sum up."""
+        while True:
+            deadline = self._laps.deadline
+            wait = None if deadline is None else max(deadline - time.monotonic(), 0.001)
+            try:
+                handle, message, received_ns, received = self._queue.get(timeout=wait)
+                if handle is _STOP:
+                    break
+                handle(message, received_ns, received)
+            except queue.Empty:
+                pass
+            if self._queue.empty() or self._queue.qsize() % 256 == 0:
+                self._laps.advance(time.monotonic())
+        self._laps.finish()
+        if self._log is not None:
+            self._log.close()
+
+    # -- in ------------------------------------------------------------------------------------
+
+    def _set_raceline(self, raceline, _received_ns, _received):
+        first = self._laps.raceline is None
+        self._laps.set_raceline(raceline)
+        name = raceline.name or raceline.source
+        rospy.loginfo("%s %s, %.2f m", "raceline" if first else "now on", name, raceline.length)
+
+    def _add_odometry(self, message, received_ns, received):
+        at, velocity = message.pose.pose.position, message.twist.twist.linear
+        self._frame = frame(message.header.frame_id) or "map"
+        stamp = stamp_ns(message.header, received_ns)
+        self._add(stamp, at.x, at.y, velocity.x, velocity.y, received)
+
+    def _add_pose(self, message, received_ns, received):
+        at = message.pose.position
+        self._frame = frame(message.header.frame_id) or "map"
+        self._add(stamp_ns(message.header, received_ns), at.x, at.y, _NAN, _NAN, received)
+
+    def _add(self, *sample):
+        if self._laps.raceline is None:
+            rospy.logwarn_throttle(10.0, "poses, but no raceline yet: they are kept")
+        self._laps.add_pose(*sample)
+
+    def _add_command(self, message, received_ns, _received):
+        drive = message.drive
+        self._laps.add_command(
+            stamp_ns(message.header, received_ns), drive.speed, drive.steering_angle
+        )
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def _publish(self, live_lap):
+        lap = live_lap.lap
+        if lap.valid:
+            self._counted += 1
+            self._best = min(lap.lap_time_s, self._best) if self._counted > 1 else lap.lap_time_s
+        if self._log is not None:
+            try:
+                self._log.add(live_lap)
+            except MapRacingError as error:
+                rospy.logerr("%s", error)
+        result = LapResult(**{n: v for n, v in lap.row().items() if not n.startswith("sector_")})
+        result.sector_times_s = lap.sector_times_s
+        result.run = live_lap.run
+        result.laps_completed, result.best_lap_time_s = self._counted, self._best
+        result.header.stamp = to_time(live_lap.end_ns)
+        result.header.frame_id = self._frame
+        self._results.publish(result)
+        text = _text(lap, self._best)
+        self._markers.publish(MarkerArray([self._marker(text)]))
+        rospy.loginfo("%s", text.replace("\n", ", "))
+
+    def _marker(self, text):
+        raceline = self._laps.raceline
+        size = (0.0, 0.0, self._text_size)
+        marker = make_marker(
+            Marker.TEXT_VIEW_FACING, "lap", self._frame, LAP_TEXT_COLOR, scale=size
+        )
+        marker.text = text
+        marker.pose.position.x = 0.5 * (raceline.x.min() + raceline.x.max())
+        marker.pose.position.y = 0.5 * (raceline.y.min() + raceline.y.max())
+        marker.pose.position.z = self._text_size
+        return marker
+
+    def _summarize(self, run, result):
+        self._best, self._counted = _NAN, 0
+        rospy.loginfo("run %d\n%s", run, lap_table(result))
+
+
+LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
+"""White: nothing else in the layout is."""
+
+
+def _text(lap, best):
+    if not lap.valid:
+        return f"lap {lap.lap}: {lap.reason}"
+    return (
+        f"lap {lap.lap}: {lap.lap_time_s:.3f} s\nbest {best:.3f} s\n"
+        f"RMS error {100.0 * lap.rms_lateral_error_m:.1f} cm"
+    )
+
+
+def main():
+    """Run the node."""
+    run("lap_evaluator", LapEvaluatorNode)

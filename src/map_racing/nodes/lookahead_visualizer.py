@@ -1,0 +1,203 @@
+"""Node ``lookahead_visualizer``: what the controller sees and wants, as markers.
+
+All of it is in the message ``guidance``; nothing is computed anew but the points of curves.
+"""
+
+import math
+from collections import deque
+
+import rospy
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from map_racing.msg import Guidance
+
+from ..control.guidance import arc_to
+from ..errors import ParameterError
+from ..vehicle.parameters import load_vehicle
+from .markers import delete_all, make_marker, points_of
+from .node import get_parameter, run
+
+__all__ = ["LookaheadVisualizer", "main"]
+
+# Markers live so long [s] that they do not flicker, and nothing stale is seen.
+_LIFETIME = 0.5
+_TRAIL_LIFETIME = 5.0
+# Distance of the points of the trail [m]; farther than the last the car was put elsewhere.
+_TRAIL_STEP, _TRAIL_JUMP = 0.05, 2.0
+_CIRCLE = [2.0 * math.pi * i / 48 for i in range(49)]
+
+LOOKAHEAD_COLOR = (1.0, 0.0, 0.0)
+CIRCLE_COLOR = (0.45, 0.45, 0.45)
+ARC_COLOR = (1.0, 0.0, 1.0)
+STEERING_COLOR = (0.0, 1.0, 1.0)
+CAR_COLOR = (0.1, 0.4, 1.0)
+LABEL_COLOR = (1.0, 0.5, 0.0)
+# Of the trail: no error, and the largest. Not the colors of the raceline's speeds.
+ERROR_COLORS = (0.65, 0.8, 1.0), (1.0, 0.4, 0.0)
+
+
+def error_color(fraction):
+    """Color of a lateral error from 0 to 1, and of all beyond."""
+    fraction = min(fraction, 1.0)
+    return ColorRGBA(*(a + fraction * (b - a) for a, b in zip(*ERROR_COLORS)), 1.0)
+
+
+class LookaheadVisualizer:
+    """Draw each guidance message, at most so many per second as the eye can see."""
+
+    def __init__(self):
+        vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file: its size"))
+        self._base = get_parameter("base_frame", "base_link", "frame of the rear axle")
+        rate = get_parameter("rate", 20.0, "most pictures per second [Hz]")
+        trail = get_parameter("trail_length", 15.0, "length of the driven trail [m]")
+        self._error = get_parameter("trail_error", 0.2, "lateral error of the last color [m]")
+        for name, value in (("rate", rate), ("trail_error", self._error)):
+            if not 0.0 < value < math.inf:
+                raise ParameterError(f"~{name}: expected a positive number, got {value}")
+        if not 0.0 <= trail <= 1000.0:
+            raise ParameterError(f"~trail_length: expected 0 to 1000 m, got {trail}")
+        self._period_ns = int(1e9 / rate)
+        self._size = vehicle.length, vehicle.width, 0.5 * vehicle.width
+        self._l_wb = vehicle.l_wb
+        self._trail_length = trail
+        self._trail = deque()
+        self._restart()
+        self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
+        self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
+        rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
+
+    def _restart(self):
+        self._trail.clear()
+        self._last_ns = self._drawn_ns = self._trail_ns = 0
+        self._clear = True
+
+    def _receive(self, guidance):
+        stamp_ns = guidance.header.stamp.to_nsec()
+        if stamp_ns < self._last_ns:
+            self._restart()
+        self._last_ns = stamp_ns
+        self._extend_trail(guidance)
+        if stamp_ns < self._drawn_ns + self._period_ns:
+            return
+        self._drawn_ns = stamp_ns
+        frame = guidance.header.frame_id
+        if self._point.get_num_connections():
+            self._point.publish(_lookahead_point(guidance, frame))
+        if self._markers.get_num_connections():
+            if self._clear:
+                self._markers.publish(delete_all())
+                self._clear = False
+            markers = [_lookahead_point(guidance, frame), *self._drawn(guidance, frame)]
+            # The trail changes slowly and is by far the largest.
+            if stamp_ns >= self._trail_ns + 2 * self._period_ns and len(self._trail) > 1:
+                self._trail_ns = stamp_ns
+                markers.append(self._drawn_trail(frame))
+            self._markers.publish(MarkerArray(markers))
+
+    def _extend_trail(self, guidance):
+        driven = 0.0
+        if self._trail:
+            x, y, _, driven = self._trail[-1]
+            moved = math.hypot(guidance.x - x, guidance.y - y)
+            if moved < _TRAIL_STEP:
+                return
+            if moved > _TRAIL_JUMP:
+                self._trail.clear()
+            driven += moved
+        self._trail.append((guidance.x, guidance.y, abs(guidance.d), driven))
+        while driven - self._trail[0][3] > self._trail_length:
+            self._trail.popleft()
+
+    def _drawn(self, guidance, frame):
+        """Markers of one message."""
+        x, y, distance = guidance.x, guidance.y, guidance.lookahead_distance
+
+        circle = make_marker(
+            *(Marker.LINE_STRIP, "distance", frame, CIRCLE_COLOR),
+            scale=(0.02, 0.0, 0.0),
+            lifetime=_LIFETIME,
+        )
+        circle.points = points_of(
+            ((x + distance * math.cos(a), y + distance * math.sin(a)) for a in _CIRCLE), 0.02
+        )
+        yield circle
+
+        arc = make_marker(
+            *(Marker.LINE_STRIP, "arc", frame, LABEL_COLOR if guidance.saturated else ARC_COLOR),
+            scale=(0.05, 0.0, 0.0),
+            lifetime=_LIFETIME,
+        )
+        arc.points = points_of(
+            arc_to(x, y, guidance.lookahead_x, guidance.lookahead_y, guidance.eta), 0.04
+        )
+        yield arc
+
+        steering = make_marker(
+            *(Marker.ARROW, "steering", self._base, STEERING_COLOR),
+            scale=(0.6, 0.05, 0.05),
+            lifetime=_LIFETIME,
+        )
+        steering.frame_locked = True
+        steering.pose.position.x, steering.pose.position.z = self._l_wb, self._size[2]
+        half = 0.5 * guidance.steering_angle
+        steering.pose.orientation.z, steering.pose.orientation.w = math.sin(half), math.cos(half)
+        yield steering
+
+        car = make_marker(
+            *(Marker.CUBE, "car", self._base, CAR_COLOR), scale=self._size, lifetime=_LIFETIME
+        )
+        car.frame_locked = True
+        car.pose.position.x, car.pose.position.z = 0.5 * self._l_wb, 0.5 * self._size[2]
+        yield car
+
+        label = make_marker(
+            *(Marker.TEXT_VIEW_FACING, "label", frame, LABEL_COLOR),
+            scale=(0.0, 0.0, 0.3),
+            lifetime=_LIFETIME,
+        )
+        label.text = _label(guidance)
+        # Beside the circle, where it covers nothing that it speaks of.
+        label.pose.position.x, label.pose.position.y = x, y + distance + 0.3
+        label.pose.position.z = 0.3
+        if not label.text:
+            label.action = Marker.DELETE
+        yield label
+
+    def _drawn_trail(self, frame):
+        trail = make_marker(
+            *(Marker.LINE_STRIP, "trail", frame, CAR_COLOR),
+            # Broad and beneath the raceline, so that both are seen where they coincide.
+            scale=(0.14, 0.0, 0.0),
+            lifetime=_TRAIL_LIFETIME,
+        )
+        trail.points = points_of((x, y) for x, y, _, _ in self._trail)
+        trail.colors = [error_color(error / self._error) for _, _, error, _ in self._trail]
+        return trail
+
+
+def _lookahead_point(guidance, frame):
+    point = make_marker(
+        *(Marker.SPHERE, "lookahead", frame, LOOKAHEAD_COLOR),
+        scale=(0.15, 0.15, 0.15),
+        lifetime=_LIFETIME,
+    )
+    point.pose.position.x, point.pose.position.y = guidance.lookahead_x, guidance.lookahead_y
+    # Above the steering arrow, which often points at it.
+    point.pose.position.z = 0.3
+    return point
+
+
+def _label(guidance):
+    """What the driver of the laptop should know: not driving and why, or more than the grip."""
+    if guidance.mode != Guidance.MODE_DRIVING:
+        reason = f": {guidance.reason}" if guidance.reason else ""
+        return guidance.mode + reason
+    if guidance.saturated:
+        return f"{abs(guidance.a_lat):.1f} of {guidance.a_lat_max:.1f} m/s2"
+    return ""
+
+
+def main():
+    """Run the node."""
+    run("lookahead_visualizer", LookaheadVisualizer)

@@ -1,0 +1,54 @@
+"""What all nodes do alike: read parameters, and end in one line where they cannot run."""
+
+import rospy
+
+from ..errors import MapRacingError, ParameterError
+
+__all__ = ["get_parameter", "run"]
+
+
+def get_parameter(name, default, meaning):
+    """Read a private parameter once and say in the log what it is.
+
+    Parameters
+    ----------
+    name : str
+        Without the ``~``.
+    default : bool, int, float, str or list
+        Its type is the type that the parameter must have; an integer passes for a float.
+    meaning : str
+        For the log, with the unit.
+
+    Raises
+    ------
+    ParameterError
+        If it has another type.
+    """
+    value = rospy.get_param(f"~{name}", default)
+    if type(default) is float and type(value) is int:
+        value = float(value)
+    if type(value) is not type(default):
+        raise ParameterError(f"~{name}: expected {type(default).__name__}, got {value!r}")
+    rospy.loginfo("~%s = %r (%s)", name, value, meaning)
+    return value
+
+
+def run(name, make):
+    """Run a node until it is shut down.
+
+    Parameters
+    ----------
+    name : str
+    make : callable
+        Makes the node; what it returns may have a method ``run`` that does not return before the
+        node is shut down. A `MapRacingError` ends the node with one line and exit code 1.
+    """
+    rospy.init_node(name)
+    try:
+        node = make()
+        getattr(node, "run", rospy.spin)()
+    except MapRacingError as error:
+        rospy.logfatal("%s", error)
+        raise SystemExit(1) from None
+    except rospy.ROSInterruptException:
+        pass

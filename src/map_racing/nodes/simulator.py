@@ -1,0 +1,239 @@
+"""Node ``simulator``: the simulated car in real time, or ahead of it with a clock of its own."""
+
+import math
+import threading
+import time
+
+import rospy
+from ackermann_msgs.msg import AckermannDriveStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool
+
+from ..errors import ParameterError
+from ..evaluation.recordings import load_course
+from ..simulation.car import DrivenCar, SimulatedCar
+from ..simulation.plant import Localization, Plant, load_plant_parameters
+from ..simulation.public_simulator import PublicSimulator
+from ..simulation.race import START_S
+from ..vehicle.parameters import load_vehicle
+from .conversions import frame, plane_pose, set_plane_pose, to_time
+from .node import get_parameter, run
+from .transforms import TransformBroadcaster
+
+__all__ = ["PUBLIC_SIMULATOR", "SimulatorNode", "main"]
+
+PUBLIC_SIMULATOR = "public_simulator"
+"""Value of ``~plant`` for the plant of the public ROS 1 simulator."""
+
+SECOND = 1000000000
+CLOCK_PERIOD_NS = 10000000  # of /clock, besides the instants at which a pose arrives
+LONGEST_CATCH_UP = 0.5  # s; after a longer pause of the computer, simulated time is lost
+LOCKSTEP_PATIENCE = 1.0  # s of wall time to wait for the answer to a pose
+
+
+class SimulatorNode:
+    """Advance the car to each event and publish what it reports.
+
+    Without ``~clock_rate`` the stamps are those of the wall clock. With it, simulated time begins
+    at 1 s, runs that many times as fast, and is published on ``/clock``.
+    """
+
+    def __init__(self):
+        raceline = load_course(
+            get_parameter("raceline", "reference", "track, raceline file or bag: start and walls")
+        )
+        plant_name = get_parameter(
+            "plant", "nuc4", f"plant file, or {PUBLIC_SIMULATOR}, the public ROS 1 simulator's"
+        )
+        seed = get_parameter("seed", 1, "of the noise")
+        start_s = get_parameter("start_s", START_S, "arc length at which the car starts [m]")
+        self._clock_rate = get_parameter(
+            "clock_rate", 0.0, "simulated seconds per second, published on /clock; 0: real time"
+        )
+        self._lockstep = get_parameter(
+            "lockstep", False, "with clock_rate: time waits for a controller's answer to each pose"
+        )
+        self._map = frame(get_parameter("map_frame", "map", "frame of the poses"))
+        self._base = frame(get_parameter("base_frame", "base_link", "frame of the rear axle"))
+        if not (math.isfinite(self._clock_rate) and self._clock_rate >= 0.0):
+            raise ParameterError(f"~clock_rate: expected 0 or more, got {self._clock_rate}")
+        if self._lockstep and not self._clock_rate:
+            raise ParameterError("~lockstep: real time waits for nobody; it needs ~clock_rate")
+
+        if plant_name == PUBLIC_SIMULATOR:
+            plant, localization = PublicSimulator(load_vehicle("sim")), None
+        else:
+            parameters = load_plant_parameters(plant_name)
+            plant, localization = Plant(parameters), Localization(parameters, seed)
+        self._car = DrivenCar(SimulatedCar(plant, localization), raceline)
+        start = raceline.pose(start_s)
+        self._car.put(start.x, start.y, start.psi)
+        self._step_ns = round(plant.time_step * SECOND)
+        self._ticks_per_clock = CLOCK_PERIOD_NS // self._step_ns
+        # Guards the car; notified by each command.
+        self._changed = threading.Condition(threading.RLock())
+        self._answered = 0
+
+        self._odom = rospy.Publisher("odom", Odometry, queue_size=100, tcp_nodelay=True)
+        self._pose = rospy.Publisher("pose", PoseStamped, queue_size=100, tcp_nodelay=True)
+        self._imu = rospy.Publisher("imu", Imu, queue_size=100, tcp_nodelay=True)
+        self._truth = rospy.Publisher("ground_truth/odom", Odometry, queue_size=100)
+        self._collision = rospy.Publisher("wall_collision", Bool, queue_size=10, latch=True)
+        self._transforms = TransformBroadcaster()
+        self._collision.publish(False)
+        self._collided = False
+
+        # Wall time at simulated time 0; in real time the stamps count from here, too.
+        self._rate = self._clock_rate or 1.0
+        if self._clock_rate:
+            self._clock = rospy.Publisher("/clock", Clock, queue_size=100, tcp_nodelay=True)
+            self._origin_ns = SECOND
+            self._wall_origin = time.monotonic()
+        else:
+            self._clock = None
+            self._wall_origin = time.monotonic()
+            self._origin_ns = time.time_ns()
+        self._drive = rospy.Subscriber(
+            "drive", AckermannDriveStamped, self._on_drive, queue_size=10, tcp_nodelay=True
+        )
+        rospy.Subscriber("initialpose", PoseWithCovarianceStamped, self._on_initial_pose)
+
+    # -- time ----------------------------------------------------------------------------------
+
+    def run(self):
+        """Simulate until the node is shut down."""
+        car = self._car.car
+        if self._lockstep:
+            while not (self._has_controller() or rospy.is_shutdown()):
+                self._publish_clock()
+                time.sleep(0.05)
+            self._wall_origin = time.monotonic()
+        while not rospy.is_shutdown():
+            with self._changed:
+                self._advance()
+                ahead = car.next_event + 1
+                if self._clock is not None:
+                    ahead = min(ahead, self._next_clock_tick())
+            wall = self._wall_origin + ahead * car.plant.time_step / self._rate
+            time.sleep(max(wall - time.monotonic(), 0.0))
+
+    def _advance(self):
+        """Drive up to the present and publish what arrives on the way."""
+        car = self._car.car
+        step = car.plant.time_step
+        behind = (time.monotonic() - self._wall_origin) * self._rate - car.now
+        if behind > LONGEST_CATCH_UP * self._rate:
+            lost = behind - step
+            if self._clock is None:
+                rospy.logwarn("the simulation fell behind by %.2f s, which are lost", lost)
+                self._origin_ns += round(lost * SECOND)
+            self._wall_origin += lost / self._rate
+            behind = step
+        target = car.tick + int(behind / step + 1e-9)
+        while car.tick < target:
+            for seen in self._car.advance_to(min(target, self._next_clock_tick())):
+                self._publish_clock()
+                self._publish(seen)
+                if self._lockstep:
+                    self._wait_for_answer(self._ns_of(seen.measured.t))
+            if car.tick % self._ticks_per_clock == 0:
+                self._publish_clock()
+        if self._car.crashed != self._collided:
+            self._collided = self._car.crashed
+            self._collision.publish(self._collided)
+            if self._collided:
+                rospy.logwarn("the car touched a wall; initialpose puts it back")
+
+    def _next_clock_tick(self):
+        each = self._ticks_per_clock
+        return (self._car.car.tick // each + 1) * each
+
+    def _ns(self, tick):
+        return self._origin_ns + tick * self._step_ns
+
+    def _ns_of(self, t):
+        return self._ns(round(t / self._car.car.plant.time_step))
+
+    def _publish_clock(self):
+        if self._clock is not None:
+            self._clock.publish(Clock(to_time(self._ns(self._car.car.tick))))
+
+    def _has_controller(self):
+        return self._odom.get_num_connections() and self._drive.get_num_connections()
+
+    def _wait_for_answer(self, stamp):
+        """Let the command through that was computed from the pose with this stamp."""
+        if self._has_controller():
+            begin = time.monotonic()
+            self._changed.wait_for(
+                lambda: self._answered >= stamp or rospy.is_shutdown(), LOCKSTEP_PATIENCE
+            )
+            # Time stood still, and is not caught up with.
+            waited = time.monotonic() - begin
+            self._wall_origin += max(0.0, waited - self._car.car.plant.time_step / self._rate)
+
+    # -- in ------------------------------------------------------------------------------------
+
+    def _on_drive(self, message):
+        with self._changed:
+            if not self._lockstep:
+                self._advance()
+            self._car.command(message.drive.steering_angle, message.drive.speed)
+            self._answered = message.header.stamp.to_nsec() or self._ns(self._car.car.tick)
+            self._changed.notify_all()
+
+    def _on_initial_pose(self, message):
+        x, y, psi = plane_pose(message.pose.pose)
+        if not all(map(math.isfinite, (x, y, psi))):
+            rospy.logwarn("initialpose: expected a pose, got x %g, y %g, heading %g", x, y, psi)
+            return
+        named = frame(message.header.frame_id)
+        if named not in ("", self._map):
+            rospy.logwarn("initialpose: expected it in %s, got it in %s", self._map, named)
+            return
+        with self._changed:
+            if not self._lockstep:
+                self._advance()
+            self._car.put(x, y, psi)
+        rospy.loginfo("the car was put to x %.2f m, y %.2f m, heading %.2f rad", x, y, psi)
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def _publish(self, seen):
+        measured = seen.measured
+        stamp_ns = self._ns_of(measured.t)
+        stamp = to_time(stamp_ns)
+        imu = Imu()
+        imu.header.stamp, imu.header.frame_id = stamp, self._base
+        imu.orientation_covariance[0] = -1.0  # no orientation
+        imu.orientation.w = 1.0
+        imu.angular_velocity.z = measured.r
+        imu.linear_acceleration.x, imu.linear_acceleration.y = seen.acceleration
+        pose = PoseStamped()
+        pose.header.stamp, pose.header.frame_id = stamp, self._map
+        set_plane_pose(pose.pose, *measured[1:4])
+        # A controller acts on the odometry, so all else goes first.
+        self._imu.publish(imu)
+        self._transforms.send(self._map, self._base, stamp_ns, *measured[1:4])
+        self._truth.publish(self._odometry(seen.true, stamp))
+        self._pose.publish(pose)
+        self._odom.publish(self._odometry(measured, stamp))
+
+    def _odometry(self, state, stamp):
+        message = Odometry()
+        message.header.stamp, message.header.frame_id = stamp, self._map
+        message.child_frame_id = self._base
+        set_plane_pose(message.pose.pose, *state[1:4])
+        twist = message.twist.twist
+        twist.linear.x, twist.angular.z = state.v_x, state.r
+        # As real odometry does that measures none.
+        twist.linear.y = 0.0 if math.isnan(state.v_y) else state.v_y
+        return message
+
+
+def main():
+    """Run the node."""
+    run("simulator", SimulatorNode)

@@ -1,0 +1,138 @@
+"""Node ``steering_ramp``: the drive from which tires are identified."""
+
+import math
+import threading
+import time
+
+import rospy
+from ackermann_msgs.msg import AckermannDriveStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Header
+
+from ..errors import ParameterError
+from ..experiments.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from .conversions import stamp_ns
+from .node import get_parameter, run
+
+__all__ = ["SteeringRampNode", "main"]
+
+MAX_POSE_AGE_S = 0.2
+WATCHDOG_S = 0.05
+LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
+
+
+class SteeringRampNode:
+    """A command for each pose; a stop where none come."""
+
+    def __init__(self):
+        defaults = RampParameters()
+        meanings = {
+            "speed_mps": "constant speed [m/s]",
+            "rate_radps": "rise of the steering angle [rad/s]",
+            "start_rad": "steering angle at the beginning [rad]",
+            "limit_rad": "and at the end [rad]",
+            "settle_s": "time at speed before the ramp [s]",
+            "acceleration_mps2": "of the commanded speed [m/s^2]",
+            "sides": "both, left or right",
+        }
+        parameters = RampParameters(
+            **{
+                name: get_parameter(name, getattr(defaults, name), meaning)
+                for name, meaning in meanings.items()
+            }
+        )
+        self._radius = get_parameter("radius", 5.0, "of the area around the first pose [m]")
+        box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
+        self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
+        self._button = get_parameter("button", 5, "index of that button in the joystick's message")
+        self._patience = get_parameter(
+            "dead_man_timeout", 0.5, "so long one message counts as holding it [s]"
+        )
+        if not 0.0 < self._radius < math.inf:
+            raise ParameterError(f"~radius: expected more than 0, got {self._radius}")
+        if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
+            raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
+        area = Box(*map(float, box)) if box else None
+        self._parameters = parameters
+        self._ramp = SteeringRamp(parameters, area) if area else None
+        if not self._dead_man:
+            rospy.logwarn(
+                "driving without a dead-man button: only the area and Ctrl-C stop the car"
+            )
+
+        self._lock = threading.RLock()
+        self._held_until = -math.inf
+        self._last_pose = None
+        self._angle, self._phase = 0.0, None
+        self._ended = threading.Event()
+        self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
+        rospy.on_shutdown(self._end)
+        if self._dead_man:
+            rospy.Subscriber("joy", Joy, self._on_joy, queue_size=1)
+            rospy.Subscriber("enable", Bool, self._on_enable, queue_size=1)
+        rospy.Subscriber("odom", Odometry, self._on_odometry, queue_size=1, tcp_nodelay=True)
+
+    def run(self):
+        """Watch over the poses until the drive is done."""
+        while not self._ended.wait(WATCHDOG_S):
+            with self._lock:
+                last = self._last_pose
+                if last is not None and time.monotonic() - last > MAX_POSE_AGE_S:
+                    rospy.logwarn_throttle(1.0, "no poses: standing still")
+                    self._send(Header(stamp=rospy.Time.now()), self._angle, 0.0)
+            if self._phase is Phase.DONE:
+                rospy.loginfo("done: %d ramps", self._ramp.completed)
+                rospy.signal_shutdown("done")
+
+    def _on_joy(self, message):
+        self._hold(len(message.buttons) > self._button and message.buttons[self._button] == 1)
+
+    def _on_enable(self, message):
+        self._hold(message.data)
+
+    def _hold(self, held):
+        # By the wall clock: it is about a hand.
+        self._held_until = time.monotonic() + self._patience if held else -math.inf
+
+    def _on_odometry(self, message):
+        at = message.pose.pose.position
+        now = rospy.Time.now().to_nsec()
+        stamp = stamp_ns(message.header, now)
+        with self._lock:
+            if self._ended.is_set():
+                return
+            if self._ramp is None:
+                self._ramp = SteeringRamp(self._parameters, Circle(at.x, at.y, self._radius))
+            enabled = not self._dead_man or time.monotonic() < self._held_until
+            # An old pose is none: the car is not where it says.
+            if now - stamp < MAX_POSE_AGE_S * 1e9:
+                self._last_pose = time.monotonic()
+            else:
+                enabled = False
+            command = self._ramp.update(
+                1e-9 * stamp, at.x, at.y, message.twist.twist.linear.x, enabled
+            )
+            if command.phase is not self._phase:
+                rospy.loginfo("%s", command.phase.value)
+                self._phase = command.phase
+            self._send(message.header, command.steering_angle, command.speed)
+
+    def _send(self, header, steering_angle, speed):
+        self._angle = steering_angle
+        command = AckermannDriveStamped(header=header)
+        command.drive.steering_angle, command.drive.speed = steering_angle, speed
+        self._drive.publish(command)
+
+    def _end(self):
+        """Tell the car to stop, for good."""
+        with self._lock:
+            self._ended.set()
+        for _ in range(LAST_COMMANDS):
+            self._send(Header(stamp=rospy.Time.now()), self._angle, 0.0)
+            time.sleep(LAST_PERIOD_S)
+
+
+def main():
+    """Run the node."""
+    run("steering_ramp", SteeringRampNode)

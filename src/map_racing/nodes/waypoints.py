@@ -1,0 +1,135 @@
+"""Racelines as ``f110_msgs/WpntArray``, without that package being built.
+
+A publisher sends the definition of its messages when it connects; so what it sends can be read, and
+likewise sent.
+"""
+
+import rospy
+from genpy.dynamic import generate_dynamic
+from std_msgs.msg import Header
+
+from ..errors import MapRacingError, RacelineError
+from ..evaluation import messages
+from ..track.formats import raceline_from_columns
+
+__all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
+
+_COLUMNS = {
+    "x_m": "x",
+    "y_m": "y",
+    "psi_rad": "psi",
+    "kappa_radpm": "kappa",
+    "vx_mps": "speed",
+    "d_left": "d_left",
+    "d_right": "d_right",
+}
+_LINE = "=" * 80 + "\n"
+_classes = {}
+
+
+def _generated(kind, md5sum, definition):
+    """Message class of a definition, made once: each costs a temporary module."""
+    key = kind, md5sum
+    if key not in _classes:
+        _classes[key] = generate_dynamic(kind, definition)
+    return _classes[key]
+
+
+def waypoint_array_class():
+    """Classes to publish a raceline with.
+
+    Returns
+    -------
+    array : class
+        ``f110_msgs/WpntArray`` with `header` and `wpnts`.
+    waypoint : class
+        ``f110_msgs/Wpnt``, one of its elements.
+    """
+    definition = (
+        messages.DEFINITIONS["f110_msgs/msg/WpntArray"]
+        + f"\n{_LINE}MSG: std_msgs/Header\n{Header._full_text}"
+        + f"\n{_LINE}MSG: f110_msgs/Wpnt\n{messages.DEFINITIONS['f110_msgs/msg/Wpnt']}"
+    )
+    kinds = _generated(messages.WAYPOINTS, messages.MD5[messages.WAYPOINTS], definition)
+    return kinds[messages.WAYPOINTS], kinds["f110_msgs/Wpnt"]
+
+
+def raceline_from_message(message, source):
+    """Raceline of a ``WpntArray`` of whatever version, received as ``rospy.AnyMsg``.
+
+    Parameters
+    ----------
+    message : rospy.AnyMsg
+    source : str
+        Topic, for the texts of errors.
+
+    Returns
+    -------
+    Raceline
+
+    Raises
+    ------
+    RacelineError
+        If it is no such message, or its waypoints make no closed course.
+    """
+    connection = message._connection_header
+    kind = connection["type"]
+    if kind.rpartition("/")[2] != "WpntArray":
+        raise RacelineError(f"{source}: expected f110_msgs/WpntArray, got {kind}")
+    md5sum = connection["md5sum"]
+    try:
+        if md5sum == messages.MD5[messages.WAYPOINTS]:
+            fields = messages.decode_waypoints(message._buff)
+        else:
+            array = _generated(kind, md5sum, connection["message_definition"])[kind]()
+            array.deserialize(message._buff)
+            fields = {
+                field: [float(getattr(waypoint, field)) for waypoint in array.wpnts]
+                for field in _COLUMNS
+                if array.wpnts and hasattr(array.wpnts[0], field)
+            }
+    except Exception as error:
+        # genpy raises errors of many kinds for a definition or a message that it cannot digest.
+        raise RacelineError(f"{source}: cannot read {kind}: {error}") from error
+    columns = {_COLUMNS[field]: values for field, values in fields.items() if field in _COLUMNS}
+    if "x" not in columns or "y" not in columns or not len(columns["x"]):
+        raise RacelineError(f"{source}: expected waypoints with x_m and y_m, got none")
+    return raceline_from_columns(columns, name=source.rpartition("/")[2], source=source)
+
+
+class RacelineSubscriber:
+    """Racelines of a topic as they come; the same one sent again is not a new one.
+
+    Parameters
+    ----------
+    topic : str
+    on_raceline : callable
+        Called with each new Raceline.
+    on_error : callable
+        Called with the RacelineError of a message that holds none, once for the same content.
+    """
+
+    def __init__(self, topic, on_raceline, on_error):
+        self._on_raceline, self._on_error = on_raceline, on_error
+        self._content = None
+        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
+
+    def unregister(self):
+        """Listen no longer."""
+        self._subscriber.unregister()
+
+    def _receive(self, message):
+        try:
+            body = message._buff[messages.decode_header(message._buff)[2] :]
+        except Exception:
+            body = message._buff
+        content = message._connection_header["md5sum"], body
+        if content == self._content:
+            return
+        self._content = content
+        try:
+            raceline = raceline_from_message(message, self._subscriber.resolved_name)
+        except MapRacingError as error:
+            self._on_error(error)
+        else:
+            self._on_raceline(raceline)

@@ -1,0 +1,200 @@
+"""A simulated car on a track: what happens between a command and the next pose."""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from ..track.tracker import CourseTracker
+
+__all__ = ["COMMAND_TIMEOUT", "Observation", "SimulatedCar", "hits_wall"]
+
+# The command multiplexer of the public stacks drops an input that is silent for so long [s].
+COMMAND_TIMEOUT = 0.2
+
+
+class Observation(NamedTuple):
+    """What localization and IMU report of one instant.
+
+    Parameters
+    ----------
+    true, measured : CarState
+        Both of the instant at which the pose holds.
+    arrival : float
+        When it arrives [s].
+    acceleration : tuple of float
+        Longitudinal and lateral acceleration as the IMU gives it [m/s^2].
+    """
+
+    true: tuple
+    measured: tuple
+    arrival: float
+    acceleration: tuple
+
+
+class SimulatedCar:
+    """A plant, its localization and its clock.
+
+    Each tick: :meth:`observe`, then :meth:`advance`.
+
+    Parameters
+    ----------
+    plant : Plant or PublicSimulator
+    localization : Localization, optional
+        Rate, latency and noise of the poses. Without it the poses are the plant's own
+        ``measured_state()``, at `rate`, at once.
+    rate : float
+        Poses per second where `localization` is None.
+
+    Attributes
+    ----------
+    tick : int
+        Time in steps of the plant. It goes on when the car is put elsewhere.
+    """
+
+    def __init__(self, plant, localization=None, rate=40.0):
+        self.plant = plant
+        self._localization = localization
+        self._rate, self._latency = rate, 0.0
+        if localization is not None:
+            self._rate = localization.parameters.localization_rate_hz
+            self._latency = localization.parameters.localization_latency_s
+        self._pending = deque()
+        self._poses = self.tick = self._start = 0
+        # A pose belongs to the last tick before it is due, and acts from that tick on.
+        self._due = 0.0
+
+    def put(self, x, y, psi):
+        """Put the car's reference point somewhere, at rest; what was on its way is lost."""
+        self.plant.reset(x, y, psi)
+        self._start = self.tick
+        self._pending.clear()
+
+    @property
+    def now(self):
+        """Time since the beginning [s]."""
+        return self.tick * self.plant.time_step
+
+    @property
+    def next_event(self):
+        """The tick at which :meth:`observe` next has something to do."""
+        due = self._due
+        if self._pending and self._pending[0].arrival < due:
+            due = self._pending[0].arrival
+        return max(self.tick, math.ceil(due / self.plant.time_step - 1.0 + 1e-9))
+
+    def observe(self):
+        """Measure if it is time for that, and see what arrives.
+
+        Returns
+        -------
+        taken : Observation or None
+            What was measured at this tick.
+        arrived : list of Observation
+            What arrives at this tick.
+        """
+        step = self.plant.time_step
+        now, soon = self.tick * step, self.tick * step + step * (1.0 - 1e-9)
+        taken = None
+        if self._due < soon:
+            taken = self._measure(now)
+            self._pending.append(taken)
+            self._poses += 1
+            self._due = self._poses / self._rate
+        arrived = []
+        while self._pending and self._pending[0].arrival < soon:
+            arrived.append(self._pending.popleft())
+        return taken, arrived
+
+    def _measure(self, now):
+        plant, localization = self.plant, self._localization
+        true = plant.reference_state()
+        if self._start:
+            true = true._replace(t=now)
+        if localization is None:
+            measured, acceleration = plant.measured_state()._replace(t=true.t), plant.acceleration
+        else:
+            measured = localization.measure(true)
+            acceleration = localization.measure_acceleration(plant.acceleration)
+        return Observation(true, measured, now + self._latency, acceleration)
+
+    def advance(self, steering_angle, speed):
+        """Drive for one tick under the given commands [rad, m/s]."""
+        self.plant.advance(steering_angle, speed)
+        self.tick += 1
+
+
+class DrivenCar:
+    """A simulated car under commands that come when they come, as a node drives it.
+
+    A command holds until the next one, but no longer than `COMMAND_TIMEOUT`: then the car stops
+    with the wheels as they are. A car that touches a wall stands there until it is put elsewhere.
+
+    Parameters
+    ----------
+    car : SimulatedCar
+    raceline : Raceline
+        Gives the walls, where it has widths.
+
+    Attributes
+    ----------
+    car : SimulatedCar
+    crashed : bool
+    """
+
+    def __init__(self, car, raceline):
+        self.car = car
+        self.crashed = False
+        self._raceline = raceline
+        self._tracker = CourseTracker(raceline)
+        self._timeout = round(COMMAND_TIMEOUT / car.plant.time_step)
+        self._steering_angle, self._speed, self._commanded = 0.0, 0.0, 0
+
+    def put(self, x, y, psi):
+        """Put the rear axle somewhere, at rest, without command."""
+        self.car.put(x, y, psi)
+        self._tracker.reset()
+        self.crashed = False
+        self._steering_angle, self._speed = 0.0, 0.0
+
+    def command(self, steering_angle, speed):
+        """Take a command [rad, m/s] at the present tick; one that is not finite is none."""
+        if math.isfinite(steering_angle) and math.isfinite(speed):
+            self._steering_angle, self._speed = steering_angle, speed
+            self._commanded = self.car.tick
+
+    def advance_to(self, tick):
+        """Drive until just before the given tick.
+
+        Parameters
+        ----------
+        tick : int
+
+        Yields
+        ------
+        Observation
+            What arrives on the way; the car is then at the tick of its arrival, and a command
+            given at once acts from there on.
+        """
+        car = self.car
+        while car.tick < tick:
+            taken, arrived = car.observe()
+            if taken is not None and not self.crashed:
+                x, y, psi = taken.true[1:4]
+                s, d = self._tracker.update(x, y, psi)[:2]
+                self.crashed = hits_wall(self._raceline, s, d, car.plant.vehicle.width)
+                if self.crashed:
+                    car.put(x, y, psi)
+            yield from arrived
+            fresh = car.tick - self._commanded < self._timeout
+            car.advance(self._steering_angle, self._speed if fresh and not self.crashed else 0.0)
+
+
+def hits_wall(raceline, s, d, car_width):
+    """Whether a car of this width [m] touches a wall at arc length `s` and deviation `d` [m].
+
+    A raceline without widths has no walls.
+    """
+    if raceline.d_left is None:
+        return False
+    left, right = raceline.widths_at(s)
+    return d > left - 0.5 * car_width or d < 0.5 * car_width - right

@@ -1,0 +1,281 @@
+"""Real nodes against a real roscore; ``./scripts/test_ros`` makes the workspace and runs them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+if "map_racing" not in os.environ.get("ROS_PACKAGE_PATH", ""):
+    pytest.exit("run these tests with ./scripts/test_ros, which builds their workspace", 4)
+
+
+def wait_for(condition, timeout=10.0, what="the condition"):
+    """Wait until ``condition()`` is true, and return its value; fail the test after `timeout` [s].
+
+    The time limits of these tests are only there to end them: nothing is measured by them.
+    """
+    end = time.monotonic() + timeout
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > end:
+            pytest.fail(f"waited {timeout:g} s in vain for {what}")
+        time.sleep(0.02)
+
+
+class Process:
+    """A child process with its output in a file.
+
+    Parameters
+    ----------
+    command : list of str
+    log : pathlib.Path
+        Takes its standard output and error.
+    """
+
+    def __init__(self, command, log, environment=None):
+        self.log = log
+        self.command = [str(part) for part in command]
+        with open(log, "wb") as file:
+            self._process = subprocess.Popen(
+                self.command,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=environment,
+                start_new_session=True,
+            )
+        self.pid = self._process.pid
+
+    @property
+    def output(self):
+        """All that it has printed so far."""
+        return self.log.read_text(errors="replace")
+
+    @property
+    def running(self):
+        return self._process.poll() is None
+
+    def wait(self, timeout=20.0):
+        """Wait for its end; the exit code."""
+        try:
+            return self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"still running after {timeout:g} s: {self.command}\n{self.output}")
+
+    def signal(self, number):
+        """Send a signal to it alone."""
+        self._process.send_signal(number)
+
+    def stop(self, timeout=10.0):
+        """End it as Ctrl-C would, at last by force; the exit code."""
+        if self.running:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            return self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            os.killpg(self.pid, signal.SIGKILL)
+            return self._process.wait()
+
+    def kill(self):
+        """End it without warning."""
+        if self.running:
+            os.killpg(self.pid, signal.SIGKILL)
+        return self._process.wait()
+
+
+@pytest.fixture(scope="session")
+def roscore(tmp_path_factory):
+    """URI of a master of this session's own: on a free port, with its logs in a temporary folder."""
+    folder = tmp_path_factory.mktemp("ros")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    uri = f"http://127.0.0.1:{port}"
+    os.environ.update(
+        ROS_MASTER_URI=uri,
+        ROS_IP="127.0.0.1",
+        ROS_HOME=str(folder),
+        ROS_LOG_DIR=str(folder / "log"),
+        PYTHONUNBUFFERED="1",
+        # So that a test sees the lines of a node's log as they are.
+        ROSCONSOLE_FORMAT="[${severity}] ${message}",
+    )
+    os.environ.pop("ROS_HOSTNAME", None)
+    core = Process(["roscore", "-p", port], folder / "roscore.log")
+
+    import rosgraph
+
+    try:
+        wait_for(lambda: rosgraph.is_master_online(uri), 30.0, "roscore")
+        wait_for(lambda: "/rosout" in core.output, 30.0, "rosout")
+        yield uri
+    finally:
+        core.stop()
+
+
+@pytest.fixture(scope="session")
+def ros(roscore):
+    """The module `rospy`, with this process as a node."""
+    import rospy
+
+    rospy.init_node("test", disable_signals=True, anonymous=True)
+    return rospy
+
+
+@pytest.fixture(autouse=True)
+def _clean_parameters(roscore):
+    """Nothing that one test sets on the parameter server reaches the next one."""
+    import rosgraph
+
+    master = rosgraph.Master("/test")
+    yield
+    for name in master.getParamNames():
+        if not name.startswith(("/ros", "/run_id")):
+            # It may have gone with its namespace.
+            with suppress(rosgraph.MasterError):
+                master.deleteParam(name)
+
+
+@pytest.fixture
+def processes(tmp_path):
+    """A function that starts a command as a `Process`; all of them end with the test."""
+    started = []
+
+    def run(command, environment=None):
+        log = tmp_path / f"{len(started):02d}_{Path(str(command[0])).name}.log"
+        process = Process(command, log, environment)
+        started.append(process)
+        return process
+
+    yield run
+    for process in reversed(started):
+        process.stop()
+    for process in started:
+        # pytest shows this below a test that failed.
+        print(f"-- {' '.join(process.command)}\n{process.output}")
+
+
+@pytest.fixture
+def start(roscore, processes):
+    """Start a node: ``start("controller", {"vehicle": "nuc4"}, {"odom": "/odom"})``.
+
+    Parameters
+    ----------
+    node : str
+        Name of its script.
+    params : dict, optional
+        Private parameters.
+    remaps : dict, optional
+    name : str, optional
+        Name of the node; by default that of its script.
+    python : path, optional
+        Interpreter; by default that of the tests.
+    wait : bool, optional
+        Wait until the node is registered and has subscribed to the clock or the like, that is,
+        until the master knows it.
+
+    Returns
+    -------
+    Process
+    """
+
+    def run(node, params=None, remaps=None, *, name=None, python=None, wait=True, environment=None):
+        import rosgraph
+
+        name = name or node
+        master = rosgraph.Master("/test")
+        # On the server rather than the command line: all types arrive as they are.
+        for key, value in (params or {}).items():
+            master.setParam(f"/{name}/{key}", value)
+        command = [python or sys.executable, ROOT / "scripts" / node, f"__name:={name}"]
+        command += [f"{old}:={new}" for old, new in (remaps or {}).items()]
+        process = processes(command, environment)
+        if wait:
+
+            def up():
+                if not process.running:
+                    pytest.fail(f"{node} ended with {process.wait()}:\n{process.output}")
+                return registered(f"/{name}")
+
+            wait_for(up, 30.0, f"/{name}")
+        return process
+
+    return run
+
+
+def registered(name):
+    """Whether a node of this name is known to the master."""
+    import rosgraph
+
+    try:
+        return bool(rosgraph.Master("/test").lookupNode(name))
+    except rosgraph.MasterError:
+        return False
+
+
+@pytest.fixture
+def launch(roscore, processes):
+    """``launch("simulate.launch", track="club")`` runs roslaunch on one of the shipped files."""
+
+    def run(file, **arguments):
+        given = [f"{key}:={value}" for key, value in arguments.items()]
+        return processes(["roslaunch", "--wait", "map_racing", file, *given])
+
+    return run
+
+
+class Inbox(list):
+    """Messages of a topic in the order of their arrival."""
+
+    def wait(self, condition=None, timeout=10.0, what=None):
+        """Wait for the first message that meets the condition (any, by default); return it."""
+
+        def first():
+            return next((m for m in list(self) if condition is None or condition(m)), None)
+
+        return wait_for(lambda: [m for m in [first()] if m is not None], timeout, what or self)[0]
+
+
+@pytest.fixture
+def listen(ros):
+    """``listen("/drive", AckermannDriveStamped)`` collects messages in an `Inbox`."""
+    subscribers = []
+
+    def subscribe(topic, kind):
+        inbox = Inbox()
+        subscribers.append(ros.Subscriber(topic, kind, inbox.append, queue_size=None))
+        return inbox
+
+    yield subscribe
+    for subscriber in subscribers:
+        subscriber.unregister()
+
+
+@pytest.fixture
+def advertise(ros):
+    """``advertise("/odom", Odometry)`` gives a publisher; it waits for `subscribers` to connect."""
+    publishers = []
+
+    def publish(topic, kind, subscribers=1, latch=False):
+        publisher = ros.Publisher(topic, kind, queue_size=1000, latch=latch)
+        publishers.append(publisher)
+        wait_for(
+            lambda: publisher.get_num_connections() >= subscribers, 20.0, f"subscribers of {topic}"
+        )
+        return publisher
+
+    yield publish
+    for publisher in publishers:
+        publisher.unregister()

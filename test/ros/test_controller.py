@@ -1,0 +1,560 @@
+"""The running controller: its commands, and each case in which it must stop."""
+
+import math
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from ackermann_msgs.msg import AckermannDriveStamped
+from diagnostic_msgs.msg import DiagnosticArray
+from dynamic_reconfigure.client import Client
+from geometry_msgs.msg import PoseStamped
+from map_racing.msg import Guidance
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool, Float64
+from std_srvs.srv import Trigger
+
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.nodes.conversions import set_plane_pose
+from map_racing.nodes.transforms import TransformBroadcaster
+from map_racing.nodes.waypoints import waypoint_array_class
+from map_racing.track.formats import load_raceline
+
+RATE = 50.0
+
+
+def wait_for(condition, timeout=10.0, what="the condition"):
+    """Wait until ``condition()`` is true; fail after `timeout` [s]."""
+    end = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > end:
+            pytest.fail(f"waited {timeout:g} s in vain for {what() if callable(what) else what}")
+        time.sleep(0.02)
+
+
+class Car:
+    """Poses of a car that drives along the reference track whatever it is told.
+
+    A thread publishes them; `change` alters each message on its way.
+    """
+
+    def __init__(self, rospy, publishers, speed=3.0):
+        self.raceline = load_raceline("reference")
+        self.publishers, self.speed = publishers, speed
+        self.now = lambda: rospy.Time.now()
+        self.to_time = rospy.Time.from_sec
+        self.s, self.d = 2.0, 0.0
+        self.change = lambda message: message
+        self.silent = False
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def message(self):
+        point = self.raceline.pose(self.s)
+        odometry = Odometry()
+        odometry.header.stamp = self.now()
+        odometry.header.frame_id = "map"
+        odometry.child_frame_id = "base_link"
+        x = point.x - self.d * math.sin(point.psi)
+        y = point.y + self.d * math.cos(point.psi)
+        set_plane_pose(odometry.pose.pose, x, y, point.psi)
+        odometry.twist.twist.linear.x = self.speed
+        odometry.twist.twist.angular.z = point.kappa * self.speed
+        return odometry
+
+    def _run(self):
+        last = time.monotonic()
+        while not self._end.wait(1.0 / RATE):
+            now = time.monotonic()
+            self.s += self.speed * (now - last)
+            last = now
+            if not self.silent:
+                message = self.change(self.message())
+                for publish in self.publishers:
+                    publish(message)
+
+    def stop(self):
+        self._end.set()
+        self._thread.join()
+
+
+class Rig:
+    """Controller, car, and all that the controller says."""
+
+    def __init__(self, car, node, listen):
+        self.car, self.node = car, node
+        self.drive = listen("/drive", AckermannDriveStamped)
+        self.diagnostics = listen("/diagnostics", DiagnosticArray)
+
+    def driving(self):
+        mark = len(self.drive)
+        wait_for(lambda: [m for m in self.drive[mark:] if m.drive.speed > 1.0], 10.0, "driving")
+        self.wait_mode("driving")
+
+    def status(self):
+        ours = [a.status[0] for a in list(self.diagnostics) if "controller" in a.status[0].name]
+        return {pair.key: pair.value for pair in ours[-1].values} if ours else {}
+
+    def wait_mode(self, mode, reason=""):
+        wait_for(
+            lambda: (self.status().get("mode"), self.status().get("reason")) == (mode, reason),
+            10.0,
+            lambda: f"{mode}: {reason}, but have {self.status()}",
+        )
+
+    def stops(self, reason):
+        """Wait for the stop; it must have been a ramp at the stated deceleration."""
+        self.wait_mode("stopped", reason)
+        messages = list(self.drive)
+        end = next(i for i in reversed(range(len(messages))) if messages[i].drive.speed > 0.0)
+        begin = end
+        while begin > 0 and messages[begin - 1].drive.speed > messages[begin].drive.speed:
+            begin -= 1
+        # The raceline itself may brake just before, but nowhere asks for less than 2 m/s.
+        ramp = [m for m in messages[begin + 1 : end + 1] if m.drive.speed < 2.0]
+        assert len(ramp) > 5, [m.drive.speed for m in messages[end - 10 : end + 2]]
+        fell = ramp[0].drive.speed - ramp[-1].drive.speed
+        took = (ramp[-1].header.stamp - ramp[0].header.stamp).to_sec()
+        assert messages[end + 1].drive.speed == 0.0
+        return ramp, fell / took if took > 0.0 else math.nan
+
+    def call(self, ros, service):
+        ros.wait_for_service(f"/controller/{service}", 10.0)
+        return ros.ServiceProxy(f"/controller/{service}", Trigger)()
+
+
+@pytest.fixture
+def rig(ros, start, advertise, listen):
+    cars = []
+
+    def make(params=None, **options):
+        given = {"raceline": "reference", **(params or {})}
+        node = start("controller", {k: v for k, v in given.items() if v is not None})
+        publisher = advertise("/odom", Odometry)
+        car = Car(ros, [publisher.publish], **options)
+        cars.append(car)
+        return Rig(car, node, listen)
+
+    yield make
+    for car in cars:
+        car.stop()
+
+
+def test_each_pose_makes_one_command_with_its_header(rig, listen):
+    rig = rig()
+    seen = []
+    rig.car.change = lambda message: seen.append(message) or message
+    guidance = listen("/guidance", Guidance)
+    rig.driving()
+    wait_for(lambda: len(guidance) > 20, what="guidance")
+    rig.car.silent = True
+    time.sleep(0.1)
+    stamps = [m.header.stamp for m in rig.drive if m.drive.speed > 0.0]
+    sent = [m.header.stamp for m in seen]
+    first = sent.index(stamps[10])
+    assert stamps[10:40] == sent[first : first + 30]
+    assert {m.header.frame_id for m in guidance} == {"map"}
+    last = guidance[-1]
+    assert (last.mode, last.reason, last.status) == (last.MODE_DRIVING, "", "ok")
+    assert abs(last.d) < 0.05
+    assert last.a_lat_max > abs(last.a_lat)
+    assert math.hypot(last.lookahead_x - last.x, last.lookahead_y - last.y) == pytest.approx(
+        last.lookahead_distance, abs=1e-6
+    )
+
+
+def test_the_commands_are_those_of_the_core(rig, listen):
+    """Guidance's own state, sent through the core again, gives the same command."""
+    from map_racing.control.guidance import bearing, lateral_acceleration
+    from map_racing.control.state import CarState
+
+    rig = rig({"controller": "map"})
+    guidance = listen("/guidance", Guidance)
+    rig.driving()
+    last = guidance.wait(lambda m: m.mode == "driving" and m.speed > 1.0)
+    state = CarState(0.0, last.x, last.y, last.psi, last.v_x, last.v_y, 0.0)
+    eta = bearing(state, last.lookahead_x, last.lookahead_y)
+    assert last.eta == pytest.approx(eta, abs=1e-9)
+    assert last.a_lat == pytest.approx(
+        lateral_acceleration(last.v_x, last.lookahead_distance, eta), abs=1e-9
+    )
+
+
+def test_numbers_for_plots(rig, listen):
+    rig = rig({"delay_s": 0.0, "speed_scale": 0.5})
+    rig.car.d = 0.1
+    inboxes = {
+        name: listen(f"/{name}", Float64)
+        for name in ("lateral_error", "speed_error", "latency", "pose_age")
+    }
+    rig.driving()
+    assert inboxes["lateral_error"].wait().data == pytest.approx(0.1, abs=1e-6)
+    wait_for(lambda: len(inboxes["latency"]) > 50)
+    assert 0.0 < sorted(m.data for m in inboxes["latency"])[25] < 0.005
+    assert inboxes["speed_error"]
+    assert 0.0 < inboxes["pose_age"].wait().data < 0.1
+
+
+def test_diagnostics_at_rest(rig):
+    rig = rig()
+    rig.driving()
+    wait_for(lambda: float(rig.status()["pose rate [Hz]"]) > 30.0, what="the rate")
+    status = rig.status()
+    assert float(status["saturated share"]) <= 1.0
+    assert status["raceline"].startswith("reference (")
+    assert status["steering map"] == "table"
+
+
+@pytest.mark.parametrize("source", ["pose", "tf"])
+def test_other_sources_of_the_pose(ros, start, advertise, listen, source):
+    start("controller", {"raceline": "reference", "pose_source": source})
+    if source == "pose":
+        publisher = advertise("/pose", PoseStamped)
+
+        def publish(message):
+            publisher.publish(PoseStamped(message.header, message.pose.pose))
+    else:
+        static, moving = TransformBroadcaster(static=True), TransformBroadcaster()
+        static.send("map", "odom", 0, 1.0, 2.0, 0.0)
+
+        def publish(message):
+            at, q = message.pose.pose.position, message.pose.pose.orientation
+            psi = 2.0 * math.atan2(q.z, q.w)
+            stamp = message.header.stamp.to_nsec()
+            moving.send("odom", "base_link", stamp, at.x - 1.0, at.y - 2.0, psi)
+
+    errors = listen("/lateral_error", Float64)
+    drive = listen("/drive", AckermannDriveStamped)
+    car = Car(ros, [publish])
+    try:
+        drive.wait(lambda m: m.drive.speed > 1.0)
+        wait_for(lambda: len(errors) > 10)
+        assert abs(errors[-1].data) < 1e-3
+    finally:
+        car.stop()
+
+
+def test_stamps_of_zero_are_the_time_of_arrival(rig):
+    def unstamped(message):
+        message.header.stamp = type(message.header.stamp)()
+        message.header.frame_id = "/map"
+        return message
+
+    rig = rig()
+    rig.car.change = unstamped
+    rig.driving()
+    time.sleep(0.5)
+    assert rig.status()["mode"] == "driving"
+    assert rig.drive[-1].header.frame_id == "map"
+
+
+# -- each reason to stop -------------------------------------------------------------------------
+
+
+def test_frozen_localization_that_keeps_publishing(rig):
+    rig = rig({"stop_deceleration_mps2": 3.0})
+    rig.driving()
+    frozen = rig.car.message()
+    rig.car.change = lambda message: frozen
+    rig.wait_mode("stopped", "pose too old")
+    rig.car.change = lambda message: message
+    rig.driving()
+
+
+def test_frozen_localization_without_stamps(rig):
+    rig = rig()
+    rig.driving()
+    frozen = rig.car.message()
+    frozen.header.stamp = type(frozen.header.stamp)()
+    rig.car.change = lambda message: frozen
+    rig.wait_mode("stopped", "pose frozen while moving")
+    rig.car.change = lambda message: message
+    rig.driving()
+
+
+def test_poses_that_stop_coming(rig):
+    rig = rig({"stop_deceleration_mps2": 3.0})
+    rig.driving()
+    rig.car.silent = True
+    ramp, deceleration = rig.stops("pose too old")
+    assert deceleration == pytest.approx(3.0, rel=0.02)
+    assert len({m.drive.steering_angle for m in ramp}) == 1
+    # In the end nothing is sent, and nothing done.
+    time.sleep(2.5)
+    silent = len(rig.drive)
+    time.sleep(0.5)
+    assert len(rig.drive) == silent
+    rig.car.silent = False
+    rig.driving()
+
+
+def test_nan_in_a_pose(rig):
+    rig = rig()
+    rig.driving()
+
+    def broken(message):
+        message.pose.pose.position.x = math.nan
+        return message
+
+    rig.car.change = broken
+    rig.wait_mode("stopped", "pose not finite")
+    assert all(math.isfinite(m.drive.steering_angle + m.drive.speed) for m in rig.drive)
+    rig.car.change = lambda message: message
+    rig.driving()
+
+
+def test_jump_of_the_pose(rig):
+    rig = rig({"recovery_s": 1.5})
+    rig.driving()
+    rig.car.s += 10.0
+    rig.stops("pose jumped")
+    rig.driving()
+
+
+def test_far_from_the_raceline(rig):
+    rig = rig({"max_jump_m": 5.0})
+    rig.driving()
+    rig.car.d = 1.7
+    rig.stops("too far from the raceline")
+    rig.car.d = 0.0
+    rig.driving()
+
+
+@pytest.mark.parametrize("how", ["topic", "service"])
+def test_stop_requested(rig, ros, advertise, how):
+    rig = rig({"stop_deceleration_mps2": 3.0})
+    rig.driving()
+    if how == "topic":
+        stop = advertise("/stop_driving", Bool)
+        stop.publish(True)
+    else:
+        assert rig.call(ros, "stop").success
+    ramp, deceleration = rig.stops("stop requested")
+    assert deceleration == pytest.approx(3.0, rel=0.02)
+    # Steering goes on meanwhile, and the car stays where it is until it is let go.
+    assert len({m.drive.steering_angle for m in ramp}) > 1
+    time.sleep(1.0)
+    assert rig.drive[-1].drive.speed == 0.0
+    assert "stopping: stop requested" in rig.node.output
+    assert rig.node.output.count("stop requested") == 1
+    if how == "topic":
+        stop.publish(False)
+    else:
+        assert rig.call(ros, "resume").success
+    rig.driving()
+
+
+def test_grip_exceeded_for_long(rig, ros):
+    # A car beside the line that points across it asks for more than there is.
+    rig = rig({"max_saturated_s": 0.5, "max_turn_rad": 3.5}, speed=3.0)
+    rig.driving()
+
+    def skew(message):
+        q = message.pose.pose.orientation
+        psi = 2.0 * math.atan2(q.z, q.w) + 1.5
+        q.z, q.w = math.sin(0.5 * psi), math.cos(0.5 * psi)
+        return message
+
+    rig.car.change = skew
+    rig.stops("grip exceeded for long")
+    rig.car.change = lambda message: message
+    time.sleep(1.0)
+    rig.wait_mode("stopped", "grip exceeded for long")
+    assert rig.call(ros, "resume").success
+    rig.driving()
+
+
+def test_no_speed_above_the_limit(rig):
+    rig = rig({"v_max_mps": 1.5, "speed_scale": 1.9})
+    client = Client("/controller/tuning", timeout=10.0)
+    client.update_configuration({"v_max_mps": 9.0})
+    rig.driving()
+    time.sleep(2.0)
+    assert max(m.drive.speed for m in rig.drive) == pytest.approx(1.5)
+
+
+# -- racelines -----------------------------------------------------------------------------------
+
+
+def waypoints(raceline, points=200, **changes):
+    array, waypoint = waypoint_array_class()
+    message = array()
+    step = raceline.length / points
+    for k in range(points):
+        point = raceline.pose(k * step)
+        message.wpnts.append(
+            waypoint(
+                id=k,
+                s_m=k * step,
+                x_m=point.x,
+                y_m=point.y,
+                psi_rad=point.psi,
+                kappa_radpm=point.kappa,
+                vx_mps=raceline.speed_at(k * step),
+                d_left=1.0,
+                d_right=1.0,
+            )
+        )
+    return message
+
+
+def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise):
+    rig = rig({"raceline": None})
+    raceline = load_raceline("reference")
+    publisher = advertise("/global_waypoints", waypoint_array_class()[0])
+    wait_for(lambda: rig.drive, what="commands")
+    rig.wait_mode("waiting", "no raceline")
+    assert rig.drive[-1].drive.speed == 0.0
+
+    message = waypoints(raceline)
+    publisher.publish(message)
+    rig.driving()
+    # The same again and again makes no difference, not even to the log.
+    mark = len(rig.drive)
+    for _ in range(5):
+        publisher.publish(message)
+        time.sleep(0.1)
+    assert rig.node.output.count("raceline of /global_waypoints") == 1
+    # Nor does the same line with other points, but for its 0.1 mm.
+    publisher.publish(waypoints(raceline, points=211))
+    wait_for(lambda: rig.node.output.count("raceline of /global_waypoints") == 2)
+    time.sleep(0.3)
+    during = [m.drive for m in rig.drive[mark:]]
+    assert min(d.speed for d in during) > 1.0
+    steps = [abs(b.steering_angle - a.steering_angle) for a, b in zip(during, during[1:])]
+    assert max(steps) < 0.12
+    rig.wait_mode("driving")
+
+    message.wpnts[7].x_m = math.nan
+    publisher.publish(message)
+    rig.stops("raceline not drivable")
+    assert "point 7: expected a finite x" in rig.node.output
+    publisher.publish(waypoint_array_class()[0]())
+    time.sleep(0.3)
+    rig.wait_mode("stopped", "raceline not drivable")
+    publisher.publish(waypoints(raceline))
+    rig.driving()
+
+
+# -- the end -------------------------------------------------------------------------------------
+
+
+def test_shutdown_tells_the_car_to_stop(rig):
+    rig = rig()
+    rig.driving()
+    assert rig.node.stop() == 0
+    last = [m.drive.speed for m in rig.drive[-3:]]
+    assert last == [0.0, 0.0, 0.0]
+
+
+def test_a_failure_in_a_callback_stops_the_car(ros, processes, advertise, listen):
+    code = """
+from map_racing.control.controller import Controller
+from map_racing.nodes import controller
+step, count = Controller.step, [0]
+def failing(self, state):
+    count[0] += 1
+    if count[0] == 100:
+        raise ZeroDivisionError("a fault")
+    return step(self, state)
+Controller.step = failing
+controller.main()
+"""
+    ros.set_param("/controller/raceline", "reference")
+    node = processes([sys.executable, "-c", code, "__name:=controller"])
+    publisher = advertise("/odom", Odometry)
+    car = Car(ros, [publisher.publish])
+    rig = Rig(car, node, listen)
+    try:
+        rig.stops("controller failed")
+        assert "ZeroDivisionError: a fault" in node.output
+        time.sleep(1.0)
+        rig.wait_mode("stopped", "controller failed")
+        assert rig.call(ros, "resume").success
+        rig.driving()
+    finally:
+        car.stop()
+
+
+def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
+    """As when a bag is played in a loop."""
+    ros.set_param("/use_sim_time", True)
+    clock = advertise("/clock", Clock, subscribers=0)
+    begin = [1000.0 - time.monotonic()]
+    end = threading.Event()
+
+    def tick():
+        while not end.wait(0.005):
+            clock.publish(ros.Time.from_sec(begin[0] + time.monotonic()))
+
+    thread = threading.Thread(target=tick, daemon=True)
+    thread.start()
+    try:
+        rig = rig()
+        rig.car.now = lambda: ros.Time.from_sec(begin[0] + time.monotonic())
+        rig.driving()
+        begin[0] -= 500.0
+        rig.car.s += 15.0
+        wait_for(lambda: "time was set back" in rig.node.output, what="the new beginning")
+        rig.driving()
+        # The watchdog has outlived it.
+        rig.car.silent = True
+        rig.wait_mode("stopped", "pose too old")
+    finally:
+        end.set()
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    "params, text",
+    [
+        ({"controller": "nonsense"}, "nonsense: no such file"),
+        ({"pose_source": "gps"}, "~pose_source: expected odom, pose or tf"),
+        ({"v_max_mps": "fast"}, "~v_max_mps: expected float"),
+        ({"v_max_mps": -1.0}, "v_max_mps must be positive"),
+        ({"raceline": "nowhere.csv"}, "nowhere.csv: no such file"),
+    ],
+)
+def test_impossible_parameters_end_with_one_line(start, params, text):
+    node = start("controller", params, wait=False)
+    assert node.wait() == 1
+    assert text in node.output
+    assert "Traceback" not in node.output
+
+
+# -- tuning --------------------------------------------------------------------------------------
+
+
+def test_tuning_and_saving(rig, ros, tmp_path):
+    target = tmp_path / "tuned" / "{steering_map}.yaml"
+    rig = rig({"controller": "map", "save_to": str(target), "speed_scale": 0.6})
+    client = Client("/controller/tuning", timeout=10.0)
+    first = client.get_configuration(timeout=10.0)
+    shipped = {name: load_controller_parameters(name) for name in ("map", "pure_pursuit")}
+    assert first["table_q_s"] == shipped["map"].q_s
+    assert first["ackermann_q_s"] == shipped["pure_pursuit"].q_s
+    assert first["speed_scale"] == 0.6
+    rig.driving()
+    client.update_configuration({"table_q_s": 0.21, "speed_scale": 0.5, "ackermann_m_m": 0.4})
+    saved = rig.call(ros, "save")
+    assert saved.success
+    assert saved.message == str(tmp_path / "tuned" / "table.yaml")
+    wanted = shipped["map"].with_(q_s=0.21, speed_scale=0.5)
+    assert load_controller_parameters(saved.message) == wanted
+
+    client.update_configuration({"steering_map": "ackermann"})
+    wait_for(lambda: rig.status()["steering map"] == "ackermann")
+    saved = yaml.safe_load(Path(rig.call(ros, "save").message).read_text())
+    assert (saved["steering_map"], saved["m_m"]) == ("ackermann", 0.4)
+    assert saved["q_s"] == shipped["pure_pursuit"].q_s
+    rig.driving()
+
+    # What cannot be is not taken over, and the answer says so.
+    answer = client.update_configuration({"lookahead_min_m": 4.0, "lookahead_max_m": 1.0})
+    assert answer["lookahead_min_m"] == shipped["map"].lookahead_min_m
+    assert "not taken over" in rig.node.output

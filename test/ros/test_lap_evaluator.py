@@ -1,0 +1,269 @@
+"""The live evaluator: the same laps as those of the recording, however the messages come."""
+
+import csv
+import math
+import signal
+import time
+
+import pytest
+import rosgraph
+from map_racing.msg import LapResult
+from visualization_msgs.msg import MarkerArray
+
+from map_racing.control.controller import build_controller
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.evaluation.bags import DRIVE_TOPIC
+from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.recordings import load_course, load_recording
+from map_racing.experiments.race_bag import write_race_bag
+from map_racing.nodes.waypoints import waypoint_array_class
+from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.race import race
+from map_racing.vehicle.parameters import load_vehicle
+
+REMAPS = {"odom": "/car_state/odom", "pose": "/car_state/pose", "drive": DRIVE_TOPIC}
+SAME = 1e-6
+
+
+@pytest.fixture(scope="module")
+def log():
+    """Two timed laps of the reference track."""
+    line, plant = load_course("reference"), load_plant_parameters("nuc4")
+    parameters = load_controller_parameters("map").with_(speed_scale=0.8)
+    controller = build_controller(parameters, load_vehicle("nuc4"), line)
+    return race(Plant(plant), controller, line, Localization(plant, seed=1), laps=2)
+
+
+@pytest.fixture(scope="module")
+def race_bag(log, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "race.bag"
+    write_race_bag(path, log, load_course("reference"))
+    return path
+
+
+def rows(path, run=1):
+    """Laps of a run in the file that the node writes, numbers as numbers."""
+
+    def value(text):
+        try:
+            return float(text) if text else math.nan
+        except ValueError:
+            return text
+
+    with open(path) as file:
+        table = list(csv.DictReader(file))
+    return [{k: value(v) for k, v in row.items()} for row in table if int(row["run"]) == run]
+
+
+def offline(path, **options):
+    recording = load_recording(path)
+    result = evaluate(recording, recording.raceline or load_course("reference"), **options)
+    return [lap.row() for lap in result.laps]
+
+
+def differences(laps, others):
+    """Largest differences of the numbers of two lists of laps by column; texts must be equal."""
+    assert [row["lap"] for row in laps] == [row["lap"] for row in others]
+    largest = {}
+    for row, other in zip(laps, others):
+        for name, expected in other.items():
+            got = row[name]
+            if isinstance(expected, float):
+                difference = 0.0 if got != got and expected != expected else abs(got - expected)
+                largest[name] = max(largest.get(name, 0.0), difference)
+            elif not isinstance(expected, int):
+                assert (got if got == got else "") == expected, name
+    return largest
+
+
+def assert_same(laps, others):
+    largest = differences(laps, others)
+    print("largest differences", {name: f"{value:.1e}" for name, value in largest.items()})
+    assert max(largest.values()) <= SAME, largest
+
+
+@pytest.fixture
+def evaluator(start):
+    """Start the node, and wait until it has subscribed to its last topic."""
+
+    def run(params, remaps=REMAPS):
+        node = start("lap_evaluator", params, remaps)
+        topic = remaps[params.get("pose_source", "odom")]
+        master = rosgraph.Master("/test")
+        wait_for(
+            lambda: any(
+                name == topic and "/lap_evaluator" in nodes
+                for name, nodes in master.getSystemState()[1]
+            ),
+            what=f"the node to subscribe to {topic}",
+        )
+        return node
+
+    return run
+
+
+def wait_for(condition, timeout=10.0, what="the condition"):
+    """Wait until a condition is true."""
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, f"waited in vain for {what}"
+        time.sleep(0.02)
+
+
+def play(processes, bag, *options):
+    """Play a bag to its end."""
+    # A queue that holds what a busy computer cannot take at once: nothing may be lost.
+    player = processes(
+        ["rosbag", "play", "--quiet", "--clock", "--queue=10000", "--delay=1", *options, bag]
+    )
+    assert player.wait(120.0) == 0, player.output
+
+
+def stop(node):
+    """End the node as roslaunch does, after it has had the time to read what was sent."""
+    time.sleep(1.0)
+    assert node.stop() == 0, node.output
+    return node.output
+
+
+@pytest.mark.parametrize("rate", [1, 10])
+def test_replay_is_offline(rate, race_bag, evaluator, processes, tmp_path):
+    node = evaluator({"csv": str(tmp_path / "laps.csv")})
+    play(processes, race_bag, f"--rate={rate}")
+    output = stop(node)
+    assert_same(rows(tmp_path / "laps.csv"), offline(race_bag))
+    assert "2 laps counted, 2 stretches not" in output
+
+
+def test_live_is_replay_is_offline(launch, listen, tmp_path):
+    """The laps of a simulated race: as it was driven, from its bag at two rates, and offline."""
+    table = tmp_path / "live.csv"
+    race = launch(
+        "simulate.launch", speed_scale=0.8, csv=table, record="true", record_to=tmp_path / "race"
+    )
+    listen("/lap_result", LapResult).wait(lambda result: result.laps_completed == 2, 90.0)
+    time.sleep(1.0)
+    assert race.stop() == 0, race.output
+    (bag,) = tmp_path.glob("race*.bag")
+    expected = offline(bag)
+    assert [row["valid"] for row in expected] == [False, True, True, False]
+    assert expected[1]["speed_reference"] == "command"
+    # The recorder and the node did not begin and end with the same pose: only laps can be equal,
+    # counted in time from their own beginnings.
+    laps = [relative(row) for row in expected[1:3]]
+    assert_same([relative(row) for row in rows(table)[1:3]], laps)
+
+    for rate in (1, 10):
+        table = tmp_path / f"replay{rate}.csv"
+        replay = launch("replay.launch", bag=bag, rate=rate, csv=table)
+        replay.wait(90.0)
+        assert_same(rows(table), expected)
+
+
+def relative(row):
+    """A lap without its place in the run."""
+    return {name: v for name, v in row.items() if name not in ("start_time_s", "end_time_s")}
+
+
+@pytest.mark.parametrize("rate", [1, 10])
+def test_recorded_laps_of_the_public_stack(rate, shared_data, launch, tmp_path):
+    """Waypoints of a message package that is not built here; each lap as offline."""
+    bag, table = shared_data / "recordings" / "hangar_map_12laps.bag", tmp_path / "laps.csv"
+    replay = launch("replay.launch", bag=bag, rate=rate, csv=table)
+    replay.wait(120.0)
+    expected = offline(bag)
+    assert sum(row["valid"] for row in expected) == 11
+    assert_same(rows(table), expected)
+    assert "11 laps counted" in replay.output
+
+
+def test_a_bag_played_again_is_another_run(race_bag, evaluator, processes, listen, tmp_path):
+    table = tmp_path / "laps.csv"
+    results = listen("/lap_result", LapResult)
+    node = evaluator({"csv": str(table)})
+    play(processes, race_bag, "--rate=10")
+    play(processes, race_bag, "--rate=10")
+    output = stop(node)
+    expected = offline(race_bag)
+    assert_same(rows(table, 1), expected)
+    assert_same(rows(table, 2), expected)
+    assert "run 1" in output and "run 2" in output
+    # The in-lap of the last run ends with the node, when nothing can be published any more.
+    assert [(r.run, r.lap) for r in results] == [(1, i) for i in range(4)] + [
+        (2, i) for i in range(3)
+    ]
+
+
+def test_results_and_text_are_published_and_latched(race_bag, evaluator, processes, listen):
+    node = evaluator({"sectors": 2})
+    play(processes, race_bag, "--rate=10")
+    result = listen("/lap_result", LapResult).wait()
+    markers = listen("/lap_markers", MarkerArray).wait().markers
+    recording, lap = load_recording(race_bag), offline(race_bag, sectors=2)[2]
+    assert (result.run, result.lap, result.valid, result.reason) == (1, 2, True, "")
+    for name, value in lap.items():
+        if not name.startswith("sector_"):
+            assert getattr(result, name) == value, name
+    assert list(result.sector_times_s) == [lap["sector_1_s"], lap["sector_2_s"]]
+    assert abs(result.header.stamp.to_nsec() - recording.t0_ns - 1e9 * lap["end_time_s"]) <= 1
+    assert result.header.frame_id == "map"
+    assert result.laps_completed == 2
+    assert result.best_lap_time_s == min(row["lap_time_s"] for row in offline(race_bag)[1:3])
+    (marker,) = markers
+    assert marker.text.startswith(f"lap 2: {lap['lap_time_s']:.3f} s\nbest ")
+    assert node.running
+
+
+def test_poses_without_twist_or_command(race_bag, evaluator, processes, tmp_path):
+    table = tmp_path / "laps.csv"
+    parameters = {"csv": str(table), "pose_source": "pose", "start_line": 5, "max_deviation": 1.5}
+    node = evaluator(parameters, {**REMAPS, "drive": "/nobody"})
+    play(processes, race_bag, "--rate=10")
+    stop(node)
+    expected = offline(race_bag, start_s=5.0)
+    laps = rows(table)
+    for name in ("lap_time_s", "rms_lateral_error_m", "max_abs_lateral_error_m"):
+        assert [row[name] for row in laps] == pytest.approx(
+            [row[name] for row in expected], abs=SAME, nan_ok=True
+        )
+    assert laps[1]["speed_reference"] == "raceline"
+
+
+def test_no_lap_is_lost_when_the_node_is_killed(race_bag, evaluator, processes, tmp_path):
+    table = tmp_path / "laps.csv"
+    node = evaluator({"csv": str(table)})
+    play(processes, race_bag, "--rate=10")
+    time.sleep(0.5)
+    node.signal(signal.SIGKILL)
+    node.wait()
+    assert_same(rows(table), offline(race_bag)[:3])
+
+
+def test_waypoints_without_points_are_refused_and_later_ones_taken(start, advertise, ros):
+    array, waypoint = waypoint_array_class()
+    node = start("lap_evaluator")
+    publisher = advertise("/global_waypoints", array)
+    publisher.publish(array())
+    line = load_course("reference")
+    points = [waypoint(x_m=x, y_m=y, vx_mps=3.0) for x, y in zip(line.x, line.y)]
+    publisher.publish(array(wpnts=points))
+    wait_for(lambda: "raceline global_waypoints" in node.output)
+    assert "expected waypoints" in node.output
+    assert f"raceline global_waypoints, {line.length:.2f} m" in node.output
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"raceline": "nowhere"}, "nowhere: no such file"),
+        ({"pose_source": "gps"}, "expected odom or pose, got 'gps'"),
+        ({"sectors": "three"}, "~sectors: expected int, got 'three'"),
+        ({"car_width": -1.0}, "car_width"),
+        ({"csv": "/nowhere/laps.csv"}, "/nowhere/laps.csv: cannot write"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_1(parameters, text, start):
+    node = start("lap_evaluator", parameters, wait=False)
+    assert node.wait() == 1
+    assert text in node.output
+    assert "Traceback" not in node.output

@@ -1,0 +1,108 @@
+"""Every launch file, for every stack; and three laps of simulate.launch."""
+
+import json
+import subprocess
+from xml.etree import ElementTree
+
+import pytest
+from ackermann_msgs.msg import AckermannDriveStamped
+from map_racing.msg import LapResult
+
+from map_racing.cli import main
+
+STACKS = {
+    "race_stack": ("/car_state/odom", "/vesc/high_level/ackermann_cmd_mux/input/nav_1"),
+    "f1tenth_system": ("/pf/pose/odom", "/vesc/high_level/ackermann_cmd_mux/input/nav_0"),
+    "f1tenth_simulator": ("/odom", "/drive"),
+}
+NEEDED = {"replay": ["bag:=run.bag"], "identify": []}
+FILES = ("simulate", "race", "replay", "identify", "rviz")
+
+
+def roslaunch(*arguments):
+    done = subprocess.run(
+        ["roslaunch", *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    return done.returncode, done.stdout.decode(errors="replace")
+
+
+@pytest.fixture(scope="module")
+def folder(request):
+    return request.config.rootpath / "launch"
+
+
+def test_every_argument_is_documented(folder):
+    files = sorted(folder.rglob("*.launch"))
+    assert {file.stem for file in files} == {*FILES, "nodes"}
+    for file in files:
+        for argument in ElementTree.parse(file).getroot().iter("arg"):
+            # Those with a value pass on or work out, and cannot be set.
+            if "value" not in argument.attrib:
+                assert argument.get("doc"), f"{file.name}: {argument.get('name')}"
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("file", FILES)
+def test_every_file_for_every_stack(roscore, file, stack):
+    stacked = [] if file == "rviz" else [f"stack:={stack}"]
+    code, output = roslaunch(
+        "--nodes", "map_racing", f"{file}.launch", *stacked, *NEEDED.get(file, [])
+    )
+    assert code == 0 and "/" in output, output
+    code, output = roslaunch(
+        "--files", "map_racing", f"{file}.launch", *stacked, *NEEDED.get(file, [])
+    )
+    assert code == 0 and f"{file}.launch" in output, output
+
+
+def test_another_stack_is_refused(roscore):
+    code, output = roslaunch("--nodes", "map_racing", "race.launch", "stack:=autoware")
+    assert code != 0 and "autoware" in output
+
+
+@pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])
+def test_topics_of_a_stack(launch, stack, listen):
+    from nav_msgs.msg import Odometry
+
+    odom, drive = STACKS[stack]
+    odometry, commands = listen(odom, Odometry), listen(drive, AckermannDriveStamped)
+    launch("simulate.launch", stack=stack, clock_rate=3, plant="public_simulator", vehicle="sim")
+    odometry.wait(timeout=30.0)
+    commands.wait(lambda m: m.drive.speed > 2.0, timeout=30.0)
+
+
+def test_three_laps_as_in_the_core(launch, listen, tmp_path):
+    bag, report = tmp_path / "core.bag", tmp_path / "core.json"
+    assert main(["race", "--laps", "3", "--speed-scale", "0.7", "--output", str(bag)]) == 0
+    assert main(["evaluate", str(bag), "--json", str(report)]) == 0
+    (run,) = json.loads(report.read_text())["runs"]
+    expected = [lap for lap in run["laps"] if lap["valid"]]
+
+    inbox = listen("/lap_result", LapResult)
+    launch("simulate.launch", clock_rate=3, lockstep="true", csv=tmp_path / "laps.csv")
+    inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
+    laps = [lap for lap in inbox if lap.valid]
+    assert [lap.lap for lap in laps] == [1, 2, 3] and len(expected) == 3
+    assert [lap.lap for lap in inbox if not lap.valid] == [0]
+    for live, core in zip(laps, expected):
+        assert live.lap_time_s == pytest.approx(core["lap_time_s"], rel=0.01)
+        assert live.rms_lateral_error_m == pytest.approx(core["rms_lateral_error_m"], abs=0.01)
+        assert live.max_abs_lateral_error_m < core["max_abs_lateral_error_m"] + 0.05
+    # Each lap is in the file when it is published.
+    assert len((tmp_path / "laps.csv").read_text().splitlines()) == 1 + len(inbox)
+
+
+def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path, capsys):
+    inbox = listen("/lap_result", LapResult)
+    process = launch(
+        "simulate.launch", clock_rate=4, lockstep="true", record="true", record_to=tmp_path / "run"
+    )
+    live = inbox.wait(lambda lap: lap.laps_completed == 1, 90.0)
+    process.stop(30.0)
+    (bag,) = tmp_path.glob("run*.bag")
+    report = tmp_path / "run.json"
+    assert main(["evaluate", str(bag), "--json", str(report)]) == 0
+    (run,) = json.loads(report.read_text())["runs"]
+    offline = next(lap for lap in run["laps"] if lap["valid"])
+    assert offline["lap_time_s"] == pytest.approx(live.lap_time_s, abs=1e-6)
+    assert offline["rms_lateral_error_m"] == pytest.approx(live.rms_lateral_error_m, abs=1e-6)

@@ -1,0 +1,166 @@
+"""The visualizer draws the guidance that it is told of, and cleans up after itself."""
+
+import math
+import time
+
+import pytest
+from map_racing.msg import Guidance
+from visualization_msgs.msg import Marker, MarkerArray
+
+from map_racing.nodes.conversions import to_time
+from map_racing.nodes.lookahead_visualizer import ERROR_COLORS
+
+PARAMETERS = {"rate": 50.0}
+
+
+def guidance(i, **changes):
+    """A car that drives 5 m/s along x, 0.1 m beside its line, at 40 Hz."""
+    eta = math.atan2(-0.1, 1.0)
+    message = Guidance(
+        mode=Guidance.MODE_DRIVING,
+        status="ok",
+        x=0.125 * i,
+        y=0.1,
+        v_x=5.0,
+        d=0.1,
+        lookahead_x=0.125 * i + 1.0,
+        lookahead_distance=math.hypot(1.0, 0.1),
+        eta=eta,
+        a_lat=-4.9,
+        a_lat_max=7.0,
+        steering_angle=-0.05,
+        speed=5.0,
+    )
+    message.header.stamp = to_time(10**12 + 25 * 10**6 * i)
+    message.header.frame_id = "map"
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+class Screen(dict):
+    """The markers that RViz would show: ``(ns, id)`` to marker."""
+
+    def __init__(self, inbox):
+        self.cleared = 0
+        for array in list(inbox):
+            for marker in array.markers:
+                if marker.action == Marker.DELETEALL:
+                    self.clear()
+                    self.cleared += 1
+                elif marker.action == Marker.DELETE:
+                    self.pop((marker.ns, marker.id), None)
+                else:
+                    self[marker.ns, marker.id] = marker
+
+    def __getattr__(self, namespace):
+        return self[namespace, 0]
+
+
+@pytest.fixture
+def drawing(start, listen, advertise, ros):
+    """Function that publishes messages, waits until all are drawn, and gives the Screen."""
+    node = start("lookahead_visualizer", PARAMETERS)
+    inbox = listen("/lookahead_markers", MarkerArray)
+    point = listen("/lookahead_point", Marker)
+    publisher = advertise("/guidance", Guidance)
+    while not any(topic == "/lookahead_markers" for topic, _ in ros.get_published_topics()):
+        ros.sleep(0.05)
+    # Markers are made only for those who look: wait until the node knows of this test.
+    probe = guidance(0)
+    while not (inbox and point):
+        probe.header.stamp += ros.Duration(0.1)
+        publisher.publish(probe)
+        ros.sleep(0.05)
+    ros.sleep(0.2)
+
+    def draw(messages):
+        assert node.running, node.output
+        for message in messages:
+            publisher.publish(message)
+            # Slower than the node, which shows the latest and may leave out what is old.
+            time.sleep(0.01)
+        inbox.wait(lambda _: inbox[-1].markers[0].pose.position.x == message.lookahead_x)
+        return Screen(inbox)
+
+    draw.inbox, draw.point = inbox, point
+    return draw
+
+
+def test_all_is_drawn_where_guidance_says(drawing):
+    screen = drawing(guidance(i) for i in range(8000, 8040))
+    last = guidance(8039)
+    assert screen.cleared == 1, "one for what an earlier node left behind"
+    shown = {"lookahead", "distance", "arc", "steering", "car", "trail"}
+    assert {namespace for namespace, _ in screen} == shown
+    assert all(marker.lifetime.to_sec() > 0.0 for marker in screen.values())
+    at = screen.lookahead.pose.position
+    assert (at.x, at.y) == (last.lookahead_x, 0.0)
+    for p in screen.distance.points:
+        assert math.hypot(p.x - last.x, p.y - last.y) == pytest.approx(math.hypot(1.0, 0.1))
+    arc = screen.arc.points
+    assert (arc[0].x, arc[0].y) == (last.x, last.y)
+    assert (arc[-1].x, arc[-1].y) == pytest.approx((last.lookahead_x, 0.0), abs=1e-9)
+    assert arc[1].y == pytest.approx(last.y, abs=1e-3), "along the velocity at first"
+    steering = screen.steering
+    assert steering.header.frame_id == screen.car.header.frame_id == "base_link"
+    assert 2.0 * math.atan2(
+        steering.pose.orientation.z, steering.pose.orientation.w
+    ) == pytest.approx(-0.05)
+    assert drawing.point[-1].type == Marker.SPHERE
+    assert drawing.point[-1].pose.position.x == last.lookahead_x
+
+
+def test_the_trail_is_colored_by_the_error_and_bounded(drawing):
+    screen = drawing(guidance(i, d=0.0 if i < 8550 else 0.5) for i in range(8000, 8600))
+    trail = screen.trail
+    assert len(trail.points) == len(trail.colors)
+    assert 14.0 < trail.points[-1].x - trail.points[0].x <= 15.0
+    colors = [(color.r, color.g, color.b) for color in trail.colors]
+    assert colors[0] == pytest.approx(ERROR_COLORS[0])
+    assert colors[-1] == pytest.approx(ERROR_COLORS[1])
+
+
+def test_more_than_the_grip_is_said_and_taken_back(drawing):
+    screen = drawing([guidance(8000, saturated=True, a_lat=-9.12)])
+    assert screen.label.text == "9.1 of 7.0 m/s2"
+    color = screen.arc.color
+    screen = drawing([guidance(8001)])
+    assert ("label", 0) not in screen
+    assert screen.arc.color != color
+    screen = drawing([guidance(8002, mode=Guidance.MODE_STOPPING, reason="pose too old")])
+    assert screen.label.text == "stopping: pose too old"
+
+
+def test_a_jump_back_in_time_clears_the_screen(drawing):
+    drawing(guidance(i) for i in range(8000, 8100))
+    count = len(drawing.inbox)
+    drawing(guidance(i) for i in range(4000, 4020))
+    assert drawing.inbox[count].markers[0].action == Marker.DELETEALL
+    trail = Screen(drawing.inbox).trail
+    assert max(p.x for p in trail.points) <= 0.125 * 4020
+
+
+def test_a_car_put_elsewhere_leaves_no_line_across_the_map(drawing):
+    screen = drawing(
+        [
+            *(guidance(i) for i in range(8000, 8040)),
+            *(guidance(i, y=9.0) for i in range(8040, 8080)),
+        ]
+    )
+    assert {p.y for p in screen.trail.points} == {9.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"vehicle": "tank"}, "tank: no such file"),
+        ({"rate": 0.0}, "~rate: expected a positive number"),
+        ({"trail_length": -1.0}, "~trail_length: expected 0 to 1000 m"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_1(parameters, text, start):
+    node = start("lookahead_visualizer", parameters, wait=False)
+    assert node.wait() == 1
+    assert text in node.output
+    assert "Traceback" not in node.output

@@ -1,0 +1,142 @@
+"""The identification drive on the running nodes: button, area, end."""
+
+import math
+import signal
+
+import numpy as np
+import pytest
+from ackermann_msgs.msg import AckermannDriveStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool
+
+FAST = {"rate_radps": 0.1, "settle_s": 0.2, "acceleration_mps2": 8.0, "limit_rad": 0.3}
+
+
+@pytest.fixture
+def field(start, tmp_path):
+    """The simulated car on a circle without walls."""
+    path = tmp_path / "field.csv"
+    angle = np.linspace(0.0, 2.0 * math.pi, 100, endpoint=False)
+    rows = [f"{10.0 * math.cos(a)},{10.0 * math.sin(a)},2.0" for a in angle]
+    path.write_text("\n".join(["# x_m,y_m,vx_mps", *rows]) + "\n")
+    start("simulator", {"raceline": str(path)})
+
+
+@pytest.fixture
+def hold(ros, advertise):
+    """Hold the dead-man button, as a joystick with repetition does, until told otherwise."""
+    timers = []
+
+    def begin(topic, kind, message):
+        publisher = advertise(topic, kind)
+        timer = ros.Timer(ros.Duration(0.05), lambda _: publisher.publish(message))
+        timers.append(timer)
+        return timer
+
+    yield begin
+    for timer in timers:
+        timer.shutdown()
+
+
+def joy(button, count=8):
+    return Joy(buttons=[int(index == button) for index in range(count)])
+
+
+def test_both_sides_then_the_end(field, start, hold, listen):
+    commands = listen("/drive", AckermannDriveStamped)
+    node = start("steering_ramp", {**FAST, "radius": 20.0})
+    hold("/joy", Joy, joy(5))
+    assert node.wait(60.0) == 0 and "done: 2 ramps" in node.output
+    angles = [m.drive.steering_angle for m in commands]
+    assert max(angles) == pytest.approx(0.3, abs=1e-6)
+    assert min(angles) == pytest.approx(-0.3, abs=1e-6)
+    assert max(m.drive.speed for m in commands) == 2.0
+    assert [m.drive.speed for m in list(commands)[-5:]] == [0.0] * 5
+
+
+def test_another_button_does_not_count(field, start, hold, listen):
+    commands = listen("/drive", AckermannDriveStamped)
+    start("steering_ramp", FAST)
+    hold("/joy", Joy, joy(4))
+    commands.wait(lambda _: len(commands) > 60)
+    assert {m.drive.speed for m in commands} == {0.0}
+
+
+def test_letting_go_stops_the_car(field, start, hold, listen):
+    commands, odometry = listen("/drive", AckermannDriveStamped), listen("/odom", Odometry)
+    start("steering_ramp", FAST)
+    held = hold("/enable", Bool, Bool(True))
+    odometry.wait(lambda m: m.twist.twist.linear.x > 1.7)
+    held.shutdown()
+    let_go = len(commands)
+    commands.wait(lambda m: m in list(commands)[let_go:] and m.drive.speed == 0.0)
+    moved = odometry[-1].header.stamp
+    odometry.wait(lambda m: m.header.stamp > moved and abs(m.twist.twist.linear.x) < 0.2)
+
+
+def test_outside_of_the_area_the_car_stops(field, start, hold, listen):
+    odometry = listen("/odom", Odometry)
+    node = start("steering_ramp", {**FAST, "radius": 1.0})
+    hold("/enable", Bool, Bool(True))
+    odometry.wait(lambda _: "outside of the area" in node.output, 20.0)
+    left = odometry[-1].header.stamp
+    odometry.wait(
+        lambda m: (m.header.stamp - left).to_sec() > 1.0 and abs(m.twist.twist.linear.x) < 0.2
+    )
+    first, last = odometry[0].pose.pose.position, odometry[-1].pose.pose.position
+    assert 0.9 < math.hypot(last.x - first.x, last.y - first.y) < 2.0
+
+
+def test_without_a_button_it_warns(field, start, listen):
+    commands = listen("/drive", AckermannDriveStamped)
+    node = start("steering_ramp", {**FAST, "dead_man": False})
+    commands.wait(lambda m: m.drive.speed > 1.0)
+    assert "driving without a dead-man button" in node.output
+    at = len(commands)
+    node.signal(signal.SIGINT)
+    assert node.wait() == 0
+    assert any(m.drive.speed == 0.0 for m in list(commands)[at:])
+
+
+def test_a_stop_where_poses_stop_coming(start, advertise, hold, listen, ros):
+    commands = listen("/drive", AckermannDriveStamped)
+    start("steering_ramp", FAST)
+    hold("/enable", Bool, Bool(True))
+    publisher = advertise("/odom", Odometry)
+    rate = ros.Rate(40.0)
+    for _ in range(60):
+        message = Odometry()
+        message.header.stamp = ros.Time.now()
+        publisher.publish(message)
+        rate.sleep()
+    assert commands[-1].drive.speed > 1.0
+    silent = len(commands)
+    commands.wait(lambda m: m in list(commands)[silent:] and m.drive.speed == 0.0)
+
+
+def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
+    commands = listen("/drive", AckermannDriveStamped)
+    start("steering_ramp", FAST)
+    hold("/enable", Bool, Bool(True))
+    publisher = advertise("/odom", Odometry)
+    message = Odometry()
+    message.header.stamp = ros.Time.now() - ros.Duration(1.0)
+    for _ in range(40):
+        publisher.publish(message)
+        ros.sleep(0.025)
+    assert len(commands) > 20 and {m.drive.speed for m in commands} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"speed_mps": -1.0}, "speed_mps: expected more than 0"),
+        ({"box": [0, 1, 2]}, "~box: expected x_min"),
+        ({"radius": 0.0}, "~radius: expected more than 0"),
+    ],
+)
+def test_what_it_refuses_it_says_in_a_line(start, parameters, words):
+    node = start("steering_ramp", parameters, wait=False)
+    assert node.wait() == 1
+    assert words in node.output and "Traceback" not in node.output

@@ -1,0 +1,299 @@
+import math
+
+import pytest
+
+from map_racing.control.controller import ControlResult, Status
+from map_racing.control.safety import Mode, Reason, SafetyLimits, Supervisor
+from map_racing.control.state import CarState
+from map_racing.errors import ParameterError
+
+PERIOD = 1 / 32  # sums of it are exact
+
+
+class Car:
+    """Drives along x at a constant speed and feeds a supervisor as the node does."""
+
+    def __init__(self, speed=4.0, **limits):
+        self.supervisor = Supervisor(SafetyLimits(**limits))
+        self.now, self.x, self.speed = 100.0, 0.0, speed
+
+    def pose(self, age=0.0, **changes):
+        state = CarState(self.now - age, self.x, 0.0, 0.0, self.speed, 0.0, 0.0)
+        return state._replace(**changes)
+
+    def result(self, **changes):
+        state = self.pose()
+        result = ControlResult(0.1, self.speed, Status.OK, state, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0)
+        return result._replace(**changes)
+
+    def step(self, state=None, **changes):
+        """One pose and its command; the clock then moves on."""
+        state = self.pose() if state is None else state
+        trusted = self.supervisor.observe(self.now, state)
+        decision = self.supervisor.decide(self.now, self.result(**changes) if trusted else None)
+        self.now += PERIOD
+        self.x += self.speed * PERIOD
+        return decision
+
+    def drive(self, seconds=1.0, **changes):
+        return [self.step(**changes) for _ in range(round(seconds / PERIOD))]
+
+
+def test_good_poses_drive_at_once_with_the_controllers_command():
+    decision = Car().step()
+    assert decision == (Mode.DRIVING, Reason.NONE, 0.1, 4.0)
+
+
+def test_a_stop_ramps_down_at_the_stated_deceleration_while_steering():
+    car = Car(stop_deceleration_mps2=4.0)
+    car.drive()
+    car.supervisor.request_stop("service")
+    decisions = car.drive(1.2, steering_angle=-0.2)
+    speeds = [decision.speed for decision in decisions]
+    assert speeds[:3] == [3.875, 3.75, 3.625]
+    assert speeds[30] == 0.125
+    assert speeds[31:] == [0.0] * len(speeds[31:])
+    assert {decision.steering_angle for decision in decisions} == {-0.2}
+    assert {decision.reason for decision in decisions} == {Reason.STOP_REQUESTED}
+    assert [decisions[i].mode for i in (0, 30, 31)] == [Mode.STOPPING, Mode.STOPPING, Mode.STOPPED]
+
+
+def test_a_stop_starts_from_the_measured_speed_of_a_car_that_still_accelerates():
+    car = Car(speed=2.0)
+    car.drive(speed=8.0)
+    car.supervisor.request_stop("service")
+    assert car.step(speed=8.0).speed == 1.875
+
+
+def test_a_stop_never_commands_more_than_the_controller():
+    car = Car()
+    car.drive()
+    car.supervisor.request_stop("service")
+    assert car.step(speed=1.0).speed == 1.0
+
+
+def test_a_requested_stop_waits_for_resume():
+    car = Car()
+    car.drive()
+    car.supervisor.request_stop("topic")
+    assert car.drive(5.0)[-1].mode is Mode.STOPPED
+    car.supervisor.resume()
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_withdrawing_one_request_leaves_the_other():
+    car = Car()
+    car.drive()
+    car.supervisor.request_stop("topic")
+    car.supervisor.request_stop("service")
+    car.supervisor.withdraw("topic")
+    assert car.step().reason is Reason.STOP_REQUESTED
+    car.supervisor.withdraw("service")
+    assert car.step().mode is Mode.DRIVING
+
+
+@pytest.mark.parametrize("age", [0.21, -0.21, 1e6])
+def test_old_or_future_stamps_stop_and_hold_the_steering(age):
+    car = Car(max_pose_age_s=0.2)
+    car.drive()
+    decision = car.step(car.pose(age=age), steering_angle=0.3)
+    assert decision[:3] == (Mode.STOPPING, Reason.STALE_POSE, 0.1)
+    assert decision.speed == 3.875
+
+
+def test_ages_within_the_limit_drive():
+    car = Car(max_pose_age_s=0.2)
+    for _ in range(40):
+        assert car.step(car.pose(age=0.19)).mode is Mode.DRIVING
+
+
+def test_frozen_localization_that_goes_on_publishing_its_last_stamp():
+    car = Car()
+    car.drive()
+    frozen = car.pose()
+    decisions = [car.step(frozen) for _ in range(20)]
+    assert [decision.mode for decision in decisions[:7]] == [Mode.DRIVING] * 7  # up to 0.19 s old
+    assert decisions[7].reason is Reason.STALE_POSE
+
+
+def test_frozen_poses_without_stamps_show_by_the_speed():
+    car = Car()
+    car.drive()
+    x = car.x
+    modes = [car.step(car.pose(x=x)).mode for _ in range(12)]
+    assert modes == [Mode.DRIVING] * 7 + [Mode.STOPPING] * 5
+    assert car.supervisor.reason is Reason.FROZEN_POSE
+
+
+def test_a_standing_car_may_have_the_same_pose_for_ever():
+    car = Car(speed=0.0)
+    assert car.drive(5.0)[-1].mode is Mode.DRIVING
+
+
+@pytest.mark.parametrize("field", ["t", "x", "y", "psi", "v_x", "r"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_pose_that_is_not_finite_stops_and_recovers(field, value):
+    car = Car(recovery_s=0.5)
+    car.drive()
+    decision = car.step(car.pose(**{field: value}), steering_angle=9.0)
+    assert decision[:3] == (Mode.STOPPING, Reason.INVALID_POSE, 0.1)
+    modes = [decision.mode for decision in car.drive(0.6)]
+    assert modes == [Mode.STOPPING] * 16 + [Mode.DRIVING] * 3
+
+
+def test_invalid_state_found_by_the_controller():
+    car = Car()
+    car.drive()
+    assert car.step(status=Status.INVALID_STATE, speed=0.0).reason is Reason.INVALID_POSE
+    assert car.supervisor.mode is Mode.STOPPING
+
+
+def test_unknown_lateral_velocity_is_no_fault():
+    car = Car()
+    assert car.step(car.pose(v_y=math.nan)).mode is Mode.DRIVING
+
+
+@pytest.mark.parametrize("move", [{"x": 0.9}, {"y": -0.9}, {"psi": 1.2}])
+def test_a_jump_stops_and_the_new_place_is_accepted_after_a_while(move):
+    car = Car(max_jump_m=0.5, max_turn_rad=0.8)
+    car.drive()
+    first = car.pose()
+    base = first._replace(**{name: getattr(first, name) + by for name, by in move.items()})
+    offset = base.x - first.x
+    decisions = []
+    for _ in range(30):
+        decisions.append(car.step(base._replace(t=car.now, x=car.x + offset)))
+    assert decisions[0].reason is Reason.JUMP
+    assert decisions[0].steering_angle == 0.1
+    assert [decision.mode for decision in decisions[:17]] == [Mode.STOPPING] * 17
+    assert decisions[17].mode is Mode.DRIVING
+
+
+def test_fast_driving_and_a_lost_pose_are_no_jump():
+    car = Car(speed=10.0)
+    car.drive()
+    for _ in range(3):  # 1.25 m without a pose
+        car.now += PERIOD
+        car.x += car.speed * PERIOD
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_far_from_the_raceline_stops_while_steering_back():
+    car = Car(max_deviation_m=1.0)
+    assert car.drive(d=0.99)[-1].mode is Mode.DRIVING
+    decision = car.step(d=-1.01, steering_angle=0.3)
+    assert decision[:3] == (Mode.STOPPING, Reason.DEVIATION, 0.3)
+    assert car.drive(0.6, d=0.2)[-1].mode is Mode.DRIVING
+
+
+def test_without_raceline_a_new_car_waits_and_a_driving_one_stops():
+    car = Car()
+    nothing = {"status": Status.NO_RACELINE, "speed": 0.0, "d": math.nan}
+    assert car.step(**nothing)[:2] == (Mode.WAITING, Reason.NO_RACELINE)
+    assert car.drive(0.6)[-1].mode is Mode.DRIVING
+    assert car.step(**nothing)[:2] == (Mode.STOPPING, Reason.NO_RACELINE)
+
+
+def test_a_raceline_that_cannot_be_driven_stops_along_the_old_one():
+    car = Car()
+    car.drive()
+    car.supervisor.raceline_changed(False)
+    decision = car.step()
+    assert decision[:3] == (Mode.STOPPING, Reason.INVALID_RACELINE, 0.1)
+    car.drive(5.0)
+    car.supervisor.raceline_changed(True)
+    assert car.drive(0.6)[-1].mode is Mode.DRIVING
+
+
+def test_grip_exceeded_for_long_stops_until_resumed():
+    car = Car(max_saturated_s=1.0)
+    saturated = {"status": Status.SATURATED}
+    assert car.drive(1.0, **saturated)[-1].mode is Mode.DRIVING
+    car.step()
+    assert car.drive(1.0, **saturated)[-1].mode is Mode.DRIVING
+    assert car.drive(0.1, **saturated)[-1].reason is Reason.GRIP
+    assert car.drive(5.0)[-1].mode is Mode.STOPPED
+    car.supervisor.resume()
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_a_crawling_car_at_its_lock_has_grip():
+    car = Car(speed=0.5)
+    assert car.drive(5.0, status=Status.SATURATED)[-1].mode is Mode.DRIVING
+
+
+@pytest.mark.parametrize("speed", [12.1, 1e9])
+def test_no_speed_beyond_the_limit(speed):
+    assert Car(max_speed_mps=5.0).step(speed=speed).speed == 5.0
+
+
+@pytest.mark.parametrize("command", [{"speed": math.nan}, {"steering_angle": math.inf}])
+def test_a_command_that_is_not_finite_is_a_failure(command):
+    car = Car()
+    car.drive()
+    decision = car.step(**command)
+    assert decision[:3] == (Mode.STOPPING, Reason.FAILURE, 0.1)
+    assert math.isfinite(decision.speed)
+    assert car.drive(5.0)[-1].mode is Mode.STOPPED
+    car.supervisor.resume()
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_negative_speeds_are_not_passed_on():
+    assert Car().step(speed=-1.0).speed == 0.0
+
+
+def test_poses_that_stop_coming():
+    car = Car(max_pose_age_s=0.2, hold_s=2.0)
+    car.drive()
+    supervisor, begin = car.supervisor, car.now - PERIOD
+    assert supervisor.watch(begin + 0.19) is None
+    decision = supervisor.watch(begin + 0.25)
+    assert decision[:3] == (Mode.STOPPING, Reason.STALE_POSE, 0.1)
+    assert decision.speed == 4.0 - 4.0 * 0.25
+    assert supervisor.watch(begin + 0.75).speed == 1.0
+    assert supervisor.watch(begin + 1.05)[::3] == (Mode.STOPPED, 0.0)
+    assert supervisor.watch(begin + 3.0).speed == 0.0
+    assert supervisor.watch(begin + 3.1) is None
+    car.now = begin + 5.0
+    assert car.drive(0.5)[-1].mode is Mode.STOPPED
+    assert car.drive(0.1)[-1].mode is Mode.DRIVING
+
+
+def test_before_the_first_pose_nothing_is_commanded():
+    supervisor = Supervisor(SafetyLimits())
+    assert supervisor.watch(5.0) is None
+    assert (supervisor.mode, supervisor.reason) == (Mode.WAITING, Reason.NO_POSE)
+    car = Car()
+    car.supervisor = supervisor
+    car.now = 5.01
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_a_clock_set_back_begins_anew_but_keeps_the_request():
+    car = Car()
+    car.drive(2.0)
+    car.supervisor.request_stop("service")
+    car.now, car.x = 10.0, 50.0
+    car.step()
+    assert car.supervisor.restarted
+    assert (car.supervisor.mode, car.supervisor.reason) == (Mode.WAITING, Reason.STOP_REQUESTED)
+    car.supervisor.resume()
+    car.step()
+    assert not car.supervisor.restarted
+    assert car.supervisor.mode is Mode.DRIVING
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"max_speed_mps": 0.0},
+        {"max_pose_age_s": math.nan},
+        {"recovery_s": 0.1},
+        {"max_jump_m": True},
+        {"hold_s": "2"},
+    ],
+)
+def test_impossible_limits_are_refused_by_name(changes):
+    with pytest.raises(ParameterError, match=next(iter(changes))):
+        SafetyLimits(**changes)

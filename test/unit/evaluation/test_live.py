@@ -1,0 +1,276 @@
+import csv
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_racing.errors import FileFormatError, MapRacingError, ParameterError
+from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.live import LapLog, LiveEvaluation
+from map_racing.evaluation.samples import Commands, Recording
+
+T0_NS = 1_600_000_000_123_456_789
+V = 6.0
+RATE = 40.0
+
+
+class Taken:
+    """What a live evaluation reported."""
+
+    def __init__(self, raceline=None, **options):
+        self.laps, self.runs = [], []
+        self.evaluation = LiveEvaluation(
+            raceline,
+            on_lap=self.laps.append,
+            on_run=lambda number, result: self.runs.append((number, result)),
+            **options,
+        )
+
+    def rows(self, run=1):
+        return [lap.lap.row() for lap in self.laps if lap.run == run]
+
+
+@pytest.fixture(scope="module")
+def line(course):
+    return course.raceline(speed=V, walls=1.0)
+
+
+@pytest.fixture(scope="module")
+def drive(course):
+    """2.4 laps: a recording, and the same as messages; commands carry the pose's stamp."""
+    n = int(2.4 * course.length / V * RATE)
+    stamps = [T0_NS + int(round(i * 1e9 / RATE)) + 137 * (i % 7) for i in range(n)]
+    s = V / RATE * np.arange(n) - 3.0
+    x, y, psi = course.place(s, 0.1 + 0.05 * np.sin(0.7 * s))
+    v_x, v_y = V + 0.3 * np.sin(s), 0.2 * np.cos(s)
+    v_y[n // 2 :] = math.nan
+    speed, steering = 6.1 + 0.2 * np.cos(s), 0.1 * np.sin(0.5 * s)
+    t = (np.array(stamps) - stamps[0]) * 1e-9
+    keep = slice(40, None)
+    recording = Recording(
+        *(t, x, y, psi, v_x, v_y, np.full(n, math.nan)),
+        t0_ns=stamps[0],
+        source="drive",
+        commands=Commands(t[keep], steering[keep], speed[keep], "/drive"),
+    )
+    poses = list(zip(stamps, x.tolist(), y.tolist(), v_x.tolist(), v_y.tolist()))
+    commands = list(zip(stamps, speed.tolist(), steering.tolist()))[keep]
+    return recording, poses, commands
+
+
+def same(rows, others):
+    assert len(rows) == len(others)
+    for row, other in zip(rows, others):
+        assert list(row) == list(other)
+        for name in row:
+            one, two = row[name], other[name]
+            assert one == two or (one != one and two != two), name
+
+
+def play(taken, poses, commands, lag=0, received=0.0):
+    """Messages in order of their stamps, a command `lag` steps after its pose."""
+    commands = {command[0]: command for command in commands}
+    pending = []
+    for pose in poses:
+        taken.evaluation.add_pose(*pose, received)
+        if pose[0] in commands:
+            pending.append(commands[pose[0]])
+        if len(pending) > lag:
+            taken.evaluation.add_command(*pending.pop(0))
+        taken.evaluation.advance(received)
+    for command in pending:
+        taken.evaluation.add_command(*command)
+    taken.evaluation.advance(received)
+
+
+@pytest.mark.parametrize("lag", [0, 1, 9])
+def test_live_laps_are_those_of_the_recording(line, drive, lag):
+    recording, poses, commands = drive
+    offline = evaluate(recording, line)
+    assert [lap.valid for lap in offline.laps] == [False, True, True, False]
+    taken = Taken(line)
+    play(taken, poses, commands, lag)
+    taken.evaluation.finish()
+    same(taken.rows(), [lap.row() for lap in offline.laps])
+    assert [(number, result.summary) for number, result in taken.runs] == [(1, offline.summary)]
+    lap = taken.laps[1]
+    assert abs(lap.end_ns - poses[0][0] - 1e9 * lap.lap.end_time_s) <= 1
+
+
+@settings(deadline=None, max_examples=25)
+@given(data=st.data())
+def test_laps_do_not_depend_on_how_two_topics_are_mixed(course, drive, line, data):
+    """Each topic keeps its order; commands come up to a second late or early."""
+    recording, poses, commands = drive
+    lags = data.draw(st.lists(st.integers(-40, 40), min_size=5, max_size=5))
+    order = [(i, 0, pose) for i, pose in enumerate(poses)]
+    due = np.maximum.accumulate([40 + i + lags[i // 50 % 5] for i in range(len(commands))])
+    order += [(i, 1, command) for i, command in zip(due.tolist(), commands)]
+    taken = Taken(line)
+    for _, kind, message in sorted(order, key=lambda entry: entry[:2]):
+        if kind:
+            taken.evaluation.add_command(*message)
+        else:
+            taken.evaluation.add_pose(*message, 0.0)
+        if data.draw(st.booleans()) or kind:
+            taken.evaluation.advance(0.0)
+    taken.evaluation.finish()
+    same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
+
+
+def test_poses_wait_for_the_raceline(line, drive):
+    recording, poses, commands = drive
+    taken = Taken()
+    half = len(poses) // 2
+    play(taken, poses[:half], commands)
+    assert taken.evaluation.deadline is None
+    assert taken.laps == []
+    taken.evaluation.set_raceline(line)
+    play(taken, poses[half:], commands)
+    taken.evaluation.finish()
+    same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
+
+
+def test_without_commands_a_pose_waits_no_longer_than_patience(line, drive):
+    _, poses, _ = drive
+    taken = Taken(line, patience=0.5)
+    for pose in poses:
+        taken.evaluation.add_pose(*pose, 7.0)
+    assert taken.evaluation.deadline == 7.5
+    taken.evaluation.advance(7.4)
+    assert taken.laps == []
+    taken.evaluation.advance(7.5)
+    assert [lap.lap.lap for lap in taken.laps] == [0, 1, 2]
+    assert taken.laps[1].lap.speed_reference == "raceline"
+    assert taken.evaluation.deadline is None
+
+
+@pytest.mark.parametrize("early", [0, 5])
+def test_a_step_back_in_time_begins_another_run(line, drive, early):
+    """A bag that is played again; its commands may step back before its poses do."""
+    recording, poses, commands = drive
+    changed = [(stamp, speed + 0.5, steering) for stamp, speed, steering in commands]
+    taken = Taken(line)
+    play(taken, poses, commands)
+    for command in changed[:early]:
+        taken.evaluation.add_command(*command)
+    play(taken, poses, changed[early:] if early else commands)
+    taken.evaluation.finish()
+    assert [number for number, _ in taken.runs] == [1, 2]
+    offline = evaluate(recording, line)
+    same(taken.rows(1), [lap.row() for lap in offline.laps])
+    if early:
+        recording.commands.speed[:] += 0.5
+        offline = evaluate(recording, line)
+        recording.commands.speed[:] -= 0.5
+    same(taken.rows(2), [lap.row() for lap in offline.laps])
+
+
+def test_a_stray_command_from_the_past_changes_nothing(line, drive):
+    recording, poses, commands = drive
+    stray = (commands[0][0] - 10_000_000_000, 99.0, 0.0)
+    taken = Taken(line)
+    for i, pose in enumerate(poses):
+        taken.evaluation.add_pose(*pose, 0.0)
+        if i == 200:
+            taken.evaluation.add_command(*stray)
+        if i >= 40:
+            taken.evaluation.add_command(*commands[i - 40])
+        taken.evaluation.advance(0.0)
+    taken.evaluation.finish()
+    same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
+
+
+def test_another_raceline_begins_another_run_the_same_does_not(course, line, drive):
+    _, poses, commands = drive
+    taken = Taken(line)
+    half = len(poses) // 2
+    play(taken, poses[:half], commands)
+    taken.evaluation.set_raceline(course.raceline(speed=V, walls=1.0))
+    assert taken.runs == []
+    other = course.raceline(speed=5.0, walls=1.0)
+    taken.evaluation.set_raceline(other)
+    assert [number for number, _ in taken.runs] == [1]
+    assert taken.evaluation.raceline is other
+    play(taken, poses[half:], commands)
+    taken.evaluation.finish()
+    assert [number for number, _ in taken.runs] == [1, 2]
+    assert taken.rows(2)[0]["start_time_s"] == 0.0
+
+
+def test_poses_nowhere_are_left_out_even_the_first(line, drive):
+    recording, poses, commands = drive
+    taken = Taken(line)
+    bad = [(poses[0][0] - 50_000_000, math.nan, 0.0, V, 0.0), (poses[0][0] - 1, 0.0, 1e9, V, 0.0)]
+    play(taken, bad + poses, commands)
+    taken.evaluation.finish()
+    same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
+
+
+def test_nothing_to_finish_is_no_run(line):
+    taken = Taken(line)
+    taken.evaluation.finish()
+    assert taken.runs == []
+    with pytest.raises(ParameterError, match="patience"):
+        Taken(line, patience=math.nan)
+    with pytest.raises(ParameterError, match="car_width"):
+        Taken(car_width=-1.0)
+
+
+# -- the file of laps ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def laps(line, drive):
+    _, poses, commands = drive
+    taken = Taken(line)
+    play(taken, poses, commands)
+    taken.evaluation.finish()
+    return taken.laps
+
+
+def test_laps_are_on_the_disk_as_they_come(tmp_path, laps):
+    path = tmp_path / "laps.csv"
+    log = LapLog(path, 3)
+    for count, lap in enumerate(laps, 1):
+        log.add(lap)
+        rows = list(csv.DictReader(path.open()))
+        assert len(rows) == count
+        for field in fields(lap.lap)[:-2]:
+            value, text = getattr(lap.lap, field.name), rows[-1][field.name]
+            if isinstance(value, float):
+                assert value == float(text) if text else math.isnan(value)
+            else:
+                assert str(value) == text
+    log.close()
+    assert [row["sector_3_s"] != "" for row in rows] == [False, True, True, False]
+
+
+def test_a_file_is_continued_without_the_line_that_was_cut_off(tmp_path, laps):
+    path = tmp_path / "laps.csv"
+    log = LapLog(path, 3)
+    log.add(laps[0])
+    log.close()
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"1,1,5.0,0.1")
+    log = LapLog(path, 3)
+    assert path.read_bytes() == whole
+    log.add(laps[1])
+    log.close()
+    assert path.read_bytes().startswith(whole)
+    assert len(path.read_text().splitlines()) == 3
+
+
+def test_other_files_are_left_alone(tmp_path, laps):
+    path = tmp_path / "laps.csv"
+    LapLog(path, 3).close()
+    for sectors, content in ((2, path.read_bytes()), (3, b"a,b\n1,2\n"), (3, b"no end of line")):
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError, match=r"laps\.csv: expected"):
+            LapLog(path, sectors)
+        assert path.read_bytes() == content
+    with pytest.raises(MapRacingError, match="cannot write"):
+        LapLog(tmp_path / "none" / "laps.csv", 3)
