@@ -161,7 +161,8 @@ def test_the_raceline_of_whoever_publishes_it_is_drawn(start, listen):
     for one, other in zip(drawn[1:], expected[1:]):
         assert len(one.points) == len(other.points)
         for p, q in zip(one.points, other.points):
-            assert math.hypot(p.x - q.x, p.y - q.y) < 1e-3
+            # The curve through the published points is not exactly that through the file's.
+            assert math.hypot(p.x - q.x, p.y - q.y) < (1e-3 if one.ns == "raceline" else 5e-3)
 
 
 @pytest.mark.parametrize(
