@@ -97,7 +97,7 @@ class Process:
 
 @pytest.fixture(scope="session")
 def roscore(tmp_path_factory):
-    """URI of a master of this session's own: on a free port, with its logs in a temporary folder."""
+    """URI of this session's own master: on a free port, with its logs in a temporary folder."""
     folder = tmp_path_factory.mktemp("ros")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

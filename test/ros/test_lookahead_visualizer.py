@@ -151,6 +151,20 @@ def test_a_car_put_elsewhere_leaves_no_line_across_the_map(drawing):
     assert {p.y for p in screen.trail.points} == {9.0}
 
 
+def test_the_raceline_of_whoever_publishes_it_is_drawn(start, listen):
+    start("lookahead_visualizer")
+    start("raceline_publisher", {"raceline": "reference"})
+    drawn = listen("/course_markers", MarkerArray).wait().markers
+    expected = listen("/raceline_markers", MarkerArray).wait().markers
+    assert drawn[0].action == Marker.DELETEALL
+    assert [(m.ns, m.id) for m in drawn[1:]] == [("raceline", 0), ("walls", 0), ("walls", 1)]
+    for one, other in zip(drawn[1:], expected[1:]):
+        assert len(one.points) == len(other.points)
+        for p, q in zip(one.points, other.points):
+            # The curve through the published points is not exactly that through the file's.
+            assert math.hypot(p.x - q.x, p.y - q.y) < (1e-3 if one.ns == "raceline" else 5e-3)
+
+
 @pytest.mark.parametrize(
     ("parameters", "text"),
     [

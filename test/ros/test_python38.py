@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from map_racing.msg import LapResult
 
 # All of them are plain Python. rosservice, which dynamic_reconfigure needs, brings rosbag and what

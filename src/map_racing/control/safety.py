@@ -261,7 +261,9 @@ class Supervisor:
         if self.reason is Reason.NONE and wanted is not None:
             self.mode, self._stopped_since, speed = Mode.DRIVING, None, wanted
         else:
-            speed = self._stop(now, wanted)
+            # The raceline may ask for harder braking; walking pace off the course is no reason to.
+            follows = result is not None and result.status in (Status.OK, Status.SATURATED)
+            speed = self._stop(now, wanted if follows else None)
         speed = min(max(speed, 0.0), self.limits.max_speed_mps)
         self._command, self._commanded = (angle, speed), now
         return Decision(self.mode, self.reason, angle, speed)

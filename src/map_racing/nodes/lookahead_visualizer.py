@@ -1,6 +1,7 @@
 """Node ``lookahead_visualizer``: what the controller sees and wants, as markers.
 
-All of it is in the message ``guidance``; nothing is computed anew but the points of curves.
+All of it is in the message ``guidance``; nothing is computed anew but the points of curves. The
+raceline is that of ``global_waypoints``, whoever publishes it.
 """
 
 import math
@@ -14,9 +15,11 @@ from map_racing.msg import Guidance
 
 from ..control.guidance import arc_to
 from ..errors import ParameterError
+from ..track.waypoints import waypoint_rows
 from ..vehicle.parameters import load_vehicle
-from .markers import delete_all, make_marker, points_of
+from .markers import delete_all, make_marker, points_of, raceline_markers
 from .node import get_parameter, run
+from .waypoints import RacelineSubscriber
 
 __all__ = ["LookaheadVisualizer", "main"]
 
@@ -49,6 +52,7 @@ class LookaheadVisualizer:
     def __init__(self):
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file: its size"))
         self._base = get_parameter("base_frame", "base_link", "frame of the rear axle")
+        self._map = get_parameter("map_frame", "map", "frame of the raceline")
         rate = get_parameter("rate", 20.0, "most pictures per second [Hz]")
         trail = get_parameter("trail_length", 15.0, "length of the driven trail [m]")
         self._error = get_parameter("trail_error", 0.2, "lateral error of the last color [m]")
@@ -65,6 +69,10 @@ class LookaheadVisualizer:
         self._restart()
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
+        self._course = rospy.Publisher("course_markers", MarkerArray, queue_size=2, latch=True)
+        self._raceline = RacelineSubscriber(
+            "global_waypoints", self._draw_course, lambda error: rospy.logwarn("%s", error)
+        )
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
 
     def _restart(self):
@@ -94,6 +102,10 @@ class LookaheadVisualizer:
                 self._trail_ns = stamp_ns
                 markers.append(self._drawn_trail(frame))
             self._markers.publish(MarkerArray(markers))
+
+    def _draw_course(self, raceline):
+        rows = waypoint_rows(raceline).tolist()
+        self._course.publish(raceline_markers(raceline, rows, self._map))
 
     def _extend_trail(self, guidance):
         driven = 0.0

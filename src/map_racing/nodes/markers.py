@@ -5,7 +5,9 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-__all__ = ["delete_all", "make_marker", "points_of"]
+from .colors import WALL, gradient
+
+__all__ = ["delete_all", "make_marker", "points_of", "raceline_markers"]
 
 
 def make_marker(kind, namespace, frame, color, *, scale=(0.0, 0.0, 0.0), lifetime=0.0):
@@ -39,3 +41,41 @@ def points_of(xy, z=0.0):
 def delete_all():
     """Message that removes all markers of its topic."""
     return MarkerArray([Marker(action=Marker.DELETEALL)])
+
+
+def raceline_markers(raceline, rows, frame):
+    """A raceline colored by speed, from its slowest to its fastest, and its walls.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    rows : list of list of float
+        Its waypoints, as of `map_racing.track.waypoints.waypoint_rows`.
+    frame : str
+
+    Returns
+    -------
+    visualization_msgs/MarkerArray
+        All former markers of the topic are deleted first.
+    """
+    speeds = [row[8] for row in rows]
+    least = min(speeds)
+    span = max(speeds) - least or 1.0
+    closed = [*rows, rows[0]]
+    line = make_marker(Marker.LINE_STRIP, "raceline", frame, WALL, scale=(0.06, 0.0, 0.0))
+    line.points = points_of(((row[2], row[3]) for row in closed), 0.01)
+    line.colors = [gradient((row[8] - least) / span) for row in closed]
+    array = delete_all()
+    array.markers.append(line)
+    if raceline.d_left is not None:
+        s = [row[0] for row in closed]
+        for number, (side, column) in enumerate(((1.0, 5), (-1.0, 4))):
+            x, y = raceline.to_cartesian(s, [side * row[column] for row in closed])
+            wall = make_marker(Marker.LINE_STRIP, "walls", frame, WALL, scale=(0.04, 0.0, 0.0))
+            wall.id = number
+            wall.points = points_of(zip(x.tolist(), y.tolist()))
+            array.markers.append(wall)
+    for marker in array.markers:
+        # Drawn with the latest transform, whatever its time.
+        marker.frame_locked = True
+    return array

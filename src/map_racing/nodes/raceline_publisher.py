@@ -3,18 +3,16 @@
 import threading
 
 import rospy
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..evaluation.recordings import load_course
 from ..track.waypoints import scaled_speed, waypoint_rows
-from .colors import WALL, gradient
 from .conversions import frame, set_plane_pose
-from .markers import delete_all
+from .markers import raceline_markers
 from .node import get_parameter, run
 from .waypoints import waypoint_array_class
 
@@ -68,7 +66,7 @@ class RacelinePublisherNode:
         path = rospy.Publisher("raceline_path", Path, queue_size=1, latch=True)
         markers = rospy.Publisher("raceline_markers", MarkerArray, queue_size=1, latch=True)
         path.publish(self._path())
-        markers.publish(self._markers())
+        markers.publish(raceline_markers(self._raceline, self._rows, self._frame))
         while True:
             message = self._array(wpnts=self._waypoints)
             message.header.stamp = rospy.Time.now()
@@ -87,36 +85,6 @@ class RacelinePublisherNode:
             set_plane_pose(pose.pose, row[2], row[3], row[6])
             path.poses.append(pose)
         return path
-
-    def _markers(self):
-        """The line colored by speed, from the slowest to the fastest, and the walls."""
-        speeds = [row[8] for row in self._rows]
-        least = min(speeds)
-        span = max(speeds) - least or 1.0
-        closed = [*self._rows, self._rows[0]]
-        line = self._strip("raceline", 0, 0.06, [Point(row[2], row[3], 0.01) for row in closed])
-        line.colors = [gradient((row[8] - least) / span) for row in closed]
-        array = delete_all()
-        array.markers.append(line)
-        if self._raceline.d_left is not None:
-            s = [row[0] for row in closed]
-            for number, (side, column) in enumerate(((1.0, 5), (-1.0, 4))):
-                wall = self._raceline.to_cartesian(s, [side * row[column] for row in closed])
-                points = [Point(x, y, 0.0) for x, y in zip(*(axis.tolist() for axis in wall))]
-                strip = self._strip("walls", number, 0.04, points)
-                strip.color = ColorRGBA(*WALL, 1.0)
-                array.markers.append(strip)
-        return array
-
-    def _strip(self, namespace, number, width, points):
-        marker = Marker(ns=namespace, id=number, type=Marker.LINE_STRIP, points=points)
-        marker.header.frame_id = self._frame
-        marker.pose.orientation.w = 1.0
-        marker.scale.x = width
-        # Drawn with the latest transform, whatever its time.
-        marker.frame_locked = True
-        marker.color.a = 1.0
-        return marker
 
 
 def main():
