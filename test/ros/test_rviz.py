@@ -2,7 +2,6 @@
 memory, looked at through a screenshot."""
 
 import os
-import shutil
 import subprocess
 
 import numpy as np
@@ -79,7 +78,6 @@ def screen(processes, monkeypatch):
     server.wait()
 
 
-@pytest.mark.skipif(not (shutil.which("Xvfb") and shutil.which("import")), reason="no Xvfb")
 def test_the_layout_shows_the_race(screen, launch, listen, tmp_path):
     race = launch("simulate.launch", rviz="true", speed_scale=0.8)
     listen("/lap_result", LapResult).wait(lambda lap: lap.valid, 90.0, "a lap")

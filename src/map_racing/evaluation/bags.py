@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..errors import BagError, RacelineError
 from ..track.formats import raceline_from_columns
-from ..track.waypoints import waypoint_rows
+from ..track.waypoints import WAYPOINT_COLUMNS, waypoint_rows
 from . import messages as msg
 from .bag_records import BagFile
 from .bag_series import Series, TransformTree
@@ -38,15 +38,6 @@ _POSE_DECODERS = {
     msg.MD5[msg.POSE_COVARIANCE]: msg.decode_pose,
 }
 _KINDS = {md5: rank for rank, md5 in enumerate(_POSE_DECODERS)}
-_WAYPOINT_FIELDS = {
-    "x_m": "x",
-    "y_m": "y",
-    "psi_rad": "psi",
-    "kappa_radpm": "kappa",
-    "vx_mps": "speed",
-    "d_left": "d_left",
-    "d_right": "d_right",
-}
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
 _TRUTH = ("ground_truth", "groundtruth", "gt_pose")
@@ -576,7 +567,7 @@ def _collect_waypoints(collected, topic, connection, message, notes):
         notes.append(f"{topic}: cannot decode {connection.type} ({error})")
         return
     columns = {
-        column: fields[field] for field, column in _WAYPOINT_FIELDS.items() if field in fields
+        column: fields[field] for field, column in WAYPOINT_COLUMNS.items() if field in fields
     }
     if any(np.any(~(np.abs(column) < FARTHEST)) for column in columns.values()):
         notes.append(f"{topic}: waypoints with impossible values left out")
@@ -593,7 +584,7 @@ def _decode_by_definition(connection, data):
     waypoints = types.deserialize_ros1(data, name).wpnts
     return {
         field: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
-        for field in _WAYPOINT_FIELDS
+        for field in WAYPOINT_COLUMNS
         if waypoints and hasattr(waypoints[0], field)
     }
 

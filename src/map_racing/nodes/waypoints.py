@@ -11,18 +11,10 @@ from std_msgs.msg import Header
 from ..errors import MapRacingError, RacelineError
 from ..evaluation import messages
 from ..track.formats import raceline_from_columns
+from ..track.waypoints import WAYPOINT_COLUMNS
 
 __all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
 
-_COLUMNS = {
-    "x_m": "x",
-    "y_m": "y",
-    "psi_rad": "psi",
-    "kappa_radpm": "kappa",
-    "vx_mps": "speed",
-    "d_left": "d_left",
-    "d_right": "d_right",
-}
 _LINE = "=" * 80 + "\n"
 _classes = {}
 
@@ -85,13 +77,13 @@ def raceline_from_message(message, source):
             array.deserialize(message._buff)
             fields = {
                 field: [float(getattr(waypoint, field)) for waypoint in array.wpnts]
-                for field in _COLUMNS
+                for field in WAYPOINT_COLUMNS
                 if array.wpnts and hasattr(array.wpnts[0], field)
             }
     except Exception as error:
         # genpy raises errors of many kinds for a definition or a message that it cannot digest.
         raise RacelineError(f"{source}: cannot read {kind}: {error}") from error
-    columns = {_COLUMNS[field]: values for field, values in fields.items() if field in _COLUMNS}
+    columns = {name: fields[field] for field, name in WAYPOINT_COLUMNS.items() if field in fields}
     if "x" not in columns or "y" not in columns or not len(columns["x"]):
         raise RacelineError(f"{source}: expected waypoints with x_m and y_m, got none")
     return raceline_from_columns(columns, name=source.rpartition("/")[2], source=source)

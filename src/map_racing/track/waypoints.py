@@ -4,7 +4,18 @@ import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = ["scaled_speed", "waypoint_rows"]
+__all__ = ["WAYPOINT_COLUMNS", "scaled_speed", "waypoint_rows"]
+
+# Fields of f110_msgs/Wpnt that are read, and what `raceline_from_columns` calls them.
+WAYPOINT_COLUMNS = {
+    "x_m": "x",
+    "y_m": "y",
+    "psi_rad": "psi",
+    "kappa_radpm": "kappa",
+    "vx_mps": "speed",
+    "d_left": "d_left",
+    "d_right": "d_right",
+}
 
 
 def waypoint_rows(raceline, spacing=0.1, speed=None):

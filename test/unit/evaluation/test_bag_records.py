@@ -84,7 +84,10 @@ def test_sound_bag_reads_as_rosbags_reads_it(race_bag, compression):
             assert topics == {line.id: line.topic for line in reader.connections}
             assert sum(file.counts.values()) == reader.message_count
     assert len(found) == len(expected)
-    key = lambda item: (item[1], item[0], item[2])  # noqa: E731
+
+    def key(item):
+        return item[1], item[0], item[2]
+
     expected = sorted(((c.id, time, bytes(data)) for c, time, data in expected), key=key)
     assert sorted(map(tuple, found), key=key) == expected
 
