@@ -1,4 +1,18 @@
-# Sourced by demo and test: make a Python environment out of whatever Python 3.8 or newer is here.
+# Sourced by demo, test, test_ros and benchmark, in the checkout: make Python environments out of
+# whatever Python 3.8 or newer is here.
+
+# What they make lies in $cache, not in the checkout: rosrun searches all of a package's folder for
+# executables, and that may be this folder, in the workspace of a car. Deleting it is safe.
+caches=${XDG_CACHE_HOME:-$HOME/.cache}/map_racing
+cache=$caches/$(cksum <<<"$PWD" | cut -d ' ' -f 1)
+if [ ! -d "$cache" ]; then
+    # Those of checkouts that are gone go, too.
+    for other in "$caches"/*/checkout; do
+        [ ! -f "$other" ] || [ -d "$(cat "$other")" ] || rm -rf "${other%/checkout}"
+    done
+    mkdir -p "$cache"
+    printf '%s\n' "$PWD" >"$cache/checkout"
+fi
 
 say() { printf '%s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
@@ -44,14 +58,14 @@ as_root() {
     if [ "$(id -u)" = 0 ]; then "$@"; else sudo -n "$@" 2>/dev/null; fi
 }
 
-# ready FOLDER PYTHON PIP-ARGUMENT...: make the environment and install into it, once; again when
-# the interpreter, the arguments or the project's metadata have changed.
+# ready NAME PYTHON PIP-ARGUMENT...: make the environment $cache/NAME and install into it, once; again
+# when the interpreter, the arguments or the project's metadata have changed.
 ready() {
-    local folder=$1 python=$2 wanted
+    local folder=$cache/$1 python=$2 wanted
     shift 2
     wanted=$("$python" -VV; echo "$PWD" "$@"; cat setup.py pyproject.toml)
     if [ "$wanted" != "$(cat "$folder/ready" 2>/dev/null)" ]; then
-        say "preparing ${folder#"$PWD"/} with $("$python" -V) ..."
+        say "preparing $folder with $("$python" -V) ..."
         make_venv "$python" "$folder"
         "$folder/bin/python" -m pip install -q --disable-pip-version-check "$@" ||
             die "could not install the dependencies with pip (is there a network?)"

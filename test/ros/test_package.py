@@ -28,10 +28,11 @@ def test_package_and_python_have_one_version(request):
     assert root.findtext("version") == __version__
 
 
-def test_catkin_lint(request):
+def test_catkin_lint():
+    # The folder in the workspace: the checkout's may have any name, which is no fault of the package.
     output = run(
         *("/usr/bin/catkin_lint", "-W2", "--offline"),
-        request.config.rootpath,
+        run("rospack", "find", "map_racing").strip(),
         env={**os.environ, "PATH": "/usr/bin:/bin"},
     )
     assert "checked 1 packages and found 0 problems" in output, output

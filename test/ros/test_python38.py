@@ -26,9 +26,9 @@ LENT = (
 
 
 @pytest.fixture(scope="module")
-def car_python(request):
-    """The car's interpreter and libraries, as ./scripts/test prepares them."""
-    python = request.config.rootpath / ".venvs" / "car" / "bin" / "python"
+def car_python():
+    """The car's interpreter and libraries, as ./scripts/test prepares them beside these."""
+    python = Path(sys.prefix).parent / "car" / "bin" / "python"
     version = "import sys; print('%d.%d' % sys.version_info[:2])"
     if not python.exists():
         pytest.skip("no environment with Python 3.8 (./scripts/test makes it where there is one)")

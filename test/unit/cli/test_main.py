@@ -295,7 +295,7 @@ def test_installed_copy_finds_its_data(tmp_path):
     """What pip installs, without the source tree: command, packages and data files."""
     source = __file__[: __file__.index("/test/unit/")]
     copy = tmp_path / "source"
-    ignore = shutil.ignore_patterns(".git", ".venv*", "results", "build", "*.egg-info", "test")
+    ignore = shutil.ignore_patterns(".git", "results", "build", "*.egg-info", "test")
     shutil.copytree(source, str(copy), ignore=ignore)
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--disable-pip-version-check"]
     subprocess.run([*pip, "--target", str(tmp_path / "target"), str(copy)], check=True)
