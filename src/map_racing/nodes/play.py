@@ -1,0 +1,47 @@
+"""``play``: play a bag when the nodes that read it are there.
+
+A node takes seconds to start on a small computer, and what is played before then is lost to it.
+"""
+
+import os
+import sys
+import time
+
+import rosgraph
+
+__all__ = ["main"]
+
+PATIENCE_S = 60.0
+AWAIT = "--await="
+
+
+def main(arguments=None):
+    """Wait for subscribers, then become ``rosbag play``.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        ``--await=NODE:TOPIC``, any number of times, names a subscriber to wait for; all others go to
+        ``rosbag play``.
+
+    Returns
+    -------
+    int
+        Exit code 1 if a subscriber did not come; otherwise it does not return.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    end = time.monotonic() + PATIENCE_S
+    for argument in arguments:
+        if argument.startswith(AWAIT):
+            node, _, topic = argument[len(AWAIT) :].partition(":")
+            while not _subscribed(node, topic):
+                if time.monotonic() > end:
+                    print(f"play: {node} did not subscribe to {topic} within {PATIENCE_S:g} s")
+                    return 1
+                time.sleep(0.1)
+    options = [argument for argument in arguments if not argument.startswith(AWAIT)]
+    os.execvp("rosbag", ["rosbag", "play", *options])
+
+
+def _subscribed(node, topic):
+    return node in dict(rosgraph.Master("/play").getSystemState()[1]).get(topic, ())
