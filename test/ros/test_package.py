@@ -29,7 +29,7 @@ def test_package_and_python_have_one_version(request):
 
 
 def test_catkin_lint():
-    # The folder in the workspace: the checkout's may have any name, which is no fault of the package.
+    # The folder in the workspace: that of the checkout may have any name.
     output = run(
         *("/usr/bin/catkin_lint", "-W2", "--offline"),
         run("rospack", "find", "map_racing").strip(),

@@ -50,7 +50,7 @@ class LapEvaluatorNode:
         if not deviation >= 0.0:
             raise ParameterError(f"~max_deviation: expected 0 or more [m], got {deviation}")
 
-        # Its put may interrupt its get: the shutdown hook runs in the signal handler, in the same thread.
+        # Its put may interrupt its get: the shutdown hook runs in a signal handler of that thread.
         self._queue = queue.SimpleQueue()
         self._frame = "map"
         self._best, self._counted = _NAN, 0

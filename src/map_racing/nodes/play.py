@@ -21,8 +21,8 @@ def main(arguments=None):
     Parameters
     ----------
     arguments : list of str, optional
-        ``--await=NODE:TOPIC``, any number of times, names a subscriber to wait for; all others go to
-        ``rosbag play``.
+        ``--await=NODE:TOPIC``, any number of times, names a subscriber to wait for; all others go
+        to ``rosbag play``.
 
     Returns
     -------
