@@ -65,7 +65,8 @@ class SteeringRampNode:
         self._held_until = -math.inf
         self._last_pose = None
         self._angle, self._phase = 0.0, None
-        self._ended = threading.Event()
+        # No Event: it is set in a signal handler of the thread that waits.
+        self._ended = False
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
         rospy.on_shutdown(self._end)
         if self._dead_man:
@@ -75,7 +76,10 @@ class SteeringRampNode:
 
     def run(self):
         """Watch over the poses until the drive is done."""
-        while not self._ended.wait(WATCHDOG_S):
+        while True:
+            time.sleep(WATCHDOG_S)
+            if self._ended:
+                return
             with self._lock:
                 last = self._last_pose
                 if last is not None and time.monotonic() - last > MAX_POSE_AGE_S:
@@ -100,7 +104,7 @@ class SteeringRampNode:
         now = rospy.Time.now().to_nsec()
         stamp = stamp_ns(message.header, now)
         with self._lock:
-            if self._ended.is_set():
+            if self._ended:
                 return
             if self._ramp is None:
                 self._ramp = SteeringRamp(self._parameters, Circle(at.x, at.y, self._radius))
@@ -127,7 +131,7 @@ class SteeringRampNode:
     def _end(self):
         """Tell the car to stop, for good."""
         with self._lock:
-            self._ended.set()
+            self._ended = True
         for _ in range(LAST_COMMANDS):
             self._send(Header(stamp=rospy.Time.now()), self._angle, 0.0)
             time.sleep(LAST_PERIOD_S)
