@@ -4,6 +4,7 @@ import math
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,9 @@ from map_racing.nodes.conversions import set_plane_pose
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.formats import load_raceline
+from map_racing.vehicle.lookup import default_grid, load_table
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.steady_state import steady_state_table
 
 RATE = 50.0
 
@@ -239,6 +243,63 @@ def test_other_sources_of_the_pose(ros, start, advertise, listen, source):
         car.stop()
 
 
+@pytest.mark.parametrize("point", ["rear_axle", "center_of_gravity"])
+def test_reference_point_of_the_pose(rig, listen, point):
+    """It is the rear axle that is on the line, whatever the pose is the pose of."""
+    rig = rig({"reference_point": point, "delay_s": 0.0, "speed_scale": 0.5})
+    errors = listen("/lateral_error", Float64)
+    # Poses of the center of gravity, as the simulators of that kind send them.
+    distance = load_vehicle("nuc4").l_r if point == "center_of_gravity" else 0.0
+
+    def shift(message):
+        at, q = message.pose.pose.position, message.pose.pose.orientation
+        psi = 2.0 * math.atan2(q.z, q.w)
+        at.x += distance * math.cos(psi)
+        at.y += distance * math.sin(psi)
+        message.twist.twist.linear.y = distance * message.twist.twist.angular.z
+        return message
+
+    rig.car.change = shift
+    rig.driving()
+    wait_for(lambda: len(errors) > 60, what="figures")
+    assert max(abs(m.data) for m in list(errors)[10:]) < 2e-3
+
+
+def test_lookup_table_from_a_file(rig, listen, tmp_path):
+    """A table that knows less grip is the one that steers."""
+    path = tmp_path / "weak.csv"
+    vehicle = load_vehicle("nuc4")
+    table = steady_state_table(replace(vehicle, mu=0.5 * vehicle.mu), *default_grid(vehicle))
+    table.save(path)
+    rig = rig({"lookup_table": str(path)})
+    guidance = listen("/guidance", Guidance)
+    rig.driving()
+    last = guidance.wait(lambda m: m.mode == "driving" and m.v_x > 2.0)
+    weak = load_table(path).max_lateral_acceleration(last.v_x)
+    assert last.a_lat_max == pytest.approx(weak, rel=1e-6)
+
+
+def test_speed_sectors(rig, listen, tmp_path):
+    raceline = load_raceline("reference")
+    half = len(raceline.s_points) // 2
+    path = tmp_path / "speed_scaling.yaml"
+    path.write_text(
+        "global_limit: 1.0\nn_sectors: 2\n"
+        f"Sector0: {{start: 0, end: {half - 1}, scaling: 0.25}}\n"
+        f"Sector1: {{start: {half}, end: {len(raceline.s_points)}, scaling: 1.0}}\n"
+    )
+    rig = rig({"sectors": str(path), "speed_scale": 1.0, "speed_lookahead_s": 0.0, "delay_s": 0.0})
+    guidance = listen("/guidance", Guidance)
+    rig.driving()
+    wait_for(lambda: guidance and guidance[-1].s > raceline.s_points[half] + 2.0, what="half a lap")
+    driven = [m for m in guidance if m.mode == "driving" and 3.0 < m.s < 0.9 * raceline.length]
+    for message in driven:
+        scale = 0.25 if message.s < raceline.s_points[half] else 1.0
+        expected = scale * raceline.speed_at(message.s)
+        assert message.speed == pytest.approx(expected, rel=1e-3), message.s
+    assert {m.s < raceline.s_points[half] for m in driven} == {True, False}
+
+
 def test_stamps_of_zero_are_the_time_of_arrival(rig):
     def unstamped(message):
         message.header.stamp = type(message.header.stamp)()
@@ -450,6 +511,21 @@ def test_shutdown_tells_the_car_to_stop(rig):
     assert rig.node.stop() == 0
     last = [m.drive.speed for m in rig.drive[-3:]]
     assert last == [0.0, 0.0, 0.0]
+
+
+def test_the_car_stops_when_the_controller_is_killed(start, listen):
+    """Without a last word: the silence is what stops the car."""
+    start("simulator")
+    node = start("controller", {"raceline": "reference"})
+    truth = listen("/ground_truth/odom", Odometry)
+    truth.wait(lambda m: m.twist.twist.linear.x > 3.0, 20.0)
+    node.kill()
+    killed = truth[-1].header.stamp
+    stood = truth.wait(
+        lambda m: m.header.stamp > killed and abs(m.twist.twist.linear.x) < 0.05, 10.0
+    )
+    # 0.2 s of silence, and a second to brake from no more than 6 m/s.
+    assert (stood.header.stamp - killed).to_sec() < 2.0
 
 
 def test_a_failure_in_a_callback_stops_the_car(ros, processes, advertise, listen):
