@@ -145,9 +145,9 @@ class ControllerNode:
         self._tuning = Server(ControllerConfig, self._tune, namespace="tuning")
         latest = {"queue_size": 1, "tcp_nodelay": True}
         if pose_source == "odom":
-            rospy.Subscriber("odom", Odometry, self._on_odometry, **latest)
+            rospy.Subscriber("odom", Odometry, self._on_pose, self._reader.odometry, **latest)
         elif pose_source == "pose":
-            rospy.Subscriber("pose", PoseStamped, self._on_pose, **latest)
+            rospy.Subscriber("pose", PoseStamped, self._on_pose, self._reader.pose, **latest)
         else:
             self._transform_stamp = 0
             self._transforms = TransformListener(self._on_transforms)
@@ -162,29 +162,12 @@ class ControllerNode:
 
     # -- poses -------------------------------------------------------------------------------
 
-    def _on_odometry(self, message):
+    def _on_pose(self, message, read):
         begin = time.perf_counter()
         now = rospy.Time.now().to_nsec()
-        stamp = stamp_ns(message.header, now)
+        t = 1e-9 * stamp_ns(message.header, now)
         with self._lock:
-            self._act(
-                begin,
-                1e-9 * now,
-                message.header,
-                lambda: self._reader.odometry(message, 1e-9 * stamp),
-            )
-
-    def _on_pose(self, message):
-        begin = time.perf_counter()
-        now = rospy.Time.now().to_nsec()
-        stamp = stamp_ns(message.header, now)
-        with self._lock:
-            self._act(
-                begin,
-                1e-9 * now,
-                message.header,
-                lambda: self._reader.pose(message.pose, 1e-9 * stamp),
-            )
+            self._act(begin, 1e-9 * now, message.header, lambda: read(message, t))
 
     def _on_transforms(self):
         begin = time.perf_counter()

@@ -94,9 +94,9 @@ class StateReader:
             *(t, x, y, psi), *(g if m else e for g, m, e in zip(given, measured, motion))
         )
 
-    def pose(self, pose, t):
-        """State of a ``geometry_msgs/Pose`` in the map at time `t` [s]."""
-        return self.plane(t, *plane_pose(pose))
+    def pose(self, message, t):
+        """State of a ``geometry_msgs/PoseStamped`` in the map at time `t` [s]."""
+        return self.plane(t, *plane_pose(message.pose))
 
     def plane(self, t, x, y, psi):
         """State of a position [m] and a heading [rad] in the map at time `t` [s]."""
