@@ -34,6 +34,11 @@ def wait_for(condition, timeout=10.0, what="the condition"):
         time.sleep(0.02)
 
 
+@pytest.fixture(name="wait_for")
+def _wait_for():
+    return wait_for
+
+
 class Process:
     """A child process with its output in a file.
 

@@ -503,6 +503,39 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
     rig.driving()
 
 
+def test_two_nodes_with_different_racelines(rig, start):
+    """The car keeps to one of them, and the log names both; it changes when that one has gone."""
+    rig = rig({"raceline": None})
+    first = start("raceline_publisher", {"raceline": "reference", "period": 0.2}, name="first")
+    rig.driving()
+    second = start("raceline_publisher", {"raceline": "club", "period": 0.2}, name="second")
+    text = "/global_waypoints: /second publishes another raceline than /first, which is kept"
+    wait_for(lambda: text in rig.node.output, what="the error")
+    assert rig.node.output.count("raceline of /global_waypoints") == 1
+    rig.wait_mode("driving")
+    first.stop()
+    wait_for(lambda: rig.node.output.count("raceline of /global_waypoints") == 2)
+    second.stop()
+
+
+def test_the_node_whose_racelines_count_can_be_named(rig, start):
+    rig = rig({"raceline": None, "waypoints_from": "second"})
+    start("raceline_publisher", {"raceline": "club", "period": 0.2}, name="first")
+    wait_for(lambda: "publishes another raceline than /second" in rig.node.output)
+    rig.wait_mode("waiting", "no raceline")
+    assert rig.status()["waiting for"] == "no raceline yet on /global_waypoints"
+    start("raceline_publisher", {"raceline": "reference", "period": 0.2}, name="second")
+    rig.driving()
+
+
+def test_it_says_what_it_waits_for(start, listen):
+    node = start("controller", remaps={"odom": "/elsewhere"})
+    diagnostics = listen("/diagnostics", DiagnosticArray)
+    text = "no pose yet on /elsewhere, no raceline yet on /global_waypoints"
+    diagnostics.wait(lambda m: text in [pair.value for pair in m.status[0].values])
+    wait_for(lambda: f"waiting: {text}" in node.output, what="the line in the log")
+
+
 # -- the end -------------------------------------------------------------------------------------
 
 

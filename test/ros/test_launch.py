@@ -1,6 +1,7 @@
 """Every launch file, for every stack; and three laps of simulate.launch."""
 
 import json
+import os
 import subprocess
 from xml.etree import ElementTree
 
@@ -9,6 +10,11 @@ from ackermann_msgs.msg import AckermannDriveStamped
 from map_racing.msg import LapResult
 
 from map_racing.cli import main
+from map_racing.control.parameters import (
+    load_controller_parameters,
+    save_controller_parameters,
+)
+from map_racing.resources import config_directory
 
 STACKS = {
     "race_stack": ("/car_state/odom", "/vesc/high_level/ackermann_cmd_mux/input/nav_1"),
@@ -69,6 +75,51 @@ def test_topics_of_a_stack(launch, stack, listen):
     launch("simulate.launch", stack=stack, clock_rate=3, plant="public_simulator", vehicle="sim")
     odometry.wait(timeout=30.0)
     commands.wait(lambda m: m.drive.speed > 2.0, timeout=30.0)
+
+
+def test_relative_paths_are_those_of_the_shell(roscore, processes, wait_for, tmp_path):
+    """A raceline, the laps and the bag; and a missing raceline ends the launch."""
+    track = config_directory() / "tracks" / "reference.csv"
+    (tmp_path / "mine.csv").write_text(track.read_text())
+    environment = {**os.environ, "PWD": str(tmp_path)}
+
+    def run(track):
+        command = ["roslaunch", "--wait", "map_racing", "race.launch", f"track:={track}"]
+        options = ["record:=true", "record_to:=run", "csv:=laps.csv"]
+        return processes(["env", "-C", tmp_path, *command, *options], environment)
+
+    race = run("mine.csv")
+    wait_for(lambda: "raceline of /global_waypoints: 36.54 m" in race.output, 30.0)
+    wait_for(lambda: list(tmp_path.glob("run*.bag*")), 20.0)
+    race.stop(30.0)
+    assert (tmp_path / "laps.csv").is_file()
+    other = run("other.csv")
+    other.wait(60.0)
+    assert "other.csv: no such file" in other.output
+
+
+def test_a_missing_bag_is_one_line(launch, tmp_path):
+    replay = launch("replay.launch", bag=tmp_path / "none.bag")
+    replay.wait(60.0)
+    assert f"play: bag: {tmp_path / 'none.bag'}: no such file" in replay.output
+    assert "Traceback" not in replay.output
+
+
+def test_a_replay_of_other_topics_says_so(launch, tmp_path):
+    """The bag of one stack on the topics of another."""
+    bag = tmp_path / "run.bag"
+    assert main(["race", "--laps", "1", "--output", str(bag)]) == 0
+    replay = launch("replay.launch", bag=bag, rate=20, stack="f1tenth_system")
+    replay.wait(60.0)
+    assert "no poses on /pf/pose/odom: nothing was evaluated" in replay.output
+
+
+def test_a_saved_controller_keeps_its_speed(launch, wait_for, tmp_path):
+    """What a file says holds where the launch says nothing."""
+    path = tmp_path / "tuned.yaml"
+    save_controller_parameters(load_controller_parameters("map").with_(speed_scale=0.55), path)
+    process = launch("simulate.launch", controller=path, clock_rate=3)
+    wait_for(lambda: "~speed_scale = 0.55" in process.output, 30.0)
 
 
 def test_three_laps_as_in_the_core(launch, listen, tmp_path):

@@ -5,6 +5,7 @@ coming. The controller and its supervisor are the core's; here messages are conv
 """
 
 import gc
+import math
 import os
 import sys
 import threading
@@ -143,12 +144,14 @@ class ControllerNode:
         ]
         self._tuning = None
         self._tuning = Server(ControllerConfig, self._tune, namespace="tuning")
+        self._pose_from = rospy.resolve_name(pose_source)
         latest = {"queue_size": 1, "tcp_nodelay": True}
         if pose_source == "odom":
             rospy.Subscriber("odom", Odometry, self._on_pose, self._reader.odometry, **latest)
         elif pose_source == "pose":
             rospy.Subscriber("pose", PoseStamped, self._on_pose, self._reader.pose, **latest)
         else:
+            self._pose_from = "/tf, {} to {}".format(*self._frames)
             self._transform_stamp = 0
             self._transforms = TransformListener(self._on_transforms)
         every = rospy.Duration.from_sec
@@ -310,6 +313,9 @@ class ControllerNode:
             parameters, raceline = controller.parameters, controller.raceline
             rate, saturated, slowest = self._tally.figures()
             age = supervisor.pose_age
+        missing = list(self._missing()) if mode is Mode.WAITING else []
+        if missing:
+            rospy.logwarn_throttle(10.0, "waiting: " + ", ".join(missing))
         level = DiagnosticStatus.ERROR
         if mode is Mode.DRIVING:
             level = DiagnosticStatus.OK
@@ -319,6 +325,7 @@ class ControllerNode:
         values = {
             "mode": mode.value,
             "reason": reason.value,
+            "waiting for": ", ".join(missing),
             "pose rate [Hz]": f"{rate:.1f}",
             "pose age [s]": f"{age:.3f}",
             "saturated share": f"{saturated:.3f}",
@@ -337,6 +344,13 @@ class ControllerNode:
         array = DiagnosticArray(status=[status])
         array.header.stamp = rospy.Time.now()
         self._diagnostics.publish(array)
+
+    def _missing(self):
+        """What the car has not got yet."""
+        if math.isnan(self._supervisor.pose_age):
+            yield f"no pose yet on {self._pose_from}"
+        if self._controller.raceline is None:
+            yield f"no raceline yet on {rospy.resolve_name('global_waypoints')}"
 
     def _end(self):
         """Tell the car to stop, for good."""

@@ -25,6 +25,7 @@ from .waypoints import RacelineSubscriber
 __all__ = ["LapEvaluatorNode", "main"]
 
 _STOP = object()
+_SILENCE_S = 5.0  # without any pose it is said that none come
 _NAN = math.nan
 
 
@@ -77,6 +78,7 @@ class LapEvaluatorNode:
                 lambda error: rospy.logwarn("%s", error),
             )
         self._subscribe("drive", AckermannDriveStamped, self._add_command)
+        self._no_poses = f"no poses on {rospy.resolve_name(pose)}"
         if pose == "odom":
             self._subscribe("odom", Odometry, self._add_odometry)
         else:
@@ -101,15 +103,20 @@ class LapEvaluatorNode:
         while True:
             deadline = self._laps.deadline
             wait = None if deadline is None else max(deadline - time.monotonic(), 0.001)
+            if self._no_poses:
+                wait = min(wait or _SILENCE_S, _SILENCE_S)
             try:
                 handle, message, received_ns, received = self._queue.get(timeout=wait)
                 if handle is _STOP:
                     break
                 handle(message, received_ns, received)
             except queue.Empty:
-                pass
+                if self._no_poses:
+                    rospy.logwarn_throttle(30.0, f"{self._no_poses} yet")
             if self._queue.empty() or self._queue.qsize() % 256 == 0:
                 self._laps.advance(time.monotonic())
+        if self._no_poses:
+            rospy.logwarn("%s: nothing was evaluated", self._no_poses)
         self._laps.finish()
         if self._log is not None:
             self._log.close()
@@ -134,6 +141,7 @@ class LapEvaluatorNode:
         self._add(stamp_ns(message.header, received_ns), at.x, at.y, _NAN, _NAN, received)
 
     def _add(self, *sample):
+        self._no_poses = ""
         if self._laps.raceline is None:
             rospy.logwarn_throttle(10.0, "poses, but no raceline yet: they are kept")
         self._laps.add_pose(*sample)

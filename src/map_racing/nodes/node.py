@@ -1,10 +1,13 @@
 """What all nodes do alike: read parameters, and end in one line where they cannot run."""
 
+import os
+import time
+
 import rospy
 
 from ..errors import MapRacingError, ParameterError
 
-__all__ = ["get_parameter", "run"]
+__all__ = ["get_parameter", "run", "sleep", "to_launch_folder"]
 
 
 def get_parameter(name, default, meaning):
@@ -43,12 +46,36 @@ def run(name, make):
         Makes the node; what it returns may have a method ``run`` that does not return before the
         node is shut down. A `MapRacingError` ends the node with one line and exit code 1.
     """
-    rospy.init_node(name)
+    to_launch_folder()
     try:
+        rospy.init_node(name)
         node = make()
         getattr(node, "run", rospy.spin)()
     except MapRacingError as error:
         rospy.logfatal("%s", error)
         raise SystemExit(1) from None
-    except rospy.ROSInterruptException:
+    # The latter where it is shut down while it starts.
+    except (rospy.ROSInterruptException, rospy.exceptions.ROSInitException):
         pass
+
+
+def to_launch_folder():
+    """Go where roslaunch was called, so that relative paths are the user's; it starts nodes in
+    ``ROS_HOME``."""
+    folder = os.environ.get("MAP_RACING_LAUNCH_FOLDER", "")
+    if os.path.isdir(folder):
+        os.chdir(folder)
+
+
+def sleep(seconds):
+    """Wait by the wall clock; false if the node is shut down meanwhile.
+
+    Not with an Event: the signal handler that would set it runs in the thread that waits for it.
+    """
+    end = time.monotonic() + seconds
+    while not rospy.is_shutdown():
+        left = end - time.monotonic()
+        if left <= 0.0:
+            return True
+        time.sleep(min(left, 0.05))
+    return False

@@ -9,6 +9,8 @@ import time
 
 import rosgraph
 
+from .node import to_launch_folder
+
 __all__ = ["main"]
 
 PATIENCE_S = 60.0
@@ -30,6 +32,11 @@ def main(arguments=None):
         Exit code 1 if a subscriber did not come; otherwise it does not return.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    to_launch_folder()
+    for bag in (a for a in arguments if not a.startswith("-") and ":=" not in a):
+        if not os.path.isfile(bag):
+            print(f"play: bag: {bag or 'none given'}: no such file in {os.getcwd()}")
+            return 1
     end = time.monotonic() + PATIENCE_S
     for argument in arguments:
         if argument.startswith(AWAIT):
@@ -38,7 +45,10 @@ def main(arguments=None):
                 if time.monotonic() > end:
                     print(f"play: {node} did not subscribe to {topic} within {PATIENCE_S:g} s")
                     return 1
-                time.sleep(0.1)
+                try:
+                    time.sleep(0.1)
+                except KeyboardInterrupt:
+                    return 130
     options = [argument for argument in arguments if not argument.startswith(AWAIT)]
     os.execvp("rosbag", ["rosbag", "play", *options])
 

@@ -1,7 +1,5 @@
 """Node ``raceline_publisher``: a raceline from a file, for controllers, planners and RViz."""
 
-import threading
-
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
@@ -13,7 +11,7 @@ from ..evaluation.recordings import load_course
 from ..track.waypoints import scaled_speed, waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
-from .node import get_parameter, run
+from .node import get_parameter, run, sleep
 from .waypoints import waypoint_array_class
 
 __all__ = ["RacelinePublisherNode", "main"]
@@ -57,8 +55,6 @@ class RacelinePublisherNode:
             waypoint(number, *(row[FIELDS.index(name)] for name in waypoint.__slots__[1:]))
             for number, row in enumerate(self._rows)
         ]
-        self._ended = threading.Event()
-        rospy.on_shutdown(self._ended.set)
 
     def run(self):
         """Publish until the node is shut down."""
@@ -73,7 +69,7 @@ class RacelinePublisherNode:
             message.header.frame_id = self._frame
             waypoints.publish(message)
             # By the wall clock: when a replay is paused, who joins still gets the raceline.
-            if self._ended.wait(self._period):
+            if not sleep(self._period):
                 return
 
     def _path(self):

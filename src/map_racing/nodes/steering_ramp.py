@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, Header
 from ..errors import ParameterError
 from ..experiments.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
 from .conversions import stamp_ns
-from .node import get_parameter, run
+from .node import get_parameter, run, sleep
 
 __all__ = ["SteeringRampNode", "main"]
 
@@ -42,7 +42,7 @@ class SteeringRampNode:
                 for name, meaning in meanings.items()
             }
         )
-        self._radius = get_parameter("radius", 5.0, "of the area around the first pose [m]")
+        self._radius = get_parameter("radius", 8.0, "of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
         self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
         self._button = get_parameter("button", 5, "index of that button in the joystick's message")
@@ -65,7 +65,6 @@ class SteeringRampNode:
         self._held_until = -math.inf
         self._last_pose = None
         self._angle, self._phase = 0.0, None
-        # No Event: it is set in a signal handler of the thread that waits.
         self._ended = False
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
         rospy.on_shutdown(self._end)
@@ -76,10 +75,7 @@ class SteeringRampNode:
 
     def run(self):
         """Watch over the poses until the drive is done."""
-        while True:
-            time.sleep(WATCHDOG_S)
-            if self._ended:
-                return
+        while sleep(WATCHDOG_S):
             with self._lock:
                 last = self._last_pose
                 if last is not None and time.monotonic() - last > MAX_POSE_AGE_S:
@@ -118,8 +114,14 @@ class SteeringRampNode:
                 1e-9 * stamp, at.x, at.y, message.twist.twist.linear.x, enabled
             )
             if command.phase is not self._phase:
-                rospy.loginfo("%s", command.phase.value)
                 self._phase = command.phase
+                rospy.loginfo("%s", command.phase.value)
+            if command.phase is Phase.OUTSIDE:
+                rospy.logwarn_throttle(
+                    5.0,
+                    f"({at.x:.2f}, {at.y:.2f}) is outside of the area, {self._ramp.area}: "
+                    "drive the car back into it, or set a larger ~radius or ~box",
+                )
             self._send(message.header, command.steering_angle, command.speed)
 
     def _send(self, header, steering_angle, speed):

@@ -4,6 +4,7 @@ A publisher sends the definition of its messages when it connects; so what it se
 likewise sent.
 """
 
+import rosgraph
 import rospy
 from genpy.dynamic import generate_dynamic
 from std_msgs.msg import Header
@@ -12,6 +13,7 @@ from ..errors import MapRacingError, RacelineError
 from ..evaluation import messages
 from ..track.formats import raceline_from_columns
 from ..track.waypoints import WAYPOINT_COLUMNS
+from .node import get_parameter
 
 __all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
 
@@ -92,6 +94,9 @@ def raceline_from_message(message, source):
 class RacelineSubscriber:
     """Racelines of a topic as they come; the same one sent again is not a new one.
 
+    Two nodes that publish different racelines would take turns. The parameter ``~waypoints_from``
+    names the one that counts; without it, it is the first one for as long as it publishes.
+
     Parameters
     ----------
     topic : str
@@ -103,7 +108,9 @@ class RacelineSubscriber:
 
     def __init__(self, topic, on_raceline, on_error):
         self._on_raceline, self._on_error = on_raceline, on_error
-        self._content = None
+        sender = get_parameter("waypoints_from", "", "node whose racelines count; empty: the first")
+        self._only = rospy.resolve_name(sender) if sender else ""
+        self._content = self._sender = None
         self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
 
     def unregister(self):
@@ -116,7 +123,7 @@ class RacelineSubscriber:
         except Exception:
             body = message._buff
         content = message._connection_header["md5sum"], body
-        if content == self._content:
+        if content == self._content or not self._counts(message._connection_header["callerid"]):
             return
         self._content = content
         try:
@@ -125,3 +132,18 @@ class RacelineSubscriber:
             self._on_error(error)
         else:
             self._on_raceline(raceline)
+
+    def _counts(self, sender):
+        """Whether a node's racelines are followed."""
+        holder = self._only or self._sender
+        topic = self._subscriber.resolved_name
+        if sender != holder and holder:
+            publishing = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])
+            if self._only or holder in publishing.get(topic, ()):
+                rospy.logerr_throttle(
+                    10.0,
+                    f"{topic}: {sender} publishes another raceline than {holder}, which is kept",
+                )
+                return False
+        self._sender = sender
+        return True
