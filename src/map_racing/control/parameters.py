@@ -143,7 +143,7 @@ def save_controller_parameters(parameters, path):
         If it cannot be written.
     """
     with replacing(path) as file:
-        file.write("# Every name is explained in map_racing.control.parameters.\n\n")
+        file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
         yaml.safe_dump(asdict(parameters), file, sort_keys=False)
 
 
