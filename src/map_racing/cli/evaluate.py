@@ -12,7 +12,7 @@ from ..errors import BagError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_course, load_recording
 from ..evaluation.report import lap_table, summary_table, write_csv, write_json
-from .outputs import check_outputs
+from .outputs import check_outputs, make_folder
 
 
 def add_parser(commands):
@@ -110,7 +110,7 @@ def run(arguments):
         write_json(arguments.json, results)
         print(f"laps and summaries written to {arguments.json}")
     if arguments.plots:
-        draw(Path(arguments.plots), names, results)
+        draw(arguments.plots, names, results)
         print(f"figures are in {arguments.plots}")
     return failed
 
@@ -146,19 +146,18 @@ def run_names(sources):
 
 def draw(folder, names, results):
     """All figures of all runs."""
-    from ..evaluation import plots  # matplotlib takes a second, and most calls draw nothing
+    # matplotlib takes a second, and most calls draw nothing
+    from ..evaluation.plots import runs
+    from ..evaluation.plots.style import save
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    folder = make_folder(folder)
     figures = []
     for name, result in zip(names, results):
         stem = name.replace("/", "_")
         if any(math.isfinite(lap.lap_time_s) for lap in result.laps):
-            figures.append((f"{stem}_laps.png", plots.plot_laps, (result, name)))
-        figures.append((f"{stem}_speed.png", plots.plot_path, (result, "speed", name)))
-        figures.append((f"{stem}_error.png", plots.plot_path, (result, "error", name)))
-    figures.append(("boxes.png", plots.plot_boxes, (list(zip(names, results)),)))
+            figures.append((f"{stem}_laps.png", runs.plot_laps, (result, name)))
+        figures.append((f"{stem}_speed.png", runs.plot_path, (result, "speed", name)))
+        figures.append((f"{stem}_error.png", runs.plot_path, (result, "error", name)))
+    figures.append(("boxes.png", runs.plot_boxes, (list(zip(names, results)),)))
     for file_name, plot, values in tqdm(figures, desc="figures", disable=None, leave=False):
-        plots.save(plot(*values), folder / file_name)
+        save(plot(*values), folder / file_name)

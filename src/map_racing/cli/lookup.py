@@ -1,14 +1,13 @@
 """``map-racing lookup``: make, check and draw steady-state lookup tables."""
 
-from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError, MapRacingError, ParameterError
+from ..errors import FileFormatError, ParameterError
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
 from ..vehicle.steady_state import steady_state_table
-from .outputs import check_outputs
+from .outputs import check_outputs, make_folder
 
 # Lateral accelerations beyond this [m/s^2] are reached only by linear tires, which never slide, and
 # tables made by integration for a fixed time had not settled there.
@@ -152,14 +151,12 @@ def _describe(path, table):
 def _draw(arguments, table):
     if not arguments.plots:
         return
-    from ..evaluation import plots  # matplotlib takes a second, and most calls draw nothing
+    # matplotlib takes a second, and most calls draw nothing
+    from ..evaluation.plots import lookup
+    from ..evaluation.plots.style import save
 
-    folder = Path(arguments.plots)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    folder = make_folder(arguments.plots)
     grid = table.speeds, table.angles, table.a_lat
-    plots.save(plots.plot_lookup_surface(*grid), folder / "lookup_surface.png")
-    plots.save(plots.plot_lookup_curves(*grid), folder / "lookup_curves.png")
+    save(lookup.plot_lookup_surface(*grid), folder / "lookup_surface.png")
+    save(lookup.plot_lookup_curves(*grid), folder / "lookup_curves.png")
     print(f"  figures are in {folder}")

@@ -1,10 +1,10 @@
-"""Outputs that would destroy what the user still needs are refused before any work."""
+"""Where a command writes: what would destroy what the user still needs is refused."""
 
 from pathlib import Path
 
-from ..errors import ParameterError
+from ..errors import MapRacingError, ParameterError
 
-__all__ = ["check_outputs"]
+__all__ = ["check_outputs", "make_folder"]
 
 BAG_MAGIC = b"#ROSBAG V2"
 
@@ -41,6 +41,30 @@ def check_outputs(outputs, inputs=()):
             with open(path, "rb") as file:
                 if file.read(len(BAG_MAGIC)) == BAG_MAGIC:
                     raise ParameterError(f"{path}: is a bag, which would be lost")
+
+
+def make_folder(path):
+    """Make a folder for results, with those above it, if it is not there.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    MapRacingError
+        If it cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    return folder
 
 
 def _identity(path):

@@ -5,8 +5,10 @@ import pytest
 from matplotlib import pyplot
 
 from map_racing.errors import EvaluationError, MapRacingError, ParameterError
-from map_racing.evaluation import plots
 from map_racing.evaluation.laps import LapEvaluator, evaluate
+from map_racing.evaluation.plots.lookup import plot_lookup_curves, plot_lookup_surface
+from map_racing.evaluation.plots.runs import plot_boxes, plot_laps, plot_path
+from map_racing.evaluation.plots.style import save
 from map_racing.evaluation.recordings import Recording
 
 
@@ -30,7 +32,7 @@ def is_png(path):
 @pytest.mark.parametrize("color_by", ["speed", "error"])
 @pytest.mark.parametrize("bare", [False, True])
 def test_path(tmp_path, result, driven, course, color_by, bare):
-    figure = plots.plot_path(evaluate(driven, course.raceline()) if bare else result, color_by)
+    figure = plot_path(evaluate(driven, course.raceline()) if bare else result, color_by)
     axes, bar = figure.axes
     assert axes.get_xlabel() == "x [m]"
     assert axes.get_title() == "race.bag"
@@ -41,25 +43,25 @@ def test_path(tmp_path, result, driven, course, color_by, bare):
     low, high = axes.get_xlim()
     assert low < result.raceline.x.min() < result.raceline.x.max() < high
     assert axes.get_aspect() in ("equal", 1.0)
-    plots.save(figure, tmp_path / "path.png")
+    save(figure, tmp_path / "path.png")
     assert is_png(tmp_path / "path.png")
 
 
 def test_path_begins_at_the_moved_start_line(driven, course):
     line = course.raceline(walls=1.0)
-    figure = plots.plot_path(evaluate(driven, line, start_s=7.0))
+    figure = plot_path(evaluate(driven, line, start_s=7.0))
     (start,) = [ln for ln in figure.axes[0].get_lines() if ln.get_label() == "start line"]
     middle = np.mean(start.get_xdata()), np.mean(start.get_ydata())
     assert middle == pytest.approx(line.position(7.0), abs=1e-6)
 
 
 def test_laps(tmp_path, result):
-    figure = plots.plot_laps(result)
+    figure = plot_laps(result)
     top, bottom = figure.axes
     # One line per valid lap, the best one again on top, and the axis or the raceline.
     assert len(top.get_lines()) == 2 + 1 + 1
     assert bottom.get_xlabel() == "distance from the start line [m]"
-    plots.save(figure, tmp_path / "laps.png")
+    save(figure, tmp_path / "laps.png")
     assert is_png(tmp_path / "laps.png")
 
 
@@ -68,16 +70,16 @@ def test_laps_of_a_run_without_any(course):
     x, y, psi = course.place(6.0 * t + 1.0)
     nan = np.full(t.size, math.nan)
     outlap = evaluate(Recording(t, x, y, psi, nan, nan, nan), course.raceline())
-    assert len(plots.plot_laps(outlap).axes[1].get_lines()) == 1
-    assert plots.plot_boxes([("none", outlap)]).axes[0].texts[0].get_text() == "N.C."
+    assert len(plot_laps(outlap).axes[1].get_lines()) == 1
+    assert plot_boxes([("none", outlap)]).axes[0].texts[0].get_text() == "N.C."
 
 
 def test_boxes(tmp_path, result):
-    figure = plots.plot_boxes([("pure pursuit", result), ("MAP", result)], title="both")
+    figure = plot_boxes([("pure pursuit", result), ("MAP", result)], title="both")
     assert [axes.get_ylabel() for axes in figure.axes] == ["lap time [s]", "RMS lateral error [m]"]
     names = [text.get_text() for text in figure.axes[0].get_xticklabels()]
     assert names == ["pure pursuit", "MAP"]
-    plots.save(figure, tmp_path / "boxes.png")
+    save(figure, tmp_path / "boxes.png")
     assert is_png(tmp_path / "boxes.png")
 
 
@@ -86,10 +88,10 @@ def test_lookup_table(tmp_path):
     a_lat = np.minimum(7.0, speeds**2 * np.tan(angles)[:, None] / 0.33)
     a_lat[12:, 15:] = math.nan
     for name, plot in (
-        ("surface", plots.plot_lookup_surface),
-        ("curves", plots.plot_lookup_curves),
+        ("surface", plot_lookup_surface),
+        ("curves", plot_lookup_curves),
     ):
-        plots.save(plot(speeds, angles, a_lat), tmp_path / f"{name}.png")
+        save(plot(speeds, angles, a_lat), tmp_path / f"{name}.png")
         assert is_png(tmp_path / f"{name}.png")
         with pytest.raises(ParameterError, match="15 angles x 20 speeds"):
             plot(speeds, angles, a_lat.T)
@@ -99,20 +101,20 @@ def test_errors(tmp_path, result, driven, course):
     evaluator = LapEvaluator(course.raceline())
     evaluator.update(driven.t, driven.x, driven.y)
     bare = evaluator.finish()
-    for plot in (plots.plot_path, plots.plot_laps):
+    for plot in (plot_path, plot_laps):
         with pytest.raises(EvaluationError, match="traces"):
             plot(bare)
     with pytest.raises(ParameterError, match="color_by"):
-        plots.plot_path(result, "time")
-    figure = plots.plot_laps(result)
+        plot_path(result, "time")
+    figure = plot_laps(result)
     with pytest.raises(MapRacingError, match="cannot write"):
-        plots.save(figure, tmp_path / "missing" / "laps.png")
+        save(figure, tmp_path / "missing" / "laps.png")
     with pytest.raises(MapRacingError, match="cannot write"):
-        plots.save(figure, tmp_path / "laps.unknown")
+        save(figure, tmp_path / "laps.unknown")
 
 
 def test_no_global_state_is_touched(result):
     before = pyplot.get_fignums()
-    plots.plot_laps(result)
-    plots.plot_path(result)
+    plot_laps(result)
+    plot_path(result)
     assert pyplot.get_fignums() == before
