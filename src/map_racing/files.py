@@ -62,8 +62,8 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
 
 @contextmanager
-def replacing(path):
-    """Open a text file for writing that appears under its name only when it is complete.
+def replacing(path, binary=False):
+    """Open a file for writing that appears under its name only when it is complete.
 
     It is written under a temporary name beside it and renamed at the end; after an error nothing is
     left behind, and an existing file stays as it was. A link stays a link to the file replaced; a
@@ -72,6 +72,8 @@ def replacing(path):
     Parameters
     ----------
     path : str or pathlib.Path
+    binary : bool
+        Whether bytes are written instead of text.
 
     Raises
     ------
@@ -84,7 +86,8 @@ def replacing(path):
     special = target.exists() and not target.is_file()
     temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with open(temporary, "w", encoding="utf-8", newline="") as file:
+        text = {} if binary else {"encoding": "utf-8", "newline": ""}
+        with open(temporary, "wb" if binary else "w", **text) as file:
             yield file
         if not special:
             os.replace(str(temporary), str(target))

@@ -8,16 +8,17 @@ import math
 import random
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import Union
 
 from ..control.parameters import read_parameters
 from ..control.state import CarState, moved
 from ..errors import ParameterError
 from ..resources import find_config
-from ..vehicle.parameters import load_vehicle
+from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import single_track_derivatives
 from ..vehicle.tires import PacejkaTire
 
-__all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters"]
+__all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters", "scaled_tires"]
 
 
 @dataclass(frozen=True)
@@ -26,9 +27,9 @@ class PlantParameters:
 
     Parameters
     ----------
-    vehicle : str
-        Shipped vehicle or vehicle file, by a path from the plant's own file: geometry, masses,
-        limits and nominal tires.
+    vehicle : str or Vehicle
+        Geometry, masses, limits and nominal tires: a car, or in files the name of a shipped vehicle
+        or of a vehicle file, by a path from the plant's own file.
     mu_scale, front_stiffness_scale, rear_stiffness_scale : float
         Friction and cornering stiffness of the plant's tires relative to the vehicle's.
     steering_delay_s, steering_time_constant_s : float
@@ -52,7 +53,7 @@ class PlantParameters:
         For an impossible value, naming it.
     """
 
-    vehicle: str
+    vehicle: Union[str, Vehicle]
     mu_scale: float = 1.0
     front_stiffness_scale: float = 1.0
     rear_stiffness_scale: float = 1.0
@@ -81,7 +82,7 @@ class PlantParameters:
             "a_brake_max_mps2",
             "localization_rate_hz",
         )
-        if not isinstance(self.vehicle, str) or not self.vehicle:
+        if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
             raise ParameterError(f"vehicle must be a name or a path, not {self.vehicle!r}")
         for name, value in vars(self).items():
             if name in ("vehicle", "measures_v_y"):
@@ -96,15 +97,39 @@ class PlantParameters:
 
     def build_vehicle(self):
         """The vehicle with the plant's own tires."""
-        vehicle = load_vehicle(self.vehicle)
+        vehicle = self.vehicle
+        if not isinstance(vehicle, Vehicle):
+            vehicle = load_vehicle(vehicle)
         return replace(
-            vehicle,
-            mu=vehicle.mu * self.mu_scale,
-            front=_scaled(vehicle.front, self.front_stiffness_scale),
-            rear=_scaled(vehicle.rear, self.rear_stiffness_scale),
+            scaled_tires(
+                vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+            ),
             a_max=float(self.a_max_mps2),
             a_brake_max=float(self.a_brake_max_mps2),
         )
+
+
+def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
+    """The car with other tires.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mu : float
+        Factor on the friction.
+    front_stiffness, rear_stiffness : float
+        Factors on the cornering stiffness of each axle, whose peak force is kept.
+
+    Returns
+    -------
+    Vehicle
+    """
+    return replace(
+        vehicle,
+        mu=vehicle.mu * mu,
+        front=_scaled(vehicle.front, front_stiffness),
+        rear=_scaled(vehicle.rear, rear_stiffness),
+    )
 
 
 def _scaled(tire, factor):

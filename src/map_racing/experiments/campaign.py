@@ -1,0 +1,173 @@
+"""Many races, planned as they go: finished ones are on disk, others run wherever there is room.
+
+A plan is a generator. It yields lists of jobs and is sent the list of their results in the same
+order, so it can decide by them what to drive next; what it returns is its result. Plans advance
+independently, and none of them can tell in which order, or where, its races were driven.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from concurrent.futures import FIRST_COMPLETED, CancelledError, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import NamedTuple
+
+from tqdm import tqdm
+
+from ..errors import MapRacingError
+from .jobs import code_fingerprint, execute
+
+__all__ = ["Effort", "Plan", "carry_out"]
+
+
+class Plan(NamedTuple):
+    """A generator of jobs, and how many it will about be.
+
+    Parameters
+    ----------
+    steps : generator
+    expected : int
+        For the remaining time.
+    """
+
+    steps: object
+    expected: int
+
+
+class Effort(NamedTuple):
+    """What a campaign cost: races driven, races found on disk, processor time of the former [s]."""
+
+    driven: int
+    found: int
+    cpu_s: float
+
+    def __add__(self, other):
+        return Effort(*(a + b for a, b in zip(self, other)))
+
+
+def carry_out(plans, store, executor, capacity, *, path=False, title="races"):
+    """Carry out plans.
+
+    Parameters
+    ----------
+    plans : list of Plan
+    store : Store
+        Each result is kept there at once, and looked for there before it is driven.
+    executor : concurrent.futures.Executor
+    capacity : int
+        Jobs that are handed to it at a time.
+    path : bool
+        Whether results need the driven path.
+    title : str
+        Of the progress bar.
+
+    Returns
+    -------
+    results : list
+        What each plan returned.
+    Effort
+
+    Raises
+    ------
+    MapRacingError
+        If a process died, or a worker of a cluster has other code.
+    """
+    campaign = _Campaign(plans, store, path)
+    running = {}
+    with tqdm(total=campaign.expected, desc=title, unit="race", disable=None, leave=False) as bar:
+        try:
+            while True:
+                while campaign.waiting and len(running) < capacity:
+                    job = campaign.waiting.popleft()
+                    running[executor.submit(execute, job, path, store.bags)] = job
+                campaign.show(bar)
+                if not running:
+                    break
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    campaign.take(running.pop(future), _outcome(future))
+        finally:
+            for future in running:
+                future.cancel()
+    return campaign.results, Effort(campaign.driven, campaign.found, campaign.cpu_s)
+
+
+def _outcome(future):
+    try:
+        executed = future.result()
+    except (BrokenProcessPool, CancelledError):
+        raise MapRacingError(
+            "a process that drove a race ended without result; what was finished is on disk"
+        ) from None
+    if executed.code != code_fingerprint():
+        raise MapRacingError("a worker of the cluster has another version of map_racing")
+    return executed
+
+
+class _Campaign:
+    """Which races are to be driven, and who waits for them."""
+
+    def __init__(self, plans, store, path):
+        self.waiting = deque()
+        self.results = [None] * len(plans)
+        self.driven = self.found = 0
+        self.cpu_s = 0.0
+        self._plans, self._store, self._path = plans, store, path
+        self._batches = {}  # plan -> results of the jobs it waits for, None where not yet there
+        self._wanted = {}  # fingerprint -> (plan, place in its batch) for each that waits for it
+        self._done = [0] * len(plans)
+        for index in range(len(plans)):
+            self._advance(index, None)
+
+    def take(self, job, executed):
+        """Keep what was driven, and go on with the plans that waited for it."""
+        self._store.keep(job, executed.result, executed.bag)
+        self.driven += 1
+        self.cpu_s += executed.cpu_s
+        for index, place in self._wanted.pop(job.fingerprint):
+            self._batches[index][place] = executed.result
+            self._done[index] += 1
+            if None not in self._batches[index]:
+                self._advance(index, self._batches.pop(index))
+
+    def _advance(self, index, results):
+        """Send results to a plan until it waits for a race that has to be driven."""
+        steps = self._plans[index].steps
+        while True:
+            try:
+                jobs = steps.send(results)
+            except StopIteration as stop:
+                self.results[index] = stop.value
+                return
+            results = []
+            for place, job in enumerate(jobs):
+                result, key = None, job.fingerprint
+                if key not in self._wanted:
+                    result = self._store.find(job, self._path)
+                results.append(result)
+                if result is not None:
+                    self.found += 1
+                    self._done[index] += 1
+                    continue
+                if key not in self._wanted:
+                    self.waiting.append(job)
+                self._wanted.setdefault(key, []).append((index, place))
+            if None in results:
+                self._batches[index] = results
+                return
+
+    @property
+    def expected(self):
+        """Races of all plans, as far as can be told."""
+        return sum(
+            self._done[index]
+            if index not in self._batches
+            else max(plan.expected, self._done[index] + self._batches[index].count(None))
+            for index, plan in enumerate(self._plans)
+        )
+
+    def show(self, bar):
+        """Progress; what was found took no time and must not tell how long the rest will take."""
+        bar.total = self.expected
+        bar.initial = self.found
+        bar.n = sum(self._done)
+        bar.refresh()

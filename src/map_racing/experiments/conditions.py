@@ -1,0 +1,178 @@
+"""Where, with what car and on which days the experiments are driven.
+
+A plant as its file says is the car on the day of identification. On other days its tires differ by
+amounts that nobody knows, drawn by a seed from stated distributions: controllers are tuned on some
+of them and raced on others.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from ..control.parameters import read_parameters
+from ..errors import ParameterError
+from ..resources import find_config
+from ..simulation.plant import load_plant_parameters, scaled_tires
+from ..vehicle.parameters import Vehicle, load_vehicle
+
+__all__ = ["PUBLIC_SIMULATOR", "Conditions", "Day", "day_of", "load_conditions", "load_plant"]
+
+PUBLIC_SIMULATOR = "public_simulator"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions of an experiment; a file in ``config/experiments`` holds the same names.
+
+    Parameters
+    ----------
+    track : str
+        Shipped track, raceline file or ``bag[#topic]``.
+    plant : str
+        Shipped plant, plant file, or ``public_simulator``.
+    mu_deviation, front_stiffness_deviation, rear_stiffness_deviation : float
+        Standard deviations of the factors by which friction and cornering stiffness of a day differ
+        from those of the day of identification.
+    seeds : tuple of int
+        Race days.
+    practice_seeds : tuple of int
+        Days on which controllers are tuned.
+    identification_seed : int
+        Of the noise on the day of identification.
+    tuning_scale : float
+        Scale of the raceline's speeds at which controllers are tuned.
+    tuning_laps : int
+        Timed laps of each run that tunes.
+
+    Raises
+    ------
+    ParameterError
+        For an impossible value, naming it.
+    """
+
+    track: str
+    plant: str
+    mu_deviation: float
+    front_stiffness_deviation: float
+    rear_stiffness_deviation: float
+    seeds: tuple
+    practice_seeds: tuple
+    identification_seed: int = 0
+    tuning_scale: float = 0.6
+    tuning_laps: int = 3
+
+    def __post_init__(self):
+        for name in ("track", "plant"):
+            if not isinstance(getattr(self, name), str) or not getattr(self, name):
+                raise ParameterError(f"{name} must be a name or a path")
+        for name in ("mu_deviation", "front_stiffness_deviation", "rear_stiffness_deviation"):
+            # With more, factors of 0 would be drawn.
+            if not _is_number(getattr(self, name)) or not 0.0 <= getattr(self, name) <= 0.2:
+                raise ParameterError(f"{name} must be 0 to 0.2, not {getattr(self, name)!r}")
+        for name in ("seeds", "practice_seeds"):
+            seeds = getattr(self, name)
+            if not isinstance(seeds, (list, tuple)) or not seeds:
+                raise ParameterError(f"{name} must be a list of numbers, not {seeds!r}")
+            object.__setattr__(self, name, tuple(seeds))
+        days = (*self.seeds, *self.practice_seeds)
+        for seed in (*days, self.identification_seed):
+            if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+                raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
+        if len(set(days)) < len(days):
+            raise ParameterError("seeds and practice_seeds must differ: the same seed is one day")
+        if not _is_number(self.tuning_scale) or not 0.0 < self.tuning_scale <= 2.0:
+            raise ParameterError(f"tuning_scale must be 0 to 2, not {self.tuning_scale!r}")
+        laps = self.tuning_laps
+        if isinstance(laps, bool) or not isinstance(laps, int) or laps < 1:
+            raise ParameterError(f"tuning_laps must be at least 1, not {laps!r}")
+
+
+class Day(NamedTuple):
+    """Factors on a car's tires on one day, and its plant.
+
+    Parameters
+    ----------
+    seed : int
+    mu_scale, front_stiffness_scale, rear_stiffness_scale : float
+        Relative to the day of identification.
+    plant : PlantParameters or Vehicle
+        With these tires; a Vehicle is driven as the public simulator's.
+    """
+
+    seed: int
+    mu_scale: float
+    front_stiffness_scale: float
+    rear_stiffness_scale: float
+    plant: object
+
+
+def load_conditions(source):
+    """Read conditions from a shipped name or a YAML file.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing, unknown or impossible; the message names file and parameter.
+    """
+    return read_parameters(find_config("experiments", source, (".yaml",)), Conditions)
+
+
+def load_plant(source):
+    """A plant with all that it is made of, so that a run depends on no file.
+
+    Parameters
+    ----------
+    source : str
+        Shipped plant, plant file, or ``public_simulator``.
+
+    Returns
+    -------
+    PlantParameters or Vehicle
+        The latter for the public simulator, whose only parameters are those of its car.
+    """
+    if source == PUBLIC_SIMULATOR:
+        return load_vehicle("sim")
+    parameters = load_plant_parameters(source)
+    return replace(parameters, vehicle=load_vehicle(parameters.vehicle))
+
+
+def day_of(plant, conditions, seed):
+    """The plant on the day of a seed.
+
+    Parameters
+    ----------
+    plant : PlantParameters or Vehicle
+        On the day of identification.
+    conditions : Conditions
+    seed : int
+
+    Returns
+    -------
+    Day
+    """
+    # A stream of its own: that of the noise begins with the number itself.
+    gauss = random.Random(f"tires of race day {seed}").gauss
+    mu, front, rear = (
+        gauss(1.0, deviation)
+        for deviation in (
+            conditions.mu_deviation,
+            conditions.front_stiffness_deviation,
+            conditions.rear_stiffness_deviation,
+        )
+    )
+    if isinstance(plant, Vehicle):
+        return Day(seed, mu, front, rear, scaled_tires(plant, mu, front, rear))
+    changed = replace(
+        plant,
+        mu_scale=plant.mu_scale * mu,
+        front_stiffness_scale=plant.front_stiffness_scale * front,
+        rear_stiffness_scale=plant.rear_stiffness_scale * rear,
+    )
+    return Day(seed, mu, front, rear, changed)
+
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

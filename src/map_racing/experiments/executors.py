@@ -1,0 +1,134 @@
+"""Where jobs run: in this process, in processes on all cores, or on a Dask cluster.
+
+All three are executors of `concurrent.futures`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import connection, get_context, parent_process
+
+from ..errors import MapRacingError, ParameterError
+
+__all__ = ["SerialExecutor", "open_executor"]
+
+# One race uses one core. Without these, each process would start a thread per core for linear
+# algebra.
+_ONE_THREAD = {
+    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+}
+_PATIENCE = 10.0  # for a scheduler to answer [s]
+
+
+class SerialExecutor(Executor):
+    """Runs each job at once, in this process."""
+
+    def submit(self, fn, *args, **kwargs):
+        """Run a job.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            Already done. An interruption by the user is raised here, not kept in it.
+        """
+        future = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@contextmanager
+def open_executor(jobs=None, scheduler=None):
+    """An executor, and how many jobs it can be given at a time.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Processes; 1 is this one. By default one for each core that this process may use.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as ``tcp://host:8786``; needs the package ``distributed``
+        here, and this package on its workers.
+
+    Yields
+    ------
+    executor : concurrent.futures.Executor
+    capacity : int
+        Jobs to keep it busy.
+
+    Raises
+    ------
+    ParameterError
+        If the number of jobs is not positive, or both are given.
+    MapRacingError
+        If the scheduler does not answer, or Dask is not installed.
+    """
+    if jobs is not None and jobs < 1:
+        raise ParameterError(f"jobs: expected at least 1, got {jobs}")
+    if scheduler is not None:
+        if jobs is not None:
+            raise ParameterError("jobs: the workers of a scheduler decide that; give one or other")
+        with _dask(scheduler) as given:
+            yield given
+        return
+    jobs = jobs or _cores()
+    if jobs == 1:
+        yield SerialExecutor(), 1
+        return
+    # Fresh processes instead of copies of this one, which may have threads. They read the
+    # environment when they import numpy.
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin_work)
+        with pool:
+            # Each process finds its next job waiting.
+            yield pool, 2 * jobs
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _cores():
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1
+
+
+def _begin_work():
+    """In each process: the parent decides what an interruption means, and nobody outlives it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch():
+        connection.wait([parent_process().sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _dask(address):
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MapRacingError(
+            "a scheduler needs the package distributed: pip install 'map_racing[cluster]'"
+        ) from None
+    try:
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:  # a timeout is an OSError there
+        raise MapRacingError(f"{address}: no Dask scheduler answers: {error}") from None
+    with client:
+        threads = sum(worker["nthreads"] for worker in client.scheduler_info()["workers"].values())
+        if not threads:
+            raise MapRacingError(f"{address}: the Dask scheduler has no workers")
+        yield client.get_executor(), 4 * threads

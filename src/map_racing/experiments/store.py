@@ -1,0 +1,122 @@
+"""Results of races on disk, each written when it is there, found again by its fingerprint."""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import suppress
+from pathlib import Path
+
+from ..errors import FileFormatError, MapRacingError
+from ..files import replacing
+from .jobs import RaceResult, Stretch, plain
+
+__all__ = ["Store"]
+
+
+class Store:
+    """Folder ``runs`` of a result directory, and ``bags`` beside it.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Result directory; it exists.
+    reuse : iterable of pathlib.Path
+        Other result directories whose results are taken over.
+    bags : bool
+        Whether each race is also kept as a bag; results without one are then not enough.
+
+    Raises
+    ------
+    MapRacingError
+        If a directory to reuse has no results.
+    """
+
+    def __init__(self, folder, reuse=(), bags=False):
+        self.folder, self.bags = Path(folder), bags
+        self._others = [Path(other) for other in reuse]
+        for other in self._others:
+            if not (other / "runs").is_dir():
+                raise MapRacingError(f"{other}: expected a result directory with a folder runs")
+        for part in ("runs", "bags") if bags else ("runs",):
+            (self.folder / part).mkdir(exist_ok=True)
+
+    def find(self, job, path=False):
+        """The result of a race, or None.
+
+        Parameters
+        ----------
+        job : RaceJob
+        path : bool
+            Whether a result without the driven path is not enough.
+
+        Returns
+        -------
+        RaceResult or None
+        """
+        name = f"{job.fingerprint}.json"
+        for folder in (self.folder, *self._others):
+            record = _read(folder / "runs" / name)
+            if record is None:
+                continue
+            result = _result(record, folder / "runs" / name)
+            if path and not result.path:
+                continue
+            bag = None
+            if self.bags:
+                with suppress(OSError):
+                    bag = (folder / "bags" / f"{job.file_stem}.bag").read_bytes()
+                if bag is None:
+                    continue
+            if folder is not self.folder:
+                self.keep(job, result, bag)
+            return result
+        return None
+
+    def keep(self, job, result, bag=None):
+        """Write a result; its own file comes last, so that it is there only as a whole."""
+        if bag is not None:
+            path = self.folder / "bags" / f"{job.file_stem}.bag"
+            with replacing(path, binary=True) as file:
+                file.write(bag)
+        record = {
+            "race": {"name": job.name, **plain(job)},
+            "result": {
+                "outcome": result.outcome,
+                "duration_s": result.duration_s,
+                "stretches": [_row(stretch) for stretch in result.stretches],
+                "path": result.path,
+            },
+        }
+        with replacing(self.folder / "runs" / f"{job.fingerprint}.json") as file:
+            json.dump(record, file, allow_nan=False)
+            file.write("\n")
+
+
+def _row(stretch):
+    return {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in stretch._asdict().items()
+    }
+
+
+def _read(path):
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        raise FileFormatError(f"{path}: expected the result of a race; delete it") from None
+
+
+def _result(record, path):
+    try:
+        values = record["result"]
+        stretches = tuple(
+            Stretch(*(math.nan if row[name] is None else row[name] for name in Stretch._fields))
+            for row in values["stretches"]
+        )
+        driven = tuple((x, y) for x, y in values["path"])
+        return RaceResult(values["outcome"], stretches, values["duration_s"], driven)
+    except (KeyError, TypeError, ValueError):
+        raise FileFormatError(f"{path}: expected the result of a race; delete it") from None
