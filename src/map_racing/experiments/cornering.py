@@ -13,19 +13,28 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from ..errors import IdentificationError, ParameterError
-from .driving_data import POSE, Run
+from .driving_data import POSE, Run, Signal
 
 __all__ = ["Motion", "SteadyLimits", "low_passed", "motion_of"]
 
 RATE_HZ = 50.0
 # A signal is known between samples this far apart [s]; a command holds until the next one.
-LONGEST_GAP_S, LONGEST_HOLD_S = 0.15, 0.6
+LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # Localization is lost where its speed or yaw rate differs by more from that of the car's sensors.
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
+# A spike is farther from the median of its neighborhood than so many times their usual distance from
+# it, and than this.
+SPIKE_WINDOW_S, SPIKE_FACTOR = 1.2, 6.5
+POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
+SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
+SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
 CLOCK_SEARCH_S = 1.5
+# The low-pass smears a step over so many periods of its cut-off.
+SMEARED = 0.4
 SLOWEST_MPS = 0.5
 STANDSTILL_MPS = 0.05
 
@@ -89,6 +98,8 @@ class Motion:
         Standard deviations of what the low-pass left of their noise.
     clock_offset_s : float
         By which the pose's clock was shifted against the others.
+    spikes : dict of str to float
+        Share of each signal that was left out as spikes.
     limits : SteadyLimits
     """
 
@@ -109,6 +120,7 @@ class Motion:
     beta_noise: float
     a_y_noise: float
     clock_offset_s: float
+    spikes: dict
     limits: SteadyLimits
 
     @property
@@ -121,9 +133,14 @@ class Motion:
         return self.v_x * np.tan(self.beta) + self.r * (l_r - self.run.setup.pose_x_m)
 
     def segments(self):
-        """Stretches of usable driving, as slices."""
+        """Stretches of usable driving, as slices, without what the low-pass smears into them."""
+        margin = round(SMEARED / self.limits.cutoff_hz * RATE_HZ)
         shortest = round(self.limits.shortest_s * RATE_HZ)
-        return [cut for cut in _stretches(self.usable) if cut.stop - cut.start >= shortest]
+        return [
+            slice(cut.start + margin, cut.stop - margin)
+            for cut in _stretches(self.usable)
+            if cut.stop - cut.start >= shortest + 2 * margin
+        ]
 
 
 def motion_of(run, vehicle, limits=None, acceleration="imu"):
@@ -150,22 +167,25 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         If signals are missing, or no second of all of them exists.
     """
     limits = limits or SteadyLimits()
-    setup, signals = run.setup, run.signals
-    scale = setup.time_scale
-    pose_t = scale * signals["x"].t
-    x, y = signals["x"].value, np.interp(pose_t, scale * signals["y"].t, signals["y"].value)
-    if "psi" not in signals:
+    setup, scale = run.setup, run.setup.time_scale
+    if "psi" not in run.signals:
         raise IdentificationError(f"{run.name}: expected a heading in the pose")
-    psi = np.interp(pose_t, scale * signals["psi"].t, np.unwrap(signals["psi"].value))
-    middle, forward, sideways, turning = _velocities(pose_t, x, y, psi + setup.heading_offset_rad)
+    signals, spikes = {}, {}
+    for name, (t, value) in run.signals.items():
+        if name not in (*POSE, "steering"):
+            good = ~_spikes(t, value, SPIKES[name])
+            t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
+        signals[name] = Signal(scale * t, value)
+    pose_t, *poses = _poses(run, signals, spikes)
+    middle, forward, sideways, turning = _velocities(*poses, setup.heading_offset_rad)
 
     offset = 0.0
     if "yaw_rate" in signals and run.pose_clock:
         rate = setup.yaw_rate_scale * signals["yaw_rate"].value
-        offset = _clock_offset(middle, turning, scale * signals["yaw_rate"].t, rate)
+        offset = _clock_offset(middle, turning, signals["yaw_rate"].t, rate)
         middle, pose_t = middle + offset, pose_t + offset
 
-    used = {name: scale * signal.t for name, signal in signals.items() if name not in POSE}
+    used = {name: signal.t for name, signal in signals.items() if name not in POSE}
     begin = max([pose_t[0], *(t[0] for t in used.values())])
     end = min([pose_t[-1], *(t[-1] for t in used.values())])
     if "steering" in used:  # the last command holds
@@ -248,6 +268,7 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         beta_noise=0.0,
         a_y_noise=0.0,
         clock_offset_s=offset,
+        spikes={name: share for name, share in spikes.items() if share > 0.0},
         limits=limits,
     )
     cuts = motion.segments()
@@ -274,10 +295,74 @@ def low_passed(values, rate_hz, cutoff_hz):
     return sosfiltfilt(sections, values, padlen=padding)
 
 
-def _velocities(t, x, y, psi):
+def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
+    """Which samples are spikes: far from the median of their neighborhood."""
+    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
+    if value.size < 3 * window:
+        return np.zeros(value.size, dtype=bool)
+    distance = np.abs(value - median_filter(value, window, mode="nearest"))
+    usual = median_filter(distance, window, mode="nearest")
+    spikes = distance > np.maximum(SPIKE_FACTOR * usual, least)
+    for cut in _stretches(spikes):
+        # What lasts is no spike but a step: the car brakes, or localization moved.
+        if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
+            spikes[cut] = False
+    return spikes
+
+
+def _poses(run, signals, spikes):
+    """Poses at even times, without spikes.
+
+    A driving car has no place to return to, so what is judged, and interpolated, is how far the
+    pose is from dead reckoning with the car's own sensors, which changes slowly.
+
+    Returns
+    -------
+    pose_t : ndarray
+        Times of the poses that were no spikes.
+    t, x, y, psi : ndarray
+        Even times and the poses there.
+    """
+    own, x = signals["x"]
+    y = np.interp(own, *signals["y"])
+    t = np.arange(own[0], own[-1], 1.0 / RATE_HZ)
+    psi_t, psi = signals["psi"]
+    turned, turned_even = np.zeros(psi.size), np.zeros(t.size)
+    if "yaw_rate" in signals:
+        rate_t, rate = signals["yaw_rate"]
+        rate = run.setup.yaw_rate_scale * rate
+        integral = _integrated(rate_t, rate)
+        turned, turned_even = np.interp(psi_t, rate_t, integral), np.interp(t, rate_t, integral)
+    drift = np.unwrap(psi - turned)
+    good = ~_spikes(psi_t, drift, SPIKES["psi"], POSE_SPIKE_WINDOW_S)
+    spikes["psi"] = 1.0 - float(np.mean(good))
+    # Unwrapped anew: a spike may have taken the heading around.
+    psi = turned_even + np.interp(t, psi_t[good], np.unwrap(drift[good]))
+
+    good = np.ones(own.size, dtype=bool)
+    reckoned = [np.zeros(t.size)] * 2
+    if "v_x" in signals:
+        v = run.setup.speed_scale * np.interp(t, *signals["v_x"])
+        reckoned = [_integrated(t, v * np.cos(psi)), _integrated(t, v * np.sin(psi))]
+    drifts = [p - np.interp(own, t, path) for p, path in zip((x, y), reckoned)]
+    if "v_x" in signals:
+        for drift in drifts:
+            good &= ~_spikes(own, drift, SPIKES["x"], POSE_SPIKE_WINDOW_S)
+    spikes["position"] = 1.0 - float(np.mean(good))
+    x, y = (
+        path + np.interp(t, own[good], drift[good]) for path, drift in zip(reckoned, drifts)
+    )
+    return own[good], t, x, y, psi
+
+
+def _integrated(t, values):
+    return np.append(0.0, np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1])))
+
+
+def _velocities(t, x, y, psi, heading_offset):
     """Velocity along the car's axes and yaw rate between poses, and their times."""
     dt = np.diff(t)
-    heading = 0.5 * (psi[1:] + psi[:-1])
+    heading = 0.5 * (psi[1:] + psi[:-1]) + heading_offset
     dx, dy = np.diff(x) / dt, np.diff(y) / dt
     cos, sin = np.cos(heading), np.sin(heading)
     return 0.5 * (t[1:] + t[:-1]), cos * dx + sin * dy, cos * dy - sin * dx, np.diff(psi) / dt
