@@ -314,9 +314,7 @@ def _locate(path, names, columns):
     for name, aliases in _ALIASES.items():
         if name in columns:
             if columns[name] not in names:
-                raise FileFormatError(
-                    f"{path}: no column {columns[name]!r}; it has {_some(names)}"
-                )
+                raise FileFormatError(f"{path}: no column {columns[name]!r}; it has {_some(names)}")
             where[name] = names.index(columns[name])
             continue
         found = next((alias for alias in aliases if alias in lowered), None)

@@ -2,9 +2,9 @@
 
 All signals go to one clock and through one low-pass, a Butterworth filter run forwards and
 backwards, so that nothing is delayed against anything else. The velocity at the pose's point comes
-from the differences of poses, turned into the car's axes before they are filtered: they are constant
-on a circle, while positions are not. Stretches of constant speed, yaw rate and steering are what
-tires are identified from, be they holds or slow ramps.
+from the differences of poses, turned into the car's axes before they are filtered: there they are
+constant on a circle. Stretches of constant speed, yaw rate and steering are what tires are
+identified from, be they holds or slow ramps.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ RATE_HZ = 50.0
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # Localization is lost where its speed or yaw rate differs by more from that of the car's sensors.
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
-# A spike is farther from the median of its neighborhood than so many times their usual distance from
-# it, and than this.
+# A spike is farther from the median around it than so many times what is usual there, and than
+# a least distance.
 SPIKE_WINDOW_S, SPIKE_FACTOR = 1.2, 6.5
 POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
 SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
@@ -193,7 +193,8 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         end = min([pose_t[-1], *others])
     if end - begin < 1.0:
         raise IdentificationError(
-            f"{run.name}: expected a time in which all signals exist, got {max(end - begin, 0):.1f} s"
+            f"{run.name}: expected a second in which all signals exist, got "
+            f"{max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
 
@@ -349,9 +350,7 @@ def _poses(run, signals, spikes):
         for drift in drifts:
             good &= ~_spikes(own, drift, SPIKES["x"], POSE_SPIKE_WINDOW_S)
     spikes["position"] = 1.0 - float(np.mean(good))
-    x, y = (
-        path + np.interp(t, own[good], drift[good]) for path, drift in zip(reckoned, drifts)
-    )
+    x, y = (path + np.interp(t, own[good], drift[good]) for path, drift in zip(reckoned, drifts))
     return own[good], t, x, y, psi
 
 
@@ -400,8 +399,8 @@ def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
         raise ParameterError(f"acceleration: expected imu or yaw_rate, got {acceleration!r}")
     if setup.lateral_axis not in axes:
         raise IdentificationError(
-            f"{run.name}: no lateral acceleration (a_{setup.lateral_axis}): without an IMU it can be "
-            "taken from speed and yaw rate (--acceleration yaw_rate)"
+            f"{run.name}: no lateral acceleration (a_{setup.lateral_axis}): without an IMU it can "
+            "be taken from speed and yaw rate (--acceleration yaw_rate)"
         )
     a_y = setup.lateral_scale * axes[setup.lateral_axis] + setup.lateral_offset_mps2
     ahead = 0.0 if setup.imu_x_m is None else setup.imu_x_m - vehicle.l_r

@@ -1,9 +1,9 @@
 """Do the sensors of a recording agree with physics, and if not, what would repair it?
 
 Steady cornering is overdetermined: lateral acceleration is speed times yaw rate, yaw rate is the
-turning of the heading, speed is path per time, a slowly rolling car follows Ackermann, and a car that
-turns left and right is the same car. Whatever contradicts that is reported with the change of the
-`SensorSetup` that would repair it.
+turning of the heading, speed is path per time, a slowly rolling car follows Ackermann, and a car
+that turns left and right is the same car. Whatever contradicts that is reported with the change of
+the `SensorSetup` that would repair it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import IdentificationError
 from ..vehicle.single_track import GRAVITY
 from .cornering import RATE_HZ, STANDSTILL_MPS
 
@@ -48,6 +47,11 @@ class Finding:
     text: str
     fix: dict = field(default_factory=dict)
     grave: bool = False
+
+    def __post_init__(self):
+        plain = {k: v if isinstance(v, str) else float(v) for k, v in self.fix.items()}
+        object.__setattr__(self, "fix", plain)
+        object.__setattr__(self, "grave", bool(self.grave))
 
     @property
     def contradiction(self):
@@ -417,7 +421,11 @@ def _localization(motions, setup, vehicle):
                 f"sensors in {lost:.1f} of {driven:.1f} s, which are left out"
             )
             findings.append(Finding("localization", text))
-        if abs(motion.clock_offset_s) > 0.03:
+        spikes = {name: share for name, share in motion.spikes.items() if share > 0.02}
+        if spikes:
+            shares = ", ".join(f"{share:.0%} of {name}" for name, share in spikes.items())
+            findings.append(Finding("spikes", f"spikes: {motion.run.label}: {shares} left out"))
+        if abs(motion.clock_offset_s) > 0.03 and motion.segments():
             text = (
                 f"clock: {motion.run.label}: the pose's clock was shifted by "
                 f"{motion.clock_offset_s:+.2f} s to the yaw rate's"
@@ -501,9 +509,3 @@ def _regression(matrix, values, noise):
     if np.linalg.cond(normal) > 1e10:
         error[:] = np.inf
     return solution / scale, error / scale
-
-
-def require(condition, text):
-    """Raise an `IdentificationError` unless a condition holds."""
-    if not condition:
-        raise IdentificationError(text)

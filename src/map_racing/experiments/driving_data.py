@@ -1,7 +1,7 @@
 """Recorded driving as signals: from bags, and from CSV files by a map of their channels.
 
-A run is what sensors said of one drive, each on its own times, in SI units. What a sensor means (its
-sign, its axis, where it sits) is its setup, which a channel map can state and
+A run is what sensors said of one drive, each on its own times, in SI units. What a sensor means
+(its sign, its axis, where it sits) is its setup, which a channel map can state and
 `map_racing.experiments.driving_checks` can find out.
 """
 
@@ -240,7 +240,8 @@ def load_run(path, channels=None):
     Parameters
     ----------
     path : str or pathlib.Path
-        A ROS 1 bag, or a CSV file (also ``.gz``), which needs a channel map.
+        A ROS 1 bag, the name of a shipped one (``config/recordings``), or a CSV file (also
+        ``.gz``), which needs a channel map.
     channels : ChannelMap, optional
         For a bag only what is not where it usually is: pose and twist from its odometry (see
         `map_racing.evaluation.bags.read_recording`), acceleration and yaw rate from its Imu,
@@ -256,6 +257,7 @@ def load_run(path, channels=None):
         If the file cannot be read as what it is.
     """
     channels = channels or ChannelMap()
+    path = find_config("recordings", path, (".bag",))
     if is_bag(path):
         return _load_bag(path, channels)
     if not channels.channels:
