@@ -1,0 +1,511 @@
+"""Do the sensors of a recording agree with physics, and if not, what would repair it?
+
+Steady cornering is overdetermined: lateral acceleration is speed times yaw rate, yaw rate is the
+turning of the heading, speed is path per time, a slowly rolling car follows Ackermann, and a car
+that turns left and right is the same car. Whatever contradicts that is reported with the change of
+the `SensorSetup` that would repair it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..vehicle.single_track import GRAVITY
+from .cornering import RATE_HZ, STANDSTILL_MPS
+
+__all__ = ["Finding", "check", "correct", "reason_to_refuse"]
+
+TURNING_RADPS = 0.3
+LEAST_USABLE_S = 2.0
+LEAST_STANDING_S = 0.4
+# Of the largest acceleration: below it, understeer is nearly proportional.
+LOW_SHARE = 0.45
+PICK = 5  # samples per point: the low-pass leaves neighbors dependent
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one check says.
+
+    Parameters
+    ----------
+    check : str
+        Name of the check.
+    text : str
+        The measurement, in one line.
+    fix : dict
+        Changes of the `SensorSetup` that would repair a contradiction; empty if all is well.
+    grave : bool
+        Whether tires identified without the repair would be wrong from the ground up.
+    """
+
+    check: str
+    text: str
+    fix: dict = field(default_factory=dict)
+    grave: bool = False
+
+    def __post_init__(self):
+        plain = {k: v if isinstance(v, str) else float(v) for k, v in self.fix.items()}
+        object.__setattr__(self, "fix", plain)
+        object.__setattr__(self, "grave", bool(self.grave))
+
+    @property
+    def contradiction(self):
+        """Whether there is something to repair."""
+        return bool(self.fix) or self.grave
+
+
+def reason_to_refuse(motion):
+    """Why a run says nothing about tires, or an empty text.
+
+    Parameters
+    ----------
+    motion : Motion
+
+    Returns
+    -------
+    str
+    """
+    if not motion.moving.any():
+        return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
+    driven = np.count_nonzero(motion.moving) / RATE_HZ
+    steady = np.count_nonzero(motion.steady) / RATE_HZ
+    usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
+    lost = np.count_nonzero(motion.moving & ~motion.coherent) / RATE_HZ
+    if usable >= LEAST_USABLE_S:
+        return ""
+    if lost > 0.5 * driven:
+        return (
+            f"localization and the car's sensors disagree in {lost:.1f} of {driven:.1f} s of "
+            f"driving; {usable:.1f} s of steady driving are left"
+        )
+    return f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
+
+
+def check(motions, setup, vehicle):
+    """Check the sensors of all runs together, as they are of one car.
+
+    Parameters
+    ----------
+    motions : list of Motion
+    setup : SensorSetup
+        That of the motions.
+    vehicle : Vehicle
+        Its geometry.
+
+    Returns
+    -------
+    list of Finding
+        In the order in which repairs must be made.
+    """
+    motions = [motion for motion in motions if motion.moving.any()]
+    if not motions:
+        return []
+    findings = []
+    for checker in (
+        *(_heading, _rates, _steering_sign, _lateral_axis, _lateral_scale),
+        *(_pose_point, _steering_gain, _lateral_velocity, _sides, _localization),
+    ):
+        findings += checker(motions, setup, vehicle)
+    return findings
+
+
+def correct(motions_with, setup, vehicle):
+    """Repair the setup, one contradiction after the other: each changes what the next one sees.
+
+    Parameters
+    ----------
+    motions_with : callable
+        ``motions_with(setup) -> ([(motion, usable), ...], refused)``.
+    setup : SensorSetup
+    vehicle : Vehicle
+
+    Returns
+    -------
+    setup : SensorSetup
+    corrections : list of Finding
+    """
+    corrections, repaired = [], set()
+    for _ in range(16):
+        motions = [motion for motion, _ in motions_with(setup)[0]]
+        findings = check(motions, setup, vehicle)
+        todo = next((f for f in findings if f.fix and _key(f) not in repaired), None)
+        if todo is None:
+            break
+        repaired.add(_key(todo))
+        corrections.append(todo)
+        setup = dataclasses.replace(setup, **todo.fix)
+    return setup, corrections
+
+
+def _key(finding):
+    return finding.check, tuple(sorted(finding.fix))
+
+
+# -- checks --------------------------------------------------------------------------------------
+
+
+def _heading(motions, setup, vehicle):
+    """Is the heading that of the motion, and not of its reverse?"""
+    beta = np.abs(_pooled(motions, "beta", "moving"))
+    if np.median(beta) < 0.5 * math.pi:
+        return []
+    turned = math.remainder(setup.heading_offset_rad + math.pi, 2.0 * math.pi)
+    return [
+        Finding(
+            "heading",
+            f"heading: the pose moves {np.median(beta):.2f} rad off its own heading: it points "
+            "backwards",
+            {"heading_offset_rad": turned},
+            grave=True,
+        )
+    ]
+
+
+def _rates(motions, setup, vehicle):
+    """Yaw rate against the turning of the heading, speed against path per time."""
+    r, turning = _pooled(motions, "r", "moving"), _pooled(motions, "heading_rate", "moving")
+    turns = np.abs(turning) > TURNING_RADPS
+    v, path = _pooled(motions, "v_x", "moving"), _pooled(motions, "path_speed", "moving")
+    drives = path > STANDSTILL_MPS
+    if np.count_nonzero(turns) < RATE_HZ or np.count_nonzero(drives) < RATE_HZ:
+        return []
+    yaw, speed = np.median(r[turns] / turning[turns]), np.median(v[drives] / path[drives])
+    findings = []
+    if yaw < 0.0:
+        text = "yaw rate: its sign is not that of the heading's turning"
+        fix = {"yaw_rate_scale": -setup.yaw_rate_scale}
+        return [Finding("yaw rate", text, fix, grave=True)]
+    if speed < 0.0:
+        text = "speed: negative where the car drives forwards"
+        return [Finding("speed", text, {"speed_scale": -setup.speed_scale}, grave=True)]
+    yaw_off, speed_off = abs(yaw - 1.0), abs(speed - 1.0)
+    if min(yaw_off, speed_off) > 0.05 and abs(yaw - speed) < 0.5 * min(yaw_off, speed_off):
+        text = (
+            f"time: yaw rate is {yaw:.3f} times the heading's turning and speed {speed:.3f} times "
+            f"the path per time: the clock runs {yaw:.3f} times too slowly"
+            if yaw < 1.0
+            else f"time: yaw rate is {yaw:.3f} times the heading's turning and speed {speed:.3f} "
+            f"times the path per time: a second of the recording lasts {1.0 / yaw:.3f} s"
+        )
+        fix = {"time_scale": round(setup.time_scale / yaw, 4)}
+        return [Finding("time", text, fix, grave=True)]
+    text = f"yaw rate: {yaw:.3f} times the turning of the heading"
+    fix = {"yaw_rate_scale": round(setup.yaw_rate_scale / yaw, 4)} if yaw_off > 0.05 else {}
+    findings.append(Finding("yaw rate", text, fix, grave=yaw_off > 0.2))
+    text = f"speed: {speed:.3f} times the path per time"
+    fix = {"speed_scale": round(setup.speed_scale / speed, 4)} if speed_off > 0.05 else {}
+    findings.append(Finding("speed", text, fix, grave=speed_off > 0.2))
+    return findings
+
+
+def _steering_sign(motions, setup, vehicle):
+    delta, r = _pooled(motions, "delta", "moving"), _pooled(motions, "r", "moving")
+    turns = np.abs(r) > TURNING_RADPS
+    if np.count_nonzero(turns) < RATE_HZ or np.median(delta[turns] * r[turns]) >= 0.0:
+        return []
+    fix = {
+        "steering_gain": -setup.steering_gain,
+        "steering_offset_rad": -setup.steering_offset_rad,
+    }
+    return [Finding("steering", "steering: its sign is not that of the yaw rate", fix, grave=True)]
+
+
+def _lateral_axis(motions, setup, vehicle):
+    """Which axis of the IMU, with which sign, has the lateral acceleration?"""
+    motions = [motion for motion in motions if motion.axes]
+    if not motions:
+        return []
+    expected = _expected(motions, setup, vehicle, "steady")
+    if expected.size < RATE_HZ or np.percentile(np.abs(expected), 90) < 1.0:
+        return []
+    findings, fits = [], {}
+    for axis in motions[0].axes:
+        values = np.concatenate([motion.axes[axis][motion.steady] for motion in motions])
+        slope, _, share = _line(expected, values)
+        fits[axis] = slope, share
+        gravity = np.concatenate([motion.axes[axis] for motion in motions if axis in motion.axes])
+        if abs(abs(np.median(gravity)) - GRAVITY) < 2.0 and axis == setup.lateral_axis:
+            findings.append(f"gravity is on its {axis} axis")
+    own = fits.get(setup.lateral_axis, (0.0, 0.0))
+    best = max(fits, key=lambda axis: fits[axis][1] if abs(fits[axis][0]) > 0.4 else -1.0)
+    slope, share = fits[best]
+    if abs(slope) < 0.4 or share < 0.5:
+        text = (
+            f"lateral acceleration: no axis of the IMU follows speed times yaw rate (a_"
+            f"{setup.lateral_axis} has {own[0]:.2f} of it): take it from them (--acceleration "
+            "yaw_rate)"
+        )
+        return [
+            Finding(
+                "lateral acceleration",
+                text,
+                grave=motions[0].a_y is not None and _uses_imu(motions),
+            )
+        ]
+    if best != setup.lateral_axis and (abs(own[0]) < 0.4 or own[1] < 0.5):
+        why = f" ({findings[0]})" if findings else ""
+        text = (
+            f"lateral acceleration: a_{setup.lateral_axis} has {own[0]:.2f} of speed times yaw "
+            f"rate, a_{best} has {slope:.2f}{why}"
+        )
+        fix = {
+            "lateral_axis": best,
+            "lateral_scale": math.copysign(1.0, slope),
+            "lateral_offset_mps2": 0.0,
+        }
+        return [Finding("lateral acceleration", text, fix, grave=True)]
+    if own[0] * setup.lateral_scale < 0.0:
+        text = (
+            f"lateral acceleration: a_{setup.lateral_axis} is {own[0] * setup.lateral_scale:.2f} "
+            "times speed times yaw rate: its sign is wrong"
+        )
+        fix = {
+            "lateral_scale": -setup.lateral_scale,
+            "lateral_offset_mps2": -setup.lateral_offset_mps2,
+        }
+        return [Finding("lateral acceleration", text, fix, grave=True)]
+    return []
+
+
+def _uses_imu(motions):
+    motion = motions[0]
+    return not np.array_equal(motion.a_y, motion.v_x * motion.r)
+
+
+def _lateral_scale(motions, setup, vehicle):
+    """Offset of the accelerometer, and body roll, which it takes for acceleration."""
+    motions = [motion for motion in motions if motion.axes]
+    if not motions or not _uses_imu(motions):
+        return []
+    expected = _expected(motions, setup, vehicle, "usable")
+    if expected.size < RATE_HZ or np.ptp(expected) < 1.0:
+        return []
+    a_y = np.concatenate([motion.a_y[motion.usable] for motion in motions])
+    standing = [motion.a_y[_standing(motion)] for motion in motions]
+    standing = np.concatenate([values for values in standing if values.size] or [np.zeros(0)])
+    slope, offset, _ = _line(expected, a_y)
+    if standing.size > LEAST_STANDING_S * RATE_HZ:
+        offset = float(np.median(standing))
+        slope = float((a_y - offset) @ expected / (expected @ expected))
+    scale = 1.0 if abs(slope - 1.0) < 0.03 or slope <= 0.0 else slope
+    text = f"lateral acceleration: {slope:.3f} times speed times yaw rate {offset:+.3f} m/s^2"
+    fix = {}
+    if scale != 1.0 or abs(offset) > 0.05:
+        fix = {
+            "lateral_scale": round(setup.lateral_scale / scale, 4),
+            "lateral_offset_mps2": round((setup.lateral_offset_mps2 - offset) / scale, 4),
+        }
+        if 0.0 < slope - 1.0 < 0.2:
+            roll = (slope - 1.0) / GRAVITY
+            text += f", as of a body that rolls {math.degrees(roll):.2f} degrees per m/s^2"
+    grave = abs(slope - 1.0) > 0.25 or abs(offset) > 0.75
+    return [Finding("lateral acceleration", text, fix, grave)]
+
+
+def _pose_point(motions, setup, vehicle):
+    """Where on the car the pose's point is, and whether its heading is the car's axis.
+
+    Of a slowly cornering car, ``beta = d r / v - c a_y + heading offset`` at a point `d` ahead of
+    the rear axle, whose slip is proportional to the acceleration.
+    """
+    cornering = _low(motions, vehicle)
+    if cornering is None:
+        return []
+    v, r, beta, a_y, sigma = (cornering[key] for key in ("v", "r", "beta", "a_y", "beta_noise"))
+    matrix = np.column_stack((r / v, -a_y, np.ones(v.size)))
+    both = _both_sides(r)
+    columns = [0, 1, 2] if both else [0, 1]
+    solution, error = _regression(matrix[:, columns], beta, sigma)
+    findings = []
+    d, d_error = solution[0], error[0]
+    if d_error < 0.04:
+        text = f"pose: its point is {d:.3f} +- {d_error:.3f} m ahead of the rear axle"
+        fix = {}
+        if abs(d - setup.pose_x_m) > max(0.06, 3.0 * d_error):
+            guesses = (0.0, vehicle.l_r, vehicle.l_wb)
+            near = min(guesses, key=lambda guess: abs(guess - d))
+            fix = {"pose_x_m": round(near if abs(near - d) < 0.05 else d, 4)}
+            text += f", not {setup.pose_x_m:.3f} m"
+        findings.append(Finding("pose", text, fix, grave=bool(fix)))
+    else:
+        text = (
+            f"pose: driven at one speed only, its point (here {setup.pose_x_m:.3f} m ahead of the "
+            "rear axle) cannot be told from the slip of the rear axle"
+        )
+        findings.append(Finding("pose", text))
+    if both and error[-1] < 0.01:
+        offset = solution[-1]
+        fix = {}
+        if abs(offset) > max(0.003, 3.0 * error[-1]):
+            fix = {"heading_offset_rad": round(setup.heading_offset_rad + offset, 4)}
+        text = (
+            f"heading: {offset:+.4f} +- {error[-1]:.4f} rad off the car's axis, left against right"
+        )
+        findings.append(Finding("heading", text, fix))
+    return findings
+
+
+def _steering_gain(motions, setup, vehicle):
+    """Gain and offset of the steering: at low acceleration the car follows Ackermann.
+
+    ``atan(l_wb r / v) = gain delta + offset - K a_y`` with the understeer gradient K.
+    """
+    cornering = _low(motions, vehicle)
+    if cornering is None:
+        return []
+    v, r, delta, a_y = (cornering[key] for key in ("v", "r", "delta", "a_y"))
+    both = _both_sides(r)
+    if not both:
+        text = "steering: driven to one side only, its gain and offset cannot be told apart"
+        return [Finding("steering", text)]
+    geometric = np.arctan(vehicle.l_wb * r / v)
+    matrix = np.column_stack((delta, -a_y, np.ones(v.size)))
+    solution, error = _regression(matrix, geometric, 0.0)
+    gain, offset = solution[0], solution[2]
+    text = (
+        f"steering: wheels turn {gain:.3f} +- {error[0]:.3f} times the signal "
+        f"{offset:+.4f} +- {error[2]:.4f} rad"
+    )
+    fix = {}
+    if abs(gain - 1.0) > max(0.05, 3.0 * error[0]) and error[0] < 0.1:
+        fix["steering_gain"] = round(setup.steering_gain * gain, 4)
+    if abs(offset) > max(0.003, 3.0 * error[2]):
+        scale = gain if "steering_gain" in fix else 1.0
+        fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
+    elif "steering_gain" in fix:
+        fix["steering_offset_rad"] = round(setup.steering_offset_rad * gain, 4)
+    return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and error[0] < 0.1)]
+
+
+def _lateral_velocity(motions, setup, vehicle):
+    """Does the odometry's lateral velocity say what the poses say?"""
+    motions = [motion for motion in motions if motion.v_y_odometry is not None]
+    if not motions:
+        return []
+    own = np.concatenate([motion.v_y_odometry[motion.usable] for motion in motions])
+    if own.size < RATE_HZ:
+        return []
+    if not own.any():
+        text = "lateral velocity: the odometry has 0 throughout; the poses' is used"
+        return [Finding("lateral velocity", text)]
+    poses = np.concatenate([(m.v_x * np.tan(m.beta))[m.usable] for m in motions])
+    text = (
+        f"lateral velocity: the odometry's differs from the poses', which is used, by "
+        f"{np.sqrt(np.mean((own - poses) ** 2)):.3f} m/s RMS"
+    )
+    return [Finding("lateral velocity", text)]
+
+
+def _sides(motions, setup, vehicle):
+    r = _pooled(motions, "r", "usable")
+    if r.size < RATE_HZ or _both_sides(r):
+        return []
+    side = "left" if np.median(r) > 0.0 else "right"
+    text = f"sides: driven to the {side} only, so that no offset of a sensor can be seen"
+    return [Finding("sides", text)]
+
+
+def _localization(motions, setup, vehicle):
+    findings = []
+    for motion in motions:
+        lost = np.count_nonzero(motion.moving & ~motion.coherent) / RATE_HZ
+        driven = np.count_nonzero(motion.moving) / RATE_HZ
+        if lost > 0.1 * driven:
+            text = (
+                f"localization: {motion.run.label}: speed or yaw rate disagree with the car's "
+                f"sensors in {lost:.1f} of {driven:.1f} s, which are left out"
+            )
+            findings.append(Finding("localization", text))
+        spikes = {name: share for name, share in motion.spikes.items() if share > 0.02}
+        if spikes:
+            shares = ", ".join(f"{share:.0%} of {name}" for name, share in spikes.items())
+            findings.append(Finding("spikes", f"spikes: {motion.run.label}: {shares} left out"))
+        if abs(motion.clock_offset_s) > 0.03 and motion.segments():
+            text = (
+                f"clock: {motion.run.label}: the pose's clock was shifted by "
+                f"{motion.clock_offset_s:+.2f} s to the yaw rate's"
+            )
+            findings.append(Finding("clock", text))
+    return findings
+
+
+# -- what they share -----------------------------------------------------------------------------
+
+
+def _pooled(motions, name, mask):
+    return np.concatenate([getattr(motion, name)[getattr(motion, mask)] for motion in motions])
+
+
+def _expected(motions, setup, vehicle, mask):
+    """Lateral acceleration in steady state."""
+    return np.concatenate([(m.v_x * m.r)[getattr(m, mask)] for m in motions])
+
+
+def _standing(motion):
+    """Where the car stands, away from where it stops: the body still moves there."""
+    still = (np.abs(motion.v_x) < STANDSTILL_MPS) & (np.abs(motion.r) < 0.05)
+    still &= np.any([axis != 0.0 for axis in motion.axes.values()], axis=0)
+    margin = np.ones(round(RATE_HZ) + 1)
+    if still.size < margin.size:
+        return np.zeros_like(still)
+    return np.convolve(~still, margin, mode="same") < 0.5
+
+
+def _both_sides(r):
+    left = np.count_nonzero(r > 0.5 * TURNING_RADPS)
+    right = np.count_nonzero(r < -0.5 * TURNING_RADPS)
+    return min(left, right) > 0.1 * max(left, right, 1)
+
+
+def _low(motions, vehicle):
+    """Points of steady cornering at low acceleration, or None if there are too few."""
+    columns = {key: [] for key in ("v", "r", "delta", "beta", "a_y")}
+    for motion in motions:
+        for cut in motion.segments():
+            pick = slice(cut.start, cut.stop, PICK)
+            for key, values in (
+                *(("v", motion.v_x), ("r", motion.r), ("delta", motion.delta)),
+                *(("beta", motion.beta), ("a_y", motion.v_x * motion.r)),
+            ):
+                columns[key].append(values[pick])
+    if not columns["v"]:
+        return None
+    columns = {key: np.concatenate(parts) for key, parts in columns.items()}
+    largest = np.percentile(np.abs(columns["a_y"]), 98.0)
+    low = (np.abs(columns["a_y"]) < LOW_SHARE * largest) & (np.abs(columns["r"]) > 0.2)
+    if np.count_nonzero(low) < 10:
+        return None
+    columns = {key: values[low] for key, values in columns.items()}
+    columns["beta_noise"] = float(np.median([motion.beta_noise for motion in motions]))
+    return columns
+
+
+def _line(x, y):
+    """Slope and intercept of y over x, and the share of the variance that they explain."""
+    centered = x - x.mean()
+    variance = float(centered @ centered)
+    if variance < 1e-9 or np.ptp(y) < 1e-9:
+        return 0.0, float(y.mean()), 0.0
+    slope = float(centered @ y) / variance
+    residual = y - y.mean() - slope * centered
+    share = 1.0 - float(residual @ residual) / float((y - y.mean()) @ (y - y.mean()))
+    return slope, float(y.mean() - slope * x.mean()), share
+
+
+def _regression(matrix, values, noise):
+    """Least squares with standard errors; half of the points count as independent."""
+    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-9)
+    solution = np.linalg.lstsq(matrix / scale, values, rcond=None)[0]
+    residual = values - matrix / scale @ solution
+    variance = max(float(residual @ residual) / max(values.size - matrix.shape[1], 1), noise**2)
+    normal = (matrix / scale).T @ (matrix / scale)
+    covariance = np.linalg.pinv(normal) * variance * 10.0 / 2.0
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if np.linalg.cond(normal) > 1e10:
+        error[:] = np.inf
+    return solution / scale, error / scale
