@@ -5,7 +5,7 @@ import sys
 
 from .. import __version__
 from ..errors import MapRacingError
-from . import evaluate, identify, lookup, race, ramp
+from . import compare, evaluate, experiment, identify, lookup, race, ramp, tune
 
 __all__ = ["main"]
 
@@ -16,12 +16,12 @@ def build_parser():
         prog="map-racing",
         description="Model- and Acceleration-based Pursuit for 1:10 race cars: "
         "race a simulated car, evaluate laps from bags, identify tires, make and check lookup "
-        "tables.",
+        "tables, tune controllers, repeat the paper's experiments.",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.required = True
-    for module in (race, evaluate, lookup, ramp, identify):
+    for module in (race, evaluate, lookup, ramp, identify, tune, experiment, compare):
         module.add_parser(commands)
     return parser
 

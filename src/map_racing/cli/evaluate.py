@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..errors import BagError, MapRacingError, ParameterError
+from ..errors import BagError, EvaluationError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_course, load_recording
 from ..evaluation.report import lap_table, summary_table, write_csv, write_json
@@ -158,6 +158,12 @@ def draw(folder, names, results):
             figures.append((f"{stem}_laps.png", runs.plot_laps, (result, name)))
         figures.append((f"{stem}_speed.png", runs.plot_path, (result, "speed", name)))
         figures.append((f"{stem}_error.png", runs.plot_path, (result, "error", name)))
-    figures.append(("boxes.png", runs.plot_boxes, (list(zip(names, results)),)))
+    named = list(zip(names, results))
+    figures.append(("boxes.png", runs.plot_boxes, (named,)))
     for file_name, plot, values in tqdm(figures, desc="figures", disable=None, leave=False):
         save(plot(*values), folder / file_name)
+    if len([result for result in results if result.summary.laps_completed]) > 1:
+        try:
+            save(runs.plot_differences(named), folder / "difference.png")
+        except EvaluationError as error:  # on different courses there is nothing to compare
+            print(f"no difference.png: {error}")

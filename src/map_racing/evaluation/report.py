@@ -10,7 +10,15 @@ import pandas as pd
 
 from ..files import replacing
 
-__all__ = ["lap_table", "summary_table", "to_frame", "to_json", "write_csv", "write_json"]
+__all__ = [
+    "aligned",
+    "lap_table",
+    "summary_table",
+    "to_frame",
+    "to_json",
+    "write_csv",
+    "write_json",
+]
 
 _LAP_COLUMNS = (
     ("lap", "lap", "{:d}"),
@@ -101,7 +109,7 @@ def lap_table(result):
     for lap in result.laps:
         row = lap.row()
         rows.append([_text(row[name], form) for name, _, form in _LAP_COLUMNS])
-    return "\n".join([*_aligned(rows, left=len(_LAP_COLUMNS) - 1), "", _sentence(result.summary)])
+    return "\n".join([*aligned(rows, left=len(_LAP_COLUMNS) - 1), "", _sentence(result.summary)])
 
 
 def summary_table(named_results):
@@ -129,7 +137,7 @@ def summary_table(named_results):
                 _text(summary.max_speed_mps, "{:.2f}", "N.C."),
             ]
         )
-    return "\n".join(_aligned(rows, left=0))
+    return "\n".join(aligned(rows, left=0))
 
 
 def _sentence(summary):
@@ -154,7 +162,20 @@ def _text(value, form, missing="-"):
     return form.format(value)
 
 
-def _aligned(rows, left):
+def aligned(rows, left=0):
+    """Lines of a text table.
+
+    Parameters
+    ----------
+    rows : list of list of str
+        The first has the titles.
+    left : int
+        Column that is aligned to the left; the others are to the right.
+
+    Yields
+    ------
+    str
+    """
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         cells = (

@@ -15,10 +15,19 @@ from typing import NamedTuple
 from ..control.parameters import read_parameters
 from ..errors import ParameterError
 from ..resources import find_config
-from ..simulation.plant import load_plant_parameters, scaled_tires
+from ..simulation.plant import Localization, Plant, load_plant_parameters, scaled_tires
+from ..simulation.public_simulator import PublicSimulator
 from ..vehicle.parameters import Vehicle, load_vehicle
 
-__all__ = ["PUBLIC_SIMULATOR", "Conditions", "Day", "day_of", "load_conditions", "load_plant"]
+__all__ = [
+    "PUBLIC_SIMULATOR",
+    "Conditions",
+    "Day",
+    "build_plant",
+    "day_of",
+    "load_conditions",
+    "load_plant",
+]
 
 PUBLIC_SIMULATOR = "public_simulator"
 
@@ -137,6 +146,27 @@ def load_plant(source):
         return load_vehicle("sim")
     parameters = load_plant_parameters(source)
     return replace(parameters, vehicle=load_vehicle(parameters.vehicle))
+
+
+def build_plant(plant, seed):
+    """A car that can be driven.
+
+    Parameters
+    ----------
+    plant : PlantParameters or Vehicle
+        As from `load_plant`.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    plant : Plant or PublicSimulator
+    localization : Localization or None
+        The public simulator has none: its poses are true.
+    """
+    if isinstance(plant, Vehicle):
+        return PublicSimulator(plant), None
+    return Plant(plant), Localization(plant, seed)
 
 
 def day_of(plant, conditions, seed):

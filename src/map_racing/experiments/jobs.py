@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from time import process_time
-from typing import NamedTuple, Union
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,17 +25,20 @@ from ..control.controller import build_controller
 from ..control.parameters import ControllerParameters
 from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
-from ..simulation.plant import Localization, Plant, PlantParameters
-from ..simulation.public_simulator import PublicSimulator
+from ..simulation.plant import PlantParameters
 from ..simulation.race import Outcome, race
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
+from .conditions import build_plant
 from .race_bag import write_race_bag
 
 __all__ = ["RaceJob", "RaceResult", "Stretch", "code_fingerprint", "execute"]
 
 # The rooms, and modules of other rooms, that decide how a race goes and what is measured of it.
-_DECISIVE = ("vehicle", "track", "control", "simulation", "evaluation/laps.py", "experiments/jobs.py")
+_DECISIVE = (
+    *("vehicle", "track", "control", "simulation"),
+    *("evaluation/laps.py", "experiments/conditions.py", "experiments/jobs.py"),
+)
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class RaceJob:
     name: str = field(compare=False)
     controller: ControllerParameters
     vehicle: Vehicle
-    plant: Union[PlantParameters, Vehicle]
+    plant: PlantParameters | Vehicle
     raceline: Raceline
     laps: int
     seed: int
@@ -113,8 +116,8 @@ class RaceResult(NamedTuple):
         the one whose pose localization gives.
     duration_s : float
         Simulated time [s].
-    path : tuple of (float, float)
-        True position at each control step [m]; empty if it was not asked for.
+    path : tuple of (float, float, float)
+        Time [s] and true position [m] at each control step; empty if it was not asked for.
     """
 
     outcome: str
@@ -156,10 +159,7 @@ def execute(job, path=False, bag=False):
     Executed
     """
     begin = process_time()
-    if isinstance(job.plant, Vehicle):
-        plant, localization = PublicSimulator(job.plant), None
-    else:
-        plant, localization = Plant(job.plant), Localization(job.plant, job.seed)
+    plant, localization = build_plant(job.plant, job.seed)
     controller = build_controller(job.controller, job.vehicle, job.raceline)
     log = race(plant, controller, job.raceline, localization, laps=job.laps)
     states = log.true_path() if log.samples else np.empty((0, 7))
@@ -168,7 +168,7 @@ def execute(job, path=False, bag=False):
     evaluator.update(t, x, y, np.hypot(v_x, v_y))
     laps = evaluator.finish().laps
     stretches = tuple(Stretch(*(getattr(lap, name) for name in Stretch._fields)) for lap in laps)
-    driven = tuple(zip(x.tolist(), y.tolist())) if path else ()
+    driven = tuple(zip(t.tolist(), x.tolist(), y.tolist())) if path else ()
     result = RaceResult(log.outcome.value, stretches, log.duration, driven)
     recorded = _bag_of(log, job.raceline) if bag else None
     return Executed(result, recorded, process_time() - begin, code_fingerprint())

@@ -1,7 +1,7 @@
 """The experiments of the paper: what is raced with what, and what comes of it as tables.
 
-Becker et al., ICRA 2023, section on the experiments: *velocity scaling* (laps at rising speed until a
-crash, pure pursuit and MAP) and *tire models* (pure pursuit, MAP with linear tires and MAP with
+Becker et al., ICRA 2023, section on the experiments: *velocity scaling* (laps at rising speed until
+a crash, pure pursuit and MAP) and *tire models* (pure pursuit, MAP with linear tires and MAP with
 Pacejka tires at two speeds).
 """
 
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ..control.parameters import ControllerParameters, load_controller_parameters
+from ..control.parameters import load_controller_parameters
 from ..evaluation.recordings import load_course
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
@@ -28,8 +28,10 @@ __all__ = [
     "Contender",
     "Race",
     "Setting",
+    "contenders",
     "highest_scales",
     "lap_frame",
+    "on_common_days",
     "race_frame",
     "scaling_plan",
     "scaling_table",
@@ -144,7 +146,7 @@ def tuning_plan(setting, label, controller):
     setting : Setting
     label : str
     controller : ControllerParameters
-        What is not tuned of it is kept, but the scale of the speeds for the time being.
+        What is not tuned of it is kept; the scale of the speeds does not matter.
 
     Returns
     -------
@@ -156,8 +158,12 @@ def tuning_plan(setting, label, controller):
     def jobs_for(candidate):
         return [setting.job(label, candidate, day, conditions.tuning_laps) for day in days]
 
-    steps = tune(jobs_for, controller.with_(speed_scale=conditions.tuning_scale))
-    return Plan(steps, 130 * len(days))
+    def steps():
+        tuned = yield from tune(jobs_for, controller.with_(speed_scale=conditions.tuning_scale))
+        as_given = tuned.controller.with_(speed_scale=controller.speed_scale)
+        return tuned._replace(controller=as_given)
+
+    return Plan(steps(), 130 * len(days))
 
 
 def scaling_plan(setting, label, controller, seed, laps, scales):
@@ -210,12 +216,11 @@ def single_plan(setting, label, controller, seed, laps, scales):
     return Plan(steps(), len(scales))
 
 
-def contenders(setting, tuned):
+def contenders(tuned):
     """Controllers of all contenders.
 
     Parameters
     ----------
-    setting : Setting
     tuned : dict of str to ControllerParameters
         By label, those of the contenders that are tuned.
 
@@ -446,4 +451,5 @@ def on_common_days(races, first, second):
                 "gain_s": float(np.mean(time_b - time_a)),
             }
         )
-    return pd.DataFrame(rows, columns=["speed_scale", "days", "days_closer", "error_ratio", "gain_s"])
+    columns = ["speed_scale", "days", "days_closer", "error_ratio", "gain_s"]
+    return pd.DataFrame(rows, columns=columns)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from ..errors import ParameterError
 from ..evaluation.bags import BagWriter
 from ..simulation.car import SimulatedCar
-from ..simulation.plant import Localization, Plant
+from .conditions import build_plant
 from .race_bag import EPOCH_NS
 from .steering_ramp import Circle, Phase, RampParameters, SteeringRamp
 
@@ -39,8 +39,9 @@ def drive_ramps(plant_parameters, ramps=None, seed=1, progress=None):
 
     Parameters
     ----------
-    plant_parameters : PlantParameters
-        The car, its localization and its noise.
+    plant_parameters : PlantParameters or Vehicle
+        The car, its localization and its noise; a Vehicle is driven as the public simulator's,
+        which has none.
     ramps : sequence of RampParameters, optional
         By default one at the default speed.
     seed : int
@@ -58,7 +59,7 @@ def drive_ramps(plant_parameters, ramps=None, seed=1, progress=None):
         If the car leaves the area of 50 m, or does not get to its speed.
     """
     ramps = tuple(ramps) if ramps is not None else (RampParameters(),)
-    car = SimulatedCar(Plant(plant_parameters), Localization(plant_parameters, seed))
+    car = SimulatedCar(*build_plant(plant_parameters, seed))
     samples = []
     command = None
     for parameters in ramps:

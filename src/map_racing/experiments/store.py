@@ -116,7 +116,7 @@ def _result(record, path):
             Stretch(*(math.nan if row[name] is None else row[name] for name in Stretch._fields))
             for row in values["stretches"]
         )
-        driven = tuple((x, y) for x, y in values["path"])
+        driven = tuple((t, x, y) for t, x, y in values["path"])
         return RaceResult(values["outcome"], stretches, values["duration_s"], driven)
     except (KeyError, TypeError, ValueError):
         raise FileFormatError(f"{path}: expected the result of a race; delete it") from None

@@ -1,10 +1,11 @@
 """Tuning: the lookahead ``L_d = m + q v`` with which a controller follows a course closest.
 
-The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all races
-that are driven with a pair (m, q): one on each of several days. A pair with which any of them is not
-completed is infeasible. A coarse grid finds the valley, a pattern search (Hooke and Jeeves, with all
-eight neighbors) its lowest point to 0.02 m and 0.005 s. The gain q is not negative: a lookahead that
-shortens as the car gets faster would follow well at the speed it was tuned at, and swing beyond.
+The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
+races that are driven with a pair (m, q): one on each of several days. A pair with which any of them
+is not completed is infeasible. A coarse grid finds the valley, a pattern search (Hooke and Jeeves,
+with all eight neighbors) its lowest point to 0.02 m and 0.005 s. The gain q is not negative: a
+lookahead that shortens as the car gets faster would follow well at the speed it was tuned at, and
+swing beyond.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from ..errors import MapRacingError
 
-__all__ = ["Pair", "Tuned", "lap_error", "tune"]
+__all__ = ["Pair", "Tuned", "frame_of", "lap_error", "tune"]
 
 # Finest steps of m [m] and q [s]; all pairs are whole multiples of them.
 STEP_M, STEP_Q = 0.02, 0.005
@@ -64,6 +66,30 @@ def lap_error(results):
     if not all(result.completed for result in results):
         return math.inf
     return float(np.mean([lap.rms_lateral_error_m for result in results for lap in result.laps]))
+
+
+def frame_of(tuned):
+    """All pairs as a table: ``m_m q_s rms_lateral_error_m completed``.
+
+    Parameters
+    ----------
+    tuned : Tuned
+
+    Returns
+    -------
+    pandas.DataFrame
+        The error is NaN where not all races were completed.
+    """
+    rows = [
+        {
+            "m_m": pair.m,
+            "q_s": pair.q,
+            "rms_lateral_error_m": pair.error if math.isfinite(pair.error) else math.nan,
+            "completed": math.isfinite(pair.error),
+        }
+        for pair in tuned.pairs
+    ]
+    return pd.DataFrame(rows)
 
 
 def tune(jobs_for, controller):

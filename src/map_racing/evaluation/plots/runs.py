@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from ...errors import EvaluationError, ParameterError
 from .style import COLORS, DEVIATION, RACELINE, WALL, finished, new_figure, size_for
 
-__all__ = ["plot_boxes", "plot_laps", "plot_path"]
+__all__ = ["draw_course", "plot_boxes", "plot_differences", "plot_laps", "plot_path"]
 
 
 def plot_path(result, color_by="speed", title=None):
@@ -50,37 +50,17 @@ def plot_path(result, color_by="speed", title=None):
         high = float(np.percentile(np.abs(values), 99.5))
         low = -high
 
-    every = np.append(line.s, line.length)
-    curve = line.sample(every)
-    left, right = curve.d_left, curve.d_right
-    figure = new_figure(*size_for(curve.x, curve.y))
+    figure = new_figure(*size_for(line.x, line.y))
     axes = figure.add_subplot(1, 1, 1)
-    if left is not None:
-        axes.plot(*line.to_cartesian(every, left), color=WALL, lw=1.0, label="walls")
-        axes.plot(*line.to_cartesian(every, -right), color=WALL, lw=1.0)
+    draw_course(axes, line, result.start_s)
     path = LineCollection(
         np.concatenate(pieces).reshape(-1, 2, 2), cmap=colors, linewidths=1.6, zorder=3
     )
     path.set_array(values)
     path.set_clim(low, high if high > low else low + 1.0)
     axes.add_collection(path)
-    axes.plot(curve.x, curve.y, color=RACELINE, lw=0.8, ls="--", label="raceline", zorder=4)
-    reach = (0.5, 0.5) if left is None else line.widths_at(result.start_s)
-    ends = np.array([reach[0], -reach[1]])
-    axes.plot(
-        *line.to_cartesian(np.full(2, result.start_s), ends),
-        color=COLORS[1],
-        lw=2.5,
-        label="start line",
-        zorder=5,
-    )
-    axes.set_aspect("equal")
-    axes.margins(0.04)
     axes.autoscale_view()
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
     axes.set_title(title or _name(result))
-    axes.grid(alpha=0.25)
     axes.legend(loc="best", fontsize="small")
     figure.colorbar(path, ax=axes, label=label, fraction=0.04, pad=0.03)
     return finished(figure)
@@ -189,6 +169,114 @@ def plot_boxes(named_results, title=None):
     if title:
         figure.suptitle(title)
     return finished(figure, top=0.94 if title else 1.0)
+
+
+def plot_differences(named_results, title=None):
+    """Lateral deviation of several runs over the distance, and by how much their errors differ.
+
+    The error of a run at a place is the RMS of the deviation of its valid laps there. Above, the
+    mean deviation of each run and the band in which its laps are; below, the errors of all other
+    runs less that of the first: above zero a run is worse there.
+
+    Parameters
+    ----------
+    named_results : iterable of (str, RunResult)
+        At least two, with traces, on the same raceline from the same start line.
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    EvaluationError
+        If there are fewer than two with valid laps, or their racelines or start lines differ.
+    """
+    named = [(name, result, _over_distance(result)) for name, result in named_results]
+    named = [entry for entry in named if entry[2] is not None]
+    if len(named) < 2:
+        raise EvaluationError("expected at least two runs with valid laps to compare over distance")
+    first_name, first, (s, _, first_error) = named[0]
+    for name, result, _ in named[1:]:
+        if not _same_course(first, result):
+            raise EvaluationError(f"{name}: expected the raceline and start line of {first_name}")
+    figure = new_figure(10.0, 6.5)
+    top = figure.add_subplot(2, 1, 1)
+    bottom = figure.add_subplot(2, 1, 2, sharex=top)
+    for place, (name, _, (_, deviation, error)) in enumerate(named):
+        color = COLORS[place % len(COLORS)]
+        top.fill_between(s, deviation.min(axis=0), deviation.max(axis=0), color=color, alpha=0.2)
+        rms = math.sqrt(float(np.mean(error**2)))
+        label = f"{name}: {len(deviation)} laps, RMS over distance {rms:.3f} m"
+        top.plot(s, deviation.mean(axis=0), color=color, lw=1.3, label=label)
+        if place:
+            bottom.plot(s, error - first_error, color=color, lw=1.3, label=f"{name} − {first_name}")
+            if len(named) == 2:
+                bottom.fill_between(s, 0.0, error - first_error, color=color, alpha=0.2)
+    for axes in (top, bottom):
+        axes.axhline(0.0, color=RACELINE, lw=0.8)
+        axes.grid(alpha=0.25)
+        axes.legend(loc="best", fontsize="small")
+    top.set_ylabel("lateral deviation,\nleft positive [m]")
+    bottom.set_ylabel("difference of\nRMS error [m]")
+    bottom.set_xlabel("distance from the start line [m]")
+    bottom.set_xlim(0.0, first.raceline.length)
+    top.set_title(title or "Deviation over the distance, and difference of errors")
+    return finished(figure)
+
+
+def _over_distance(result):
+    """Distances [m], the deviation of each valid lap there, and their RMS; None without laps."""
+    laps = [lap for lap in result.laps if lap.valid and lap.trace is not None]
+    if not laps:
+        return None
+    s = np.linspace(0.0, result.raceline.length, 2 * result.raceline.n)
+    deviation = np.array(
+        [np.interp(s, np.maximum.accumulate(lap.trace.s), lap.trace.d) for lap in laps]
+    )
+    return s, deviation, np.sqrt(np.mean(deviation**2, axis=0))
+
+
+def _same_course(a, b):
+    """Whether two results have the same raceline, to a centimeter, from the same start line."""
+    one, other = a.raceline, b.raceline
+    if abs(one.length - other.length) > 0.01 or abs(a.start_s - b.start_s) > 1e-6:
+        return False
+    s = np.linspace(0.0, one.length, 200)
+    (x1, y1), (x2, y2) = (line.to_cartesian(s, np.zeros_like(s)) for line in (one, other))
+    return float(np.max(np.hypot(x1 - x2, y1 - y2))) < 0.01
+
+
+def draw_course(axes, line, start_s=0.0):
+    """Walls, raceline and start line of a course, to scale.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    line : Raceline
+    start_s : float
+        Arc length of the start line [m].
+    """
+    every = np.append(line.s, line.length)
+    curve = line.sample(every)
+    if curve.d_left is not None:
+        axes.plot(*line.to_cartesian(every, curve.d_left), color=WALL, lw=1.0, label="walls")
+        axes.plot(*line.to_cartesian(every, -curve.d_right), color=WALL, lw=1.0)
+    axes.plot(curve.x, curve.y, color=RACELINE, lw=0.8, ls="--", label="raceline", zorder=4)
+    reach = (0.5, 0.5) if curve.d_left is None else line.widths_at(start_s)
+    axes.plot(
+        *line.to_cartesian(np.full(2, start_s), np.array([reach[0], -reach[1]])),
+        color=COLORS[1],
+        lw=2.5,
+        label="start line",
+        zorder=5,
+    )
+    axes.set_aspect("equal")
+    axes.margins(0.04)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.25)
 
 
 def _traced(result):

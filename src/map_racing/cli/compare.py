@@ -1,0 +1,76 @@
+"""``map-racing compare``: two result directories side by side."""
+
+import math
+from pathlib import Path
+
+from ..evaluation.report import aligned
+from ..experiments.results import compare, read_results
+from .outputs import make_folder
+
+DIGITS = {"days_completed": 0, "m_m": 3, "q_s": 3, "rms_lateral_error_m": 4}
+
+
+def add_parser(commands):
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "compare",
+        help="compare two result directories of experiments or of tuning",
+        description="Compare two result directories of the same experiment on the same track: the "
+        "tables row by row, and what differs in provenance.",
+    )
+    parser.add_argument("first", metavar="DIR", help="result directory")
+    parser.add_argument("second", metavar="DIR", help="result directory")
+    parser.add_argument("--plots", metavar="DIR", help="write a figure, too")
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Compare, print, draw."""
+    folders = arguments.first, arguments.second
+    comparison = compare(*(read_results(folder) for folder in folders))
+    print(f"{comparison.kind}: a = {folders[0]}, b = {folders[1]}\n")
+    print("\n".join(table_lines(comparison)), end="\n\n")
+    for name, keys in (("a", comparison.only_a), ("b", comparison.only_b)):
+        if keys:
+            print(f"only in {name}: " + ", ".join(f"{label} {scale:g}" for scale, label in keys))
+    if comparison.differences:
+        print("What differs in provenance:")
+        rows = [["", "a", "b"], *map(list, comparison.differences)]
+        print("\n".join(f"  {line}" for line in aligned(rows)))
+    else:
+        print("No difference in provenance.")
+    if arguments.plots:
+        from ..evaluation.plots.experiments import plot_comparison
+        from ..evaluation.plots.style import save
+
+        names = run_names(folders)
+        figure = plot_comparison(comparison.table, comparison.values, names, comparison.kind)
+        path = make_folder(arguments.plots) / "comparison.png"
+        save(figure, path)
+        print(f"figure written to {path}")
+
+
+def table_lines(comparison):
+    """Rows of both with their change."""
+    rows = [["scale", "controller"]]
+    for value in comparison.values:
+        rows[0] += [f"{value} a", "b", "change"]
+    for row in comparison.table.to_dict("records"):
+        cells = [f"{row['speed_scale']:.3f}", row["controller"]]
+        for value in comparison.values:
+            digits = DIGITS.get(value, 3)
+            first, second, change = (row[f"{value}_{name}"] for name in ("a", "b", "change"))
+            cells += [_number(first, digits), _number(second, digits)]
+            cells.append("-" if math.isnan(change) else f"{change:+.{digits}f}")
+        rows.append(cells)
+    return aligned(rows, left=1)
+
+
+def _number(value, digits):
+    return "N.C." if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def run_names(folders):
+    """The folders' names, or their paths where the names are one."""
+    names = tuple(Path(folder).resolve().name for folder in folders)
+    return names if names[0] != names[1] else tuple(map(str, folders))

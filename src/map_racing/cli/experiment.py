@@ -1,0 +1,236 @@
+"""``map-racing experiment``: the paper's experiments, each by one command."""
+
+import math
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..evaluation.report import aligned
+from ..experiments.paper import (
+    CONTENDERS,
+    highest_scales,
+    lap_frame,
+    on_common_days,
+    race_frame,
+    scaling_plan,
+    scaling_table,
+    single_plan,
+    tire_table,
+)
+from .work import Work, add_options
+
+FIRST_SCALE, SCALE_STEP = 0.6, 0.025
+TIRE_SCALES = (0.7, 0.8)
+PAPER, REFERENCE = "MAP Pacejka", "pure pursuit"
+
+
+def add_parser(commands):
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "experiment",
+        help="repeat an experiment of the paper",
+        description="Repeat an experiment of the paper: identify the tires of the plant, tune the "
+        "controllers, race them, and write tables, figures and provenance.",
+    )
+    kinds = parser.add_subparsers(dest="kind", metavar="EXPERIMENT")
+    kinds.required = True
+
+    scaling = kinds.add_parser(
+        "velocity-scaling",
+        help="laps at rising speeds until a crash",
+        description="Laps at rising scales of the raceline's speeds, for each controller and each "
+        "race day until they are not completed.",
+    )
+    add_options(scaling)
+    scaling.add_argument(
+        "--laps", type=int, default=10, help="timed laps of a race (default: %(default)s)"
+    )
+    scaling.add_argument(
+        "--to",
+        type=float,
+        default=1.5,
+        metavar="SCALE",
+        help="last scale, if there is no crash before (default: %(default)s)",
+    )
+    scaling.set_defaults(run=run_scaling)
+
+    tires = kinds.add_parser(
+        "tire-models",
+        help="pure pursuit, MAP with linear and MAP with Pacejka tires at two speeds",
+        description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 %% and "
+        "80 %% of the raceline's speeds.",
+    )
+    add_options(tires)
+    tires.add_argument(
+        "--laps", type=int, default=5, help="timed laps of a race (default: %(default)s)"
+    )
+    tires.set_defaults(run=run_tires)
+
+
+# -- commands --------------------------------------------------------------------------------------
+
+
+def run_scaling(arguments):
+    """Velocity scaling."""
+    check_laps(arguments.laps)
+    if not FIRST_SCALE <= arguments.to <= 2.0:
+        raise ParameterError(f"--to must be {FIRST_SCALE:g} to 2, not {arguments.to}")
+    count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
+    scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
+    work = Work(arguments, "velocity-scaling")
+    races = work.race(scaling_plan, arguments.laps, scales)
+    per_race, laps = race_frame(races), lap_frame(races)
+    table = scaling_table(per_race, laps)
+    highest = highest_scales(per_race)
+    against = on_common_days(per_race, PAPER, REFERENCE)
+    work.write(
+        *(table, arguments.laps),
+        races=per_race,
+        laps=laps,
+        highest_scales=highest,
+        map_against_pure_pursuit=against,
+    )
+    print("\n".join(scaling_lines(table)), end="\n\n")
+    print("\n".join(highest_lines(highest)), end="\n\n")
+    print("\n".join(against_lines(against)))
+
+    from ..evaluation.plots.experiments import plot_scaling
+    from ..evaluation.plots.style import save
+
+    labels = [c.label for c in CONTENDERS]
+    ended = {
+        (row.speed_scale, row.controller): row.days - row.days_completed
+        for row in table.itertuples()
+    }
+    counted = laps[(laps.outcome == "completed") & laps.valid]
+    title = f"Velocity scaling: {work.where}, {arguments.laps} laps on each of {work.days}"
+    save(plot_scaling(counted, ended, labels, title), work.figures / "velocity_scaling.png")
+    work.report()
+
+
+def run_tires(arguments):
+    """Tire models."""
+    check_laps(arguments.laps)
+    work = Work(arguments, "tire-models")
+    races = work.race(single_plan, arguments.laps, TIRE_SCALES, path=True)
+    per_race = race_frame(races)
+    table = tire_table(per_race)
+    work.write(table, arguments.laps, races=per_race, laps=lap_frame(races))
+    print("\n".join(tire_lines(table)))
+
+    from ..evaluation.plots.experiments import plot_trajectories
+    from ..evaluation.plots.style import save
+
+    for seed in work.setting.conditions.seeds:
+        rows = [
+            [
+                (panel_title(race), timed_path(race.result), not race.result.completed)
+                for race in races
+                if race.scale == scale and race.seed == seed
+            ]
+            for scale in TIRE_SCALES
+        ]
+        title = f"Tire models: {work.where}, race day {seed}, {arguments.laps} laps"
+        figure = plot_trajectories(work.setting.raceline, rows, title)
+        save(figure, work.figures / f"trajectories_seed{seed}.png")
+    work.report()
+
+
+def check_laps(laps):
+    """Refuse a number of laps that makes no race."""
+    if not 1 <= laps <= 1000:
+        raise ParameterError(f"--laps must be 1 to 1000, not {laps}")
+
+
+# -- text ------------------------------------------------------------------------------------------
+
+
+def scaling_lines(table):
+    """Table of velocity scaling for the terminal."""
+    titles = ["scale", "controller", "days completed", "median RMS error [m]"]
+    rows = [[*titles, "max error [m]", "median lap [s]", "mean lap [s]"]]
+    for row in table.itertuples():
+        rows.append([f"{row.speed_scale:.3f}", row.controller, completion(row)])
+        if row.days_completed:
+            rows[-1] += [
+                f"{row.median_rms_lateral_error_m:.3f}",
+                f"{row.max_abs_lateral_error_m:.3f}",
+                f"{row.median_lap_time_s:.3f}",
+                f"{row.mean_lap_time_s:.3f}",
+            ]
+        else:
+            rows[-1] += [not_completed(row), "", "", ""]
+    return aligned(rows, left=1)
+
+
+def tire_lines(table):
+    """Table of tire models for the terminal; in parentheses what was driven until the end."""
+    titles = ["scale", "controller", "days completed", "mean lap [s]"]
+    rows = [[*titles, "mean error [m]", "max error [m]"]]
+    for row in table.itertuples():
+        values = [
+            f"{row.mean_lap_time_s:.3f}" if row.mean_lap_time_s == row.mean_lap_time_s else "-",
+            f"{row.mean_abs_lateral_error_m:.3f}",
+            f"{row.max_abs_lateral_error_m:.3f}",
+        ]
+        if not row.days_completed:
+            values = [f"({value})" for value in values]
+            values[0] = f"{not_completed(row)} {values[0]}"
+        rows.append([f"{row.speed_scale:.3f}", row.controller, completion(row), *values])
+    return aligned(rows, left=1)
+
+
+def completion(row):
+    """Days completed, and after how many laps the others ended, as in "3 of 10"."""
+    ended = row.laps_until_end if row.days_completed else ""
+    return f"{row.days_completed} of {row.days}" + (f" (N.C. after {ended} laps)" if ended else "")
+
+
+def not_completed(row):
+    """N.C. with the laps after which it ended."""
+    return f"N.C. after {row.laps_until_end.replace(' ', ', ')} laps"
+
+
+def highest_lines(highest):
+    """Highest scale completed on each day."""
+    labels = list(highest.columns[1:])
+    rows = [["highest scale completed", *(f"day {seed}" for seed in highest.seed), "median"]]
+    for label in labels:
+        values = highest[label].values.astype(float)
+        cells = [f"{value:.3f}" if math.isfinite(value) else "none" for value in values]
+        # A day without any counts as less than all others.
+        middle = float(np.median(np.where(np.isfinite(values), values, 0.0)))
+        rows.append([label, *cells, f"{middle:.4g}"])
+    return aligned(rows)
+
+
+def against_lines(against):
+    """MAP as published against pure pursuit, on days that both completed."""
+    rows = [
+        ["scale", f"days both completed ({PAPER} closer)", "ratio of errors", "gain per lap [s]"]
+    ]
+    for row in against.itertuples():
+        rows.append(
+            [
+                f"{row.speed_scale:.3f}",
+                f"{row.days} ({row.days_closer})",
+                f"{row.error_ratio:.2f}",
+                f"{row.gain_s:+.3f}",
+            ]
+        )
+    return aligned(rows)
+
+
+def panel_title(race):
+    """Controller, scale and how the race went."""
+    went = "completed" if race.result.completed else f"N.C. after {len(race.result.laps)} laps"
+    return f"{race.label}, {race.scale:.0%}: {went}"
+
+
+def timed_path(result):
+    """Positions after the out-lap, or of the out-lap where the race ended in it; shape (n, 2)."""
+    path = np.array(result.path, dtype=float).reshape(-1, 3)
+    begin = [stretch.start_time_s for stretch in result.stretches if stretch.lap == 1]
+    if begin:
+        path = path[path[:, 0] >= begin[0]]
+    return path[:, 1:]

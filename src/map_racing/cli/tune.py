@@ -1,0 +1,67 @@
+"""``map-racing tune``: the lookahead with which a controller follows a track closest."""
+
+import pandas as pd
+
+from ..control.parameters import load_controller_parameters
+from ..errors import ParameterError
+from ..resources import list_config
+from .work import Work, add_options
+
+DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
+
+
+def add_parser(commands):
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "tune",
+        help="find the lookahead with which a controller follows a track closest",
+        description="Find m and q of the lookahead distance L_d = m + q v with the smallest RMS "
+        "lateral error of the true path, as mean over the laps of races on practice days; each "
+        "controller by itself. Writes a controller file for --controller, a map of the error and "
+        "all pairs as CSV.",
+    )
+    parser.add_argument(
+        "--controller",
+        nargs="+",
+        default=list(DEFAULTS),
+        metavar="NAME",
+        help=f"YAML files, or shipped: {', '.join(list_config('controllers'))} (default: the three "
+        "as published)",
+    )
+    parser.add_argument(
+        "--speed-scale",
+        dest="tuning_scale",
+        type=float,
+        help="scale of the raceline's speeds (default: that of the conditions, 0.6)",
+    )
+    add_options(parser, "practice_seeds")
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Tune."""
+    names = list(dict.fromkeys(arguments.controller))
+    stems = [name.rpartition("/")[2].rpartition(".yaml")[0] or name for name in names]
+    if len(set(stems)) < len(stems):
+        raise ParameterError("--controller: two files of one name would give one result")
+    controllers = {
+        stem: (stem, load_controller_parameters(name)) for stem, name in zip(stems, names)
+    }
+    work = Work(arguments, "tune")
+    tuned = work.tune(controllers)
+    work.controllers = {label: found.controller for label, found in tuned.items()}
+    conditions = work.setting.conditions
+    rows = [
+        {
+            "speed_scale": conditions.tuning_scale,
+            "controller": label,
+            "m_m": found.controller.m_m,
+            "q_s": found.controller.q_s,
+            "rms_lateral_error_m": found.error,
+        }
+        for label, found in tuned.items()
+    ]
+    work.write(pd.DataFrame(rows), conditions.tuning_laps)
+    work.report()
+    for stem in stems:
+        print(f"  map-racing race --controller {work.folder / 'controllers' / stem}.yaml ...")

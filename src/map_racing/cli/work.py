@@ -1,0 +1,239 @@
+"""What the commands that run many races share: options, result directory, tuning, racing."""
+
+import json
+import math
+from dataclasses import replace
+from time import monotonic
+
+from ..control.parameters import load_controller_parameters, save_controller_parameters
+from ..errors import ParameterError
+from ..experiments.campaign import Effort, carry_out
+from ..experiments.conditions import PUBLIC_SIMULATOR, load_conditions
+from ..experiments.executors import open_executor
+from ..experiments.identification_day import identify_on
+from ..experiments.identification_report import report_data
+from ..experiments.paper import CONTENDERS, Setting, contenders, tuning_plan
+from ..experiments.results import Results, provenance_of, read_results, write_results
+from ..experiments.store import Store
+from ..experiments.tuning import frame_of
+from ..files import replacing
+from ..resources import list_config
+from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
+from .outputs import make_folder
+
+__all__ = ["Work", "add_options"]
+
+
+def add_options(parser, days="seeds"):
+    """Options of all commands that run many races.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+    days : {"seeds", "practice_seeds"}
+        Which days of the conditions ``--seeds`` replaces.
+    """
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="result directory; one that is there is continued where it stopped",
+    )
+    parser.add_argument(
+        "--conditions",
+        default="paper",
+        help="track, plant, race days and tuning: YAML file, or shipped: "
+        f"{', '.join(list_config('experiments'))} (default: %(default)s)",
+    )
+    parser.add_argument("--track", help="instead of that of the conditions: as in map-racing race")
+    parser.add_argument(
+        "--plant",
+        help="instead of that of the conditions: shipped plant, YAML file, or "
+        f"{PUBLIC_SIMULATOR}",
+    )
+    parser.add_argument(
+        "--vehicle",
+        help="the car as controllers know it: vehicle or YAML file (default: identified from "
+        "steering ramps on the plant)",
+    )
+    parser.add_argument(
+        "--seeds",
+        dest=days,
+        type=int,
+        nargs="+",
+        metavar="N",
+        help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days instead of those of "
+        "the conditions",
+    )
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="race on the workers of this Dask scheduler (pip install 'map_racing[cluster]')",
+    )
+    parser.add_argument(
+        "--reuse",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="take races that another result directory already has from there; may be repeated",
+    )
+    parser.add_argument("--bags", action="store_true", help="keep each race as a bag, too")
+
+
+class Work:
+    """What the commands share: setting, tuned controllers, races, and where results go.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+    kind : str
+        Of the results.
+    """
+
+    def __init__(self, arguments, kind):
+        self.kind = kind
+        given = {
+            name: getattr(arguments, name, None)
+            for name in ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
+        }
+        given = {name: value for name, value in given.items() if value is not None}
+        conditions = replace(load_conditions(arguments.conditions), **given)
+        self.folder = make_folder(arguments.output)
+        if (self.folder / "results.json").exists():
+            other = read_results(self.folder).kind
+            if other != kind:
+                raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
+        self.figures = make_folder(self.folder / "figures")
+        self.store = Store(self.folder, arguments.reuse, arguments.bags)
+        self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
+        self._jobs, self._scheduler = arguments.jobs, arguments.scheduler
+        self.setting = Setting.load(
+            conditions, lambda plant: self._car(plant, arguments.vehicle, conditions)
+        )
+        for finding in self.setting.raceline.findings:
+            print(f"{conditions.track}: {finding}")
+        if self.setting.raceline.d_left is None:
+            print(f"{conditions.track}: no walls are known, so no crash is seen")
+        self.controllers = {}
+
+    @property
+    def where(self):
+        """Track and plant, for titles."""
+        conditions = self.setting.conditions
+        return f"{self.setting.raceline.name or conditions.track}, plant {conditions.plant}"
+
+    @property
+    def days(self):
+        """How many race days, in words."""
+        count = len(self.setting.conditions.seeds)
+        return f"{count} race day" + ("s" if count != 1 else "")
+
+    def _car(self, plant, given, conditions):
+        """The car as controllers know it, with Pacejka and with linear tires."""
+        if given:
+            vehicle = load_vehicle(given)
+            self.identification = {"vehicle": given, "parameters": parameter_hash(vehicle)}
+            return vehicle, linearized(vehicle)
+        seed = conditions.identification_seed
+        found = identify_on(plant, seed, self.folder / "ramps.bag")
+        save_vehicle(found.vehicle, self.folder / "identified.yaml")
+        save_vehicle(found.linear_vehicle, self.folder / "identified_linear.yaml")
+        with replacing(self.folder / "identification.json") as file:
+            json.dump(report_data(found), file, indent=1, allow_nan=False)
+            file.write("\n")
+        self.identification = {
+            "ramps": "ramps.bag",
+            "seed": seed,
+            "vehicle": "identified.yaml",
+            "parameters": parameter_hash(found.vehicle),
+            "linear_vehicle": "identified_linear.yaml",
+            "linear_parameters": parameter_hash(found.linear_vehicle),
+        }
+        print(
+            f"identified {found.base.name} from steering ramps (seed {seed}): up to "
+            f"{found.largest_a_y:.1f} m/s^2, {self.folder / 'identified.yaml'}"
+        )
+        return found.vehicle, found.linear_vehicle
+
+    def carry_out(self, plans, title, path=False):
+        """Carry out plans on the executor asked for."""
+        with open_executor(self._jobs, self._scheduler) as (executor, capacity):
+            results, effort = carry_out(
+                plans, self.store, executor, capacity, path=path, title=title
+            )
+        self.effort += effort
+        return results
+
+    def tune(self, controllers):
+        """Tune controllers; write files, maps and tables.
+
+        Parameters
+        ----------
+        controllers : dict of str to (str, ControllerParameters)
+            Label to the stem of its files and what is tuned.
+
+        Returns
+        -------
+        dict of str to Tuned
+        """
+        from ..evaluation.plots.experiments import plot_tuning
+        from ..evaluation.plots.style import save
+
+        plans = [tuning_plan(self.setting, label, c) for label, (_, c) in controllers.items()]
+        tuned = dict(zip(controllers, self.carry_out(plans, "tuning")))
+        folder = make_folder(self.folder / "controllers")
+        scale = self.setting.conditions.tuning_scale
+        for label, (stem, _) in controllers.items():
+            found = tuned[label]
+            pair = found.controller.m_m, found.controller.q_s
+            save_controller_parameters(found.controller, folder / f"{stem}.yaml")
+            frame = frame_of(found)
+            with replacing(folder / f"{stem}.csv") as file:
+                frame.to_csv(file, index=False)
+            title = f"Tuning {label}: {self.where}, {scale:.0%} speed"
+            error = [pair.error for pair in found.pairs]
+            figure = plot_tuning(frame.m_m, frame.q_s, error, pair, title)
+            save(figure, self.figures / f"tuning_{stem}.png")
+            infeasible = sum(map(math.isinf, error))
+            print(
+                f"tuned {label}: L_d = {pair[0]:g} m + {pair[1]:g} s v, RMS error "
+                f"{found.error:.4f} m at {scale:.0%} speed; {len(error)} pairs, {infeasible} of "
+                "them not completed"
+            )
+        return tuned
+
+    def race(self, plan, laps, scales, path=False):
+        """Tune the contenders that are to be tuned, and race all of them on all days."""
+        tuned = self.tune(
+            {
+                c.label: (c.controller, load_controller_parameters(c.controller))
+                for c in CONTENDERS
+                if c.tuned
+            }
+        )
+        self.controllers = dict(
+            contenders({label: found.controller for label, found in tuned.items()})
+        )
+        plans = [
+            plan(self.setting, label, controller, seed, laps, scales)
+            for label, controller in self.controllers.items()
+            for seed in self.setting.conditions.seeds
+        ]
+        return [race for races in self.carry_out(plans, "races", path) for race in races]
+
+    def write(self, table, laps, **frames):
+        """Write tables and provenance."""
+        provenance = provenance_of(self.setting, self.identification, self.controllers, laps)
+        write_results(self.folder, Results(self.kind, table, provenance), **frames)
+
+    def report(self):
+        """What it took, and where it is."""
+        driven, found, cpu_s = self.effort
+        print(
+            f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
+            f"{monotonic() - self.began:.0f} s in all"
+        )
+        print(f"tables, figures and provenance are in {self.folder}")

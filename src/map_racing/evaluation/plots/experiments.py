@@ -1,0 +1,276 @@
+"""Figures of experiments: maps of tuning, boxes over speed, trajectories, comparisons."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib import cm
+from matplotlib.colors import LogNorm
+from matplotlib.ticker import FuncFormatter, LogLocator
+
+from .runs import draw_course
+from .style import COLORS, finished, new_figure
+
+__all__ = ["plot_comparison", "plot_scaling", "plot_trajectories", "plot_tuning"]
+
+AXES = {
+    "rms_lateral_error_m": "RMS lateral error [m]",
+    "median_rms_lateral_error_m": "median RMS lateral error [m]",
+    "mean_abs_lateral_error_m": "mean lateral error [m]",
+    "max_abs_lateral_error_m": "largest lateral error [m]",
+    "lap_time_s": "lap time [s]",
+    "median_lap_time_s": "median lap time [s]",
+    "mean_lap_time_s": "mean lap time [s]",
+    "days_completed": "days completed",
+    "m_m": "m [m]",
+    "q_s": "q [s]",
+}
+
+
+def plot_tuning(m, q, error, best, title):
+    """Error over the pairs (m, q) of the lookahead, as far as they were driven.
+
+    Parameters
+    ----------
+    m, q : array_like, shape (n,)
+        Offset [m] and gain [s].
+    error : array_like, shape (n,)
+        [m]; infinite for infeasible pairs, which are crosses.
+    best : tuple of float
+        The pair chosen, a star.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    m, q, error = (np.asarray(values, dtype=float) for values in (m, q, error))
+    feasible = np.isfinite(error)
+    figure = new_figure(8.0, 6.0)
+    axes = figure.add_subplot(1, 1, 1)
+    low, high = float(error[feasible].min()), float(error[feasible].max())
+    norm = LogNorm(low, high if high > low else 2.0 * low)
+    if feasible.sum() > 3 and np.ptp(m[feasible]) > 0.0 and np.ptp(q[feasible]) > 0.0:
+        levels = np.geomspace(norm.vmin, norm.vmax * (1.0 + 1e-9), 13)
+        axes.tricontourf(
+            *(m[feasible], q[feasible], error[feasible]),
+            levels=levels,
+            norm=norm,
+            cmap="viridis_r",
+            alpha=0.55,
+        )
+    dots = axes.scatter(
+        *(m[feasible], q[feasible]),
+        c=error[feasible],
+        norm=norm,
+        cmap="viridis_r",
+        s=26,
+        edgecolors="k",
+        linewidths=0.4,
+        zorder=3,
+        label="driven",
+    )
+    axes.plot(
+        m[~feasible], q[~feasible], "x", color=COLORS[1], ms=7, mew=1.8, label="not completed"
+    )
+    label = f"m = {best[0]:.3g} m, q = {best[1]:.3g} s: {low:.4f} m"
+    axes.plot(*best, "*", color=COLORS[3], mec="k", ms=17, zorder=5, label=label)
+    axes.set_xlabel("m, offset of the lookahead [m]")
+    axes.set_ylabel("q, gain of the lookahead [s]")
+    axes.set_title(title)
+    axes.grid(alpha=0.25)
+    axes.legend(loc="upper right", fontsize="small")
+    bar = figure.colorbar(dots, ax=axes, pad=0.02)
+    ticks = _ticks(norm.vmin, norm.vmax)
+    bar.set_ticks(ticks)
+    bar.set_ticklabels([f"{tick:g}" for tick in ticks])
+    bar.set_label("mean of the laps' RMS lateral error [m]")
+    return finished(figure)
+
+
+def _ticks(low, high):
+    """Round values within the limits of a logarithmic axis."""
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    values = [round(digit * 10.0**e, 9) for e in exponents for digit in (1, 1.5, 2, 3, 5, 7)]
+    return [value for value in values if low <= value <= high]
+
+
+def plot_scaling(laps, ended, labels, title):
+    """RMS lateral errors and times of laps over the scale of the speeds, as boxes.
+
+    Boxes span the quartiles, whiskers go to minimum and maximum, the line is the median.
+
+    Parameters
+    ----------
+    laps : pandas.DataFrame
+        Laps that count, with ``speed_scale``, ``controller``, ``rms_lateral_error_m`` and
+        ``lap_time_s``.
+    ended : dict of (float, str) to int
+        For a scale and a controller on how many days the laps were not completed (N.C.).
+    labels : list of str
+        Controllers, in order.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    scales = sorted(set(laps.speed_scale) | {scale for scale, _ in ended})
+    places = {scale: place for place, scale in enumerate(scales)}
+    figure = new_figure(max(8.0, 2.5 + 0.75 * len(scales)), 8.5)
+    width = 0.8 / len(labels)
+    for row, column in enumerate(("rms_lateral_error_m", "lap_time_s"), 1):
+        axes = figure.add_subplot(2, 1, row)
+        for index, label in enumerate(labels):
+            color = COLORS[index % len(COLORS)]
+            own = laps[laps.controller == label]
+            shift = (index - 0.5 * (len(labels) - 1)) * width
+            driven = [scale for scale in scales if (own.speed_scale == scale).any()]
+            axes.plot([], [], "s", color=color, label=label)
+            if not driven:
+                continue
+            axes.boxplot(
+                [own[own.speed_scale == scale][column].values for scale in driven],
+                positions=[places[scale] + shift for scale in driven],
+                widths=0.85 * width,
+                whis=[0, 100],
+                patch_artist=True,
+                medianprops={"color": "k", "lw": 1.4},
+                boxprops={"facecolor": color, "edgecolor": color, "alpha": 0.75},
+                whiskerprops={"color": color},
+                capprops={"color": color},
+            )
+        for place in range(len(scales) - 1):
+            axes.axvline(place + 0.5, color="0.9", lw=0.8, zorder=0)
+        if column == "rms_lateral_error_m":
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
+            axes.legend(loc="upper left", fontsize="small", ncol=2)
+            axes.set_title(title)
+            _mark_ended(axes, ended, labels, places, width)
+        axes.set_xlim(-0.6, len(scales) - 0.4)
+        axes.set_xticks(range(len(scales)))
+        axes.set_xticklabels([f"{100 * scale:g}" for scale in scales])
+        axes.set_ylabel(AXES[column])
+        axes.grid(axis="y", alpha=0.25)
+    axes.set_xlabel("scale of the raceline's speeds [%]; crosses: days not completed (N.C.)")
+    return finished(figure)
+
+
+def _mark_ended(axes, ended, labels, places, width):
+    """Crosses below the boxes, with the number of days."""
+    across = axes.get_xaxis_transform()
+    for (scale, label), days in ended.items():
+        if days:
+            index = labels.index(label)
+            x = places[scale] + (index - 0.5 * (len(labels) - 1)) * width
+            color = COLORS[index % len(COLORS)]
+            axes.plot(x, 0.035, "x", color=color, ms=5, mew=1.6, transform=across)
+            text = {"ha": "center", "va": "bottom", "fontsize": 7, "color": color}
+            axes.text(x, 0.055, str(days), transform=across, **text)
+
+
+def plot_trajectories(raceline, rows, title):
+    """Driven paths over the track, one panel for each race; a path ends where the car crashed.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    rows : list of list of (str, ndarray, bool)
+        Panels: a title, the path of shape (n, 2) [m] and whether it ended in a crash.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    wide, high = float(np.ptp(raceline.x)) + 2.0, float(np.ptp(raceline.y)) + 2.0
+    columns = max(map(len, rows))
+    panel = min(4.6, 15.0 / columns)
+    figure = new_figure(columns * panel, len(rows) * (panel * high / wide + 0.75) + 0.5)
+    step = int(0.35 * raceline.n)
+    for i, row in enumerate(rows):
+        for j, (name, path, crashed) in enumerate(row):
+            axes = figure.add_subplot(len(rows), columns, i * columns + j + 1)
+            draw_course(axes, raceline)
+            axes.plot(path[:, 0], path[:, 1], color=COLORS[0], lw=1.0, alpha=0.8, label="driven")
+            if crashed:
+                end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
+                axes.plot(*path[-1], "x", label="crash", **end)
+            # Beside the line, inside of the course.
+            psi = float(raceline.psi[step])
+            side = math.copysign(0.45, float(np.sum(raceline.kappa)))
+            x = float(raceline.x[step]) - side * math.sin(psi)
+            y = float(raceline.y[step]) + side * math.cos(psi)
+            length = 0.09 * wide
+            axes.annotate(
+                "",
+                xy=(x + length * math.cos(psi), y + length * math.sin(psi)),
+                xytext=(x, y),
+                arrowprops={"arrowstyle": "-|>", "color": COLORS[2], "lw": 1.8},
+                zorder=6,
+            )
+            axes.set_title(name, fontsize="medium")
+            if j:
+                axes.set_ylabel("")
+            if i < len(rows) - 1:
+                axes.set_xlabel("")
+    handles = {}
+    for axes in figure.axes:
+        for handle, name in zip(*axes.get_legend_handles_labels()):
+            handles.setdefault(name, handle)
+    figure.suptitle(title, y=0.995)
+    height = figure.get_size_inches()[1]
+    figure.tight_layout(rect=(0.0, 0.4 / height, 1.0, 1.0 - 0.35 / height))
+    columns = len(handles)
+    figure.legend(
+        list(handles.values()), list(handles), loc="lower center", ncol=columns, fontsize="small"
+    )
+    return figure
+
+
+def plot_comparison(table, values, names, title):
+    """Two result directories: each value over the scale of the speeds, for each controller.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        With ``speed_scale``, ``controller`` and, for each value, ``VALUE_a`` and ``VALUE_b``.
+    values : list of str
+    names : tuple of str
+        Of both.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    labels = list(dict.fromkeys(table.controller))
+    figure = new_figure(10.0, 2.6 * len(values) + 1.0)
+    for row, value in enumerate(values, 1):
+        axes = figure.add_subplot(len(values), 1, row)
+        for index, label in enumerate(labels):
+            own = table[table.controller == label].sort_values("speed_scale")
+            color = cm.tab10(index) if len(labels) > len(COLORS) else COLORS[index]
+            for suffix, style in (("a", "o-"), ("b", "s--")):
+                axes.plot(
+                    100.0 * own.speed_scale,
+                    own[f"{value}_{suffix}"],
+                    style,
+                    color=color,
+                    ms=5,
+                    mfc=color if suffix == "a" else "w",
+                    label=label if suffix == "a" and row == 1 else None,
+                )
+        if row == 1:
+            axes.plot([], [], "o-", color="0.3", label=names[0])
+            axes.plot([], [], "s--", color="0.3", mfc="w", label=names[1])
+            axes.legend(fontsize="small", ncol=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
+            axes.set_title(title)
+        axes.set_ylabel(AXES.get(value, value))
+        axes.grid(alpha=0.25)
+    axes.set_xlabel("scale of the raceline's speeds [%]")
+    return finished(figure)

@@ -1,0 +1,39 @@
+"""The day of identification: steering ramps on a plant, and tires from what was recorded."""
+
+from __future__ import annotations
+
+from ..simulation.plant import PlantParameters
+from .driving_data import ChannelMap, SensorSetup, load_run
+from .identification import identify
+from .ramp_drive import drive_ramps, write_ramp_bag
+from .steering_ramp import RampParameters
+
+__all__ = ["RAMPS", "identify_on"]
+
+# From rolling to the limit of grip: at 4 m/s a car that corners with 1 g needs a circle of 1.6 m.
+RAMPS = tuple(RampParameters(speed_mps=speed) for speed in (2.0, 3.0, 4.0))
+
+
+def identify_on(plant, seed, bag):
+    """Drive ramps, record them and identify the tires from the recording.
+
+    Parameters
+    ----------
+    plant : PlantParameters or Vehicle
+        On the day of identification; the latter is driven as the public simulator's. Mass and
+        geometry are taken to be known, the tires are not.
+    seed : int
+        Of the noise.
+    bag : pathlib.Path
+        Where the recording is kept.
+
+    Returns
+    -------
+    Identification
+    """
+    write_ramp_bag(bag, drive_ramps(plant, RAMPS, seed))
+    if isinstance(plant, PlantParameters):
+        return identify([load_run(bag)], plant.vehicle)
+    # Its poses are those of the center of gravity.
+    setup = SensorSetup(pose_x_m=plant.l_r)
+    return identify([load_run(bag, ChannelMap(setup=setup))], plant)

@@ -1,0 +1,268 @@
+"""Result directories: tables with their provenance, and two of them compared.
+
+A result directory holds ``results.json`` (kind, table and provenance), the same table as
+``table.csv``, further tables, figures, what was identified and tuned, and the single races (see
+`map_racing.experiments.store`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import scipy
+
+from .. import __version__
+from ..errors import FileFormatError, ParameterError
+from ..files import replacing
+from .jobs import code_fingerprint, plain
+
+__all__ = ["Comparison", "Results", "compare", "provenance_of", "read_results", "write_results"]
+
+FILE = "results.json"
+KEYS = ["speed_scale", "controller"]
+# What is compared of each kind.
+COMPARED = {
+    "velocity-scaling": [
+        "days_completed",
+        "median_rms_lateral_error_m",
+        "max_abs_lateral_error_m",
+        "median_lap_time_s",
+    ],
+    "tire-models": [
+        "days_completed",
+        "mean_abs_lateral_error_m",
+        "max_abs_lateral_error_m",
+        "mean_lap_time_s",
+    ],
+    "tune": ["m_m", "q_s", "rms_lateral_error_m"],
+}
+
+
+@dataclass(frozen=True)
+class Results:
+    """Results of one experiment.
+
+    Parameters
+    ----------
+    kind : {"velocity-scaling", "tire-models", "tune"}
+    table : pandas.DataFrame
+        One row for each ``speed_scale`` and ``controller``.
+    provenance : dict
+        Plain values of all that led to it.
+    """
+
+    kind: str
+    table: pd.DataFrame
+    provenance: dict
+
+
+def provenance_of(setting, identification, controllers, laps):
+    """What a result depends on, as plain values.
+
+    Parameters
+    ----------
+    setting : Setting
+    identification : dict
+        How the controllers' car came about.
+    controllers : dict of str to ControllerParameters
+        As raced, by label.
+    laps : int
+
+    Returns
+    -------
+    dict
+    """
+    conditions = setting.conditions
+    days = {
+        str(seed): {
+            "mu_scale": day.mu_scale,
+            "front_stiffness_scale": day.front_stiffness_scale,
+            "rear_stiffness_scale": day.rear_stiffness_scale,
+        }
+        for seed in (*conditions.seeds, *conditions.practice_seeds)
+        for day in [setting.day(seed)]
+    }
+    return {
+        "map_racing": __version__,
+        "code": code_fingerprint(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "conditions": plain(conditions),
+        "laps": laps,
+        "track": plain(setting.raceline),
+        "plant": plain(setting.plant),
+        "days": days,
+        "identification": identification,
+        "vehicle": plain(setting.vehicle),
+        "linear_vehicle": plain(setting.linear_vehicle),
+        "controllers": {label: plain(value) for label, value in controllers.items()},
+    }
+
+
+def write_results(folder, results, **frames):
+    """Write results, and further tables as ``NAME.csv``.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+    results : Results
+    **frames : pandas.DataFrame
+    """
+    folder = Path(folder)
+    for name, frame in {"table": results.table, **frames}.items():
+        with replacing(folder / f"{name}.csv") as file:
+            frame.to_csv(file, index=False)
+    content = {
+        "kind": results.kind,
+        "rows": [_plain_row(row) for row in results.table.to_dict("records")],
+        "provenance": results.provenance,
+    }
+    with replacing(folder / FILE) as file:
+        json.dump(content, file, indent=1, allow_nan=False)
+        file.write("\n")
+
+
+def _plain_row(row):
+    """Values that JSON has; numpy's scalars as Python's, NaN as null."""
+    values = {k: v.item() if isinstance(v, np.generic) else v for k, v in row.items()}
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }
+
+
+def read_results(folder):
+    """Read a result directory.
+
+    Parameters
+    ----------
+    folder : str or pathlib.Path
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    FileFormatError
+        If it is none.
+    """
+    path = Path(folder) / FILE
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        kind, rows, provenance = (content[name] for name in ("kind", "rows", "provenance"))
+        table = pd.DataFrame(rows)
+        columns = [*KEYS, *COMPARED[kind]]
+        for column in columns:
+            if column != "controller":
+                table[column] = table[column].astype(float)
+        provenance["track"]["sha256"]
+    except OSError as error:
+        raise FileFormatError(
+            f"{folder}: expected a result directory with {FILE}: {error.strerror}"
+        ) from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise FileFormatError(f"{path}: expected results of an experiment or of tuning") from None
+    return Results(kind, table, provenance)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two result directories side by side.
+
+    Parameters
+    ----------
+    kind : str
+    values : list of str
+        Columns compared.
+    table : pandas.DataFrame
+        Keys, then for each value ``NAME_a``, ``NAME_b`` and ``NAME_change`` (b less a).
+    only_a, only_b : list of (float, str)
+        Keys that only one of them has.
+    differences : list of (str, str, str)
+        Name and both values of what differs in provenance.
+    """
+
+    kind: str
+    values: list
+    table: pd.DataFrame
+    only_a: list
+    only_b: list
+    differences: list
+
+
+def compare(a, b):
+    """Compare two results.
+
+    Parameters
+    ----------
+    a, b : Results
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    ParameterError
+        If they are of different experiments or tracks, or have no row in common.
+    """
+    if a.kind != b.kind:
+        raise ParameterError(f"cannot compare {a.kind} with {b.kind}")
+    tracks = [results.provenance["track"] for results in (a, b)]
+    if tracks[0]["sha256"] != tracks[1]["sha256"]:
+        names = [track.get("name") or "a track without name" for track in tracks]
+        raise ParameterError(
+            f"cannot compare laps on different tracks, {names[0]} and {names[1]}"
+            if names[0] != names[1]
+            else f"cannot compare laps on different versions of the track {names[0]}"
+        )
+    rows_a, rows_b = (
+        {(row["speed_scale"], row["controller"]): row for row in results.table.to_dict("records")}
+        for results in (a, b)
+    )
+    both = [key for key in rows_a if key in rows_b]
+    if not both:
+        raise ParameterError("cannot compare: no scale and controller in common")
+    values, rows = COMPARED[a.kind], []
+    for key in both:
+        row = dict(zip(KEYS, key))
+        for value in values:
+            first, second = rows_a[key][value], rows_b[key][value]
+            row.update(
+                {f"{value}_a": first, f"{value}_b": second, f"{value}_change": second - first}
+            )
+        rows.append(row)
+    flat_a, flat_b = _flat(a.provenance), _flat(b.provenance)
+    differences = [
+        (name, flat_a.get(name, "-"), flat_b.get(name, "-"))
+        for name in dict.fromkeys([*flat_a, *flat_b])
+        if flat_a.get(name, "-") != flat_b.get(name, "-")
+    ]
+    return Comparison(
+        a.kind,
+        values,
+        pd.DataFrame(rows),
+        [key for key in rows_a if key not in rows_b],
+        [key for key in rows_b if key not in rows_a],
+        differences,
+    )
+
+
+def _flat(values, prefix=""):
+    """Nested values as texts under dotted names."""
+    if isinstance(values, dict):
+        flat = {}
+        for key, value in values.items():
+            flat.update(_flat(value, f"{prefix}.{key}" if prefix else str(key)))
+        return flat
+    if isinstance(values, list):
+        return {prefix: ", ".join(map(str, values))}
+    return {prefix: f"{values:.6g}" if isinstance(values, float) else str(values)}
