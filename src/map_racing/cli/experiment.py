@@ -41,7 +41,7 @@ def add_parser(commands):
         description="Laps at rising scales of the raceline's speeds, for each controller and each "
         "race day until they are not completed.",
     )
-    add_options(scaling)
+    add_race_options(scaling)
     scaling.add_argument(
         "--laps", type=int, default=10, help="timed laps of a race (default: %(default)s)"
     )
@@ -60,11 +60,19 @@ def add_parser(commands):
         description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 %% and "
         "80 %% of the raceline's speeds.",
     )
-    add_options(tires)
+    add_race_options(tires)
     tires.add_argument(
         "--laps", type=int, default=5, help="timed laps of a race (default: %(default)s)"
     )
     tires.set_defaults(run=run_tires)
+
+
+def add_race_options(parser):
+    """Options of both."""
+    add_options(parser)
+    parser.add_argument(
+        "--bags", action="store_true", help="keep the races of the tables as bags, too"
+    )
 
 
 # -- commands --------------------------------------------------------------------------------------
@@ -78,7 +86,7 @@ def run_scaling(arguments):
     count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
     scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
     work = Work(arguments, "velocity-scaling")
-    races = work.race(scaling_plan, arguments.laps, scales)
+    races = work.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
     table = scaling_table(per_race, laps)
     highest = highest_scales(per_race)
@@ -112,7 +120,7 @@ def run_tires(arguments):
     """Tire models."""
     check_laps(arguments.laps)
     work = Work(arguments, "tire-models")
-    races = work.race(single_plan, arguments.laps, TIRE_SCALES, path=True)
+    races = work.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)
     work.write(table, arguments.laps, races=per_race, laps=lap_frame(races))

@@ -80,7 +80,6 @@ def add_options(parser, days="seeds"):
         metavar="DIR",
         help="take races that another result directory already has from there; may be repeated",
     )
-    parser.add_argument("--bags", action="store_true", help="keep each race as a bag, too")
 
 
 class Work:
@@ -107,7 +106,7 @@ class Work:
             if other != kind:
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
         self.figures = make_folder(self.folder / "figures")
-        self.store = Store(self.folder, arguments.reuse, arguments.bags)
+        self.store = Store(self.folder, arguments.reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
         self._jobs, self._scheduler = arguments.jobs, arguments.scheduler
         self.setting = Setting.load(
@@ -158,11 +157,11 @@ class Work:
         )
         return found.vehicle, found.linear_vehicle
 
-    def carry_out(self, plans, title, path=False):
-        """Carry out plans on the executor asked for."""
+    def carry_out(self, plans, title, **needs):
+        """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
         with open_executor(self._jobs, self._scheduler) as (executor, capacity):
             results, effort = carry_out(
-                plans, self.store, executor, capacity, path=path, title=title
+                plans, self.store, executor, capacity, title=title, **needs
             )
         self.effort += effort
         return results
@@ -205,7 +204,7 @@ class Work:
             )
         return tuned
 
-    def race(self, plan, laps, scales, path=False):
+    def race(self, plan, laps, scales, **needs):
         """Tune the contenders that are to be tuned, and race all of them on all days."""
         tuned = self.tune(
             {
@@ -222,7 +221,7 @@ class Work:
             for label, controller in self.controllers.items()
             for seed in self.setting.conditions.seeds
         ]
-        return [race for races in self.carry_out(plans, "races", path) for race in races]
+        return [race for races in self.carry_out(plans, "races", **needs) for race in races]
 
     def write(self, table, laps, **frames):
         """Write tables and provenance."""

@@ -45,7 +45,7 @@ class Effort(NamedTuple):
         return Effort(*(a + b for a, b in zip(self, other)))
 
 
-def carry_out(plans, store, executor, capacity, *, path=False, title="races"):
+def carry_out(plans, store, executor, capacity, *, path=False, bags=False, title="races"):
     """Carry out plans.
 
     Parameters
@@ -56,8 +56,8 @@ def carry_out(plans, store, executor, capacity, *, path=False, title="races"):
     executor : concurrent.futures.Executor
     capacity : int
         Jobs that are handed to it at a time.
-    path : bool
-        Whether results need the driven path.
+    path, bags : bool
+        Whether results need the driven path, and are to be kept as bags, too.
     title : str
         Of the progress bar.
 
@@ -72,14 +72,14 @@ def carry_out(plans, store, executor, capacity, *, path=False, title="races"):
     MapRacingError
         If a process died, or a worker of a cluster has other code.
     """
-    campaign = _Campaign(plans, store, path)
+    campaign = _Campaign(plans, store, path, bags)
     running = {}
     with tqdm(total=campaign.expected, desc=title, unit="race", disable=None, leave=False) as bar:
         try:
             while True:
                 while campaign.waiting and len(running) < capacity:
                     job = campaign.waiting.popleft()
-                    running[executor.submit(execute, job, path, store.bags)] = job
+                    running[executor.submit(execute, job, path, bags)] = job
                 campaign.show(bar)
                 if not running:
                     break
@@ -106,12 +106,12 @@ def _outcome(future):
 class _Campaign:
     """Which races are to be driven, and who waits for them."""
 
-    def __init__(self, plans, store, path):
+    def __init__(self, plans, store, path, bags):
         self.waiting = deque()
         self.results = [None] * len(plans)
         self.driven = self.found = 0
         self.cpu_s = 0.0
-        self._plans, self._store, self._path = plans, store, path
+        self._plans, self._store, self._needs = plans, store, (path, bags)
         self._batches = {}  # plan -> results of the jobs it waits for, None where not yet there
         self._wanted = {}  # fingerprint -> (plan, place in its batch) for each that waits for it
         self._done = [0] * len(plans)
@@ -142,7 +142,7 @@ class _Campaign:
             for place, job in enumerate(jobs):
                 result, key = None, job.fingerprint
                 if key not in self._wanted:
-                    result = self._store.find(job, self._path)
+                    result = self._store.find(job, *self._needs)
                 results.append(result)
                 if result is not None:
                     self.found += 1

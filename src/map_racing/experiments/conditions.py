@@ -71,7 +71,7 @@ class Conditions:
     practice_seeds: tuple
     identification_seed: int = 0
     tuning_scale: float = 0.6
-    tuning_laps: int = 3
+    tuning_laps: int = 2
 
     def __post_init__(self):
         for name in ("track", "plant"):

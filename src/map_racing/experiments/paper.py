@@ -163,7 +163,7 @@ def tuning_plan(setting, label, controller):
         as_given = tuned.controller.with_(speed_scale=controller.speed_scale)
         return tuned._replace(controller=as_given)
 
-    return Plan(steps(), 130 * len(days))
+    return Plan(steps(), 90 * len(days))
 
 
 def scaling_plan(setting, label, controller, seed, laps, scales):

@@ -23,8 +23,6 @@ class Store:
         Result directory; it exists.
     reuse : iterable of pathlib.Path
         Other result directories whose results are taken over.
-    bags : bool
-        Whether each race is also kept as a bag; results without one are then not enough.
 
     Raises
     ------
@@ -32,23 +30,22 @@ class Store:
         If a directory to reuse has no results.
     """
 
-    def __init__(self, folder, reuse=(), bags=False):
-        self.folder, self.bags = Path(folder), bags
+    def __init__(self, folder, reuse=()):
+        self.folder = Path(folder)
         self._others = [Path(other) for other in reuse]
         for other in self._others:
             if not (other / "runs").is_dir():
                 raise MapRacingError(f"{other}: expected a result directory with a folder runs")
-        for part in ("runs", "bags") if bags else ("runs",):
-            (self.folder / part).mkdir(exist_ok=True)
+        (self.folder / "runs").mkdir(exist_ok=True)
 
-    def find(self, job, path=False):
+    def find(self, job, path=False, bag=False):
         """The result of a race, or None.
 
         Parameters
         ----------
         job : RaceJob
-        path : bool
-            Whether a result without the driven path is not enough.
+        path, bag : bool
+            Whether a result without the driven path, or without a bag beside it, is not enough.
 
         Returns
         -------
@@ -62,14 +59,14 @@ class Store:
             result = _result(record, folder / "runs" / name)
             if path and not result.path:
                 continue
-            bag = None
-            if self.bags:
+            recorded = None
+            if bag:
                 with suppress(OSError):
-                    bag = (folder / "bags" / f"{job.file_stem}.bag").read_bytes()
-                if bag is None:
+                    recorded = (folder / "bags" / f"{job.file_stem}.bag").read_bytes()
+                if recorded is None:
                     continue
             if folder is not self.folder:
-                self.keep(job, result, bag)
+                self.keep(job, result, recorded)
             return result
         return None
 
@@ -77,6 +74,7 @@ class Store:
         """Write a result; its own file comes last, so that it is there only as a whole."""
         if bag is not None:
             path = self.folder / "bags" / f"{job.file_stem}.bag"
+            path.parent.mkdir(exist_ok=True)
             with replacing(path, binary=True) as file:
                 file.write(bag)
         record = {

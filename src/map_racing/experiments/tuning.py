@@ -3,7 +3,7 @@
 The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
 races that are driven with a pair (m, q): one on each of several days. A pair with which any of them
 is not completed is infeasible. A coarse grid finds the valley, a pattern search (Hooke and Jeeves,
-with all eight neighbors) its lowest point to 0.02 m and 0.005 s. The gain q is not negative: a
+with all eight neighbors) its lowest point to 0.025 m and 0.006 s. The gain q is not negative: a
 lookahead that shortens as the car gets faster would follow well at the speed it was tuned at, and
 swing beyond.
 """
@@ -21,11 +21,11 @@ from ..errors import MapRacingError
 __all__ = ["Pair", "Tuned", "frame_of", "lap_error", "tune"]
 
 # Finest steps of m [m] and q [s]; all pairs are whole multiples of them.
-STEP_M, STEP_Q = 0.02, 0.005
-# The grid, in these steps: m from 0 to 1.28 m by 0.16 m, q from 0 to 0.32 s by 0.04 s. It holds the
+STEP_M, STEP_Q = 0.025, 0.00625
+# The grid, in these steps: m from 0 to 1.2 m by 0.2 m, q from 0 to 0.3 s by 0.05 s. It holds the
 # values of the authors' code; the search may leave it.
 COARSE = 8
-GRID = range(0, 65, COARSE)
+GRID = range(0, 49, COARSE)
 # Moves of the search at each width; it needs a few.
 MOST_MOVES = 20
 

@@ -76,6 +76,9 @@ def plot_tuning(m, q, error, best, title):
     )
     label = f"m = {best[0]:.3g} m, q = {best[1]:.3g} s: {low:.4f} m"
     axes.plot(*best, "*", color=COLORS[3], mec="k", ms=17, zorder=5, label=label)
+    for values, limit in ((m, axes.set_xlim), (q, axes.set_ylim)):
+        margin = 0.03 * float(np.ptp(values)) or 0.01
+        limit(float(values.min()) - margin, float(values.max()) + margin)
     axes.set_xlabel("m, offset of the lookahead [m]")
     axes.set_ylabel("q, gain of the lookahead [s]")
     axes.set_title(title)
@@ -83,6 +86,7 @@ def plot_tuning(m, q, error, best, title):
     axes.legend(loc="upper right", fontsize="small")
     bar = figure.colorbar(dots, ax=axes, pad=0.02)
     ticks = _ticks(norm.vmin, norm.vmax)
+    bar.ax.minorticks_off()
     bar.set_ticks(ticks)
     bar.set_ticklabels([f"{tick:g}" for tick in ticks])
     bar.set_label("mean of the laps' RMS lateral error [m]")
