@@ -223,9 +223,19 @@ class Work:
         ]
         return [race for races in self.carry_out(plans, "races", **needs) for race in races]
 
-    def write(self, table, laps, **frames):
-        """Write tables and provenance."""
-        provenance = provenance_of(self.setting, self.identification, self.controllers, laps)
+    def write(self, table, timed_laps, **frames):
+        """Write tables and provenance.
+
+        Parameters
+        ----------
+        table : pandas.DataFrame
+            The table of the results.
+        timed_laps : int
+            Laps of each race.
+        **frames : pandas.DataFrame
+            Further tables.
+        """
+        provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 
     def report(self):

@@ -1,0 +1,113 @@
+"""Days: drawn by stated distributions, the same for ever, and nothing but tires differs."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.errors import ParameterError
+from map_racing.experiments.conditions import (
+    build_plant,
+    day_of,
+    load_conditions,
+    load_plant,
+)
+from map_racing.simulation.plant import Plant
+from map_racing.simulation.public_simulator import PublicSimulator
+from map_racing.track.formats import load_raceline
+from map_racing.vehicle.parameters import load_vehicle
+
+PAPER = load_conditions("paper")
+
+
+def test_shipped_conditions_can_be_driven():
+    assert load_raceline(PAPER.track).d_left is not None
+    assert load_plant(PAPER.plant).vehicle == load_vehicle("nuc4")
+    assert PAPER.seeds == tuple(range(1, 11)) and not set(PAPER.seeds) & set(PAPER.practice_seeds)
+
+
+def test_factors_have_the_stated_distributions():
+    plant = load_plant("nuc4")
+    factors = np.array([day_of(plant, PAPER, seed)[1:4] for seed in range(4000)])
+    deviations = [0.05, 0.10, 0.10]
+    # The standard errors of 4000 draws are 1.6 % of each deviation, and 1.1 % of its own estimate.
+    assert np.all(np.abs(factors.mean(axis=0) - 1.0) < 4 * 0.016 * np.array(deviations))
+    np.testing.assert_allclose(factors.std(axis=0), deviations, rtol=4 * 0.0112)
+    correlations = np.corrcoef(factors.T)[np.triu_indices(3, 1)]
+    assert np.abs(correlations).max() < 4 / math.sqrt(4000)
+
+
+def test_days_are_the_same_for_ever():
+    """Figures that were published with a seed must come out again on any Python."""
+    day = day_of(load_plant("nuc4"), PAPER, 1)
+    assert day[:4] == (1, 0.9757411193499714, 1.011569132200271, 1.0518666957289569)
+
+
+def test_only_the_tires_differ():
+    plant = load_plant("nuc4")
+    day = day_of(plant, PAPER, 3)
+    assert day.plant.mu_scale == pytest.approx(plant.mu_scale * day.mu_scale)
+    unchanged = {
+        "mu_scale": plant.mu_scale,
+        "front_stiffness_scale": plant.front_stiffness_scale,
+        "rear_stiffness_scale": plant.rear_stiffness_scale,
+    }
+    assert dataclasses.replace(day.plant, **unchanged) == plant
+    sim = load_plant("public_simulator")
+    day = day_of(sim, PAPER, 3)
+    assert day.plant.mu == pytest.approx(sim.mu * day.mu_scale)
+    assert pytest.approx(sim.front.C_S * day.front_stiffness_scale) == day.plant.front.C_S
+    assert pytest.approx(sim.rear.C_S * day.rear_stiffness_scale) == day.plant.rear.C_S
+    assert dataclasses.replace(day.plant, mu=sim.mu, front=sim.front, rear=sim.rear) == sim
+
+
+def test_plants_are_built_as_what_they_are():
+    plant, localization = build_plant(load_plant("nuc4"), 1)
+    assert isinstance(plant, Plant) and localization.parameters == plant.parameters
+    plant, localization = build_plant(load_plant("public_simulator"), 1)
+    assert isinstance(plant, PublicSimulator) and localization is None
+
+
+def test_a_plant_carries_its_vehicle_with_it(tmp_path):
+    (tmp_path / "car.yaml").write_text(
+        "name: car\nm: 3.0\nI_z: 0.05\nl_f: 0.16\nl_r: 0.16\nh_cg: 0.02\nmu: 0.9\n"
+        "tire_model: linear\nC_Sf: 5.0\nC_Sr: 6.0\n"
+    )
+    (tmp_path / "plant.yaml").write_text("vehicle: car.yaml\n")
+    plant = load_plant(str(tmp_path / "plant.yaml"))
+    (tmp_path / "car.yaml").unlink()
+    assert plant.build_vehicle().m == 3.0
+
+
+@pytest.mark.parametrize(
+    "changes, expected",
+    [
+        ({"mu_deviation": 0.3}, "mu_deviation must be 0 to 0.2, not 0.3"),
+        ({"rear_stiffness_deviation": -0.1}, "rear_stiffness_deviation must be 0 to 0.2"),
+        ({"front_stiffness_deviation": "much"}, "front_stiffness_deviation must be"),
+        ({"mu_deviation": math.nan}, "mu_deviation must be"),
+        ({"seeds": []}, "seeds must be a list of numbers"),
+        ({"seeds": 3}, "seeds must be a list of numbers"),
+        ({"seeds": [1, 1]}, "must differ"),
+        ({"seeds": [1, 101]}, "must differ"),
+        ({"seeds": [1.5]}, "a seed must be a whole number from 0, not 1.5"),
+        ({"practice_seeds": [True]}, "a seed must be a whole number"),
+        ({"identification_seed": -1}, "a seed must be a whole number from 0, not -1"),
+        ({"tuning_scale": 0.0}, "tuning_scale must be"),
+        ({"tuning_laps": 0}, "tuning_laps must be at least 1"),
+        ({"track": ""}, "track must be a name or a path"),
+        ({"plant": 3}, "plant must be a name or a path"),
+    ],
+)
+def test_impossible_conditions(changes, expected):
+    with pytest.raises(ParameterError, match=expected):
+        dataclasses.replace(PAPER, **changes)
+
+
+def test_a_file_says_what_is_wrong_with_it(tmp_path):
+    (tmp_path / "c.yaml").write_text("track: reference\nplant: nuc4\nsedes: [1]\n")
+    with pytest.raises(ParameterError, match="c.yaml: unknown parameter sedes"):
+        load_conditions(tmp_path / "c.yaml")
+    with pytest.raises(ParameterError, match="nor one of the shipped experiments .paper."):
+        load_conditions("papr")
