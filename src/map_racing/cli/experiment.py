@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pandas as pd
 
 from ..errors import ParameterError
 from ..evaluation.report import aligned
@@ -21,7 +22,9 @@ from .work import Work, add_options
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
-PAPER, REFERENCE = "MAP Pacejka", "pure pursuit"
+# Who is compared with whom on the days that both completed.
+PAIRS = (("MAP Pacejka", "pure pursuit"), ("MAP Pacejka", "MAP linear"))
+PAIRS += (("MAP default", "MAP Pacejka"),)
 
 
 def add_parser(commands):
@@ -90,17 +93,12 @@ def run_scaling(arguments):
     per_race, laps = race_frame(races), lap_frame(races)
     table = scaling_table(per_race, laps)
     highest = highest_scales(per_race)
-    against = on_common_days(per_race, PAPER, REFERENCE)
-    work.write(
-        *(table, arguments.laps),
-        races=per_race,
-        laps=laps,
-        highest_scales=highest,
-        map_against_pure_pursuit=against,
-    )
+    against = pairs_frame(per_race)
+    frames = {"races": per_race, "laps": laps, "highest_scales": highest, "pairs": against}
+    work.write(table, arguments.laps, **frames)
     print("\n".join(scaling_lines(table)), end="\n\n")
     print("\n".join(highest_lines(highest)), end="\n\n")
-    print("\n".join(against_lines(against)))
+    print("\n".join(pairs_lines(against)))
 
     from ..evaluation.plots.experiments import plot_scaling
     from ..evaluation.plots.style import save
@@ -123,8 +121,11 @@ def run_tires(arguments):
     races = work.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)
-    work.write(table, arguments.laps, races=per_race, laps=lap_frame(races))
-    print("\n".join(tire_lines(table)))
+    against = pairs_frame(per_race)
+    frames = {"races": per_race, "laps": lap_frame(races), "pairs": against}
+    work.write(table, arguments.laps, **frames)
+    print("\n".join(tire_lines(table)), end="\n\n")
+    print("\n".join(pairs_lines(against)))
 
     from ..evaluation.plots.experiments import plot_trajectories
     from ..evaluation.plots.style import save
@@ -212,18 +213,29 @@ def highest_lines(highest):
     return aligned(rows)
 
 
-def against_lines(against):
-    """MAP as published against pure pursuit, on days that both completed."""
-    rows = [
-        ["scale", f"days both completed ({PAPER} closer)", "ratio of errors", "gain per lap [s]"]
-    ]
-    for row in against.itertuples():
+def pairs_frame(races):
+    """All pairs of controllers on the days that both completed."""
+    frames = []
+    for first, second in PAIRS:
+        frame = on_common_days(races, first, second)
+        frame.insert(1, "first", first)
+        frame.insert(2, "second", second)
+        frames.append(frame)
+    return pd.concat(frames, ignore_index=True)
+
+
+def pairs_lines(pairs):
+    """Who followed closer, and who was faster."""
+    rows = [["on days both completed", "scale", "days", "closer on", "RMS errors", "gain per lap"]]
+    for row in pairs.itertuples():
         rows.append(
             [
+                f"{row.first} to {row.second}",
                 f"{row.speed_scale:.3f}",
-                f"{row.days} ({row.days_closer})",
-                f"{row.error_ratio:.2f}",
-                f"{row.gain_s:+.3f}",
+                str(row.days),
+                str(row.days_closer),
+                f"x {row.error_ratio:.2f}",
+                f"{row.gain_s:+.3f} s",
             ]
         )
     return aligned(rows)

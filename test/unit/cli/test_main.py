@@ -177,6 +177,19 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, capsys):
     assert (ours.read_bytes(), car.read_text()) == (before, text)
 
 
+def test_runs_side_by_side(bags, tmp_path, capsys):
+    paths = [str(path) for path in bags.values()]
+    assert main(["evaluate", *paths, "--plots", str(tmp_path)]) == 0
+    assert "no difference.png" not in capsys.readouterr().out
+    assert (tmp_path / "difference.png").is_file() and (tmp_path / "boxes.png").is_file()
+    other = tmp_path / "club.bag"
+    arguments = ["--laps", "1", "--track", "club", "--speed-scale", "0.5", "--output", str(other)]
+    assert main(["race", *arguments]) == 0
+    assert main(["evaluate", paths[0], str(other), "--plots", str(tmp_path / "two")]) == 0
+    assert "no difference.png: club: expected the raceline" in capsys.readouterr().out
+    assert not (tmp_path / "two" / "difference.png").exists()
+
+
 def test_one_bad_recording_does_not_hold_up_the_others(bags, tmp_path, capsys):
     table = tmp_path / "laps.csv"
     paths = [str(bags["map"]), str(tmp_path / "none.bag"), str(bags["pure_pursuit"])]

@@ -194,8 +194,7 @@ def plot_trajectories(raceline, rows, title):
     wide, high = float(np.ptp(raceline.x)) + 2.0, float(np.ptp(raceline.y)) + 2.0
     columns = max(map(len, rows))
     panel = min(4.6, 15.0 / columns)
-    figure = new_figure(columns * panel, len(rows) * (panel * high / wide + 0.75) + 0.5)
-    step = int(0.35 * raceline.n)
+    figure = new_figure(columns * panel, len(rows) * ((panel - 0.6) * high / wide + 0.6) + 0.9)
     for i, row in enumerate(rows):
         for j, (name, path, crashed) in enumerate(row):
             axes = figure.add_subplot(len(rows), columns, i * columns + j + 1)
@@ -204,19 +203,7 @@ def plot_trajectories(raceline, rows, title):
             if crashed:
                 end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
                 axes.plot(*path[-1], "x", label="crash", **end)
-            # Beside the line, inside of the course.
-            psi = float(raceline.psi[step])
-            side = math.copysign(0.45, float(np.sum(raceline.kappa)))
-            x = float(raceline.x[step]) - side * math.sin(psi)
-            y = float(raceline.y[step]) + side * math.cos(psi)
-            length = 0.09 * wide
-            axes.annotate(
-                "",
-                xy=(x + length * math.cos(psi), y + length * math.sin(psi)),
-                xytext=(x, y),
-                arrowprops={"arrowstyle": "-|>", "color": COLORS[2], "lw": 1.8},
-                zorder=6,
-            )
+            _draw_direction(axes, raceline, 0.12 * wide)
             axes.set_title(name, fontsize="medium")
             if j:
                 axes.set_ylabel("")
@@ -234,6 +221,22 @@ def plot_trajectories(raceline, rows, title):
         list(handles.values()), list(handles), loc="lower center", ncol=columns, fontsize="small"
     )
     return figure
+
+
+def _draw_direction(axes, raceline, length):
+    """An arrow in the direction of travel, on the inner side of the course at the start line."""
+    left = float(np.sum(raceline.kappa)) > 0.0
+    beyond = 0.6
+    if raceline.d_left is not None:
+        beyond += raceline.widths_at(0.0)[0 if left else 1]
+    x, y = raceline.to_cartesian(np.zeros(1), np.full(1, beyond if left else -beyond))
+    x, y, psi = float(x[0]), float(y[0]), float(raceline.psi[0])
+    axes.annotate(
+        "",
+        xy=(x + length * math.cos(psi), y + length * math.sin(psi)),
+        xytext=(x, y),
+        arrowprops={"arrowstyle": "-|>", "color": COLORS[2], "lw": 1.8},
+    )
 
 
 def plot_comparison(table, values, names, title):
