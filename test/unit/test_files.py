@@ -118,3 +118,12 @@ def test_a_pipe_is_written_to_as_it_is(tmp_path):
 def test_refuses_what_is_no_file_name(path):
     with pytest.raises(MapRacingError, match="expected the name of a file"), replacing(path):
         pass
+
+
+def test_bytes_appear_only_when_they_are_complete(tmp_path):
+    path = tmp_path / "race.bag"
+    with replacing(path, binary=True) as file:
+        file.write(b"\x00\xff\r\n")
+        assert not path.exists()
+    assert path.read_bytes() == b"\x00\xff\r\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["race.bag"]

@@ -74,6 +74,12 @@ def add_race_options(parser):
     """Options of both."""
     add_options(parser)
     parser.add_argument(
+        "--no-tuning",
+        action="store_true",
+        help="race all controllers as shipped; those as published then have the lookahead of the "
+        "authors' code",
+    )
+    parser.add_argument(
         "--bags", action="store_true", help="keep the races of the tables as bags, too"
     )
 

@@ -12,7 +12,7 @@ from ..experiments.conditions import PUBLIC_SIMULATOR, load_conditions
 from ..experiments.executors import open_executor
 from ..experiments.identification_day import identify_on
 from ..experiments.identification_report import report_data
-from ..experiments.paper import CONTENDERS, Setting, contenders, tuning_plan
+from ..experiments.paper import CONTENDERS, Setting, tuning_plan
 from ..experiments.results import Results, provenance_of, read_results, write_results
 from ..experiments.store import Store
 from ..experiments.tuning import frame_of
@@ -109,6 +109,7 @@ class Work:
         self.store = Store(self.folder, arguments.reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
         self._jobs, self._scheduler = arguments.jobs, arguments.scheduler
+        self._tuning = not getattr(arguments, "no_tuning", False)
         self.setting = Setting.load(
             conditions, lambda plant: self._car(plant, arguments.vehicle, conditions)
         )
@@ -178,6 +179,8 @@ class Work:
         -------
         dict of str to Tuned
         """
+        if not controllers:
+            return {}
         from ..evaluation.plots.experiments import plot_tuning
         from ..evaluation.plots.style import save
 
@@ -206,16 +209,13 @@ class Work:
 
     def race(self, plan, laps, scales, **needs):
         """Tune the contenders that are to be tuned, and race all of them on all days."""
-        tuned = self.tune(
-            {
-                c.label: (c.controller, load_controller_parameters(c.controller))
-                for c in CONTENDERS
-                if c.tuned
-            }
-        )
-        self.controllers = dict(
-            contenders({label: found.controller for label, found in tuned.items()})
-        )
+        shipped = {c.label: load_controller_parameters(c.controller) for c in CONTENDERS}
+        to_tune = {c.label: c.controller for c in CONTENDERS if c.tuned and self._tuning}
+        tuned = self.tune({label: (stem, shipped[label]) for label, stem in to_tune.items()})
+        self.controllers = {
+            **shipped,
+            **{label: found.controller for label, found in tuned.items()},
+        }
         plans = [
             plan(self.setting, label, controller, seed, laps, scales)
             for label, controller in self.controllers.items()

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ..control.parameters import load_controller_parameters
 from ..evaluation.recordings import load_course
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
@@ -28,7 +27,6 @@ __all__ = [
     "Contender",
     "Race",
     "Setting",
-    "contenders",
     "highest_scales",
     "lap_frame",
     "on_common_days",
@@ -50,7 +48,7 @@ class Contender(NamedTuple):
     controller : str
         Shipped controller.
     tuned : bool
-        Whether it is tuned for the occasion, or drives as shipped.
+        Whether its lookahead is tuned for the occasion, or that of its file.
     """
 
     label: str
@@ -214,24 +212,6 @@ def single_plan(setting, label, controller, seed, laps, scales):
         return [Race(label, job.scale, seed, job, result) for job, result in zip(jobs, results)]
 
     return Plan(steps(), len(scales))
-
-
-def contenders(tuned):
-    """Controllers of all contenders.
-
-    Parameters
-    ----------
-    tuned : dict of str to ControllerParameters
-        By label, those of the contenders that are tuned.
-
-    Returns
-    -------
-    list of (str, ControllerParameters)
-    """
-    return [
-        (c.label, tuned[c.label] if c.tuned else load_controller_parameters(c.controller))
-        for c in CONTENDERS
-    ]
 
 
 # -- tables ----------------------------------------------------------------------------------------

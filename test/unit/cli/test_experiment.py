@@ -173,6 +173,17 @@ def test_tuning_alone_finds_the_same(place, tires, capsys):
     assert table.controller.tolist() == ["map_paper"]
 
 
+def test_without_tuning_the_files_are_raced(place, tires, capsys):
+    output = place / "shipped"
+    options = ["--no-tuning", "--laps", 1, "--seeds", 1, "--output", output]
+    run(place, "experiment", "tire-models", *options)
+    assert "tuned" not in capsys.readouterr().out and not (output / "controllers").exists()
+    raced = json.loads((output / "results.json").read_text())["provenance"]["controllers"]
+    for label, name in zip(LABELS, ["pure_pursuit_paper", "map_linear_paper", "map_paper", "map"]):
+        shipped = load_controller_parameters(name)
+        assert (raced[label]["m_m"], raced[label]["q_s"]) == (shipped.m_m, shipped.q_s)
+
+
 def test_comparison(place, tires, scaling, tmp_path, capsys):
     assert main(["compare", str(tires), str(tires), "--plots", str(tmp_path)]) == 0
     printed = capsys.readouterr().out

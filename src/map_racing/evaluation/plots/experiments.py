@@ -152,7 +152,8 @@ def plot_scaling(laps, ended, labels, title):
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axes.yaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
-            axes.legend(loc="upper left", fontsize="small", ncol=2)
+            axes.legend(loc="upper left", fontsize="small", ncol=len(labels))
+            axes.set_ylim(top=2.0 * axes.get_ylim()[1])  # room for the legend
             axes.set_title(title)
             _mark_ended(axes, ended, labels, places, width)
         axes.set_xlim(-0.6, len(scales) - 0.4)
