@@ -168,8 +168,10 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
     """
     limits = limits or SteadyLimits()
     setup, scale = run.setup, run.setup.time_scale
-    if "psi" not in run.signals:
-        raise IdentificationError(f"{run.name}: expected a heading in the pose")
+    for name in (*POSE, "steering"):
+        if name not in run.signals:
+            what = "no steering angle" if name == "steering" else f"no pose ({name})"
+            raise IdentificationError(f"{run.name}: {what} in it")
     signals, spikes = {}, {}
     for name, (t, value) in run.signals.items():
         if name not in (*POSE, "steering"):

@@ -24,6 +24,8 @@ LEAST_USABLE_S = 2.0
 LEAST_STANDING_S = 0.4
 # Of the largest acceleration: below it, understeer is nearly proportional.
 LOW_SHARE = 0.45
+# Of the ratios between localization and sensors in one run, beyond which no constant explains them.
+LARGEST_SPREAD = 0.35
 PICK = 5  # samples per point: the low-pass leaves neighbors dependent
 
 
@@ -72,6 +74,8 @@ def reason_to_refuse(motion):
     """
     if not motion.moving.any():
         return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
+    if diverged(motion):
+        return "localization diverged: its speed or heading has no constant relation to the car's"
     driven = np.count_nonzero(motion.moving) / RATE_HZ
     steady = np.count_nonzero(motion.steady) / RATE_HZ
     usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
@@ -84,6 +88,34 @@ def reason_to_refuse(motion):
             f"driving; {usable:.1f} s of steady driving are left"
         )
     return f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
+
+
+def diverged(motion):
+    """Whether localization and the car's sensors contradict each other, and not by a constant.
+
+    Parameters
+    ----------
+    motion : Motion
+
+    Returns
+    -------
+    bool
+    """
+    moving = motion.moving & (motion.path_speed > STANDSTILL_MPS)
+    if np.count_nonzero(moving) < RATE_HZ:
+        return False
+    if np.mean(motion.coherent[moving]) > 0.5:
+        return False
+    # A wrong scale or sign gives ratios that agree with each other.
+    ratio = motion.path_speed[moving] / np.maximum(np.abs(motion.v_x[moving]), STANDSTILL_MPS)
+    turning = moving & (np.abs(motion.r) > TURNING_RADPS)
+    turns = motion.heading_rate[turning] / motion.r[turning]
+    direction = np.hypot(np.mean(np.cos(motion.beta[moving])), np.mean(np.sin(motion.beta[moving])))
+    return bool(
+        _spread(ratio) > LARGEST_SPREAD
+        or (turns.size > RATE_HZ and _spread(turns) > LARGEST_SPREAD)
+        or direction < 0.8
+    )
 
 
 def check(motions, setup, vehicle):
@@ -102,13 +134,13 @@ def check(motions, setup, vehicle):
     list of Finding
         In the order in which repairs must be made.
     """
-    motions = [motion for motion in motions if motion.moving.any()]
+    motions = [motion for motion in motions if motion.moving.any() and not diverged(motion)]
     if not motions:
         return []
     findings = []
     for checker in (
         *(_heading, _rates, _steering_sign, _lateral_axis, _lateral_scale),
-        *(_pose_point, _steering_gain, _lateral_velocity, _sides, _localization),
+        *(_pose_point, _steering_gain, _front_slip, _lateral_velocity, _sides, _localization),
     ):
         findings += checker(motions, setup, vehicle)
     return findings
@@ -176,6 +208,13 @@ def _rates(motions, setup, vehicle):
         return []
     yaw, speed = np.median(r[turns] / turning[turns]), np.median(v[drives] / path[drives])
     findings = []
+    if min(abs(yaw), abs(speed)) < 0.1:
+        what = "yaw rate" if abs(yaw) < 0.1 else "speed"
+        text = (
+            f"{what}: {min(abs(yaw), abs(speed)):.2f} times what the poses say: it measures "
+            "something else, and can be left out of the channel map"
+        )
+        return [Finding(what, text, grave=True)]
     if yaw < 0.0:
         text = "yaw rate: its sign is not that of the heading's turning"
         fix = {"yaw_rate_scale": -setup.yaw_rate_scale}
@@ -382,6 +421,37 @@ def _steering_gain(motions, setup, vehicle):
     return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and error[0] < 0.1)]
 
 
+def _front_slip(motions, setup, vehicle):
+    """Does the front force point against the front slip, as it must?"""
+    columns = _cornering(motions)
+    if columns is None:
+        return []
+    v, r, delta, a_y = (columns[key] for key in ("v", "r", "delta", "a_y"))
+    # Of the front wheels without the rear's slip, which can only make it worse.
+    least = np.arctan(vehicle.l_wb * r / v)
+    hard = np.abs(a_y) > 0.5 * np.percentile(np.abs(a_y), 98.0)
+    if np.count_nonzero(hard) < 10:
+        return []
+    missing = float(np.median(((least - delta) * np.sign(r))[hard]))
+    if missing < 0.01 or _both_sides(r):
+        return []
+    angle, signal = (float(np.median(np.abs(values[hard]))) for values in (least, delta))
+    matrix = np.column_stack((delta, -a_y))
+    solution, error = _regression(matrix, least, 0.0)
+    text = (
+        f"steering: the car turns as with {angle:.3f} rad and no slip where the signal says "
+        f"{signal:.3f} rad, so the wheels turn more than it says"
+    )
+    fix = {}
+    if error[0] < 0.1 * solution[0]:
+        text += (
+            f"; if they have no offset and understeer is proportional, {solution[0]:.3f} +- "
+            f"{error[0]:.3f} times as much"
+        )
+        fix = {"steering_gain": round(setup.steering_gain * solution[0], 4)}
+    return [Finding("front slip", text, fix, grave=True)]
+
+
 def _lateral_velocity(motions, setup, vehicle):
     """Does the odometry's lateral velocity say what the poses say?"""
     motions = [motion for motion in motions if motion.v_y_odometry is not None]
@@ -390,9 +460,6 @@ def _lateral_velocity(motions, setup, vehicle):
     own = np.concatenate([motion.v_y_odometry[motion.usable] for motion in motions])
     if own.size < RATE_HZ:
         return []
-    if not own.any():
-        text = "lateral velocity: the odometry has 0 throughout; the poses' is used"
-        return [Finding("lateral velocity", text)]
     poses = np.concatenate([(m.v_x * np.tan(m.beta))[m.usable] for m in motions])
     text = (
         f"lateral velocity: the odometry's differs from the poses', which is used, by "
@@ -437,6 +504,12 @@ def _localization(motions, setup, vehicle):
 # -- what they share -----------------------------------------------------------------------------
 
 
+def _spread(values):
+    """Interquartile range as a share of the median."""
+    low, middle, high = np.percentile(values, (25.0, 50.0, 75.0))
+    return (high - low) / max(abs(middle), 1e-9)
+
+
 def _pooled(motions, name, mask):
     return np.concatenate([getattr(motion, name)[getattr(motion, mask)] for motion in motions])
 
@@ -462,8 +535,8 @@ def _both_sides(r):
     return min(left, right) > 0.1 * max(left, right, 1)
 
 
-def _low(motions, vehicle):
-    """Points of steady cornering at low acceleration, or None if there are too few."""
+def _cornering(motions):
+    """Points of steady cornering as columns, or None if there are none."""
     columns = {key: [] for key in ("v", "r", "delta", "beta", "a_y")}
     for motion in motions:
         for cut in motion.segments():
@@ -475,7 +548,14 @@ def _low(motions, vehicle):
                 columns[key].append(values[pick])
     if not columns["v"]:
         return None
-    columns = {key: np.concatenate(parts) for key, parts in columns.items()}
+    return {key: np.concatenate(parts) for key, parts in columns.items()}
+
+
+def _low(motions, vehicle):
+    """Points of steady cornering at low acceleration, or None if there are too few."""
+    columns = _cornering(motions)
+    if columns is None:
+        return None
     largest = np.percentile(np.abs(columns["a_y"]), 98.0)
     low = (np.abs(columns["a_y"]) < LOW_SHARE * largest) & (np.abs(columns["r"]) > 0.2)
     if np.count_nonzero(low) < 10:

@@ -220,13 +220,21 @@ def _comparison(found):
         f"table of {found.base.name} (before) and of {found.vehicle.name} (after): largest lateral "
         "acceleration, and steering angle for shares of the smaller one",
     ]
-    for row in _tables(found):
+    rows = _tables(found)
+    for row in rows:
         before, after = (_number(row[f"limit_{which}_mps2"], "5.2f") for which in _WHICH)
         angles = ", ".join(
             f"{share:.0%}: {_number(a, '.3f')} -> {_number(b, '.3f')}"
             for share, a, b in zip(SHARES, row["steering_before_rad"], row["steering_after_rad"])
         )
         lines.append(f"  {row['speed_mps']:.0f} m/s: {before} -> {after} m/s^2; {angles} rad")
+    limits = [row["limit_after_mps2"] for row in rows]
+    beyond = max((limit for limit in limits if limit is not None), default=0.0)
+    if beyond > 1.05 * found.largest_a_y:
+        lines.append(
+            f"  beyond the {found.largest_a_y:.2f} m/s^2 that were held, the new table is "
+            "extrapolated: drive faster, or steer farther, to measure it"
+        )
     return lines
 
 
