@@ -26,6 +26,8 @@ LEAST_STANDING_S = 0.4
 LOW_SHARE = 0.45
 # Of the ratios between localization and sensors in one run, beyond which no constant explains them.
 LARGEST_SPREAD = 0.35
+# A setup that still contradicts itself then is beyond repair, and stays reported.
+MOST_CORRECTIONS = 16
 PICK = 5  # samples per point: the low-pass leaves neighbors dependent
 
 
@@ -161,21 +163,16 @@ def correct(motions_with, setup, vehicle):
     setup : SensorSetup
     corrections : list of Finding
     """
-    corrections, repaired = [], set()
-    for _ in range(16):
+    corrections = []
+    while len(corrections) < MOST_CORRECTIONS:
         motions = [motion for motion, _ in motions_with(setup)[0]]
         findings = check(motions, setup, vehicle)
-        todo = next((f for f in findings if f.fix and _key(f) not in repaired), None)
+        todo = next((finding for finding in findings if finding.fix), None)
         if todo is None:
             break
-        repaired.add(_key(todo))
         corrections.append(todo)
         setup = dataclasses.replace(setup, **todo.fix)
     return setup, corrections
-
-
-def _key(finding):
-    return finding.check, tuple(sorted(finding.fix))
 
 
 # -- checks --------------------------------------------------------------------------------------
@@ -443,7 +440,9 @@ def _front_slip(motions, setup, vehicle):
         f"{signal:.3f} rad, so the wheels turn more than it says"
     )
     fix = {}
-    if error[0] < 0.1 * solution[0]:
+    if error[0] > 0.1 * solution[0]:
+        text += "; driven at one speed only, it cannot be told how much more"
+    else:
         text += (
             f"; if they have no offset and understeer is proportional, {solution[0]:.3f} +- "
             f"{error[0]:.3f} times as much"
