@@ -16,6 +16,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
+from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
 from .driving_data import POSE, Run, Signal
 
@@ -300,17 +301,23 @@ def low_passed(values, rate_hz, cutoff_hz):
 
 def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
     """Which samples are spikes: far from the median of their neighborhood."""
-    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
-    if value.size < 3 * window:
-        return np.zeros(value.size, dtype=bool)
-    distance = np.abs(value - median_filter(value, window, mode="nearest"))
-    usual = median_filter(distance, window, mode="nearest")
-    spikes = distance > np.maximum(SPIKE_FACTOR * usual, least)
-    for cut in _stretches(spikes):
+    return _far(t, np.abs(value - _median(t, value, window_s)), least, window_s)
+
+
+def _far(t, distance, least, window_s):
+    """Which distances are large for their neighborhood, and not for long."""
+    far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
+    for cut in _stretches(far):
         # What lasts is no spike but a step: the car brakes, or localization moved.
         if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
-            spikes[cut] = False
-    return spikes
+            far[cut] = False
+    return far
+
+
+def _median(t, value, window_s):
+    """Running median; of too few samples each is its own."""
+    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
+    return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
 
 
 def _poses(run, signals, spikes):
@@ -336,10 +343,13 @@ def _poses(run, signals, spikes):
         rate = run.setup.yaw_rate_scale * rate
         integral = _integrated(rate_t, rate)
         turned, turned_even = np.interp(psi_t, rate_t, integral), np.interp(t, rate_t, integral)
-    drift = np.unwrap(psi - turned)
-    good = ~_spikes(psi_t, drift, SPIKES["psi"], POSE_SPIKE_WINDOW_S)
+    drift = psi - turned
+    # Without yaw rate the heading itself turns in the window.
+    window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
+    middle = np.arctan2(*(_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
+    distance = np.abs(wrap(drift - middle))
+    good = ~_far(psi_t, distance, SPIKES["psi"], window)
     spikes["psi"] = 1.0 - float(np.mean(good))
-    # Unwrapped anew: a spike may have taken the heading around.
     psi = turned_even + np.interp(t, psi_t[good], np.unwrap(drift[good]))
 
     good = np.ones(own.size, dtype=bool)
