@@ -57,7 +57,7 @@ class SteadyLimits:
     cutoff_hz: float = 1.0
     dv_mps2: float = 0.35
     dr_radps2: float = 0.35
-    ddelta_radps: float = 0.06
+    ddelta_radps: float = 0.1
     shortest_s: float = 0.6
 
     def __post_init__(self):

@@ -359,7 +359,7 @@ def _pose_point(motions, setup, vehicle):
     solution, error = _regression(matrix[:, columns], beta, sigma)
     findings = []
     d, d_error = solution[0], error[0]
-    if d_error < 0.04:
+    if d_error < 0.04 and not _one_speed(v):
         text = f"pose: its point is {d:.3f} +- {d_error:.3f} m ahead of the rear axle"
         fix = {}
         if abs(d - setup.pose_x_m) > max(0.06, 3.0 * d_error):
@@ -389,33 +389,53 @@ def _pose_point(motions, setup, vehicle):
 def _steering_gain(motions, setup, vehicle):
     """Gain and offset of the steering: at low acceleration the car follows Ackermann.
 
-    ``atan(l_wb r / v) = gain delta + offset - K a_y`` with the understeer gradient K.
+    The wheels' angle is ``atan(l_wb r / v) + K a_y`` with the understeer gradient K, and
+    ``gain * signal + offset``.
     """
     cornering = _low(motions, vehicle)
     if cornering is None:
         return []
-    v, r, delta, a_y = (cornering[key] for key in ("v", "r", "delta", "a_y"))
-    both = _both_sides(r)
-    if not both:
-        text = "steering: driven to one side only, its gain and offset cannot be told apart"
+    if not _both_sides(cornering["r"]):
+        text = (
+            "steering: gain and offset cannot be told apart: no slow cornering (below "
+            f"{LOW_SHARE:.0%} of the largest acceleration) to both sides"
+        )
         return [Finding("steering", text)]
-    geometric = np.arctan(vehicle.l_wb * r / v)
-    matrix = np.column_stack((delta, -a_y, np.ones(v.size)))
-    solution, error = _regression(matrix, geometric, 0.0)
-    gain, offset = solution[0], solution[2]
+    if _one_speed(cornering["v"]):
+        text = "steering: driven at one speed only, its gain cannot be told from understeer"
+        return [Finding("steering", text)]
+    gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
     text = (
-        f"steering: wheels turn {gain:.3f} +- {error[0]:.3f} times the signal "
-        f"{offset:+.4f} +- {error[2]:.4f} rad"
+        f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
+        f"{offset:+.4f} +- {offset_error:.4f} rad"
     )
     fix = {}
-    if abs(gain - 1.0) > max(0.05, 3.0 * error[0]) and error[0] < 0.1:
+    if abs(gain - 1.0) > max(0.05, 3.0 * gain_error) and gain_error < 0.1:
         fix["steering_gain"] = round(setup.steering_gain * gain, 4)
-    if abs(offset) > max(0.003, 3.0 * error[2]):
+    if abs(offset) > max(0.003, 3.0 * offset_error):
         scale = gain if "steering_gain" in fix else 1.0
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
     elif "steering_gain" in fix:
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * gain, 4)
-    return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and error[0] < 0.1)]
+    return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and gain_error < 0.1)]
+
+
+def _steering(columns, vehicle, with_offset):
+    """Gain and offset of the steering with their errors.
+
+    The signal is regressed on what the car does: the other way round, yaw rate would be explained
+    by the acceleration, which is nearly the same thing.
+    """
+    geometric = np.arctan(vehicle.l_wb * columns["r"] / columns["v"])
+    matrix = [geometric, columns["a_y"]] + [np.ones(geometric.size)] * with_offset
+    solution, error = _regression(np.column_stack(matrix), columns["delta"], 0.0)
+    inverse = solution[0]
+    if abs(inverse) < 0.05:
+        return math.inf, math.inf, 0.0, math.inf
+    gain, gain_error = 1.0 / inverse, error[0] / inverse**2
+    if not with_offset:
+        return gain, gain_error, 0.0, 0.0
+    return gain, gain_error, -solution[2] / inverse, error[2] / abs(inverse)
 
 
 def _front_slip(motions, setup, vehicle):
@@ -433,21 +453,20 @@ def _front_slip(motions, setup, vehicle):
     if missing < 0.01 or _both_sides(r):
         return []
     angle, signal = (float(np.median(np.abs(values[hard]))) for values in (least, delta))
-    matrix = np.column_stack((delta, -a_y))
-    solution, error = _regression(matrix, least, 0.0)
+    gain, error, _, _ = _steering(columns, vehicle, with_offset=False)
     text = (
         f"steering: the car turns as with {angle:.3f} rad and no slip where the signal says "
         f"{signal:.3f} rad, so the wheels turn more than it says"
     )
     fix = {}
-    if error[0] > 0.1 * solution[0]:
+    if _one_speed(v) or not 0.0 < 10.0 * error < gain:
         text += "; driven at one speed only, it cannot be told how much more"
     else:
         text += (
-            f"; if they have no offset and understeer is proportional, {solution[0]:.3f} +- "
-            f"{error[0]:.3f} times as much"
+            f"; if they have no offset and understeer is proportional, {gain:.3f} +- {error:.3f} "
+            "times as much"
         )
-        fix = {"steering_gain": round(setup.steering_gain * solution[0], 4)}
+        fix = {"steering_gain": round(setup.steering_gain * gain, 4)}
     return [Finding("front slip", text, fix, grave=True)]
 
 
@@ -532,6 +551,12 @@ def _both_sides(r):
     left = np.count_nonzero(r > 0.5 * TURNING_RADPS)
     right = np.count_nonzero(r < -0.5 * TURNING_RADPS)
     return min(left, right) > 0.1 * max(left, right, 1)
+
+
+def _one_speed(v):
+    """Whether curvature and lateral acceleration, which is v^2 times as much, look alike."""
+    low, middle, high = np.percentile(v, (5.0, 50.0, 95.0))
+    return high - low < 0.15 * middle
 
 
 def _cornering(motions):

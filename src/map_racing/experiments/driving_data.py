@@ -101,8 +101,9 @@ class SensorSetup:
             object.__setattr__(self, name, finite(name, value))
             if name.endswith(("scale", "gain")) and getattr(self, name) == 0.0:
                 raise ParameterError(f"{name}: expected a number other than 0")
-        if self.time_scale < 0.0 or self.steering_delay_s < 0.0:
-            raise ParameterError("time_scale and steering_delay_s: expected positive numbers")
+        for name in ("time_scale", "steering_delay_s"):
+            if getattr(self, name) < 0.0:
+                raise ParameterError(f"{name}: expected a positive number")
 
     def changes(self):
         """What differs from the default, as a dictionary."""
