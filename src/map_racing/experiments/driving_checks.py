@@ -26,6 +26,9 @@ LEAST_STANDING_S = 0.4
 LOW_SHARE = 0.45
 # Of the ratios between localization and sensors in one run, beyond which no constant explains them.
 LARGEST_SPREAD = 0.35
+# An axis of the IMU follows speed times yaw rate with at least this slope (its unit may be g) and
+# this share of its variance explained.
+LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
 # A setup that still contradicts itself then is beyond repair, and stays reported.
 MOST_CORRECTIONS = 16
 PICK = 5  # samples per point: the low-pass leaves neighbors dependent
@@ -256,56 +259,46 @@ def _lateral_axis(motions, setup, vehicle):
     motions = [motion for motion in motions if motion.axes]
     if not motions:
         return []
-    expected = _expected(motions, setup, vehicle, "steady")
+    expected = _expected(motions, "steady")
     if expected.size < RATE_HZ or np.percentile(np.abs(expected), 90) < 1.0:
         return []
-    findings, fits = [], {}
+    fits = {}
     for axis in motions[0].axes:
         values = np.concatenate([motion.axes[axis][motion.steady] for motion in motions])
-        slope, _, share = _line(expected, values)
-        fits[axis] = slope, share
-        gravity = np.concatenate([motion.axes[axis] for motion in motions if axis in motion.axes])
-        if abs(abs(np.median(gravity)) - GRAVITY) < 2.0 and axis == setup.lateral_axis:
-            findings.append(f"gravity is on its {axis} axis")
-    own = fits.get(setup.lateral_axis, (0.0, 0.0))
-    best = max(fits, key=lambda axis: fits[axis][1] if abs(fits[axis][0]) > 0.4 else -1.0)
-    slope, share = fits[best]
-    if abs(slope) < 0.4 or share < 0.5:
-        text = (
-            f"lateral acceleration: no axis of the IMU follows speed times yaw rate (a_"
-            f"{setup.lateral_axis} has {own[0]:.2f} of it): take it from them (--acceleration "
-            "yaw_rate)"
-        )
-        return [
-            Finding(
-                "lateral acceleration",
-                text,
-                grave=motions[0].a_y is not None and _uses_imu(motions),
-            )
-        ]
-    if best != setup.lateral_axis and (abs(own[0]) < 0.4 or own[1] < 0.5):
-        why = f" ({findings[0]})" if findings else ""
-        text = (
-            f"lateral acceleration: a_{setup.lateral_axis} has {own[0]:.2f} of speed times yaw "
-            f"rate, a_{best} has {slope:.2f}{why}"
-        )
+        fits[axis] = _line(expected, values)
+
+    def follows(axis):
+        slope, _, share = fits.get(axis, (0.0, 0.0, 0.0))
+        return abs(slope) > LEAST_SLOPE and share > LEAST_SHARE
+
+    own = setup.lateral_axis
+    if not follows(own):
+        best = max((axis for axis in fits if follows(axis)), key=lambda a: fits[a][2], default=None)
+        there = np.concatenate([m.axes[own] for m in motions if own in m.axes] or [np.zeros(1)])
+        heavy = abs(abs(np.median(there)) - GRAVITY) < 2.0
+        why = f" (gravity is on its {own} axis)" if heavy else ""
+        text = f"lateral acceleration: a_{own} does not follow speed times yaw rate{why}, "
+        if best is None:
+            text += "nor does another axis: take it from these (--acceleration yaw_rate)"
+            return [Finding("lateral acceleration", text, grave=_uses_imu(motions))]
+        slope = fits[best][0]
         fix = {
             "lateral_axis": best,
             "lateral_scale": math.copysign(1.0, slope),
             "lateral_offset_mps2": 0.0,
         }
+        text += f"a_{best} does, {slope:.2f} times"
         return [Finding("lateral acceleration", text, fix, grave=True)]
-    if own[0] * setup.lateral_scale < 0.0:
-        text = (
-            f"lateral acceleration: a_{setup.lateral_axis} is {own[0] * setup.lateral_scale:.2f} "
-            "times speed times yaw rate: its sign is wrong"
-        )
-        fix = {
-            "lateral_scale": -setup.lateral_scale,
-            "lateral_offset_mps2": -setup.lateral_offset_mps2,
-        }
-        return [Finding("lateral acceleration", text, fix, grave=True)]
-    return []
+    slope = fits[own][0] * setup.lateral_scale
+    if slope > 0.0:
+        return []
+    text = f"lateral acceleration: a_{own} is {slope:.2f} times speed times yaw rate: its sign is "
+    text += "wrong"
+    fix = {
+        "lateral_scale": -setup.lateral_scale,
+        "lateral_offset_mps2": -setup.lateral_offset_mps2,
+    }
+    return [Finding("lateral acceleration", text, fix, grave=True)]
 
 
 def _uses_imu(motions):
@@ -318,7 +311,7 @@ def _lateral_scale(motions, setup, vehicle):
     motions = [motion for motion in motions if motion.axes]
     if not motions or not _uses_imu(motions):
         return []
-    expected = _expected(motions, setup, vehicle, "usable")
+    expected = _expected(motions, "usable")
     if expected.size < RATE_HZ or np.ptp(expected) < 1.0:
         return []
     a_y = np.concatenate([motion.a_y[motion.usable] for motion in motions])
@@ -532,7 +525,7 @@ def _pooled(motions, name, mask):
     return np.concatenate([getattr(motion, name)[getattr(motion, mask)] for motion in motions])
 
 
-def _expected(motions, setup, vehicle, mask):
+def _expected(motions, mask):
     """Lateral acceleration in steady state."""
     return np.concatenate([(m.v_x * m.r)[getattr(m, mask)] for m in motions])
 

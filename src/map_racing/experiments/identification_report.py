@@ -196,7 +196,7 @@ def _summary(found):
         f"largest lateral acceleration held: {found.largest_a_y:.2f} m/s^2, friction "
         f"{found.friction:.3f}",
         f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
-        f"steering: wheels turn {found.setup.steering_gain:.3f} times the signal "
+        f"steering, as used: wheels turn {found.setup.steering_gain:.3f} times the signal "
         f"{found.setup.steering_offset_rad:+.4f} rad; up to {widest:.3f} rad in the data",
         force,
     ]

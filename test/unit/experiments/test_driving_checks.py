@@ -18,6 +18,7 @@ FAULTS = {
     "speed in km/h": ({"v_x": (3.6, 0.0)}, "speed_scale", 1.0 / 3.6),
     "speed backwards": ({"v_x": (-1.0, 0.0)}, "speed_scale", -1.0),
     "acceleration turned around": ({"a_y": (-1.0, 0.0)}, "lateral_scale", -1.0),
+    "acceleration in g": ({"a_y": (1.0 / 9.80665, 0.0)}, "lateral_scale", 9.80665),
     "acceleration with an offset": ({"a_y": (1.0, 0.4)}, "lateral_offset_mps2", -0.4),
     "acceleration of a rolling body": ({"a_y": (1.08, 0.0)}, "lateral_scale", 1.0 / 1.08),
     "steering turned around": ({"steering": (-1.0, 0.0)}, "steering_gain", -1.0),
