@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -223,16 +224,16 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
     columns["delta"] = setup.steering_gain * command + setup.steering_offset_rad
     columns.update((name, sampled(name)) for name in ("a_x", "a_y", "a_z", "v_y") if name in used)
 
-    smooth = {name: np.full(t.size, math.nan) for name in columns}
+    raw = np.stack(list(columns.values()))
+    passed, filtered = np.zeros(raw.shape), np.zeros(t.size, dtype=bool)
     for cut in _stretches(known):
         if cut.stop - cut.start > RATE_HZ:
-            for name, column in columns.items():
-                smooth[name][cut] = low_passed(column[cut], RATE_HZ, limits.cutoff_hz)
-    known &= np.isfinite(smooth["along"])
+            passed[:, cut] = low_passed(raw[:, cut], RATE_HZ, limits.cutoff_hz)
+            filtered[cut] = True
+    known = filtered
     if not known.any():
         raise IdentificationError(f"{run.name}: expected signals without gaps for a second")
-    for column in smooth.values():
-        column[~known] = 0.0
+    smooth = dict(zip(columns, passed))
 
     axes = {name[-1]: smooth[name] for name in ("a_x", "a_y", "a_z") if name in smooth}
     a_y = _lateral_acceleration(run, vehicle, smooth, axes, acceleration)
@@ -284,19 +285,23 @@ def low_passed(values, rate_hz, cutoff_hz):
 
     Parameters
     ----------
-    values : ndarray, shape (n,)
+    values : ndarray, shape (..., n)
     rate_hz, cutoff_hz : float
         Of sampling, and of the filter [Hz].
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (..., n)
     """
     # Twice through a filter of second order: each pass may take a quarter of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
-    sections = butter(2, min(once / (0.5 * rate_hz), 0.99), output="sos")
-    padding = min(values.size - 1, int(3.0 * rate_hz / cutoff_hz))
-    return sosfiltfilt(sections, values, padlen=padding)
+    padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
+    return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
+
+
+@lru_cache(maxsize=16)
+def _sections(cutoff):
+    return butter(2, cutoff, output="sos")
 
 
 def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
@@ -391,15 +396,13 @@ def _clock_offset(middle, turning, t, rate):
     other = low_passed(np.interp(grid, middle, turning), RATE_HZ, 2.0)
     most = min(round(CLOCK_SEARCH_S * RATE_HZ), grid.size // 4)
     inner = slice(most, grid.size - most)
-    shifts = np.arange(-most, most + 1)
-    # The sign of the yaw rate is checked later; here only times count.
-    errors = [
-        min(
-            np.mean((own[inner] - s * other[most - k : grid.size - most - k]) ** 2) for s in (1, -1)
-        )
-        for k in shifts
-    ]
-    return float(step * shifts[int(np.argmin(errors))])
+    # Squares of the differences at each shift but for the part that all have in common. The sign of
+    # the yaw rate is checked later; here only times count.
+    squares = np.append(0.0, np.cumsum(other**2))
+    size = grid.size - 2 * most
+    alike = np.abs(np.correlate(other, own[inner], "valid"))
+    errors = squares[size:] - squares[:-size] - 2.0 * alike
+    return float(step * (most - int(np.argmin(errors))))
 
 
 def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
@@ -428,12 +431,12 @@ def _near(t, samples, longest):
 
 def _noise(values, cuts, window_s=2.0):
     """Standard deviation from a local parabola, in the stretches that are long enough."""
-    window = 2 * int(0.5 * window_s * RATE_HZ) + 1
-    parts = [
-        values[cut] - savgol_filter(values[cut], window, 2)
-        for cut in cuts
-        if cut.stop - cut.start > window
-    ]
+    half = int(0.5 * window_s * RATE_HZ)
+    parts = []
+    for cut in cuts:
+        if cut.stop - cut.start > 3 * half:
+            parabola = savgol_filter(values[cut], 2 * half + 1, 2, mode="constant")
+            parts.append((values[cut] - parabola)[half:-half])
     if not parts:
         return 0.0
     # A parabola through so little takes a part of the noise with it.
