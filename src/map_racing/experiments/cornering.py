@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from ..angles import wrap
@@ -169,92 +169,30 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         If signals are missing, or no second of all of them exists.
     """
     limits = limits or SteadyLimits()
-    setup, scale = run.setup, run.setup.time_scale
-    for name in (*POSE, "steering"):
-        if name not in run.signals:
-            what = "no steering angle" if name == "steering" else f"no pose ({name})"
-            raise IdentificationError(f"{run.name}: {what} in it")
-    signals, spikes = {}, {}
-    for name, (t, value) in run.signals.items():
-        if name not in (*POSE, "steering"):
-            good = ~_spikes(t, value, SPIKES[name])
-            t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
-        signals[name] = Signal(scale * t, value)
+    setup = run.setup
+    signals, spikes = _without_spikes(run)
     pose_t, *poses = _poses(run, signals, spikes)
-    middle, forward, sideways, turning = _velocities(*poses, setup.heading_offset_rad)
-
+    middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
     offset = 0.0
     if "yaw_rate" in signals and run.pose_clock:
         rate = setup.yaw_rate_scale * signals["yaw_rate"].value
-        offset = _clock_offset(middle, turning, signals["yaw_rate"].t, rate)
+        offset = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
         middle, pose_t = middle + offset, pose_t + offset
-
-    used = {name: signal.t for name, signal in signals.items() if name not in POSE}
-    begin = max([pose_t[0], *(t[0] for t in used.values())])
-    end = min([pose_t[-1], *(t[-1] for t in used.values())])
-    if "steering" in used:  # the last command holds
-        others = [t[-1] for name, t in used.items() if name != "steering"]
-        end = min([pose_t[-1], *others])
-    if end - begin < 1.0:
-        raise IdentificationError(
-            f"{run.name}: expected a second in which all signals exist, got "
-            f"{max(end - begin, 0.0):.1f} s"
-        )
-    t = np.arange(begin, end, 1.0 / RATE_HZ)
-
-    def sampled(name, factor=1.0):
-        return factor * np.interp(t, used[name], signals[name].value)
-
-    known = _near(t, pose_t, LONGEST_GAP_S)
-    for name, own in used.items():
-        known &= _near(t, own, LONGEST_HOLD_S if name == "steering" else LONGEST_GAP_S)
-    along = np.interp(t, middle, forward)
-    columns = {
-        "along": along,
-        "sideways": np.interp(t, middle, sideways),
-        "heading_rate": np.interp(t, middle, turning),
-    }
-    columns["v_x"] = sampled("v_x", setup.speed_scale) if "v_x" in used else along
-    if "yaw_rate" in used:
-        columns["r"] = sampled("yaw_rate", setup.yaw_rate_scale)
-    else:
-        columns["r"] = columns["heading_rate"]
-    last = np.searchsorted(used["steering"] + setup.steering_delay_s, t, side="right") - 1
-    command = signals["steering"].value[np.maximum(last, 0)]
-    columns["delta"] = setup.steering_gain * command + setup.steering_offset_rad
-    columns.update((name, sampled(name)) for name in ("a_x", "a_y", "a_z", "v_y") if name in used)
-
-    raw = np.stack(list(columns.values()))
-    passed, filtered = np.zeros(raw.shape), np.zeros(t.size, dtype=bool)
-    for cut in _stretches(known):
-        if cut.stop - cut.start > RATE_HZ:
-            passed[:, cut] = low_passed(raw[:, cut], RATE_HZ, limits.cutoff_hz)
-            filtered[cut] = True
-    known = filtered
+    t, known = _common_clock(run, signals, pose_t)
+    columns = dict(
+        zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
+    )
+    columns.update(_sampled(signals, setup, t))
+    columns.setdefault("v_x", columns["along"])
+    columns.setdefault("r", columns["heading_rate"])
+    smooth, known = _filtered(columns, known, limits.cutoff_hz)
     if not known.any():
         raise IdentificationError(f"{run.name}: expected signals without gaps for a second")
-    smooth = dict(zip(columns, passed))
 
     axes = {name[-1]: smooth[name] for name in ("a_x", "a_y", "a_z") if name in smooth}
-    a_y = _lateral_acceleration(run, vehicle, smooth, axes, acceleration)
-    v_x, r = smooth["v_x"], smooth["r"]
-    moving = known & (np.abs(v_x) > SLOWEST_MPS)
+    v_x, r, turning = smooth["v_x"], smooth["r"], smooth["heading_rate"]
     path_speed = np.hypot(smooth["along"], smooth["sideways"])
     beta = np.where(path_speed > 0.3, np.arctan2(smooth["sideways"], smooth["along"]), 0.0)
-    lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
-    lost |= (
-        np.abs(smooth["heading_rate"] - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
-    )
-    # What the low-pass smears over the edge of a lost stretch is lost, too.
-    margin = np.ones(2 * round(0.3 * RATE_HZ) + 1)
-    lost = np.convolve(lost & known, margin, mode="same") > 0.5 if t.size > margin.size else lost
-    steady = moving & (v_x > SLOWEST_MPS)
-    for column, limit in (
-        (v_x, limits.dv_mps2),
-        (r, limits.dr_radps2),
-        (smooth["delta"], limits.ddelta_radps),
-    ):
-        steady &= np.abs(np.gradient(column, 1.0 / RATE_HZ)) < limit
     motion = Motion(
         run=run,
         t=t,
@@ -262,14 +200,14 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         r=r,
         beta=beta,
         delta=smooth["delta"],
-        a_y=a_y,
+        a_y=_lateral_acceleration(run, vehicle, smooth, axes, acceleration),
         axes=axes,
         path_speed=path_speed,
-        heading_rate=smooth["heading_rate"],
+        heading_rate=turning,
         v_y_odometry=smooth.get("v_y"),
-        moving=moving,
-        coherent=known & ~lost,
-        steady=steady,
+        moving=known & (np.abs(v_x) > SLOWEST_MPS),
+        coherent=known & ~_lost(known, path_speed, v_x, turning, r),
+        steady=known & (v_x > SLOWEST_MPS) & _steady(v_x, r, smooth["delta"], limits),
         beta_noise=0.0,
         a_y_noise=0.0,
         clock_offset_s=offset,
@@ -277,7 +215,7 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         limits=limits,
     )
     cuts = motion.segments()
-    return replace(motion, beta_noise=_noise(beta, cuts), a_y_noise=_noise(a_y, cuts))
+    return replace(motion, beta_noise=_noise(motion.beta, cuts), a_y_noise=_noise(motion.a_y, cuts))
 
 
 def low_passed(values, rate_hz, cutoff_hz):
@@ -302,6 +240,86 @@ def low_passed(values, rate_hz, cutoff_hz):
 @lru_cache(maxsize=16)
 def _sections(cutoff):
     return butter(2, cutoff, output="sos")
+
+
+def _without_spikes(run):
+    """Signals without spikes and on the true time, and the share of spikes of each."""
+    for name in (*POSE, "steering"):
+        if name not in run.signals:
+            what = "no drive command nor a servo's position" if name == "steering" else "no pose"
+            raise IdentificationError(f"{run.name}: {what} in it ({name})")
+    signals, spikes = {}, {}
+    for name, (t, value) in run.signals.items():
+        if name not in (*POSE, "steering"):
+            good = ~_spikes(t, value, SPIKES[name])
+            t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
+        signals[name] = Signal(run.setup.time_scale * t, value)
+    return signals, spikes
+
+
+def _common_clock(run, signals, pose_t):
+    """Even times at which all signals exist, and whether each is between samples of all."""
+    others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
+    commands = signals["steering"].t
+    begin = max(commands[0], *(own[0] for own in others))
+    end = min(own[-1] for own in others)  # the last command holds
+    if end - begin < 1.0:
+        raise IdentificationError(
+            f"{run.name}: expected a second in which all signals exist, got "
+            f"{max(end - begin, 0.0):.1f} s"
+        )
+    t = np.arange(begin, end, 1.0 / RATE_HZ)
+    known = _near(t, commands, LONGEST_HOLD_S)
+    for own in others:
+        known &= _near(t, own, LONGEST_GAP_S)
+    return t, known
+
+
+def _sampled(signals, setup, t):
+    """Signals beside the pose at even times, with the setup applied but for the acceleration."""
+    columns = {}
+    for name, key, scale in (
+        *(("v_x", "v_x", setup.speed_scale), ("yaw_rate", "r", setup.yaw_rate_scale)),
+        *((name, name, 1.0) for name in ("v_y", "a_x", "a_y", "a_z")),
+    ):
+        if name in signals:
+            columns[key] = scale * np.interp(t, *signals[name])
+    commands = signals["steering"]
+    last = np.searchsorted(commands.t + setup.steering_delay_s, t, side="right") - 1
+    held = commands.value[np.maximum(last, 0)]
+    columns["delta"] = setup.steering_gain * held + setup.steering_offset_rad
+    return columns
+
+
+def _filtered(columns, known, cutoff_hz):
+    """Low-passed columns, 0 where they are not known, and where they are."""
+    raw = np.stack(list(columns.values()))
+    passed, filtered = np.zeros(raw.shape), np.zeros(known.size, dtype=bool)
+    for cut in _stretches(known):
+        if cut.stop - cut.start > RATE_HZ:
+            passed[:, cut] = low_passed(raw[:, cut], RATE_HZ, cutoff_hz)
+            filtered[cut] = True
+    return dict(zip(columns, passed)), filtered
+
+
+def _lost(known, path_speed, v_x, turning, r):
+    """Where localization contradicts the car's own sensors, and what is smeared over the edges."""
+    lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
+    lost |= np.abs(turning - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
+    margin = 2 * round(0.3 * RATE_HZ) + 1
+    return maximum_filter1d((lost & known).astype(np.int8), margin).astype(bool)
+
+
+def _steady(v_x, r, delta, limits):
+    """Where nothing changes fast."""
+    steady = np.ones(v_x.size, dtype=bool)
+    for column, limit in (
+        (v_x, limits.dv_mps2),
+        (r, limits.dr_radps2),
+        (delta, limits.ddelta_radps),
+    ):
+        steady &= np.abs(np.gradient(column, 1.0 / RATE_HZ)) < limit
+    return steady
 
 
 def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):

@@ -197,8 +197,8 @@ def test_steering_delay_shifts_the_command():
 def test_refusals():
     run = circle()
     for missing, expected in (
-        ("psi", r"no pose \(psi\)"),
-        ("steering", "no steering angle"),
+        ("psi", r"no pose in it \(psi\)"),
+        ("steering", "no drive command"),
         ("a_y", "no lateral acceleration .*--acceleration yaw_rate"),
     ):
         signals = {name: s for name, s in run.signals.items() if name != missing}
