@@ -88,6 +88,8 @@ class Motion:
         Steering angle [rad].
     a_y : ndarray
         Lateral acceleration of the center of gravity [m/s^2].
+    acceleration : {"imu", "yaw_rate"}
+        Where it comes from.
     axes : dict of str to ndarray
         What the IMU gave, by axis.
     path_speed, heading_rate : ndarray
@@ -112,6 +114,7 @@ class Motion:
     beta: np.ndarray
     delta: np.ndarray
     a_y: np.ndarray
+    acceleration: str
     axes: dict
     path_speed: np.ndarray
     heading_rate: np.ndarray
@@ -201,6 +204,7 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         beta=beta,
         delta=smooth["delta"],
         a_y=_lateral_acceleration(run, vehicle, smooth, axes, acceleration),
+        acceleration=acceleration,
         axes=axes,
         path_speed=path_speed,
         heading_rate=turning,

@@ -132,6 +132,9 @@ def report_text(identification, holds=None):
     lines += _predictions("the data fitted to", found.holds())
     if holds is not None:
         lines += _predictions("runs left out, by the others", holds)
+        for run in dict.fromkeys(hold.run for hold in holds):
+            own = [hold for hold in holds if hold.run == run]
+            lines += [f"  {line}" for line in _predictions(run, own)]
     lines += _comparison(found)
     return "\n".join(lines)
 
@@ -196,6 +199,7 @@ def _summary(found):
         f"largest lateral acceleration held: {found.largest_a_y:.2f} m/s^2, friction "
         f"{found.friction:.3f}",
         f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
+        f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, forwards and backwards",
         f"steering, as used: wheels turn {found.setup.steering_gain:.3f} times the signal "
         f"{found.setup.steering_offset_rad:+.4f} rad; up to {widest:.3f} rad in the data",
         force,

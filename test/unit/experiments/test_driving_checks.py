@@ -106,6 +106,12 @@ def test_an_imu_that_measures_nothing_can_be_done_without(ramps, curve_error):
     assert curve_error(found, ramps.true, "front") < 0.03
 
 
+def test_an_imu_that_is_not_used_is_not_judged(ramps):
+    run = spoiled(ramps.run, {"a_y": (-3.0, 1.0)})
+    found = identify([run], ramps.base, acceleration="yaw_rate")
+    assert not any(finding.check == "lateral acceleration" for finding in found.findings)
+
+
 def test_a_clock_that_runs_at_another_rate(ramps, curve_error):
     slow = {name: Signal(1.15 * s.t, s.value) for name, s in ramps.run.signals.items()}
     run = dataclasses.replace(ramps.run, signals=slow)
