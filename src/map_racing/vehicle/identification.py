@@ -99,7 +99,9 @@ class PacejkaFit:
     inlier : ndarray of bool, shape (n,)
         Points that the last step kept.
     error : ndarray, shape (n,)
-        Distance of each point from the curve [N].
+        Distance of each point from the curve in the metric of both noises [N].
+    residual : ndarray, shape (n,)
+        Force of each point less that of the curve at its slip angle [N].
     parameters : dict of str to Parameter
         ``B C D E``, ``stiffness_n_per_rad`` and ``peak_n``.
     covered_slip : float
@@ -112,6 +114,7 @@ class PacejkaFit:
     tire: PacejkaTire
     inlier: np.ndarray
     error: np.ndarray
+    residual: np.ndarray
     parameters: dict
     covered_slip: float
     rise: float
@@ -123,8 +126,8 @@ class PacejkaFit:
 
     @property
     def mean_residual_n(self):
-        """Mean absolute error of the kept points [N]."""
-        return float(np.mean(np.abs(self.error[self.inlier])))
+        """Mean absolute residual of the kept points [N], the paper's figure."""
+        return float(np.mean(np.abs(self.residual[self.inlier])))
 
     @property
     def saturated(self):
@@ -238,7 +241,8 @@ def fit_pacejka(points, start=None, threshold=10.0, oversampling=1.0):
     tire = PacejkaTire(*theta)
     rise = float(tire.slope(covered)) / tire.stiffness
     parameters = _intervals(theta, jacobian, noise, points.load, rise < SATURATED)
-    return PacejkaFit(tire, inlier, error, parameters, covered, rise)
+    residual = force - points.load * tire.normalized_force(slip)
+    return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise)
 
 
 def fit_linear(points, inlier=None, oversampling=1.0):

@@ -123,6 +123,8 @@ def test_steps_of_rejection_keep_what_is_within_the_last_threshold():
     points = measured(FRONT, force_noise=0.9)
     fit = fit_pacejka(points)
     error = points.force + LOAD * fit.tire.normalized_force(points.slip)
+    # In left turns the slip is negative; residuals are those of the force over positive slip.
+    np.testing.assert_allclose(fit.residual, error, atol=1e-9)
     assert 0.0 < fit.rejected_share < 0.3
     np.testing.assert_allclose(fit.error, error, atol=1e-9)
     # The mask is that of the fit before the last: nearly all of it holds for the last, too.
