@@ -68,6 +68,13 @@ def add_parser(commands):
         "--servo-offset", type=float, default=0.5304, help="see above (default: %(default)s)"
     )
     parser.add_argument(
+        "--steering-delay",
+        type=float,
+        metavar="S",
+        help="from the command to the wheels [s], also in a channel map (default: 0; at 0.02 rad/s "
+        "50 ms are 1 mrad)",
+    )
+    parser.add_argument(
         "--fix",
         action="store_true",
         help="correct signs, axes, scales, offsets and steering gain that contradict physics",
@@ -169,6 +176,9 @@ def channel_map(arguments):
         steering = Channel(arguments.servo_topic, scale=1.0 / gain, offset=-offset / gain)
         merged = {**channels.channels, "steering": steering}
         channels = dataclasses.replace(channels, channels=merged)
+    if arguments.steering_delay is not None:
+        setup = dataclasses.replace(channels.setup, steering_delay_s=arguments.steering_delay)
+        channels = dataclasses.replace(channels, setup=setup)
     return channels
 
 

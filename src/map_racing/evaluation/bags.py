@@ -388,36 +388,40 @@ def read_signals(path, recording, topics):
     BagError
         If a topic is not in the bag, or of another type, or its time falls back.
     """
-    found, notes = {}, recording.notes
+    found, sources, owners = {}, {}, {}
     with BagFile(path) as bag:
         for name, topic in topics.items():
             wanted = "/" + topic.lstrip("/") if topic else _imu_topic(bag)
             if wanted is None:
                 continue
+            sources[name] = wanted
+            if wanted in found:
+                continue
             numbers = {n for n, c in bag.connections.items() if c.topic == wanted}
             kinds = {bag.connections[n].md5sum for n in numbers}
             if len(kinds) != 1 or not kinds <= set(_SIGNALS):
-                there = ", ".join(sorted(c.type for c in map(bag.connections.get, numbers)))
+                there = ", ".join(sorted(bag.connections[n].type for n in numbers))
                 known = ", ".join(kind for kind, md5 in msg.MD5.items() if md5 in _SIGNALS)
                 raise BagError(
                     f"{path}: {wanted}: expected messages of {known}; it has {there or 'none'}"
                 )
             decode, columns = _SIGNALS[kinds.pop()]
-            found[name] = wanted, numbers, Series(decode), columns
-        owners = {n: entry[2] for entry in found.values() for n in entry[1]}
+            found[wanted] = Series(decode), columns
+            owners.update(dict.fromkeys(numbers, found[wanted][0]))
         for message in bag.messages(set(owners)):
             owners[message.connection].add(message)
-    signals = {}
-    for name, (topic, _, series, columns) in found.items():
+    read = {}
+    for topic, (series, columns) in found.items():
+        if not series.size:
+            raise BagError(f"{path}: {topic}: expected messages, got none")
         received = recording.receive_time
         back = series.jump_back(received=received)
         if back:
             raise BagError(f"{path}: {topic}: time jumps back by {back:.1f} s")
-        times, values = series.columns(notes, topic, received=received)
-        if not times.size:
-            raise BagError(f"{path}: {topic}: expected messages, got none")
+        times, values = series.columns(recording.notes, topic, received=received)
         at = (times - recording.t0_ns) * 1e-9
-        signals[name] = at, dict(zip(columns, values[-len(columns) :]))
+        read[topic] = at, dict(zip(columns, values[-len(columns) :]))
+    signals = {name: read[topic] for name, topic in sources.items()}
     return signals
 
 

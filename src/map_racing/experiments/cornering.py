@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
+from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
 from .driving_data import POSE, Run, Signal
 
@@ -56,7 +58,7 @@ class SteadyLimits:
     cutoff_hz: float = 1.0
     dv_mps2: float = 0.35
     dr_radps2: float = 0.35
-    ddelta_radps: float = 0.06
+    ddelta_radps: float = 0.1
     shortest_s: float = 0.6
 
     def __post_init__(self):
@@ -86,6 +88,8 @@ class Motion:
         Steering angle [rad].
     a_y : ndarray
         Lateral acceleration of the center of gravity [m/s^2].
+    acceleration : {"imu", "yaw_rate"}
+        Where it comes from.
     axes : dict of str to ndarray
         What the IMU gave, by axis.
     path_speed, heading_rate : ndarray
@@ -110,6 +114,7 @@ class Motion:
     beta: np.ndarray
     delta: np.ndarray
     a_y: np.ndarray
+    acceleration: str
     axes: dict
     path_speed: np.ndarray
     heading_rate: np.ndarray
@@ -167,90 +172,30 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         If signals are missing, or no second of all of them exists.
     """
     limits = limits or SteadyLimits()
-    setup, scale = run.setup, run.setup.time_scale
-    if "psi" not in run.signals:
-        raise IdentificationError(f"{run.name}: expected a heading in the pose")
-    signals, spikes = {}, {}
-    for name, (t, value) in run.signals.items():
-        if name not in (*POSE, "steering"):
-            good = ~_spikes(t, value, SPIKES[name])
-            t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
-        signals[name] = Signal(scale * t, value)
+    setup = run.setup
+    signals, spikes = _without_spikes(run)
     pose_t, *poses = _poses(run, signals, spikes)
-    middle, forward, sideways, turning = _velocities(*poses, setup.heading_offset_rad)
-
+    middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
     offset = 0.0
     if "yaw_rate" in signals and run.pose_clock:
         rate = setup.yaw_rate_scale * signals["yaw_rate"].value
-        offset = _clock_offset(middle, turning, signals["yaw_rate"].t, rate)
+        offset = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
         middle, pose_t = middle + offset, pose_t + offset
-
-    used = {name: signal.t for name, signal in signals.items() if name not in POSE}
-    begin = max([pose_t[0], *(t[0] for t in used.values())])
-    end = min([pose_t[-1], *(t[-1] for t in used.values())])
-    if "steering" in used:  # the last command holds
-        others = [t[-1] for name, t in used.items() if name != "steering"]
-        end = min([pose_t[-1], *others])
-    if end - begin < 1.0:
-        raise IdentificationError(
-            f"{run.name}: expected a second in which all signals exist, got "
-            f"{max(end - begin, 0.0):.1f} s"
-        )
-    t = np.arange(begin, end, 1.0 / RATE_HZ)
-
-    def sampled(name, factor=1.0):
-        return factor * np.interp(t, used[name], signals[name].value)
-
-    known = _near(t, pose_t, LONGEST_GAP_S)
-    for name, own in used.items():
-        known &= _near(t, own, LONGEST_HOLD_S if name == "steering" else LONGEST_GAP_S)
-    along = np.interp(t, middle, forward)
-    columns = {
-        "along": along,
-        "sideways": np.interp(t, middle, sideways),
-        "heading_rate": np.interp(t, middle, turning),
-    }
-    columns["v_x"] = sampled("v_x", setup.speed_scale) if "v_x" in used else along
-    if "yaw_rate" in used:
-        columns["r"] = sampled("yaw_rate", setup.yaw_rate_scale)
-    else:
-        columns["r"] = columns["heading_rate"]
-    last = np.searchsorted(used["steering"] + setup.steering_delay_s, t, side="right") - 1
-    command = signals["steering"].value[np.maximum(last, 0)]
-    columns["delta"] = setup.steering_gain * command + setup.steering_offset_rad
-    columns.update((name, sampled(name)) for name in ("a_x", "a_y", "a_z", "v_y") if name in used)
-
-    smooth = {name: np.full(t.size, math.nan) for name in columns}
-    for cut in _stretches(known):
-        if cut.stop - cut.start > RATE_HZ:
-            for name, column in columns.items():
-                smooth[name][cut] = low_passed(column[cut], RATE_HZ, limits.cutoff_hz)
-    known &= np.isfinite(smooth["along"])
+    t, known = _common_clock(run, signals, pose_t)
+    columns = dict(
+        zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
+    )
+    columns.update(_sampled(signals, setup, t))
+    columns.setdefault("v_x", columns["along"])
+    columns.setdefault("r", columns["heading_rate"])
+    smooth, known = _filtered(columns, known, limits.cutoff_hz)
     if not known.any():
         raise IdentificationError(f"{run.name}: expected signals without gaps for a second")
-    for column in smooth.values():
-        column[~known] = 0.0
 
     axes = {name[-1]: smooth[name] for name in ("a_x", "a_y", "a_z") if name in smooth}
-    a_y = _lateral_acceleration(run, vehicle, smooth, axes, acceleration)
-    v_x, r = smooth["v_x"], smooth["r"]
-    moving = known & (np.abs(v_x) > SLOWEST_MPS)
+    v_x, r, turning = smooth["v_x"], smooth["r"], smooth["heading_rate"]
     path_speed = np.hypot(smooth["along"], smooth["sideways"])
     beta = np.where(path_speed > 0.3, np.arctan2(smooth["sideways"], smooth["along"]), 0.0)
-    lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
-    lost |= (
-        np.abs(smooth["heading_rate"] - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
-    )
-    # What the low-pass smears over the edge of a lost stretch is lost, too.
-    margin = np.ones(2 * round(0.3 * RATE_HZ) + 1)
-    lost = np.convolve(lost & known, margin, mode="same") > 0.5 if t.size > margin.size else lost
-    steady = moving & (v_x > SLOWEST_MPS)
-    for column, limit in (
-        (v_x, limits.dv_mps2),
-        (r, limits.dr_radps2),
-        (smooth["delta"], limits.ddelta_radps),
-    ):
-        steady &= np.abs(np.gradient(column, 1.0 / RATE_HZ)) < limit
     motion = Motion(
         run=run,
         t=t,
@@ -258,14 +203,15 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         r=r,
         beta=beta,
         delta=smooth["delta"],
-        a_y=a_y,
+        a_y=_lateral_acceleration(run, vehicle, smooth, axes, acceleration),
+        acceleration=acceleration,
         axes=axes,
         path_speed=path_speed,
-        heading_rate=smooth["heading_rate"],
+        heading_rate=turning,
         v_y_odometry=smooth.get("v_y"),
-        moving=moving,
-        coherent=known & ~lost,
-        steady=steady,
+        moving=known & (np.abs(v_x) > SLOWEST_MPS),
+        coherent=known & ~_lost(known, path_speed, v_x, turning, r),
+        steady=known & (v_x > SLOWEST_MPS) & _steady(v_x, r, smooth["delta"], limits),
         beta_noise=0.0,
         a_y_noise=0.0,
         clock_offset_s=offset,
@@ -273,7 +219,7 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
         limits=limits,
     )
     cuts = motion.segments()
-    return replace(motion, beta_noise=_noise(beta, cuts), a_y_noise=_noise(a_y, cuts))
+    return replace(motion, beta_noise=_noise(motion.beta, cuts), a_y_noise=_noise(motion.a_y, cuts))
 
 
 def low_passed(values, rate_hz, cutoff_hz):
@@ -281,34 +227,124 @@ def low_passed(values, rate_hz, cutoff_hz):
 
     Parameters
     ----------
-    values : ndarray, shape (n,)
+    values : ndarray, shape (..., n)
     rate_hz, cutoff_hz : float
         Of sampling, and of the filter [Hz].
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (..., n)
     """
     # Twice through a filter of second order: each pass may take a quarter of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
-    sections = butter(2, min(once / (0.5 * rate_hz), 0.99), output="sos")
-    padding = min(values.size - 1, int(3.0 * rate_hz / cutoff_hz))
-    return sosfiltfilt(sections, values, padlen=padding)
+    padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
+    return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
+
+
+@lru_cache(maxsize=16)
+def _sections(cutoff):
+    return butter(2, cutoff, output="sos")
+
+
+def _without_spikes(run):
+    """Signals without spikes and on the true time, and the share of spikes of each."""
+    for name in (*POSE, "steering"):
+        if name not in run.signals:
+            what = "no drive command nor a servo's position" if name == "steering" else "no pose"
+            raise IdentificationError(f"{run.name}: {what} in it ({name})")
+    signals, spikes = {}, {}
+    for name, (t, value) in run.signals.items():
+        if name not in (*POSE, "steering"):
+            good = ~_spikes(t, value, SPIKES[name])
+            t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
+        signals[name] = Signal(run.setup.time_scale * t, value)
+    return signals, spikes
+
+
+def _common_clock(run, signals, pose_t):
+    """Even times at which all signals exist, and whether each is between samples of all."""
+    others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
+    commands = signals["steering"].t
+    begin = max(commands[0], *(own[0] for own in others))
+    end = min(own[-1] for own in others)  # the last command holds
+    if end - begin < 1.0:
+        raise IdentificationError(
+            f"{run.name}: expected a second in which all signals exist, got "
+            f"{max(end - begin, 0.0):.1f} s"
+        )
+    t = np.arange(begin, end, 1.0 / RATE_HZ)
+    known = _near(t, commands, LONGEST_HOLD_S)
+    for own in others:
+        known &= _near(t, own, LONGEST_GAP_S)
+    return t, known
+
+
+def _sampled(signals, setup, t):
+    """Signals beside the pose at even times, with the setup applied but for the acceleration."""
+    columns = {}
+    for name, key, scale in (
+        *(("v_x", "v_x", setup.speed_scale), ("yaw_rate", "r", setup.yaw_rate_scale)),
+        *((name, name, 1.0) for name in ("v_y", "a_x", "a_y", "a_z")),
+    ):
+        if name in signals:
+            columns[key] = scale * np.interp(t, *signals[name])
+    commands = signals["steering"]
+    last = np.searchsorted(commands.t + setup.steering_delay_s, t, side="right") - 1
+    held = commands.value[np.maximum(last, 0)]
+    columns["delta"] = setup.steering_gain * held + setup.steering_offset_rad
+    return columns
+
+
+def _filtered(columns, known, cutoff_hz):
+    """Low-passed columns, 0 where they are not known, and where they are."""
+    raw = np.stack(list(columns.values()))
+    passed, filtered = np.zeros(raw.shape), np.zeros(known.size, dtype=bool)
+    for cut in _stretches(known):
+        if cut.stop - cut.start > RATE_HZ:
+            passed[:, cut] = low_passed(raw[:, cut], RATE_HZ, cutoff_hz)
+            filtered[cut] = True
+    return dict(zip(columns, passed)), filtered
+
+
+def _lost(known, path_speed, v_x, turning, r):
+    """Where localization contradicts the car's own sensors, and what is smeared over the edges."""
+    lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
+    lost |= np.abs(turning - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
+    margin = 2 * round(0.3 * RATE_HZ) + 1
+    return maximum_filter1d((lost & known).astype(np.int8), margin).astype(bool)
+
+
+def _steady(v_x, r, delta, limits):
+    """Where nothing changes fast."""
+    steady = np.ones(v_x.size, dtype=bool)
+    for column, limit in (
+        (v_x, limits.dv_mps2),
+        (r, limits.dr_radps2),
+        (delta, limits.ddelta_radps),
+    ):
+        steady &= np.abs(np.gradient(column, 1.0 / RATE_HZ)) < limit
+    return steady
 
 
 def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
     """Which samples are spikes: far from the median of their neighborhood."""
-    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
-    if value.size < 3 * window:
-        return np.zeros(value.size, dtype=bool)
-    distance = np.abs(value - median_filter(value, window, mode="nearest"))
-    usual = median_filter(distance, window, mode="nearest")
-    spikes = distance > np.maximum(SPIKE_FACTOR * usual, least)
-    for cut in _stretches(spikes):
+    return _far(t, np.abs(value - _median(t, value, window_s)), least, window_s)
+
+
+def _far(t, distance, least, window_s):
+    """Which distances are large for their neighborhood, and not for long."""
+    far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
+    for cut in _stretches(far):
         # What lasts is no spike but a step: the car brakes, or localization moved.
         if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
-            spikes[cut] = False
-    return spikes
+            far[cut] = False
+    return far
+
+
+def _median(t, value, window_s):
+    """Running median; of too few samples each is its own."""
+    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
+    return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
 
 
 def _poses(run, signals, spikes):
@@ -334,10 +370,13 @@ def _poses(run, signals, spikes):
         rate = run.setup.yaw_rate_scale * rate
         integral = _integrated(rate_t, rate)
         turned, turned_even = np.interp(psi_t, rate_t, integral), np.interp(t, rate_t, integral)
-    drift = np.unwrap(psi - turned)
-    good = ~_spikes(psi_t, drift, SPIKES["psi"], POSE_SPIKE_WINDOW_S)
+    drift = psi - turned
+    # Without yaw rate the heading itself turns in the window.
+    window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
+    middle = np.arctan2(*(_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
+    distance = np.abs(wrap(drift - middle))
+    good = ~_far(psi_t, distance, SPIKES["psi"], window)
     spikes["psi"] = 1.0 - float(np.mean(good))
-    # Unwrapped anew: a spike may have taken the heading around.
     psi = turned_even + np.interp(t, psi_t[good], np.unwrap(drift[good]))
 
     good = np.ones(own.size, dtype=bool)
@@ -379,15 +418,13 @@ def _clock_offset(middle, turning, t, rate):
     other = low_passed(np.interp(grid, middle, turning), RATE_HZ, 2.0)
     most = min(round(CLOCK_SEARCH_S * RATE_HZ), grid.size // 4)
     inner = slice(most, grid.size - most)
-    shifts = np.arange(-most, most + 1)
-    # The sign of the yaw rate is checked later; here only times count.
-    errors = [
-        min(
-            np.mean((own[inner] - s * other[most - k : grid.size - most - k]) ** 2) for s in (1, -1)
-        )
-        for k in shifts
-    ]
-    return float(step * shifts[int(np.argmin(errors))])
+    # Squares of the differences at each shift but for the part that all have in common. The sign of
+    # the yaw rate is checked later; here only times count.
+    squares = np.append(0.0, np.cumsum(other**2))
+    size = grid.size - 2 * most
+    alike = np.abs(np.correlate(other, own[inner], "valid"))
+    errors = squares[size:] - squares[:-size] - 2.0 * alike
+    return float(step * (most - int(np.argmin(errors))))
 
 
 def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
@@ -416,12 +453,12 @@ def _near(t, samples, longest):
 
 def _noise(values, cuts, window_s=2.0):
     """Standard deviation from a local parabola, in the stretches that are long enough."""
-    window = 2 * int(0.5 * window_s * RATE_HZ) + 1
-    parts = [
-        values[cut] - savgol_filter(values[cut], window, 2)
-        for cut in cuts
-        if cut.stop - cut.start > window
-    ]
+    half = int(0.5 * window_s * RATE_HZ)
+    parts = []
+    for cut in cuts:
+        if cut.stop - cut.start > 3 * half:
+            parabola = savgol_filter(values[cut], 2 * half + 1, 2, mode="constant")
+            parts.append((values[cut] - parabola)[half:-half])
     if not parts:
         return 0.0
     # A parabola through so little takes a part of the noise with it.

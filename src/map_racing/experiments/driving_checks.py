@@ -24,6 +24,13 @@ LEAST_USABLE_S = 2.0
 LEAST_STANDING_S = 0.4
 # Of the largest acceleration: below it, understeer is nearly proportional.
 LOW_SHARE = 0.45
+# Of the ratios between localization and sensors in one run, beyond which no constant explains them.
+LARGEST_SPREAD = 0.35
+# An axis of the IMU follows speed times yaw rate with at least this slope (its unit may be g) and
+# this share of its variance explained.
+LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
+# A setup that still contradicts itself then is beyond repair, and stays reported.
+MOST_CORRECTIONS = 16
 PICK = 5  # samples per point: the low-pass leaves neighbors dependent
 
 
@@ -72,6 +79,8 @@ def reason_to_refuse(motion):
     """
     if not motion.moving.any():
         return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
+    if diverged(motion):
+        return "localization diverged: its speed or heading has no constant relation to the car's"
     driven = np.count_nonzero(motion.moving) / RATE_HZ
     steady = np.count_nonzero(motion.steady) / RATE_HZ
     usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
@@ -84,6 +93,34 @@ def reason_to_refuse(motion):
             f"driving; {usable:.1f} s of steady driving are left"
         )
     return f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
+
+
+def diverged(motion):
+    """Whether localization and the car's sensors contradict each other, and not by a constant.
+
+    Parameters
+    ----------
+    motion : Motion
+
+    Returns
+    -------
+    bool
+    """
+    moving = motion.moving & (motion.path_speed > STANDSTILL_MPS)
+    if np.count_nonzero(moving) < RATE_HZ:
+        return False
+    if np.mean(motion.coherent[moving]) > 0.5:
+        return False
+    # A wrong scale or sign gives ratios that agree with each other.
+    ratio = motion.path_speed[moving] / np.maximum(np.abs(motion.v_x[moving]), STANDSTILL_MPS)
+    turning = moving & (np.abs(motion.r) > TURNING_RADPS)
+    turns = motion.heading_rate[turning] / motion.r[turning]
+    direction = np.hypot(np.mean(np.cos(motion.beta[moving])), np.mean(np.sin(motion.beta[moving])))
+    return bool(
+        _spread(ratio) > LARGEST_SPREAD
+        or (turns.size > RATE_HZ and _spread(turns) > LARGEST_SPREAD)
+        or direction < 0.8
+    )
 
 
 def check(motions, setup, vehicle):
@@ -102,13 +139,18 @@ def check(motions, setup, vehicle):
     list of Finding
         In the order in which repairs must be made.
     """
-    motions = [motion for motion in motions if motion.moving.any()]
+    motions = [motion for motion in motions if motion.moving.any() and not diverged(motion)]
     if not motions:
         return []
     findings = []
+    for checker in (_heading, _rates):
+        findings += checker(motions, setup, vehicle)
+        if any(finding.grave for finding in findings):
+            # All that follows is judged by speed, yaw rate and heading.
+            return findings
     for checker in (
-        *(_heading, _rates, _steering_sign, _lateral_axis, _lateral_scale),
-        *(_pose_point, _steering_gain, _lateral_velocity, _sides, _localization),
+        *(_steering_sign, _lateral_axis, _lateral_scale, _pose_point, _steering_gain),
+        *(_front_slip, _lateral_velocity, _sides, _localization),
     ):
         findings += checker(motions, setup, vehicle)
     return findings
@@ -129,21 +171,16 @@ def correct(motions_with, setup, vehicle):
     setup : SensorSetup
     corrections : list of Finding
     """
-    corrections, repaired = [], set()
-    for _ in range(16):
+    corrections = []
+    while len(corrections) < MOST_CORRECTIONS:
         motions = [motion for motion, _ in motions_with(setup)[0]]
         findings = check(motions, setup, vehicle)
-        todo = next((f for f in findings if f.fix and _key(f) not in repaired), None)
+        todo = next((finding for finding in findings if finding.fix), None)
         if todo is None:
             break
-        repaired.add(_key(todo))
         corrections.append(todo)
         setup = dataclasses.replace(setup, **todo.fix)
     return setup, corrections
-
-
-def _key(finding):
-    return finding.check, tuple(sorted(finding.fix))
 
 
 # -- checks --------------------------------------------------------------------------------------
@@ -176,6 +213,13 @@ def _rates(motions, setup, vehicle):
         return []
     yaw, speed = np.median(r[turns] / turning[turns]), np.median(v[drives] / path[drives])
     findings = []
+    if min(abs(yaw), abs(speed)) < 0.1:
+        what = "yaw rate" if abs(yaw) < 0.1 else "speed"
+        text = (
+            f"{what}: {min(abs(yaw), abs(speed)):.2f} times what the poses say: it measures "
+            "something else, and can be left out of the channel map"
+        )
+        return [Finding(what, text, grave=True)]
     if yaw < 0.0:
         text = "yaw rate: its sign is not that of the heading's turning"
         fix = {"yaw_rate_scale": -setup.yaw_rate_scale}
@@ -187,10 +231,7 @@ def _rates(motions, setup, vehicle):
     if min(yaw_off, speed_off) > 0.05 and abs(yaw - speed) < 0.5 * min(yaw_off, speed_off):
         text = (
             f"time: yaw rate is {yaw:.3f} times the heading's turning and speed {speed:.3f} times "
-            f"the path per time: the clock runs {yaw:.3f} times too slowly"
-            if yaw < 1.0
-            else f"time: yaw rate is {yaw:.3f} times the heading's turning and speed {speed:.3f} "
-            f"times the path per time: a second of the recording lasts {1.0 / yaw:.3f} s"
+            f"the path per time: a second of the recording lasts {1.0 / yaw:.3f} s"
         )
         fix = {"time_scale": round(setup.time_scale / yaw, 4)}
         return [Finding("time", text, fix, grave=True)]
@@ -217,72 +258,57 @@ def _steering_sign(motions, setup, vehicle):
 
 def _lateral_axis(motions, setup, vehicle):
     """Which axis of the IMU, with which sign, has the lateral acceleration?"""
-    motions = [motion for motion in motions if motion.axes]
+    motions = [motion for motion in motions if motion.axes and motion.acceleration == "imu"]
     if not motions:
         return []
-    expected = _expected(motions, setup, vehicle, "steady")
+    expected = _expected(motions, "steady")
     if expected.size < RATE_HZ or np.percentile(np.abs(expected), 90) < 1.0:
         return []
-    findings, fits = [], {}
+    fits = {}
     for axis in motions[0].axes:
         values = np.concatenate([motion.axes[axis][motion.steady] for motion in motions])
-        slope, _, share = _line(expected, values)
-        fits[axis] = slope, share
-        gravity = np.concatenate([motion.axes[axis] for motion in motions if axis in motion.axes])
-        if abs(abs(np.median(gravity)) - GRAVITY) < 2.0 and axis == setup.lateral_axis:
-            findings.append(f"gravity is on its {axis} axis")
-    own = fits.get(setup.lateral_axis, (0.0, 0.0))
-    best = max(fits, key=lambda axis: fits[axis][1] if abs(fits[axis][0]) > 0.4 else -1.0)
-    slope, share = fits[best]
-    if abs(slope) < 0.4 or share < 0.5:
-        text = (
-            f"lateral acceleration: no axis of the IMU follows speed times yaw rate (a_"
-            f"{setup.lateral_axis} has {own[0]:.2f} of it): take it from them (--acceleration "
-            "yaw_rate)"
-        )
-        return [
-            Finding(
-                "lateral acceleration",
-                text,
-                grave=motions[0].a_y is not None and _uses_imu(motions),
-            )
-        ]
-    if best != setup.lateral_axis and (abs(own[0]) < 0.4 or own[1] < 0.5):
-        why = f" ({findings[0]})" if findings else ""
-        text = (
-            f"lateral acceleration: a_{setup.lateral_axis} has {own[0]:.2f} of speed times yaw "
-            f"rate, a_{best} has {slope:.2f}{why}"
-        )
+        fits[axis] = _line(expected, values)
+
+    def follows(axis):
+        slope, _, share = fits.get(axis, (0.0, 0.0, 0.0))
+        return abs(slope) > LEAST_SLOPE and share > LEAST_SHARE
+
+    own = setup.lateral_axis
+    if not follows(own):
+        best = max((axis for axis in fits if follows(axis)), key=lambda a: fits[a][2], default=None)
+        there = np.concatenate([m.axes[own] for m in motions if own in m.axes] or [np.zeros(1)])
+        heavy = abs(abs(np.median(there)) - GRAVITY) < 2.0
+        why = f" (gravity is on its {own} axis)" if heavy else ""
+        text = f"lateral acceleration: a_{own} does not follow speed times yaw rate{why}, "
+        if best is None:
+            text += "nor does another axis: take it from these (--acceleration yaw_rate)"
+            return [Finding("lateral acceleration", text, grave=True)]
+        slope = fits[best][0]
         fix = {
             "lateral_axis": best,
             "lateral_scale": math.copysign(1.0, slope),
             "lateral_offset_mps2": 0.0,
         }
+        text += f"a_{best} does, {slope:.2f} times"
         return [Finding("lateral acceleration", text, fix, grave=True)]
-    if own[0] * setup.lateral_scale < 0.0:
-        text = (
-            f"lateral acceleration: a_{setup.lateral_axis} is {own[0] * setup.lateral_scale:.2f} "
-            "times speed times yaw rate: its sign is wrong"
-        )
-        fix = {
-            "lateral_scale": -setup.lateral_scale,
-            "lateral_offset_mps2": -setup.lateral_offset_mps2,
-        }
-        return [Finding("lateral acceleration", text, fix, grave=True)]
-    return []
-
-
-def _uses_imu(motions):
-    motion = motions[0]
-    return not np.array_equal(motion.a_y, motion.v_x * motion.r)
+    slope = fits[own][0] * setup.lateral_scale
+    if slope > 0.0:
+        return []
+    text = f"lateral acceleration: a_{own} is {slope:.2f} times speed times yaw rate: its sign is "
+    text += "wrong"
+    fix = {
+        "lateral_scale": -setup.lateral_scale,
+        "lateral_offset_mps2": -setup.lateral_offset_mps2,
+    }
+    return [Finding("lateral acceleration", text, fix, grave=True)]
 
 
 def _lateral_scale(motions, setup, vehicle):
     """Offset of the accelerometer, and body roll, which it takes for acceleration."""
-    motions = [motion for motion in motions if motion.axes]
-    if not motions or not _uses_imu(motions):
+    motions = [motion for motion in motions if motion.axes and motion.acceleration == "imu"]
+    if not motions:
         return []
-    expected = _expected(motions, setup, vehicle, "usable")
+    expected = _expected(motions, "usable")
     if expected.size < RATE_HZ or np.ptp(expected) < 1.0:
         return []
     a_y = np.concatenate([motion.a_y[motion.usable] for motion in motions])
@@ -323,7 +349,7 @@ def _pose_point(motions, setup, vehicle):
     solution, error = _regression(matrix[:, columns], beta, sigma)
     findings = []
     d, d_error = solution[0], error[0]
-    if d_error < 0.04:
+    if d_error < 0.04 and not _one_speed(v):
         text = f"pose: its point is {d:.3f} +- {d_error:.3f} m ahead of the rear axle"
         fix = {}
         if abs(d - setup.pose_x_m) > max(0.06, 3.0 * d_error):
@@ -353,33 +379,85 @@ def _pose_point(motions, setup, vehicle):
 def _steering_gain(motions, setup, vehicle):
     """Gain and offset of the steering: at low acceleration the car follows Ackermann.
 
-    ``atan(l_wb r / v) = gain delta + offset - K a_y`` with the understeer gradient K.
+    The wheels' angle is ``atan(l_wb r / v) + K a_y`` with the understeer gradient K, and
+    ``gain * signal + offset``.
     """
     cornering = _low(motions, vehicle)
     if cornering is None:
         return []
-    v, r, delta, a_y = (cornering[key] for key in ("v", "r", "delta", "a_y"))
-    both = _both_sides(r)
-    if not both:
-        text = "steering: driven to one side only, its gain and offset cannot be told apart"
+    if not _both_sides(cornering["r"]):
+        text = (
+            "steering: gain and offset cannot be told apart: no slow cornering (below "
+            f"{LOW_SHARE:.0%} of the largest acceleration) to both sides"
+        )
         return [Finding("steering", text)]
-    geometric = np.arctan(vehicle.l_wb * r / v)
-    matrix = np.column_stack((delta, -a_y, np.ones(v.size)))
-    solution, error = _regression(matrix, geometric, 0.0)
-    gain, offset = solution[0], solution[2]
+    if _one_speed(cornering["v"]):
+        text = "steering: driven at one speed only, its gain cannot be told from understeer"
+        return [Finding("steering", text)]
+    gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
     text = (
-        f"steering: wheels turn {gain:.3f} +- {error[0]:.3f} times the signal "
-        f"{offset:+.4f} +- {error[2]:.4f} rad"
+        f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
+        f"{offset:+.4f} +- {offset_error:.4f} rad"
     )
     fix = {}
-    if abs(gain - 1.0) > max(0.05, 3.0 * error[0]) and error[0] < 0.1:
+    if abs(gain - 1.0) > max(0.05, 3.0 * gain_error) and gain_error < 0.1:
         fix["steering_gain"] = round(setup.steering_gain * gain, 4)
-    if abs(offset) > max(0.003, 3.0 * error[2]):
+    if abs(offset) > max(0.003, 3.0 * offset_error):
         scale = gain if "steering_gain" in fix else 1.0
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
     elif "steering_gain" in fix:
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * gain, 4)
-    return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and error[0] < 0.1)]
+    return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and gain_error < 0.1)]
+
+
+def _steering(columns, vehicle, with_offset):
+    """Gain and offset of the steering with their errors.
+
+    The signal is regressed on what the car does: the other way round, yaw rate would be explained
+    by the acceleration, which is nearly the same thing.
+    """
+    geometric = np.arctan(vehicle.l_wb * columns["r"] / columns["v"])
+    matrix = [geometric, columns["a_y"]] + [np.ones(geometric.size)] * with_offset
+    solution, error = _regression(np.column_stack(matrix), columns["delta"], 0.0)
+    inverse = solution[0]
+    if abs(inverse) < 0.05:
+        return math.inf, math.inf, 0.0, math.inf
+    gain, gain_error = 1.0 / inverse, error[0] / inverse**2
+    if not with_offset:
+        return gain, gain_error, 0.0, 0.0
+    return gain, gain_error, -solution[2] / inverse, error[2] / abs(inverse)
+
+
+def _front_slip(motions, setup, vehicle):
+    """Does the front force point against the front slip, as it must?"""
+    columns = _cornering(motions)
+    if columns is None:
+        return []
+    v, r, delta, a_y = (columns[key] for key in ("v", "r", "delta", "a_y"))
+    # Of the front wheels without the rear's slip, which can only make it worse.
+    least = np.arctan(vehicle.l_wb * r / v)
+    hard = np.abs(a_y) > 0.5 * np.percentile(np.abs(a_y), 98.0)
+    if np.count_nonzero(hard) < 10:
+        return []
+    missing = float(np.median(((least - delta) * np.sign(r))[hard]))
+    if missing < 0.01 or _both_sides(r):
+        return []
+    angle, signal = (float(np.median(np.abs(values[hard]))) for values in (least, delta))
+    gain, error, _, _ = _steering(columns, vehicle, with_offset=False)
+    text = (
+        f"steering: the car turns as with {angle:.3f} rad and no slip where the signal says "
+        f"{signal:.3f} rad, so the wheels turn more than it says"
+    )
+    fix = {}
+    if _one_speed(v) or not 0.0 < 10.0 * error < gain:
+        text += "; driven at one speed only, it cannot be told how much more"
+    else:
+        text += (
+            f"; if they have no offset and understeer is proportional, {gain:.3f} +- {error:.3f} "
+            "times as much"
+        )
+        fix = {"steering_gain": round(setup.steering_gain * gain, 4)}
+    return [Finding("front slip", text, fix, grave=True)]
 
 
 def _lateral_velocity(motions, setup, vehicle):
@@ -390,9 +468,6 @@ def _lateral_velocity(motions, setup, vehicle):
     own = np.concatenate([motion.v_y_odometry[motion.usable] for motion in motions])
     if own.size < RATE_HZ:
         return []
-    if not own.any():
-        text = "lateral velocity: the odometry has 0 throughout; the poses' is used"
-        return [Finding("lateral velocity", text)]
     poses = np.concatenate([(m.v_x * np.tan(m.beta))[m.usable] for m in motions])
     text = (
         f"lateral velocity: the odometry's differs from the poses', which is used, by "
@@ -437,11 +512,17 @@ def _localization(motions, setup, vehicle):
 # -- what they share -----------------------------------------------------------------------------
 
 
+def _spread(values):
+    """Interquartile range as a share of the median."""
+    low, middle, high = np.percentile(values, (25.0, 50.0, 75.0))
+    return (high - low) / max(abs(middle), 1e-9)
+
+
 def _pooled(motions, name, mask):
     return np.concatenate([getattr(motion, name)[getattr(motion, mask)] for motion in motions])
 
 
-def _expected(motions, setup, vehicle, mask):
+def _expected(motions, mask):
     """Lateral acceleration in steady state."""
     return np.concatenate([(m.v_x * m.r)[getattr(m, mask)] for m in motions])
 
@@ -462,8 +543,14 @@ def _both_sides(r):
     return min(left, right) > 0.1 * max(left, right, 1)
 
 
-def _low(motions, vehicle):
-    """Points of steady cornering at low acceleration, or None if there are too few."""
+def _one_speed(v):
+    """Whether curvature and lateral acceleration, which is v^2 times as much, look alike."""
+    low, middle, high = np.percentile(v, (5.0, 50.0, 95.0))
+    return high - low < 0.15 * middle
+
+
+def _cornering(motions):
+    """Points of steady cornering as columns, or None if there are none."""
     columns = {key: [] for key in ("v", "r", "delta", "beta", "a_y")}
     for motion in motions:
         for cut in motion.segments():
@@ -475,7 +562,14 @@ def _low(motions, vehicle):
                 columns[key].append(values[pick])
     if not columns["v"]:
         return None
-    columns = {key: np.concatenate(parts) for key, parts in columns.items()}
+    return {key: np.concatenate(parts) for key, parts in columns.items()}
+
+
+def _low(motions, vehicle):
+    """Points of steady cornering at low acceleration, or None if there are too few."""
+    columns = _cornering(motions)
+    if columns is None:
+        return None
     largest = np.percentile(np.abs(columns["a_y"]), 98.0)
     low = (np.abs(columns["a_y"]) < LOW_SHARE * largest) & (np.abs(columns["r"]) > 0.2)
     if np.count_nonzero(low) < 10:

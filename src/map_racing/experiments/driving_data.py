@@ -101,8 +101,9 @@ class SensorSetup:
             object.__setattr__(self, name, finite(name, value))
             if name.endswith(("scale", "gain")) and getattr(self, name) == 0.0:
                 raise ParameterError(f"{name}: expected a number other than 0")
-        if self.time_scale < 0.0 or self.steering_delay_s < 0.0:
-            raise ParameterError("time_scale and steering_delay_s: expected positive numbers")
+        for name in ("time_scale", "steering_delay_s"):
+            if getattr(self, name) < 0.0:
+                raise ParameterError(f"{name}: expected a positive number")
 
     def changes(self):
         """What differs from the default, as a dictionary."""
@@ -200,8 +201,7 @@ def load_channel_map(source):
     Parameters
     ----------
     source : str or pathlib.Path
-        Shipped name (``config/channels``) or YAML file; ``config/channels/circles.yaml`` explains
-        the keys.
+        Name of a shipped one, or YAML file; ``config/channels/circles_log.yaml`` explains the keys.
 
     Returns
     -------
@@ -296,8 +296,9 @@ def _load_bag(path, channel_map):
 def _load_csv(path, channel_map):
     """Signals of a CSV file."""
     channels = dict(channel_map.channels)
-    if "time" not in channels:
-        raise ParameterError(f"{path}: time: missing in the channel map of a CSV file")
+    for name in ("time", *POSE, "steering"):
+        if name not in channels:
+            raise ParameterError(f"{path}: {name}: missing in the channel map of a CSV file")
     clocks = {"time": channels.pop("time"), "pose_time": channels.pop("pose_time", None)}
     wanted = [channel.source for channel in (*clocks.values(), *channels.values()) if channel]
     table, notes = read_table(path, dict.fromkeys(wanted))
@@ -325,7 +326,7 @@ def _blank_before_first(values, table, channels, names, what, notes):
     if len(columns) < 2:
         return
     blank = np.all([column == 0.0 for column in columns], axis=0)
-    if blank.any() and not blank.all():
+    if blank.any():
         notes.append(f"{blank.sum()} rows without {what} (all of it exactly 0) left out")
         for name in names:
             if name in values:
@@ -342,11 +343,20 @@ def _run(path, signals, setup, notes, pose_clock=False):
         at, (value,) = in_order(t[keep], [value[keep]], [], name)
         if at.size >= 2:
             clean[name] = Signal(at, value)
-    for name in ("x", "y", "steering"):
-        if name not in clean:
-            where = "the bag has no drive command" if is_bag(path) else "no channel of the map"
-            raise FileFormatError(f"{path}: {name}: expected a signal; {where}")
+    _drop_silent(clean, notes)
     return Run(str(path), clean, setup, pose_clock, list(notes))
+
+
+def _drop_silent(signals, notes):
+    """Leave out velocities that are 0 throughout: fields that nobody fills."""
+    for name in ("v_x", "v_y", "yaw_rate"):
+        if name not in signals or signals[name].value.any():
+            continue
+        # A car that did not move says so with a speed of 0.
+        extent = max((np.ptp(signals[p].value) for p in ("x", "y") if p in signals), default=0.0)
+        if name != "v_x" or extent > 1.0:
+            del signals[name]
+            notes.append(f"{name} is 0 throughout: left out")
 
 
 def _channel(name, entry):

@@ -132,6 +132,9 @@ def report_text(identification, holds=None):
     lines += _predictions("the data fitted to", found.holds())
     if holds is not None:
         lines += _predictions("runs left out, by the others", holds)
+        for run in dict.fromkeys(hold.run for hold in holds):
+            own = [hold for hold in holds if hold.run == run]
+            lines += [f"  {line}" for line in _predictions(run, own)]
     lines += _comparison(found)
     return "\n".join(lines)
 
@@ -196,7 +199,8 @@ def _summary(found):
         f"largest lateral acceleration held: {found.largest_a_y:.2f} m/s^2, friction "
         f"{found.friction:.3f}",
         f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
-        f"steering: wheels turn {found.setup.steering_gain:.3f} times the signal "
+        f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, forwards and backwards",
+        f"steering, as used: wheels turn {found.setup.steering_gain:.3f} times the signal "
         f"{found.setup.steering_offset_rad:+.4f} rad; up to {widest:.3f} rad in the data",
         force,
     ]
@@ -220,13 +224,21 @@ def _comparison(found):
         f"table of {found.base.name} (before) and of {found.vehicle.name} (after): largest lateral "
         "acceleration, and steering angle for shares of the smaller one",
     ]
-    for row in _tables(found):
+    rows = _tables(found)
+    for row in rows:
         before, after = (_number(row[f"limit_{which}_mps2"], "5.2f") for which in _WHICH)
         angles = ", ".join(
             f"{share:.0%}: {_number(a, '.3f')} -> {_number(b, '.3f')}"
             for share, a, b in zip(SHARES, row["steering_before_rad"], row["steering_after_rad"])
         )
         lines.append(f"  {row['speed_mps']:.0f} m/s: {before} -> {after} m/s^2; {angles} rad")
+    limits = [row["limit_after_mps2"] for row in rows]
+    beyond = max((limit for limit in limits if limit is not None), default=0.0)
+    if beyond > 1.05 * found.largest_a_y:
+        lines.append(
+            f"  beyond the {found.largest_a_y:.2f} m/s^2 that were held, the new table is "
+            "extrapolated: drive faster, or steer farther, to measure it"
+        )
     return lines
 
 

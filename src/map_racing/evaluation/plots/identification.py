@@ -192,7 +192,7 @@ def plot_prediction(runs, measured, predicted, title="Predicted by the other run
         if column == 0:
             axes.legend(loc="upper left", fontsize="x-small")
     figure.suptitle(title)
-    return finished(figure, top=0.95)
+    return finished(figure, top=0.98)
 
 
 def plot_drive(drive):
@@ -233,4 +233,4 @@ def plot_drive(drive):
     axes.set_xlabel("time [s]")
     axes.set_xlim(drive.t[0], drive.t[-1])
     figure.suptitle(f"{drive.name}: low-passed signals; shaded: steady cornering that was used")
-    return finished(figure, top=0.96)
+    return finished(figure, top=0.98)
