@@ -240,11 +240,13 @@ def compare(a, b):
                 {f"{value}_a": first, f"{value}_b": second, f"{value}_change": second - first}
             )
         rows.append(row)
-    flat_a, flat_b = _flat(a.provenance), _flat(b.provenance)
+    flat_a, flat_b = (_flat(results.provenance) for results in (a, b))
     differences = [
         (name, flat_a.get(name, "-"), flat_b.get(name, "-"))
         for name in dict.fromkeys([*flat_a, *flat_b])
         if flat_a.get(name, "-") != flat_b.get(name, "-")
+        # That a day was raced in only one of them is already told by the seeds.
+        and (name in flat_a and name in flat_b or not name.startswith("days."))
     ]
     return Comparison(
         a.kind,

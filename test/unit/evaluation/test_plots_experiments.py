@@ -139,7 +139,7 @@ def test_comparison(tmp_path):
     assert lines[0].get_xdata() == pytest.approx([60.0, 70.0])
     assert list(lines[0].get_ydata()) == [9.0, 8.0] and list(lines[1].get_ydata()) == [9.1, 8.1]
     assert axes.get_ylabel() == "mean lap time [s]"
-    names = {text.get_text() for text in axes.get_legend().get_texts()}
+    names = {text.get_text() for text in figure.legends[0].get_texts()}
     assert names == {"MAP", "pure pursuit", "first", "second"}
     save(figure, tmp_path / "comparison.png")
     assert is_png(tmp_path / "comparison.png")

@@ -49,9 +49,13 @@ def test_the_same_results_have_no_difference():
 
 
 def test_changes_and_what_differs_in_provenance():
-    first = results(seeds=[1], vehicle={"m": 3.31, "front": {"B": 4.0}}, laps=5)
+    first = results(seeds=[1], days={"1": 0.9}, vehicle={"m": 3.31, "front": {"B": 4.0}}, laps=5)
     second = results(
-        scales=(0.7, 0.9), seeds=[1, 2], vehicle={"m": 3.31, "front": {"B": 4.5}}, note="x"
+        scales=(0.7, 0.9),
+        seeds=[1, 2],
+        days={"1": 0.95, "2": 1.1},
+        vehicle={"m": 3.31, "front": {"B": 4.5}},
+        note="x",
     )
     second.table.loc[1, "mean_abs_lateral_error_m"] += 0.02
     comparison = compare(first, second)
@@ -60,6 +64,7 @@ def test_changes_and_what_differs_in_provenance():
     assert comparison.only_b == [(0.9, "pure pursuit"), (0.9, "MAP Pacejka")]
     assert comparison.differences == [
         ("seeds", "1", "1, 2"),
+        ("days.1", "0.9", "0.95"),
         ("vehicle.front.B", "4", "4.5"),
         ("laps", "5", "-"),
         ("note", "-", "x"),

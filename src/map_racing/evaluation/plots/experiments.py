@@ -257,7 +257,7 @@ def plot_comparison(table, values, names, title):
     matplotlib.figure.Figure
     """
     labels = list(dict.fromkeys(table.controller))
-    figure = new_figure(10.0, 2.6 * len(values) + 1.0)
+    figure = new_figure(9.0, 2.5 * len(values) + 1.2)
     for row, value in enumerate(values, 1):
         axes = figure.add_subplot(len(values), 1, row)
         for index, label in enumerate(labels):
@@ -276,9 +276,11 @@ def plot_comparison(table, values, names, title):
         if row == 1:
             axes.plot([], [], "o-", color="0.3", label=names[0])
             axes.plot([], [], "s--", color="0.3", mfc="w", label=names[1])
-            axes.legend(fontsize="small", ncol=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
+            handles, texts = axes.get_legend_handles_labels()
             axes.set_title(title)
         axes.set_ylabel(AXES.get(value, value))
         axes.grid(alpha=0.25)
     axes.set_xlabel("scale of the raceline's speeds [%]")
-    return finished(figure)
+    figure.tight_layout(rect=(0.0, 0.6 / figure.get_size_inches()[1], 1.0, 1.0))
+    figure.legend(handles, texts, loc="lower center", ncol=3, fontsize="small")
+    return figure
