@@ -192,10 +192,23 @@ def plot_trajectories(raceline, rows, title):
     -------
     matplotlib.figure.Figure
     """
-    wide, high = float(np.ptp(raceline.x)) + 2.0, float(np.ptp(raceline.y)) + 2.0
+    wide, high = float(np.ptp(raceline.x)) + 3.5, float(np.ptp(raceline.y)) + 3.5
     columns = max(map(len, rows))
-    panel = min(4.6, 15.0 / columns)
-    figure = new_figure(columns * panel, len(rows) * ((panel - 0.6) * high / wide + 0.6) + 0.9)
+    # Panels of the shape of the course, in inches, with room for ticks and titles between them.
+    panel = min(4.2, 13.5 / columns)
+    height, across, between = panel * high / wide, 0.4, 0.6
+    edges = {"left": 0.7, "right": 0.15, "bottom": 0.95, "top": 0.7}
+    width_in = columns * panel + (columns - 1) * across + edges["left"] + edges["right"]
+    height_in = len(rows) * (height + between) - between + edges["bottom"] + edges["top"]
+    figure = new_figure(width_in, height_in)
+    figure.subplots_adjust(
+        left=edges["left"] / width_in,
+        right=1.0 - edges["right"] / width_in,
+        bottom=edges["bottom"] / height_in,
+        top=1.0 - edges["top"] / height_in,
+        wspace=across / panel,
+        hspace=between / height,
+    )
     for i, row in enumerate(rows):
         for j, (name, path, crashed) in enumerate(row):
             axes = figure.add_subplot(len(rows), columns, i * columns + j + 1)
@@ -214,9 +227,7 @@ def plot_trajectories(raceline, rows, title):
     for axes in figure.axes:
         for handle, name in zip(*axes.get_legend_handles_labels()):
             handles.setdefault(name, handle)
-    figure.suptitle(title, y=0.995)
-    height = figure.get_size_inches()[1]
-    figure.tight_layout(rect=(0.0, 0.4 / height, 1.0, 1.0 - 0.35 / height))
+    figure.suptitle(title, y=1.0 - 0.1 / height_in, va="top")
     columns = len(handles)
     figure.legend(
         list(handles.values()), list(handles), loc="lower center", ncol=columns, fontsize="small"
