@@ -15,7 +15,8 @@ def build_parser():
     parser = argparse.ArgumentParser(
         prog="map-racing",
         description="Model- and Acceleration-based Pursuit for 1:10 race cars: "
-        "race a simulated car, evaluate laps from bags, make and check lookup tables and racelines.",
+        "race a simulated car, evaluate laps from bags, make and check lookup tables and "
+        "racelines.",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
