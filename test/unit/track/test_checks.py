@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from map_racing.errors import RacelineError
 from map_racing.track.checks import examine, raceline_of
 from map_racing.track.findings import ERROR, NOTE, WARNING
+from map_racing.track.formats import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.track.table import CourseTable
 
@@ -219,14 +220,36 @@ def test_a_small_loop():
 
 
 def test_walls():
-    found = codes(table(d_left=GOOD["d_right"], d_right=GOOD["d_left"]))
-    assert list(found) == ["swapped-walls"]
     found = codes(table(d_left=set_at("d_left", [3, 4], -2.0)))
     assert {"beyond-wall", "no-width"} <= set(found)
     assert "walls-cross" in codes(table(d_left=GOOD["d_left"] + 9.0))
     found = {f.code: f.severity for f in examine(table(d_right=GOOD["d_right"] + 1.5)).findings}
     assert found["wall-folds"] == NOTE
     assert "one-wall" in codes(table(without=("d_left",)))
+
+
+def exchanged(line):
+    return CourseTable({"x": line.x, "y": line.y, "d_left": line.d_right, "d_right": line.d_left})
+
+
+def test_exchanged_walls():
+    assert list(codes(exchanged(load_raceline("reference")))) == ["swapped-walls"]
+    # A line that weaves between two circles, whose turns tell nothing.
+    r = 6.0 + 0.4 * np.sin(2.0 * T)
+    columns = {"x": r * np.cos(T), "y": r * np.sin(T), "d_left": r - 5.0, "d_right": 7.5 - r}
+    assert codes(CourseTable(columns)) == {}
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "tracks/hangar/global_waypoints.json.gz",
+        "tracks/circle/global_waypoints.json.gz",
+        "laps/ipz20/IPZ20_wp.csv",
+    ],
+)
+def test_exchanged_real_walls(shared_data, file):
+    assert "swapped-walls" in codes(exchanged(load_raceline(shared_data / file)))
 
 
 def test_speeds():

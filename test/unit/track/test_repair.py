@@ -8,6 +8,7 @@ import pytest
 from map_racing.errors import RacelineError
 from map_racing.track.checks import examine, raceline_of
 from map_racing.track.findings import NOTE
+from map_racing.track.formats import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.track.repair import driven_columns, repaired, resampled, reversed_course
 from map_racing.track.table import CourseTable
@@ -95,9 +96,11 @@ def test_exchanged_axes_and_walls():
         ["x and y exchanged, as heading and curvature say"],
     )
     assert np.array_equal(course.columns["x"], LINE.x)
-    broken = table(d_left=GOOD["d_right"], d_right=GOOD["d_left"])
-    course = mended(broken, 0.0, ["left and right walls exchanged, as their shape says"])
-    assert np.array_equal(course.columns["d_left"], GOOD["d_left"])
+    line = load_raceline("reference")
+    columns = {"x": line.x, "y": line.y, "d_left": line.d_right, "d_right": line.d_left}
+    course, done = repaired(CourseTable(columns))
+    assert done == ["left and right walls exchanged, as their shape says"]
+    assert np.array_equal(course.columns["d_left"], line.d_left)
 
 
 def test_reversed_points():
