@@ -165,29 +165,23 @@ class _Course:
 def _finite(course):
     """Numbers where numbers are needed; elsewhere what is not finite is not compared."""
     for key, column in list(course.columns.items()):
-        bad = np.flatnonzero(~np.isfinite(column))
-        if key in ("x", "y", "speed", "d_left", "d_right", "width"):
+        finite = np.isfinite(column)
+        far = np.abs(np.where(finite, column, 0.0)) > FARTHEST
+        if key not in ("x", "y", "speed", "d_left", "d_right", "width"):
+            bad = np.flatnonzero(~finite | far)
             if bad.size:
-                text = f"expected a finite {key}, got {column[bad[0]]}"
-                if bad.size > 1:
-                    text += f" and {bad.size - 1} more"
-                course.add("not-finite", ERROR, text, bad)
-            far = np.flatnonzero(np.abs(np.where(np.isfinite(column), column, 0.0)) > FARTHEST)
-            if far.size:
-                course.add(
-                    "impossible",
-                    ERROR,
-                    f"expected {key} in meters and seconds, got {column[far[0]]:g}",
-                    far,
-                )
-        elif bad.size:
-            course.add(
-                "not-finite-unused",
-                WARNING,
-                f"{key} is not finite at {points(bad.size)}: not compared",
-                bad,
-            )
-            del course.columns[key]
+                text = f"{key} is no possible number at {points(bad.size)}: not compared"
+                course.add("not-finite-unused", WARNING, text, bad)
+                del course.columns[key]
+            continue
+        bad, far = np.flatnonzero(~finite), np.flatnonzero(far)
+        if bad.size:
+            more = f" and {bad.size - 1} more" if bad.size > 1 else ""
+            text = f"expected a finite {key}, got {column[bad[0]]}{more}"
+            course.add("not-finite", ERROR, text, bad)
+        if far.size:
+            text = f"expected {key} in meters and seconds, got {column[far[0]]:g}"
+            course.add("impossible", ERROR, text, far)
 
 
 def _speeds_possible(course):

@@ -155,7 +155,9 @@ def _drop_rows(table, codes):
     x, y = table.columns["x"], table.columns["y"]
     bad = ~(np.abs(np.where(np.isfinite(x), x, np.inf)) < FARTHEST)
     bad |= ~(np.abs(np.where(np.isfinite(y), y, np.inf)) < FARTHEST)
-    if not bad.any() or bad.all():
+    if bad.all():
+        raceline_of(table)  # says what is wrong
+    if not bad.any():
         return table, None
     return _chosen(table, np.flatnonzero(~bad)), f"{points(bad.sum())} without position dropped"
 
@@ -291,6 +293,8 @@ def _fill_gap(table, codes):
     """Points along the closed curve where they are missing or uneven."""
     if not {"gap", "spacing"} & codes or examine(table).worst(ERROR):
         return table, None
+    # Points between which others were dropped may now be one.
+    table = driven_columns(table)
     line = raceline_of(table)
     steps = np.diff(np.append(line.s_points, line.length))
     usual = float(np.median(steps))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 
 import numpy as np
@@ -39,7 +40,8 @@ def plot_course(table, raceline, findings, title=None):
     width, height = size_for(x, y) if x.size else (6.0, 5.0)
     listed = _listed(findings)
     # Course, colorbar and list side by side; lengths in inches.
-    total, height = width + _BAR + _LIST, max(height, 4.5)
+    between = 0.2 if raceline is None or raceline.speed is None else _BAR
+    total, height = width + between + _LIST, max(height, 4.5)
     figure = new_figure(total, height)
     low, tall = 0.65 / height, 1.0 - 1.15 / height
     axes = figure.add_axes([0.8 / total, low, (width - 0.9) / total, tall])
@@ -54,14 +56,14 @@ def plot_course(table, raceline, findings, title=None):
         )
     for number, finding in enumerate(listed, 1):
         _mark(axes, number, finding)
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", anchor="E")
     axes.margins(0.06)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_title(title or table.name or "course")
     axes.grid(alpha=0.25)
     axes.legend(loc="best", fontsize="small")
-    _list(figure, listed, (width + _BAR) / total, low + tall)
+    _list(figure, listed, (width + between) / total, low + tall)
     return figure
 
 
@@ -88,11 +90,13 @@ def _draw_line(figure, axes, bar, line):
         figure.colorbar(pieces, cax=figure.add_axes(bar), label="speed [m/s]")
     # The direction of travel, at the start and at three places more.
     for at in np.arange(4) * 0.25 * line.length:
-        tail, head = line.position(at), line.position(at + 0.02 * line.length)
+        tail = line.pose(at)
+        reach = 0.02 * line.length
+        head = tail.x + reach * math.cos(tail.psi), tail.y + reach * math.sin(tail.psi)
         axes.annotate(
             "",
             xy=head,
-            xytext=tail,
+            xytext=tail[:2],
             arrowprops={"arrowstyle": "-|>", "color": "k", "lw": 1.4, "shrinkA": 0},
             zorder=4,
         )
