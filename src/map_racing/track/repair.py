@@ -71,6 +71,8 @@ def repaired(table):
         _first_loop_only,
         _drop_overlap,
         _drop_turning_back,
+        _first_loop_only,  # again: points in a wrong order hide it
+        _drop_overlap,
         _swap_walls,
         _clamp_walls,
         _fill_gap,

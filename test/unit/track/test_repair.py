@@ -146,6 +146,14 @@ def test_points_that_turn_back():
     mended(broken, 1e-5, ["1 point dropped at which the course turned back"])
 
 
+def test_a_wrong_order_in_the_second_lap():
+    rows = np.tile(np.arange(N), 2)
+    rows[[N + 100, N + 102]] = rows[[N + 102, N + 100]]
+    course, done = repaired(table(rows))
+    assert [text.split()[0] for text in done] == ["2", "only"]
+    assert np.array_equal(course.columns["x"], LINE.x)
+
+
 def test_gaps_are_filled_along_the_curve_and_points_stay():
     rows = np.append(np.arange(100), np.arange(109, N - 9))
     course = mended(
