@@ -121,7 +121,7 @@ def evaluate_one(source, course, arguments):
     notes = recording.notes
     if course is not None:
         notes = [note for note in notes if not note.startswith("raceline:")]
-        notes.append("; ".join([f"raceline: {arguments.raceline}", *course.findings]))
+        notes.append("; ".join([f"raceline: {arguments.raceline}", *map(str, course.findings)]))
     elif recording.raceline is None:
         raise BagError(f"{source}: no raceline in it; give one with --raceline")
     raceline = course or recording.raceline

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError, ParameterError
-from ..track.formats import load_raceline
-from .bags import read_recording, read_waypoints
+from ..track.checks import raceline_of
+from ..track.formats import find_course_file, read_course_file
+from ..track.writers import choose_format, closed_rows, write_course_file
+from .bags import BagWriter, read_recording, read_waypoint_table
 from .samples import Commands, Recording, in_order, jump_back, usable
 
 __all__ = [
@@ -21,7 +23,9 @@ __all__ = [
     "load_course",
     "load_recording",
     "parse_columns",
+    "read_course",
     "read_csv_recording",
+    "save_course",
 ]
 
 # Names under which columns of a CSV file are known; the first that the file has is taken.
@@ -73,27 +77,88 @@ def load_recording(source, pose_topic=None, columns=None):
 
 
 def load_course(source):
-    """Raceline from wherever it is.
+    """Raceline from wherever it is: what every command and node reads one with.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        See `read_course`.
+
+    Returns
+    -------
+    Raceline
+        With what was noticed as `findings`.
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError
+        If it cannot be read.
+    RacelineError
+        If something is wrong with it beyond use.
+    """
+    return raceline_of(read_course(source))
+
+
+def read_course(source):
+    """What a file says of a course, wherever it is, before anything of it is believed.
 
     Parameters
     ----------
     source : str or pathlib.Path
         Name of a shipped track, a raceline file (see `map_racing.track.formats`), or a bag with
-        ``f110_msgs/WpntArray``, optionally followed by ``#TOPIC``.
+        ``f110_msgs/WpntArray`` or ``nav_msgs/Path``. ``FILE#KEY`` names the topic of a bag, the
+        waypoint array of a JSON file, or the columns of a CSV file, as ``line.csv#x,y,speed``.
 
     Returns
     -------
-    Raceline
+    CourseTable
 
     Raises
     ------
-    BagError, FileFormatError, ParameterError, RacelineError
+    BagError, FileFormatError, ParameterError
+        If it cannot be read.
     """
     path, _, topic = str(source).partition("#")
     _refuse_special(path)
     if _is_bag(path):
-        return read_waypoints(path, topic or None)
-    return load_raceline(source)
+        return read_waypoint_table(path, topic or None)
+    return read_course_file(*find_course_file(source))
+
+
+def save_course(path, course, form=None):
+    """Write a course in any of the `map_racing.track.writers.FORMATS`.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Replaced in one step if it exists.
+    course : CourseColumns
+        Of `map_racing.track.writers.course_columns`.
+    form : str, optional
+        Needed where the suffix of the path does not tell it.
+
+    Returns
+    -------
+    str
+        The format.
+
+    Raises
+    ------
+    ParameterError
+        If the format is unknown or does not go with the suffix.
+    RacelineError
+        If the course lacks what the format needs.
+    MapRacingError
+        If the file cannot be written.
+    """
+    form = choose_format(path, form)
+    if form == "bag":
+        with BagWriter(path) as bag:
+            # ROS has no time 0; 1 s after it is as good as any, and always the same.
+            bag.waypoints(1.0, closed_rows(course))
+    else:
+        write_course_file(path, course, form)
+    return form
 
 
 def read_csv_recording(path, columns=None):

@@ -26,7 +26,7 @@ __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceli
 
 # Points closer than this are one point written twice; the densest real courses have 2 mm.
 _SAME_POINT = 1e-4
-_FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m].
+FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m].
 # Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
 # keeps memory linear in the number of points whatever their unit.
 _CELL, _CELLS_PER_POINT = 0.1, 16
@@ -115,7 +115,7 @@ class Raceline:
     s_points : ndarray
         Arc length of the given points, without the dropped ones [m].
     name, source : str
-    findings : tuple of str
+    findings : tuple of map_racing.track.findings.Finding
         What a reader of files or messages noticed; empty for a raceline made from arrays.
 
     Raises
@@ -162,7 +162,7 @@ class Raceline:
         if bad.any():
             index = int(np.argmax(bad))
             raise self._error(f"point {index}: expected a finite {key}, got {column[index]}")
-        if np.any(np.abs(column) > _FARTHEST):
+        if np.any(np.abs(column) > FARTHEST):
             index = int(np.argmax(np.abs(column)))
             raise self._error(f"point {index}: expected {key} in meters, got {column[index]:g}")
         return column
