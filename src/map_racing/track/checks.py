@@ -15,7 +15,6 @@ from ..errors import RacelineError
 from .crossings import crossings
 from .findings import ERROR, NOTE, WARNING, Finding, Place
 from .raceline import FARTHEST, Raceline, distinct_points
-from .table import CourseTable
 
 __all__ = ["Examination", "examine", "first_loop", "overlap", "raceline_of", "turns", "turns_back"]
 

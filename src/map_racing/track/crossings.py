@@ -47,7 +47,7 @@ def crossings(a, b=None):
     area = _cross(way_a[i], way_b[j])
     with np.errstate(divide="ignore", invalid="ignore"):
         along_a, along_b = _cross(between, way_b[j]) / area, _cross(between, way_a[i]) / area
-        cross = (0.0 <= along_a) & (along_a < 1.0) & (0.0 <= along_b) & (along_b < 1.0)
+        cross = (along_a >= 0.0) & (along_a < 1.0) & (along_b >= 0.0) & (along_b < 1.0)
     pairs = np.stack((number_a[i[cross]], number_b[j[cross]]), axis=1)
     if b is None:
         pairs.sort(axis=1)

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from ..errors import FileFormatError, ParameterError, RacelineError
 from ..files import read_yaml_mapping
+from .findings import NOTE, WARNING, Finding
 from .raceline import Raceline
 from .walls import march
 
@@ -42,7 +43,7 @@ class MapImage(NamedTuple):
         Pose of the lower left corner: x [m], y [m], yaw [rad].
     source : str
         The YAML file, for errors.
-    findings : tuple of str
+    findings : tuple of Finding
         What was found strange while reading.
     """
 
@@ -118,10 +119,11 @@ def read_map_image(path):
     unseen = gray == _UNSEEN
     if not negate and (free & unseen).any() and np.isin(gray, (0, _UNSEEN, 254, 255)).all():
         free &= ~unseen
-        findings = (
+        text = (
             f"free_thresh {free_below:g} would make the {int(unseen.sum())} cells free that "
-            f"map_saver wrote as unknown (gray {_UNSEEN}): taken as unknown",
+            f"map_saver wrote as unknown (gray {_UNSEEN}): taken as unknown"
         )
+        findings = (Finding("unknown-cells", WARNING, text),)
     return MapImage(free[::-1], resolution, origin, str(path), findings)
 
 
@@ -166,7 +168,8 @@ def course_from_map(image, start, psi=None, *, passage, speckle=None, spacing=0.
     findings = list(image.findings)
     free, removed = _without_speckle(image, speckle)
     if removed:
-        findings.append(f"{removed} specks of walls removed as noise")
+        text = f"{removed} specks of walls removed as noise"
+        findings.append(Finding("speckle", NOTE, text))
 
     # Beyond the image all is wall. The surface of a wall lies half a cell before its center.
     distance = np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5) * resolution
@@ -199,10 +202,13 @@ def course_from_map(image, start, psi=None, *, passage, speckle=None, spacing=0.
     farthest = float(distance.max()) * 4.0
     widths = [march(clear, at, side * normal, half, farthest) + half for side in (1.0, -1.0)]
     widths, openings = _without_openings(widths, line)
-    for x, y, deep in openings:
-        findings.append(
-            f"opening in the wall at ({x:.2f}, {y:.2f}), {deep:.1f} m deep: closed"
+    if openings:
+        x, y, deep = max(openings, key=lambda opening: opening[2])
+        text = (
+            f"{len(openings)} openings of the walls shorter than the track is wide closed, the "
+            f"deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
         )
+        findings.append(Finding("openings", NOTE, text))
     course = Raceline(
         *(line.x, line.y),
         d_left_m=widths[0],
@@ -280,8 +286,8 @@ def _two_sides(image, ring, passage):
         )
     boxes = ndimage.find_objects(labels)
     extent = {
-        k: math.hypot(*(part.stop - part.start for part in boxes[k - 1])) - passage
-        / image.resolution
+        k: math.hypot(*(part.stop - part.start for part in boxes[k - 1]))
+        - passage / image.resolution
         for k in islands
     }
     islands.sort(key=lambda k: -extent[k])
@@ -301,9 +307,12 @@ def _two_sides(image, ring, passage):
     inner, outer, findings = labels == first, labels == outside, []
     for k in islands[1:]:
         grown = ndimage.distance_transform_edt(labels != k)
-        nearer = "inner" if grown[labels == first].min() < grown[labels == outside].min() else "outer"
+        nearer = (
+            "inner" if grown[labels == first].min() < grown[labels == outside].min() else "outer"
+        )
         x, y = _center(image, boxes[k - 1])
-        findings.append(f"obstacle at ({x:.2f}, {y:.2f}): closed toward the {nearer} wall")
+        text = f"obstacle at ({x:.2f}, {y:.2f}): closed toward the {nearer} wall"
+        findings.append(Finding("obstacle", WARNING, text))
         side = inner if nearer == "inner" else outer
         side |= labels == k
     return inner, outer, findings
@@ -333,7 +342,9 @@ def _zero_contour(level):
             place[key] = (column, row + part) if vertical else (column + part, row)
         return key
 
-    corners = negative[:-1, :-1] + 2 * negative[:-1, 1:] + 4 * negative[1:, 1:] + 8 * negative[1:, :-1]
+    corners = (
+        negative[:-1, :-1] + 2 * negative[:-1, 1:] + 4 * negative[1:, 1:] + 8 * negative[1:, :-1]
+    )
     for row, column in np.argwhere((corners > 0) & (corners < 15)).tolist():
         # Edges counter-clockwise from the lower one; each with whether its first end is negative.
         case = int(corners[row, column])
@@ -387,7 +398,8 @@ def _as_driven(line, start, psi):
     if psi is None:
         area = 0.5 * np.sum(line.x * np.roll(line.y, -1) - line.y * np.roll(line.x, -1))
         backwards = area < 0.0
-        findings.append("no direction given: driven counter-clockwise")
+        text = "no direction given: driven counter-clockwise"
+        findings.append(Finding("direction", NOTE, text))
     else:
         backwards = math.cos(place.psi - psi) < 0.0
         if abs(math.cos(place.psi - psi)) < 0.26:

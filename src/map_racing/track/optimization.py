@@ -23,6 +23,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial import cKDTree
 
 from ..errors import ParameterError, RacelineError
+from .findings import NOTE, Finding
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
 from .walls import Walls
@@ -61,7 +62,7 @@ class OptimizedLine(NamedTuple):
         Least distance from the path to a wall [m].
     tension : float
         What a meter of length counted [1/m^2].
-    findings : tuple of str
+    findings : tuple of Finding
         What was repaired or cut on the way.
     """
 
@@ -216,16 +217,15 @@ class _Search:
         """What is to be known of a line."""
         findings = list(self.walls.findings)
         if self._cut:
-            findings.append(
-                f"{self._cut} normals of the middle line cut before they meet inside bends; the "
-                "lines after it reach farther"
+            text = (
+                f"{self._cut} normals of the middle line cut before they meet inside bends; those "
+                "of the lines after it reach farther"
             )
+            findings.append(Finding("cut-normals", NOTE, text))
         raceline = self._with_walls(line)
         at = line.sample(np.linspace(0.0, line.length, 4 * line.n, endpoint=False))
         least = float(np.min(self.walls.distance(np.stack((at.x, at.y), axis=1))))
-        return OptimizedLine(
-            raceline, self.reference, self.walls, least, tension, tuple(findings)
-        )
+        return OptimizedLine(raceline, self.reference, self.walls, least, tension, tuple(findings))
 
     def _middle(self, course):
         """Points of a smooth line around the middle between the walls."""
@@ -263,9 +263,7 @@ class _Search:
             if np.any(high < low - 1e-3):
                 k = int(np.argmin(high - low))
                 raise self._too_narrow(points[k], normals[k])
-            alpha = _least_curvature(
-                points, normals, low, np.maximum(low, high), alpha, tension
-            )
+            alpha = _least_curvature(points, normals, low, np.maximum(low, high), alpha, tension)
             line = Raceline(*(points + alpha[:, None] * normals).T)
             missing = self.clearance - _clearance_after(line, self.walls, count)
             if missing.max() < _CLOSE_ENOUGH:
@@ -447,14 +445,10 @@ def _model(points, normals, alpha, tension):
     residual = angle / root
     shrink = -0.25 * angle / (span * root)  # by twice the span
     j_before = -np.roll(turn_begin, 1) / root + shrink * np.roll(grow_begin, 1)
-    j_at = (turn_begin - np.roll(turn_end, 1)) / root + shrink * (
-        grow_begin + np.roll(grow_end, 1)
-    )
+    j_at = (turn_begin - np.roll(turn_end, 1)) / root + shrink * (grow_begin + np.roll(grow_end, 1))
     j_after = turn_end / root + shrink * grow_end
 
-    gradient = (
-        j_at * residual + np.roll(j_before * residual, -1) + np.roll(j_after * residual, 1)
-    )
+    gradient = j_at * residual + np.roll(j_before * residual, -1) + np.roll(j_after * residual, 1)
     main = j_at**2 + np.roll(j_before, -1) ** 2 + np.roll(j_after, 1) ** 2
     first = j_at * j_after + np.roll(j_at * j_before, -1)
     second = np.roll(j_before * j_after, -1)
@@ -499,8 +493,9 @@ def _bounded_minimum(model, low, high):
         factor = fold.factor(main + push_low / to_low + push_high / to_high, first, second)
         target_low = target_high = 0.0
         for corrector in (False, True):
-            wanted_low, wanted_high = target_low - push_low * to_low, (
-                target_high - push_high * to_high
+            wanted_low, wanted_high = (
+                target_low - push_low * to_low,
+                (target_high - push_high * to_high),
             )
             move = fold.solve(factor, wanted_low / to_low - wanted_high / to_high - dual)
             move_low = (wanted_low - push_low * move) / to_low

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import RacelineError
+from .findings import NOTE, Finding
 
 __all__ = ["Walls", "march"]
 
@@ -20,9 +21,9 @@ class Walls:
 
     Attributes
     ----------
-    left, right : ndarray, shape (n, 2)
-        The walls' points [m].
-    findings : tuple of str
+    segments : ndarray, shape (n, 2, 2)
+        Beginning and end of each piece of wall [m].
+    findings : tuple of Finding
         What was left out of them.
 
     Raises
@@ -54,11 +55,11 @@ class Walls:
         at = course.sample(np.arange(count) * (course.length / count))
         normal = np.stack((-np.sin(at.psi), np.cos(at.psi)), axis=1)
         line = np.stack((at.x, at.y), axis=1)
-        self.left = line + at.d_left[:, None] * normal
-        self.right = line - at.d_right[:, None] * normal
+        left = line + at.d_left[:, None] * normal
+        right = line - at.d_right[:, None] * normal
         tree = cKDTree(line)
         begins, ends, dropped = [], [], []
-        for wall, width in ((self.left, at.d_left), (self.right, at.d_right)):
+        for wall, width in ((left, at.d_left), (right, at.d_right)):
             keep = ~self._inside(wall, width, tree, line, normal, at, course.length)
             dropped.append(int(np.sum(~keep)))
             both = keep & np.roll(keep, -1)
@@ -66,12 +67,14 @@ class Walls:
             ends.append(np.roll(wall, -1, axis=0)[both])
         self.findings = ()
         if any(dropped):
-            self.findings = (
+            text = (
                 f"normals cross inside bends tighter than the track is wide: {dropped[0]} points "
-                f"of the left wall and {dropped[1]} of the right one left out",
+                f"of the left wall and {dropped[1]} of the right one left out"
             )
-        self._begin, self._along = np.concatenate(begins), np.concatenate(ends)
-        self._along -= self._begin
+            self.findings = (Finding("crossing-normals", NOTE, text),)
+        self._begin, end = np.concatenate(begins), np.concatenate(ends)
+        self._along = end - self._begin
+        self.segments = np.stack((self._begin, end), axis=1)
         self._square = np.maximum(np.sum(self._along**2, axis=1), 1e-18)
         self._densify(spacing)
 

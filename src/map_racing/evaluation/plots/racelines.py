@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 
 from ...track.findings import ERROR, WARNING
-from .style import COLORS, RACELINE, WALL, finished, new_figure, size_for
+from .style import COLORS, RACELINE, WALL, new_figure, size_for
 
 __all__ = ["plot_course"]
 
