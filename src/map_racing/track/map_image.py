@@ -18,7 +18,7 @@ from ..errors import FileFormatError, ParameterError, RacelineError
 from ..files import read_yaml_mapping
 from .findings import NOTE, WARNING, Finding
 from .raceline import Raceline
-from .walls import march
+from .walls import march, smooth_between
 
 __all__ = ["MapImage", "course_from_map", "read_map_image"]
 
@@ -28,6 +28,8 @@ _UNSEEN = 205
 _MOST_PIXELS = 100_000_000
 # Islands up to this part of the largest one's size are obstacles on the track, not tracks around.
 _OBSTACLE = 1.0 / 3.0
+# The centerline is smoothed over this part of the track's width.
+_SMOOTHED = 0.15
 
 
 class MapImage(NamedTuple):
@@ -187,18 +189,17 @@ def course_from_map(image, start, psi=None, *, passage, speckle=None, spacing=0.
     level = ndimage.distance_transform_edt(~inner) - ndimage.distance_transform_edt(~outer)
     cells = _zero_contour(level) - 1.0
     points = image.to_world(cells)
-    line = _smooth(points, resolution, spacing)
-    line, kept = _as_driven(line, start, psi)
-    findings += kept
 
     def clear(at):
         where = image.to_cells(at).T[::-1] + 1.0
         return ndimage.map_coordinates(distance, where, order=1, mode="nearest")
 
+    half = 0.5 * passage
+    line, kept = _as_driven(_smooth(points, clear, half, spacing), start, psi)
+    findings += kept
     at = np.stack((line.x, line.y), axis=1)
     normal = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
     # As far as half a passage fits, so that no post between two normals is missed.
-    half = 0.5 * passage
     farthest = float(distance.max()) * 4.0
     widths = [march(clear, at, side * normal, half, farthest) + half for side in (1.0, -1.0)]
     widths, openings = _without_openings(widths, line)
@@ -307,9 +308,8 @@ def _two_sides(image, ring, passage):
     inner, outer, findings = labels == first, labels == outside, []
     for k in islands[1:]:
         grown = ndimage.distance_transform_edt(labels != k)
-        nearer = (
-            "inner" if grown[labels == first].min() < grown[labels == outside].min() else "outer"
-        )
+        gaps = [float(grown[labels == side].min()) for side in (first, outside)]
+        nearer = "inner" if gaps[0] < gaps[1] else "outer"
         x, y = _center(image, boxes[k - 1])
         text = f"obstacle at ({x:.2f}, {y:.2f}): closed toward the {nearer} wall"
         findings.append(Finding("obstacle", WARNING, text))
@@ -342,9 +342,8 @@ def _zero_contour(level):
             place[key] = (column, row + part) if vertical else (column + part, row)
         return key
 
-    corners = (
-        negative[:-1, :-1] + 2 * negative[:-1, 1:] + 4 * negative[1:, 1:] + 8 * negative[1:, :-1]
-    )
+    low, high = negative[:-1], negative[1:]
+    corners = low[:, :-1] + 2 * low[:, 1:] + 4 * high[:, 1:] + 8 * high[:, :-1]
     for row, column in np.argwhere((corners > 0) & (corners < 15)).tolist():
         # Edges counter-clockwise from the lower one; each with whether its first end is negative.
         case = int(corners[row, column])
@@ -375,18 +374,17 @@ def _zero_contour(level):
     return np.array([place[key] for key in longest], dtype=float)
 
 
-def _smooth(points, resolution, spacing):
-    """Even points along a closed curve whose steps of a cell are smoothed away."""
-    fine = 0.5 * min(resolution, spacing)
+def _smooth(points, clear, half, spacing):
+    """Even points along a closed curve without its steps and kinks, at most half a cell apart."""
     closed = np.concatenate((points, points[:1]))
     s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))))
-    count = int(math.ceil(s[-1] / fine))
+    count = 2 * len(points)
     at = np.arange(count) * (s[-1] / count)
-    columns = [np.interp(at, s, column) for column in closed.T]
-    deviation = max(2.0 * resolution, spacing)
-    blur = np.exp(-0.5 * (2.0 * math.pi * np.fft.fftfreq(count, fine) * deviation) ** 2)
-    x, y = (np.fft.ifft(np.fft.fft(column) * blur).real for column in columns)
-    line = Raceline(x, y)
+    even = np.stack([np.interp(at, s, column) for column in closed.T], axis=1)
+    # Where another wall becomes the nearest the curve has a kink.
+    deviation = _SMOOTHED * 2.0 * float(np.median(clear(even)))
+    even, _ = smooth_between(even, s[-1], deviation, clear, half)
+    line = Raceline(*even.T)
     at = line.sample(np.linspace(0.0, line.length, max(8, round(line.length / spacing)), False))
     return Raceline(at.x, at.y)
 

@@ -26,7 +26,7 @@ from ..errors import ParameterError, RacelineError
 from .findings import NOTE, Finding
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
-from .walls import Walls
+from .walls import Walls, smooth_between
 
 __all__ = [
     "OptimizedLine",
@@ -235,20 +235,13 @@ class _Search:
         points = points + (0.5 * (at.d_left - at.d_right))[:, None] * normals
         # The wider the track, the more may be smoothed.
         deviation = 0.25 * float(np.median(course.d_left + course.d_right))
-        wave = 2.0 * math.pi * np.fft.fftfreq(count, course.length / count)
-        spectrum = np.fft.fft(points, axis=0)
-        there = walls.distance(points)
-        for _ in range(6):
-            blur = np.exp(-0.5 * (wave * deviation) ** 2)
-            smooth = np.fft.ifft(spectrum * blur[:, None], axis=0).real
-            free = walls.distance(smooth)
-            # What moved less than the wall was away is still between the walls.
-            moved = np.hypot(*(smooth - points).T)
-            if np.all(free >= self.clearance) and np.all(moved < there):
-                return smooth
-            deviation *= 0.5
-        k = int(np.argmin(free))
-        raise self._too_narrow(smooth[k], normals[k])
+        smooth, clear = smooth_between(
+            points, course.length, deviation, walls.distance, self.clearance
+        )
+        if not clear:
+            k = int(np.argmin(walls.distance(smooth)))
+            raise self._too_narrow(smooth[k], normals[k])
+        return smooth
 
     def _one_pass(self, line, tension):
         """The best line within reach of the normals of another."""
@@ -277,12 +270,16 @@ class _Search:
         return line
 
     def _with_walls(self, line):
-        """A line with its distances to the walls."""
+        """A line with its distances to the walls, or to where its normals meet inside bends."""
         points = np.stack((line.x, line.y), axis=1)
         normals = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
         left, right = (
             self.walls.reach(points, side * normals, 0.0, self.farthest) for side in (1.0, -1.0)
         )
+        with np.errstate(divide="ignore"):
+            radius = _MEETING / np.abs(line.kappa)
+        left = np.where(line.kappa > 0.0, np.minimum(left, radius), left)
+        right = np.where(line.kappa < 0.0, np.minimum(right, radius), right)
         return Raceline(line.x, line.y, d_left_m=left, d_right_m=right, name=self.title)
 
     def _too_narrow(self, point, normal):
@@ -526,8 +523,8 @@ def _room(value, move):
 class _Folded:
     """Symmetric matrices of five diagonals around a lap, as banded ones.
 
-    In the order 0, n - 1, 1, n - 2, ... places that are at most two apart around the lap are at most
-    four apart in a row.
+    In the order 0, n - 1, 1, n - 2, ... places at most two apart around the lap are at most four
+    apart in a row.
     """
 
     def __init__(self, n):

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from ..errors import RacelineError
 from .findings import NOTE, Finding
 
-__all__ = ["Walls", "march"]
+__all__ = ["Walls", "march", "smooth_between"]
 
 
 class Walls:
@@ -35,7 +35,7 @@ class Walls:
     -----
     On the inside of a bend tighter than the track is wide, neighboring normals cross before they
     reach the wall, and the wall's points run backwards through the track. Points that lie inside
-    the track of their own bend are left out.
+    the track of their own bend are left out, and those around them connected.
     """
 
     def __init__(self, course):
@@ -62,9 +62,8 @@ class Walls:
         for wall, width in ((left, at.d_left), (right, at.d_right)):
             keep = ~self._inside(wall, width, tree, line, normal, at, course.length)
             dropped.append(int(np.sum(~keep)))
-            both = keep & np.roll(keep, -1)
-            begins.append(wall[both])
-            ends.append(np.roll(wall, -1, axis=0)[both])
+            begins.append(wall[keep])
+            ends.append(np.roll(wall[keep], -1, axis=0))
         self.findings = ()
         if any(dropped):
             text = (
@@ -85,7 +84,7 @@ class Walls:
         along = np.abs(np.mod(at.s - at.s[foot] + 0.5 * length, length) - 0.5 * length)
         left = np.sum((wall - line[foot]) * normal[foot], axis=1) > 0.0
         there = np.where(left, at.d_left[foot], at.d_right[foot])
-        return (distance < 0.9 * there - 0.02 * width) & (along < 4.0 * width)
+        return (distance < there - 0.01 * width) & (along < 4.0 * width)
 
     def _densify(self, spacing):
         """Points along all segments, so that the nearest point tells the nearest segment."""
@@ -168,3 +167,38 @@ def march(distance, points, directions, clearance, farthest):
         if not going.size:
             break
     return np.minimum(reached, farthest)
+
+
+def smooth_between(points, length, deviation, distance, clearance):
+    """A closed line smoothed by a Gaussian, as far as it stays between the walls.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Line at equal steps [m].
+    length : float
+        Its length [m].
+    deviation : float
+        Standard deviation of the Gaussian along the line [m]; halved until the line keeps clear.
+    distance : callable
+        As of `march`.
+    clearance : float
+        To keep from the walls [m].
+
+    Returns
+    -------
+    smooth : ndarray, shape (n, 2)
+    clear : bool
+        False if it does not keep clear even where it is hardly smoothed.
+    """
+    wave = 2.0 * math.pi * np.fft.fftfreq(len(points), length / len(points))
+    spectrum = np.fft.fft(points, axis=0)
+    there = distance(points)
+    for halved in range(6):
+        blur = np.exp(-0.5 * (wave * deviation * 0.5**halved) ** 2)
+        smooth = np.fft.ifft(spectrum * blur[:, None], axis=0).real
+        # What moved less than the wall was away is still between the walls.
+        moved = np.hypot(*(smooth - points).T)
+        if np.all(distance(smooth) >= clearance) and np.all(moved < there):
+            return smooth, True
+    return smooth, False
