@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from ..vehicle.steady_state import steady_state_table
 from .outputs import check_outputs, make_folder
 
 # What makes walls unusable, though the line itself can be driven.
-WRONG_WALLS = ("swapped-walls", "no-width")
+WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
 
 
@@ -163,6 +164,7 @@ def run_optimize(arguments):
         clearance = float(np.min(clearances(course, other)))
         lines.append((other.name or "compared", other))
 
+    began = time.perf_counter()
     with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
         options = {"step": arguments.step, "progress": lambda count: bar.update(count - bar.n)}
         if arguments.curvature_only:
@@ -172,6 +174,8 @@ def run_optimize(arguments):
     for finding in found.findings:
         print(f"  {finding}")
     optimized = driven(found.raceline, limits, arguments.speed_scale)
+    count = int(round(found.raceline.length / arguments.step))
+    print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
     print_table(lines, course, limits, arguments.speed_scale)
 
@@ -321,14 +325,14 @@ def print_table(lines, course, limits, scale):
     )
     for name, line in lines:
         try:
-            time = f"{raceline_speeds(line, **limits)[1] / scale:.3f}"
+            lap = f"{raceline_speeds(line, **limits)[1] / scale:.3f}"
         except ParameterError as error:
-            time, why = "-", error
-            print(f"  {name}: {why}")
+            lap = "-"
+            print(f"  {name}: {error}")
         least = float(np.min(clearances(course, line)))
         print(
             f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
-            f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {time:>9s}"
+            f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {lap:>9s}"
         )
 
 
