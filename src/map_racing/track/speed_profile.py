@@ -146,7 +146,8 @@ class _Limits:
         if values.shape != speed.shape:
             raise ParameterError(f"speed profile: expected one {key} for each speed")
         least = 0.0 if key == "a_drive_max" else 1e-12
-        bad = ~(np.isfinite(values) & (values >= least))
+        with np.errstate(invalid="ignore"):
+            bad = ~(np.isfinite(values) & (values >= least))
         if bad.any():
             k = int(np.argmax(bad))
             raise ParameterError(
