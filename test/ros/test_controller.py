@@ -495,7 +495,7 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
     message.wpnts[7].x_m = math.nan
     publisher.publish(message)
     rig.stops("raceline not drivable")
-    assert "point 7: expected a finite x" in rig.node.output
+    assert "expected a finite x, got nan, at point 7:" in rig.node.output
     publisher.publish(waypoint_array_class()[0]())
     time.sleep(0.3)
     rig.wait_mode("stopped", "raceline not drivable")

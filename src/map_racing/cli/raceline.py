@@ -1,7 +1,7 @@
 """``map-racing raceline``: check, convert and make racelines."""
 
 import json
-from pathlib import Path
+import re
 
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.recordings import read_course, save_course
@@ -110,7 +110,7 @@ def run_check(arguments):
         print(json.dumps(report, indent=2))
     else:
         print(arguments.source)
-        for line in [] if table is None else [table.layout, *([] if not facts else facts_text(facts))]:
+        for line in ([table.layout] if table else []) + (facts_text(facts) if facts else []):
             print(f"  {line}")
         print_findings(findings)
         print(f"  {findings_count(findings)}")
@@ -119,7 +119,8 @@ def run_check(arguments):
                 file.write(json.dumps(report, indent=2) + "\n")
             print(f"  report written to {arguments.json}")
     if arguments.plots and table is not None:
-        path = draw(arguments.plots, table, raceline, findings)
+        _, _, key = arguments.source.partition("#")
+        path = draw(arguments.plots, key, table, raceline, findings)
         if not alone:
             print(f"  figure: {path}")
     return int(wrong)
@@ -148,6 +149,10 @@ def run_convert(arguments):
         table = resampled(table, arguments.spacing)
         print(f"  resampled to {table.columns['x'].size} points")
     raceline = raceline_of(table)
+    if arguments.repair:
+        for finding in raceline.findings:
+            if finding.severity != NOTE:
+                print(f"  left as it is: {finding}")
     lost = WITHOUT.get(form)
     if lost and getattr(raceline, {"walls": "d_left", "speeds": "speed"}[lost]) is not None:
         print(f"  {lost} left out: format {form} has none")
@@ -169,12 +174,13 @@ def print_findings(findings):
         print(f"  {finding.severity}: {finding}")
 
 
-def draw(folder, table, raceline, findings):
+def draw(folder, key, table, raceline, findings):
     """The figure of a checked course; its path."""
     # matplotlib takes a second, and most calls draw nothing
     from ..evaluation.plots.racelines import plot_course
     from ..evaluation.plots.style import save
 
-    path = Path(make_folder(folder)) / f"{table.name or 'course'}_check.png"
-    save(plot_course(table, raceline, findings), path)
+    name = "_".join(filter(None, (table.name or "course", re.sub(r"\W+", "_", key).strip("_"))))
+    path = make_folder(folder) / f"{name}_check.png"
+    save(plot_course(table, raceline, findings, name), path)
     return path

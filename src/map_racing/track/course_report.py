@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .findings import ERROR, NOTE, WARNING
+from .speed_profile import lap_time
 
 __all__ = ["course_facts", "facts_text", "findings_count", "findings_rows"]
 
@@ -25,14 +26,15 @@ def course_facts(raceline):
         ``d_left_m`` and ``d_right_m`` (least, most); None where unknown.
     """
     spacing = np.diff(np.append(raceline.s_points, raceline.length))
-    # The heading gains 2 pi in a lap to the left, nothing in a figure of eight.
-    laps = round(float(np.sum(raceline.kappa)) * raceline.ds / (2.0 * math.pi))
-    direction = "crossing" if laps == 0 else "counter-clockwise" if laps > 0 else "clockwise"
-    v, lap_time = raceline.speed, None
+    # The heading gains 2 pi in a lap, nothing in a figure of eight; the area has the direction.
+    x, y = raceline.x, raceline.y
+    area = float(np.sum((x - x[0]) * np.roll(y - y[0], -1) - np.roll(x - x[0], -1) * (y - y[0])))
+    crossing = abs(float(np.sum(raceline.kappa)) * raceline.ds) < math.pi
+    direction = "crossing" if crossing else "counter-clockwise" if area > 0.0 else "clockwise"
+    v, time = raceline.speed, None
     if v is not None:
-        with np.errstate(divide="ignore"):
-            lap_time = float(np.sum(2.0 * raceline.ds / (v + np.roll(v, -1))))
-        lap_time = lap_time if math.isfinite(lap_time) else None
+        time = lap_time(v, raceline.ds)
+        time = time if math.isfinite(time) else None
     return {
         "length_m": raceline.length,
         "direction": direction,
@@ -40,7 +42,7 @@ def course_facts(raceline):
         "spacing_m": [float(f(spacing)) for f in (np.min, np.median, np.max)],
         "min_radius_m": float(1.0 / max(np.max(np.abs(raceline.kappa)), 1e-9)),
         "vx_mps": _range(v),
-        "lap_time_s": lap_time,
+        "lap_time_s": time,
         "d_left_m": _range(raceline.d_left),
         "d_right_m": _range(raceline.d_right),
     }
@@ -83,7 +85,7 @@ def findings_count(findings):
 
 
 def findings_rows(findings):
-    """Findings as dictionaries, for JSON: ``code severity text places``, all that is wrong first."""
+    """Findings as dictionaries ``code severity text places``, for JSON, what is wrong first."""
     order = (ERROR, WARNING, NOTE)
     return [
         {

@@ -51,7 +51,8 @@ def crossings(a, b=None):
     pairs = np.stack((number_a[i[cross]], number_b[j[cross]]), axis=1)
     if b is None:
         pairs.sort(axis=1)
-    return np.unique(pairs, axis=0)
+    # numpy 1.17 finds no unique rows in none
+    return np.unique(pairs, axis=0) if len(pairs) else pairs
 
 
 def _pieces(vertices):

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple, Optional, Tuple
 
-__all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place"]
+__all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place", "points"]
 
 NOTE = "note"
 """A convention recognized: nothing is wrong."""
@@ -53,3 +53,8 @@ class Finding(NamedTuple):
         if not self.places:
             return self.text
         return f"{self.text}, {'first ' if len(self.places) > 1 else ''}at {self.places[0]}"
+
+
+def points(count, adjective=""):
+    """``"1 point"`` or ``"2 points"``, as texts of findings have them."""
+    return " ".join(filter(None, (str(count), adjective, "point" if count == 1 else "points")))

@@ -440,17 +440,15 @@ def _from_reference(columns):
     columns.update(x=course[:, 0], y=course[:, 1])
     if "d_left" not in columns or "d_right" not in columns:
         return columns
-    if np.array_equal(reference[0], reference[-1]):
-        ring = slice(None, -1)
-    else:
-        ring = slice(None)
+    closed = np.array_equal(reference[0], reference[-1])
+    ring = slice(None, -1) if closed else slice(None)
     tangent = _tangents(reference[ring])
     side = float(np.sum(tangent[:, 0] * normal[ring, 1] - tangent[:, 1] * normal[ring, 0]))
     left = normal * (1.0 if side > 0.0 else -1.0)
     shift = alpha if side > 0.0 else -alpha
     own = np.empty_like(left)
     own[ring] = _tangents(course[ring])
-    own[-1] = own[-1] if ring == slice(None) else own[0]
+    own[-1] = own[0] if closed else own[-1]
     own = np.stack((-own[:, 1], own[:, 0]), axis=1)
     d_left, d_right = columns["d_left"], columns["d_right"]
     wall_left = reference + d_left[:, None] * left

@@ -4,7 +4,7 @@ import numpy as np
 
 from . import checks
 from .checks import examine, first_loop, overlap, raceline_of, turns_back
-from .findings import ERROR
+from .findings import ERROR, points
 from .raceline import FARTHEST, distinct_points
 from .table import CourseTable
 
@@ -58,15 +58,15 @@ def repaired(table):
         If something is left that makes the course unusable.
     """
     repairs = []
-    codes = _codes(table)
     table = table._replace(findings=())
+    codes = _codes(table)
     for repair in (
         _drop_rows,
         _fill,
         _swap_xy,
         _reverse,
-        _stated_only,
         _kmh,
+        _stated_only,
         _drop_repeated,
         _first_loop_only,
         _drop_overlap,
@@ -78,7 +78,7 @@ def repaired(table):
         table, done = repair(table, codes)
         if done:
             repairs.append(done)
-            codes |= _codes(table)
+            codes = _codes(table)
     raceline_of(table)
     return table, repairs
 
@@ -155,9 +155,11 @@ def _drop_rows(table, codes):
     x, y = table.columns["x"], table.columns["y"]
     bad = ~(np.abs(np.where(np.isfinite(x), x, np.inf)) < FARTHEST)
     bad |= ~(np.abs(np.where(np.isfinite(y), y, np.inf)) < FARTHEST)
-    if not bad.any() or bad.all():
+    if bad.all():
+        raceline_of(table)  # says what is wrong
+    if not bad.any():
         return table, None
-    return _chosen(table, np.flatnonzero(~bad)), f"{bad.sum()} points without position dropped"
+    return _chosen(table, np.flatnonzero(~bad)), f"{points(bad.sum())} without position dropped"
 
 
 def _fill(table, codes):
@@ -170,9 +172,7 @@ def _fill(table, codes):
         bad = ~(np.abs(np.where(np.isfinite(column), column, np.inf)) < FARTHEST)
         if bad.any() and not bad.all():
             place = np.arange(column.size)
-            columns[key] = np.interp(
-                place, place[~bad], column[~bad], period=column.size
-            )
+            columns[key] = np.interp(place, place[~bad], column[~bad], period=column.size)
             filled.append(f"{bad.sum()} values of {key}")
     if not filled:
         return table, None
@@ -194,6 +194,14 @@ def _reverse(table, codes):
     return _chosen(table, rows), "points put in the order of arc length and heading"
 
 
+def _kmh(table, codes):
+    if "kmh" not in codes:
+        return table, None
+    columns = dict(table.columns, speed=table.columns["speed"] / checks.KMH)
+    done = "speeds turned from km/h into m/s, as the accelerations say"
+    return table._replace(columns=columns), done
+
+
 def _stated_only(table, codes):
     """What the file says of the curve is recomputed: from here on only the rest counts."""
     told = {
@@ -205,24 +213,13 @@ def _stated_only(table, codes):
     }
     wrong = {
         what
-        for code in codes - {"heading-x"}
+        for code in codes - {"heading-x", "heading-north"}
         for start, what in told.items()
         if code.startswith(start)
     }
-    text = f"{', '.join(sorted(wrong))} recomputed" if wrong else None
-    keep = _DRIVEN if "kmh" not in codes else (*_DRIVEN, "ax")
-    columns = {key: column for key, column in table.columns.items() if key in keep}
-    return table._replace(columns=columns), text
-
-
-def _kmh(table, codes):
-    columns = dict(table.columns)
-    columns.pop("ax", None)
-    text = None
-    if "kmh" in codes:
-        columns["speed"] = columns["speed"] / checks.KMH
-        text = "speeds turned from km/h into m/s, as the accelerations say"
-    return table._replace(columns=columns), text
+    columns = {key: column for key, column in table.columns.items() if key in _DRIVEN}
+    done = f"{', '.join(sorted(wrong))} recomputed" if wrong else None
+    return table._replace(columns=columns), done
 
 
 def _drop_repeated(table, codes):
@@ -232,7 +229,7 @@ def _drop_repeated(table, codes):
     closing = before - 1 - int(np.flatnonzero(keep)[-1])
     table = driven_columns(table)
     count = before - closing - table.columns["x"].size
-    return table, f"{count} repeated points dropped" if count else None
+    return table, f"{points(count, 'repeated')} dropped" if count else None
 
 
 def _first_loop_only(table, codes):
@@ -248,33 +245,34 @@ def _drop_overlap(table, codes):
     if not count:
         return table, None
     rows = np.arange(table.columns["x"].size - count)
-    return _chosen(table, rows), f"{count} last points dropped that overlap the start"
+    return _chosen(table, rows), f"{points(count, 'last')} dropped that overlapped the start"
 
 
 def _drop_turning_back(table, codes):
-    """One point after the other, the one without which least is left of turning back."""
+    """Around each place where the way turns back, the point that is the longest detour."""
     xy = _xy(table)
     rows = np.arange(len(xy))
-    most = len(xy) // 20
-    for _ in range(most):
+    for _ in range(len(xy) // 20):
         back = turns_back(xy[rows])
         if not back.size:
             break
-        near = np.unique(np.mod(np.concatenate((back - 1, back, back + 1)), rows.size))
-        left = [_turning(xy[np.delete(rows, k)]) for k in near[:12].tolist()]
-        rows = np.delete(rows, near[int(np.argmin(left))])
+        n = rows.size
+        near = np.unique(np.mod(np.concatenate((back - 1, back, back + 1)), n))
+        before, here, after = (xy[rows[np.mod(near + step, n)]] for step in (-1, 0, 1))
+        detour = _length(here - before) + _length(after - here) - _length(after - before)
+        rows = np.delete(rows, near[int(np.argmax(detour))])
     count = len(xy) - rows.size
     if not count or turns_back(xy[rows]).size:
         return table, None
-    return _chosen(table, rows), f"{count} points dropped at which the course turned back"
+    return _chosen(table, rows), f"{points(count)} dropped at which the course turned back"
 
 
-def _turning(xy):
-    return float(np.sum(np.abs(checks.turns(xy))))
+def _length(ways):
+    return np.hypot(ways[:, 0], ways[:, 1])
 
 
 def _swap_walls(table, codes):
-    if "swapped-walls" not in _codes(table):
+    if "swapped-walls" not in codes:
         return table, None
     columns = dict(table.columns)
     columns["d_left"], columns["d_right"] = columns["d_right"], columns["d_left"]
@@ -293,13 +291,14 @@ def _clamp_walls(table, codes):
 
 def _fill_gap(table, codes):
     """Points along the closed curve where they are missing or uneven."""
-    found = _codes(table)
-    if not {"gap", "spacing"} & found or ERROR in {f.severity for f in examine(table).findings}:
+    if not {"gap", "spacing"} & codes or examine(table).worst(ERROR):
         return table, None
+    # Points between which others were dropped may now be one.
+    table = driven_columns(table)
     line = raceline_of(table)
     steps = np.diff(np.append(line.s_points, line.length))
     usual = float(np.median(steps))
-    most = checks.LARGEST_GAP if "spacing" not in found else 1.5
+    most = checks.LARGEST_GAP if "spacing" not in codes else 1.5
     count = np.where(steps > most * usual, np.round(steps / usual), 1).astype(int)
     first = np.repeat(line.s_points, count)
     part = np.arange(first.size) - np.repeat(np.cumsum(count) - count, count)
@@ -309,7 +308,7 @@ def _fill_gap(table, codes):
     # The points given stay as they are.
     for key, column in sampled.columns.items():
         column[part == 0] = table.columns[key]
-    return sampled, f"{added} points added along the curve where points were far apart"
+    return sampled, f"{points(added)} added along the curve where they were far apart"
 
 
 def _xy(table):

@@ -214,8 +214,7 @@ def _map_racing(course, path):
         "d_right_m, d_left_m to the walls",
         "; ".join(name for name, _ in columns),
     ]
-    # Six decimals are a micrometer.
-    return _csv(head, [column for _, column in columns], ";", 6)
+    return _csv(head, [column for _, column in columns], ";")
 
 
 def _tum(course, path):
@@ -241,7 +240,7 @@ def _seven(course, path, form, psi, separator):
         hashlib.sha1(b"").hexdigest(),  # of the acceleration limits, of which no file is known here
         "s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2",
     ]
-    return _csv(head, columns, separator, 7)
+    return _csv(head, columns, separator)
 
 
 def _centerline(course, path):
@@ -250,13 +249,13 @@ def _centerline(course, path):
             f"{path}: expected a course with walls: format centerline has their distances"
         )
     columns = [course.x, course.y, course.d_right, course.d_left]
-    return _csv(["x_m,y_m,w_tr_right_m,w_tr_left_m"], columns, ",", 7)
+    return _csv(["x_m,y_m,w_tr_right_m,w_tr_left_m"], columns, ",")
 
 
-def _csv(head, columns, separator, decimals):
-    # "+ 0.0" turns -0.0 into 0.0.
-    table = np.round(np.stack(columns, axis=1), decimals) + 0.0
-    row = separator.join([f"%.{decimals}f"] * len(columns))
+def _csv(head, columns, separator):
+    # Seven decimals are a tenth of a micrometer; "+ 0.0" turns -0.0 into 0.0.
+    table = np.round(np.stack(columns, axis=1), 7) + 0.0
+    row = separator.join(["%.7f"] * len(columns))
     lines = [f"# {line}" for line in head] + [row % tuple(values) for values in table.tolist()]
     return "\n".join(lines) + "\n"
 

@@ -471,7 +471,7 @@ def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, course):
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
-    findings = "; ".join(read_waypoints(path).findings)
+    findings = "; ".join(map(str, read_waypoints(path).findings))
     assert "+y (north)" in findings
     assert "every speed is 0" in findings
 

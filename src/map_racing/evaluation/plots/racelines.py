@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 
 import numpy as np
@@ -14,6 +15,7 @@ __all__ = ["plot_course"]
 
 _COLORS = {ERROR: COLORS[1], WARNING: COLORS[4]}
 _MOST_LISTED = 14
+_BAR, _LIST = 1.1, 4.6  # widths of colorbar and list [in]
 
 
 def plot_course(table, raceline, findings, title=None):
@@ -35,27 +37,33 @@ def plot_course(table, raceline, findings, title=None):
     x, y = table.columns["x"], table.columns["y"]
     good = np.isfinite(x) & np.isfinite(y)
     x, y = x[good], y[good]
-    width, height = size_for(x, y)
+    width, height = size_for(x, y) if x.size else (6.0, 5.0)
     listed = _listed(findings)
-    figure = new_figure(width + 4.6, max(height, 4.5))
-    share = width / (width + 4.6)
-    axes = figure.add_axes([0.75 / (width + 4.6), 0.1, share - 1.0 / (width + 4.6), 0.82])
+    # Course, colorbar and list side by side; lengths in inches.
+    between = 0.2 if raceline is None or raceline.speed is None else _BAR
+    total, height = width + between + _LIST, max(height, 4.5)
+    figure = new_figure(total, height)
+    low, tall = 0.65 / height, 1.0 - 1.15 / height
+    axes = figure.add_axes([0.8 / total, low, (width - 0.9) / total, tall])
+    bar = [(width + 0.1) / total, low, 0.18 / total, tall]
     if raceline is None:
         axes.plot(x, y, ".-", color=RACELINE, ms=3, lw=0.8, label="points")
     else:
-        _draw_line(figure, axes, raceline)
+        _draw_line(figure, axes, bar, raceline)
     if x.size:
-        axes.plot(x[0], y[0], "o", ms=8, mfc="none", mec=COLORS[2], mew=2, label="first point")
+        axes.plot(
+            x[0], y[0], "s", ms=9, mfc="none", mec=COLORS[2], mew=2, label="first point", zorder=4
+        )
     for number, finding in enumerate(listed, 1):
         _mark(axes, number, finding)
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", anchor="E")
     axes.margins(0.06)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_title(title or table.name or "course")
     axes.grid(alpha=0.25)
     axes.legend(loc="best", fontsize="small")
-    _list(figure, listed, share)
+    _list(figure, listed, (width + between) / total, low + tall)
     return figure
 
 
@@ -64,7 +72,7 @@ def _listed(findings):
     return sorted(findings, key=lambda finding: order.get(finding.severity, 2))[:_MOST_LISTED]
 
 
-def _draw_line(figure, axes, line):
+def _draw_line(figure, axes, bar, line):
     s = np.append(line.s, line.length)
     curve = line.sample(s)
     if line.d_left is not None:
@@ -79,15 +87,17 @@ def _draw_line(figure, axes, line):
         )
         pieces.set_array(0.5 * (curve.speed[1:] + curve.speed[:-1]))
         axes.add_collection(pieces)
-        figure.colorbar(pieces, ax=axes, label="speed [m/s]", fraction=0.04, pad=0.03)
+        figure.colorbar(pieces, cax=figure.add_axes(bar), label="speed [m/s]")
     # The direction of travel, at the start and at three places more.
     for at in np.arange(4) * 0.25 * line.length:
-        tail, head = line.position(at), line.position(at + 0.02 * line.length)
+        tail = line.pose(at)
+        reach = 0.02 * line.length
+        head = tail.x + reach * math.cos(tail.psi), tail.y + reach * math.sin(tail.psi)
         axes.annotate(
             "",
             xy=head,
-            xytext=tail,
-            arrowprops={"arrowstyle": "-|>", "color": COLORS[2], "lw": 1.6, "shrinkA": 0},
+            xytext=tail[:2],
+            arrowprops={"arrowstyle": "-|>", "color": "k", "lw": 1.4, "shrinkA": 0},
             zorder=4,
         )
 
@@ -121,21 +131,18 @@ def _mark(axes, number, finding):
     )
 
 
-def _list(figure, listed, share):
-    """The findings as text beside the course."""
-    top = 0.92
-    step = 0.155 / figure.get_figheight()
+def _list(figure, listed, left, top):
+    """The findings as text beside the course, numbered as their marks."""
+    line = 0.16 / figure.get_figheight()
+    indent = 0.3 / figure.get_figwidth()
     if not listed:
-        figure.text(share + 0.01, top, "nothing noticed", fontsize="small", va="top")
+        figure.text(left, top, "nothing noticed", fontsize=8, va="top")
     for number, finding in enumerate(listed, 1):
-        text = textwrap.wrap(f"{number}  {finding.severity}: {finding}", 52)
+        text = textwrap.wrap(f"{finding.severity}: {finding}", 54)
+        color = _COLORS.get(finding.severity, "0.6")
+        circle = {"boxstyle": "circle,pad=0.2", "fc": color, "ec": "none"}
         figure.text(
-            share + 0.01,
-            top,
-            "\n".join(text),
-            fontsize=8,
-            va="top",
-            color=_COLORS.get(finding.severity, "0.3"),
-            linespacing=1.2,
+            left, top, str(number), fontsize=7, va="top", color="white", weight="bold", bbox=circle
         )
-        top -= step * (len(text) + 0.6)
+        figure.text(left + indent, top, "\n".join(text), fontsize=8, va="top", linespacing=1.25)
+        top -= line * (len(text) + 0.8)
