@@ -249,20 +249,27 @@ class _Search:
         points, normals = _even_points(line, count)
         wanted = np.full(count, self.clearance)
         alpha = np.zeros(count)
+        left, right = _meeting(points, normals)
+        low, high = _reach(points, normals, self.walls, wanted, self.farthest)
+        cut = int(np.sum((high > left) | (low < -right)))
+        low, high = np.maximum(low, -right), np.minimum(high, left)
+        if np.any(high < low - 1e-3):
+            k = int(np.argmin(high - low))
+            raise self._too_narrow(points[k], normals[k])
         # Between two points the line can pass a corner of a wall too closely; these points then
         # keep away by as much more.
         for _ in range(_MOST_ROUNDS):
-            low, high, cut = _bounds(points, normals, self.walls, wanted, self.farthest)
-            if np.any(high < low - 1e-3):
-                k = int(np.argmin(high - low))
-                raise self._too_narrow(points[k], normals[k])
             alpha = _least_curvature(points, normals, low, np.maximum(low, high), alpha, tension)
             line = Raceline(*(points + alpha[:, None] * normals).T)
-            missing = self.clearance - _clearance_after(line, self.walls, count)
+            missing = self.clearance - _clearance_after(line, self.walls, count, self.clearance)
             if missing.max() < _CLOSE_ENOUGH:
                 break
             missing = np.maximum(missing, 0.0)
-            wanted += 1.2 * np.maximum(missing, np.roll(missing, 1))
+            missing = np.maximum(missing, np.roll(missing, 1))
+            k = np.flatnonzero(missing)
+            wanted[k] += 1.2 * missing[k]
+            low[k], high[k] = _reach(points[k], normals[k], self.walls, wanted[k], self.farthest)
+            low, high = np.maximum(low, -right), np.minimum(high, left)
         self._cut = cut if self._cut is None else self._cut
         self._lines += 1
         if self._progress is not None:
@@ -335,35 +342,40 @@ def _even_points(line, count):
     )
 
 
-def _clearance_after(line, walls, count):
+def _clearance_after(line, walls, count, clearance):
     """Least distance to a wall from each of the points of a line to the next."""
     ends = np.append(line.s_points, line.length)
     if ends.size != count + 1:
         raise RacelineError("expected a line whose points are all different")
-    parts = np.linspace(0.0, 1.0, 4, endpoint=False)
+    # So close that a wall's corner can come nearer in between by a few thousandths only.
+    parts = max(4, math.ceil(line.length / count / (0.2 * clearance)))
+    parts = np.linspace(0.0, 1.0, parts, endpoint=False)
     at = line.sample(ends[:-1, None] + parts * np.diff(ends)[:, None])
     free = walls.distance(np.stack((at.x.ravel(), at.y.ravel()), axis=1))
     return free.reshape(-1, parts.size).min(axis=1)
 
 
-def _bounds(points, normals, walls, clearance, farthest):
-    """Least and largest offset at each point, and how many normals were cut."""
+def _reach(points, normals, walls, clearance, farthest):
+    """Least and largest offset along the normals that keep a clearance from the walls."""
     begin = _clear_offset(points, normals, walls, clearance)
     inside = points + begin[:, None] * normals
     high = begin + walls.reach(inside, normals, clearance, farthest)
     low = begin - walls.reach(inside, -normals, clearance, farthest)
-    # Neighboring normals meet where the offset is the radius of the turn between them.
+    return low, high
+
+
+def _meeting(points, normals):
+    """How far normals reach to the left and to the right before a neighbor crosses them."""
     after = np.roll(normals, -1, axis=0)
     turn = np.arctan2(
         normals[:, 0] * after[:, 1] - normals[:, 1] * after[:, 0], np.sum(normals * after, axis=1)
     )
     chord = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
+    # They meet where the offset is the radius of the turn between them.
     with np.errstate(divide="ignore"):
         radius = _MEETING * chord / np.abs(turn)
     left, right = (np.where(turn * side > 0.0, radius, np.inf) for side in (1.0, -1.0))
-    left, right = np.minimum(left, np.roll(left, 1)), np.minimum(right, np.roll(right, 1))
-    cut = int(np.sum((high > left) | (low < -right)))
-    return np.maximum(low, -right), np.minimum(high, left), cut
+    return np.minimum(left, np.roll(left, 1)), np.minimum(right, np.roll(right, 1))
 
 
 def _clear_offset(points, normals, walls, clearance):
