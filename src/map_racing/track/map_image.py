@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
 from scipy import ndimage
 
 from ..errors import FileFormatError, ParameterError, RacelineError
@@ -229,7 +228,10 @@ def _number(path, content, key, default=None):
 
 
 def _gray(path):
-    """Gray values of an image, color channels averaged, and what is transparent white or black."""
+    """Gray values of an image, color channels averaged, transparency left out."""
+    # Commands and nodes that read no map need no Pillow.
+    from PIL import Image
+
     try:
         with Image.open(str(path)) as file:
             if file.size[0] * file.size[1] > _MOST_PIXELS:

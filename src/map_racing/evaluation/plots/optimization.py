@@ -71,7 +71,7 @@ def plot_optimized(line, reference, walls, title=None):
 
     # Over the share of the lap, because the lines differ in length.
     for axes, column, label in (
-        (top, "kappa", "curvature, left positive [1/m]"),
+        (top, "kappa", "curvature [1/m]"),
         (bottom, "speed", "speed [m/s]"),
     ):
         for course_line, name, style in (
