@@ -209,7 +209,7 @@ def check_numbers(arguments):
     """Refuse numbers that cannot be meant."""
     for key, least, most in (
         ("margin", -0.5, 10.0),
-        ("step", 0.001, 10.0),
+        ("step", 0.01, 100.0),
         ("lateral_scale", 0.01, 2.0),
         ("longitudinal_scale", 0.01, 2.0),
         ("speed_scale", 0.01, 2.0),

@@ -19,7 +19,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.spatial import cKDTree
 
 from ..errors import ParameterError, RacelineError
@@ -346,7 +346,7 @@ def _clearance_after(line, walls, count, clearance):
     """Least distance to a wall from each of the points of a line to the next."""
     ends = np.append(line.s_points, line.length)
     if ends.size != count + 1:
-        raise RacelineError("expected a line whose points are all different")
+        raise RacelineError("expected a line whose points are at least 0.1 mm apart: larger step?")
     # So close that a wall's corner can come nearer in between by a few thousandths only.
     parts = max(4, math.ceil(line.length / count / (0.2 * clearance)))
     parts = np.linspace(0.0, 1.0, parts, endpoint=False)
@@ -499,7 +499,10 @@ def _bounded_minimum(model, low, high):
         gap = float(to_low.dot(push_low) + to_high.dot(push_high)) / (2 * n)
         if gap < 1e-9 * scale and np.max(np.abs(dual)) < 1e-7 * scale:
             break
-        factor = fold.factor(main + push_low / to_low + push_high / to_high, first, second)
+        try:
+            factor = fold.factor(main + push_low / to_low + push_high / to_high, first, second)
+        except LinAlgError:  # rounding, where there is nothing left to gain
+            break
         target_low = target_high = 0.0
         for corrector in (False, True):
             wanted_low, wanted_high = (
