@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
-from ..errors import MapRacingError, ParameterError
+from ..errors import ParameterError
 from ..evaluation.recordings import load_course, save_course
 from ..track.findings import NOTE
 from ..track.map_image import course_from_map, read_map_image
@@ -52,7 +52,8 @@ def add_action(actions):
     parser.add_argument(
         "--middle",
         metavar="FILE",
-        help="also write the smooth middle line between the walls, with speeds made alike",
+        help="also write the smooth middle line between the walls, with speeds made alike if the "
+        "car can follow it",
     )
     parser.add_argument(
         "--sectors",
@@ -180,20 +181,21 @@ def run_optimize(arguments):
     lines += [("middle", found.reference), ("optimized", optimized)]
     print_table(lines, course, limits, arguments.speed_scale)
 
-    if arguments.output:
-        save_course(arguments.output, course_columns(optimized), forms[0])
-        print(f"{arguments.output}: format {forms[0]}, {optimized.n} points")
-    middle = None
-    if arguments.middle:
+    try:
         middle = driven(found.reference, limits, arguments.speed_scale)
-        save_course(arguments.middle, course_columns(middle), forms[1])
-        print(f"{arguments.middle}: format {forms[1]}, {middle.n} points")
+    except ParameterError:
+        middle = found.reference
+    for path, form, line in zip(outputs, forms, (optimized, middle)):
+        if path:
+            save_course(path, course_columns(line), form)
+            told = "" if line.speed is not None else ", without speeds"
+            print(f"{path}: format {form}, {line.n} points{told}")
     if arguments.sectors:
         sectors = corners_and_straights(optimized)
         save_speed_sectors(arguments.sectors, sectors)
         print(f"{arguments.sectors}: {len(sectors)} sectors")
     if arguments.plots:
-        print(f"  figure: {draw(arguments.plots, found, optimized, limits, arguments.speed_scale)}")
+        print(f"  figure: {draw(arguments.plots, optimized, middle, found.walls)}")
 
 
 def form_of(path, wanted):
@@ -337,16 +339,12 @@ def print_table(lines, course, limits, scale):
         )
 
 
-def draw(folder, found, optimized, limits, scale):
+def draw(folder, optimized, middle, walls):
     """The figure of an optimized line; its path."""
     # matplotlib takes a second, and most calls draw nothing
     from ..evaluation.plots.optimization import plot_optimized
     from ..evaluation.plots.style import save
 
-    try:
-        middle = driven(found.reference, limits, scale)
-    except MapRacingError:
-        middle = found.reference
     path = Path(make_folder(folder)) / f"{optimized.name or 'course'}_optimized.png"
-    save(plot_optimized(optimized, middle, found.walls), path)
+    save(plot_optimized(optimized, middle, walls), path)
     return path

@@ -308,10 +308,14 @@ def _two_sides(image, ring, passage):
             f"gaps in walls with a passage wider than {passage:.2f} m"
         )
     inner, outer, findings = labels == first, labels == outside, []
-    for k in islands[1:]:
-        grown = ndimage.distance_transform_edt(labels != k)
-        gaps = [float(grown[labels == side].min()) for side in (first, outside)]
-        nearer = "inner" if gaps[0] < gaps[1] else "outer"
+    obstacles = islands[1:]
+    gaps = [
+        ndimage.minimum(ndimage.distance_transform_edt(labels != side), labels, obstacles)
+        for side in (first, outside)
+        if obstacles
+    ]
+    for k, to_inner, to_outer in zip(obstacles, *gaps):
+        nearer = "inner" if to_inner < to_outer else "outer"
         x, y = _center(image, boxes[k - 1])
         text = f"obstacle at ({x:.2f}, {y:.2f}): closed toward the {nearer} wall"
         findings.append(Finding("obstacle", WARNING, text))

@@ -148,13 +148,18 @@ def fastest_line(course, clearance, limits, *, rise=0.05, step=0.1, progress=Non
 
     Raises
     ------
-    ParameterError, RacelineError
-        As of `minimum_curvature` and `speed_profile`.
+    ParameterError
+        If `clearance` or `step` is not positive and finite.
+    RacelineError
+        As of `minimum_curvature`; also if the car cannot steer the bends of the line.
     """
     search = _Search(course, clearance, step, progress)
     line = search.best(search.reference, 0.0)
     least = squared_curvature(line, step)
-    _, time = raceline_speeds(line, **limits)
+    try:
+        _, time = raceline_speeds(line, **limits)
+    except ParameterError as error:
+        raise RacelineError(f"{search.name}: no line for this car: {error}") from None
     best, slower = (time, line, 0.0), 0
     for weight in _TENSIONS:
         tension = weight * least / line.length

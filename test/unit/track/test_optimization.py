@@ -283,6 +283,12 @@ def test_too_narrow_a_place_is_named():
     assert math.hypot(place[0] - x, place[1] - y) < 1.0
 
 
+def test_a_course_too_tight_for_the_car_is_refused():
+    limits = {**LIMITS, "a_lat_max": lambda v: np.minimum(v**2 / 4.0, 7.0)}
+    with pytest.raises(RacelineError, match="bean: no line for this car: .* cannot steer a radius"):
+        fastest_line(bean(), 0.3, limits)
+
+
 def test_a_course_without_walls_is_refused():
     course = bean()
     with pytest.raises(RacelineError, match="distances to both walls"):
