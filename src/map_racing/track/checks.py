@@ -33,6 +33,7 @@ BACK = 2.1  # turn that no course makes at one point [rad]
 # Steered by 0.42 rad, as far as a 1:10 car's servo goes, 0.33 m of wheelbase turn on 0.74 m.
 TIGHTEST = 1.4  # [1/m]
 GRIP = 20.0  # [m/s^2], beyond any 1:10 car on any floor, lateral or longitudinal
+_FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 KMH = 3.6  # [km/h] are 1 m/s
 MOST_PLACES = 200  # of one finding that are listed
 
@@ -242,7 +243,7 @@ def _loops(course):
     found = first_loop(course.xy)
     if found is not None:
         end, laps = found
-        text = f"expected one loop, but the points make {laps}, the second"
+        text = f"expected one loop, but the points make {laps}; the second begins"
         course.add("two-loops", ERROR, text, [end])
 
 
@@ -257,9 +258,9 @@ def first_loop(xy):
     Returns
     -------
     end, loops : int or None
-        First point of the second loop, and how many loops there are; None if there is but one:
-        several loops are stretches apart from each other that close each on itself, or a course
-        that comes along the same way again, in the same direction, all along.
+        First point of the second loop, and how many loops there are, rounded, at least 2. None if
+        there is but one: several are stretches apart from each other that close each on itself,
+        or a course that comes along the same way again, in the same direction.
     """
     n = len(xy)
     if n < 8:
@@ -277,30 +278,31 @@ def first_loop(xy):
         )
         if all(closed):
             return bounds[1], len(pieces)
-    # Driven several times: nearly every point has another one beside it, a quarter of the whole
-    # or more away along the course, that goes the same way.
+    # Driven more than once: many points have another one beside them, some way along the course,
+    # that goes the same way. (So have start and end of a single lap, each other.)
     pick = np.unique(np.linspace(0, n - 1, min(n, 1000)).astype(int))
-    s = np.cumsum(chords) - chords
-    length, picked = chords.sum(), xy[pick]
-    units = ways[pick] / chords[pick][:, None]
-    step = 2.0 * length / pick.size
-    near = max(step, min(0.5, 0.05 * float(np.hypot(*np.ptp(xy, axis=0)))))
     test = np.linspace(0, pick.size - 1, min(pick.size, 60)).astype(int)
-    lag = np.mod(s[pick][None, :] - s[pick][test][:, None], length)
+    s = np.cumsum(chords) - chords
+    length, picked = float(chords.sum()), xy[pick]
+    units = ways[pick] / chords[pick][:, None]
+    wide = min(0.5, 0.05 * float(np.hypot(*np.ptp(xy, axis=0))))
+    near = min(max(wide, 2.0 * length / pick.size), 0.04 * length)
+    lag = np.abs(s[pick] - s[pick][test][:, None])
     beside = (
-        (np.abs(picked[None, :, 0] - picked[test][:, 0:1]) < near)
-        & (np.abs(picked[None, :, 1] - picked[test][:, 1:2]) < near)
+        (np.abs(picked[:, 0] - picked[test][:, :1]) < near)
+        & (np.abs(picked[:, 1] - picked[test][:, 1:]) < near)
         & (units[test].dot(units.T) > 0.8)
-        & (np.minimum(lag, length - lag) > 0.2 * length)
+        & (lag > 0.06 * length)
+        & (length - lag > 2.0 * near)
     )
-    if np.mean(beside.any(axis=1)) < 0.8:
+    again = beside.any(axis=1)
+    if np.mean(again) < 0.15:
         return None
-    lags = np.where(beside, np.minimum(lag, length - lag), np.inf).min(axis=1)
-    laps = max(2, int(round(length / float(np.median(lags[np.isfinite(lags)])))))
-    # The lap ends where the course is closest to its start again, about one lap later.
-    around = np.flatnonzero(np.abs(s - length / laps) < 0.25 * length / laps)
+    lap = float(np.median(np.where(beside, lag, np.inf).min(axis=1)[again]))
+    # The lap ends where the course is closest to its start again.
+    around = np.flatnonzero(np.abs(s - lap) < 0.25 * lap)
     distance = np.hypot(*(xy[around] - xy[0]).T)
-    return int(around[np.argmin(distance)]), laps
+    return int(around[np.argmin(distance)]), max(2, int(round(length / lap)))
 
 
 def _order(course):
@@ -329,15 +331,9 @@ def overlap(xy):
         size * math.hypot(*last)
     ):
         return 0
-    unit = closing / size
-    beyond = (xy[0] - xy).dot(unit) < 0.0  # not yet past the first point
     usual = float(np.median(np.hypot(ways[:, 0], ways[:, 1])))
-    count = 0
-    while count < len(xy) // 4:
-        way = xy[0] - xy[-1 - count]
-        if beyond[-1 - count] and way.dot(-unit) > 0.5 * usual:
-            break
-        count += 1
+    before = (xy[0] - xy[::-1]).dot(-closing / size) > 0.5 * usual
+    count = int(np.argmax(before))
     return count if count < len(xy) // 4 else 0
 
 
@@ -602,6 +598,7 @@ def _walls(course):
         )
         return
     left, right = _wall(line, line.d_left), _wall(line, -line.d_right)
+    widest = float(max(line.d_left.max(), line.d_right.max()))
     own = np.stack((line.x, line.y), axis=1)
     # A bend inside which the wall lies beyond the center of curvature.
     for side, d in (("left", line.d_left), ("right", -line.d_right)):
@@ -619,11 +616,15 @@ def _walls(course):
         ("left wall crosses the course", own, left),
         ("right wall crosses the course", own, right),
         ("walls cross each other", left, right),
+        ("left wall crosses itself", left, None),
+        ("right wall crosses itself", right, None),
     ):
         pairs = crossings(a, b)
-        # Where a distance is 0 or less the wall meets the course at its own place: told above.
+        # A wall meets the course at its own place where the distance is 0, and itself where it
+        # folds inside of a bend: both are told above.
         apart = np.mod(pairs[:, 0] - pairs[:, 1], line.n)
-        pairs = pairs[np.minimum(apart, line.n - apart) > 2]
+        local = 2.0 if b is not None else _FOLD * max(widest, 0.0) / line.ds
+        pairs = pairs[np.minimum(apart, line.n - apart) > local]
         if len(pairs):
             at = [_point_near(course, cell) for cell in pairs[:MOST_PLACES, 0]]
             course.add("walls-cross", WARNING, f"the {name} {_times(len(pairs))}", at)

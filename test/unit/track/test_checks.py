@@ -104,7 +104,12 @@ def test_two_laps_of_the_same_course():
     x, y = LINE.to_cartesian(LINE.s[rows], width)
     found = codes(CourseTable({"x": x, "y": y}))
     assert abs(found["two-loops"].places[0].index - N) < 3
-    assert "make 3" in str(codes(table(rows=np.tile(np.arange(N), 3)))["two-loops"])
+    # Any more than one lap.
+    for laps in (1.2, 1.5, 3.0, 7.0):
+        rows = np.arange(int(laps * N)) % N
+        finding = codes(table(rows=rows, without=("s",)))["two-loops"]
+        assert f"make {max(2, int(round(laps)))};" in finding.text
+        assert finding.places[0].index == N
 
 
 def test_two_loops_one_after_the_other():
@@ -223,6 +228,11 @@ def test_walls():
     found = codes(table(d_left=set_at("d_left", [3, 4], -2.0)))
     assert {"beyond-wall", "no-width"} <= set(found)
     assert "walls-cross" in codes(table(d_left=GOOD["d_left"] + 9.0))
+    # A waist of 1 m between walls that are said to be 0.8 m away on either side.
+    peanut = {"x": 12.0 * np.cos(T), "y": (0.5 + 6.0 * np.cos(T) ** 2) * np.sin(T)}
+    peanut.update(d_left=0.0 * T + 0.8, d_right=0.0 * T + 0.8)
+    texts = [f.text for f in examine(CourseTable(peanut)).findings if f.code == "walls-cross"]
+    assert any(text.startswith("the left wall crosses itself") for text in texts)
     found = {f.code: f.severity for f in examine(table(d_right=GOOD["d_right"] + 1.5)).findings}
     assert found["wall-folds"] == NOTE
     assert "one-wall" in codes(table(without=("d_left",)))
