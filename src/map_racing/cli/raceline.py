@@ -11,6 +11,7 @@ from ..track.course_report import course_facts, facts_text, findings_count, find
 from ..track.findings import ERROR, NOTE, Finding
 from ..track.repair import driven_columns, repaired, resampled, reversed_course
 from ..track.writers import FORMATS, choose_format, course_columns
+from . import raceline_optimize
 from .outputs import check_outputs, make_folder
 
 SOURCE = (
@@ -23,10 +24,10 @@ WITHOUT = {"tum": "walls", "racetracks": "walls", "centerline": "speeds"}
 
 def add_parser(commands):
     """Add the command to the parser; each action adds its own part."""
-    parser = commands.add_parser("raceline", help="check and convert racelines")
+    parser = commands.add_parser("raceline", help="check, convert and optimize racelines")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
-    for add_action in (add_check, add_convert):
+    for add_action in (add_check, add_convert, raceline_optimize.add_action):
         add_action(actions)
 
 
