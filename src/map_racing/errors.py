@@ -27,3 +27,7 @@ class BagError(MapRacingError):
 
 class EvaluationError(MapRacingError):
     """Recorded driving cannot be evaluated against the given raceline."""
+
+
+class IdentificationError(MapRacingError):
+    """Recorded driving from which no tires can be identified."""

@@ -5,7 +5,7 @@ import sys
 
 from .. import __version__
 from ..errors import MapRacingError
-from . import evaluate, lookup, race, raceline
+from . import evaluate, identify, lookup, race, raceline, ramp
 
 __all__ = ["main"]
 
@@ -15,13 +15,13 @@ def build_parser():
     parser = argparse.ArgumentParser(
         prog="map-racing",
         description="Model- and Acceleration-based Pursuit for 1:10 race cars: "
-        "race a simulated car, evaluate laps from bags, make and check lookup tables and "
-        "racelines.",
+        "race a simulated car, evaluate laps from bags, identify tires, make and check lookup "
+        "tables and racelines.",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.required = True
-    for module in (race, evaluate, lookup, raceline):
+    for module in (race, evaluate, lookup, raceline, ramp, identify):
         module.add_parser(commands)
     return parser
 

@@ -1,9 +1,12 @@
 """``map-racing lookup``: make, check and draw steady-state lookup tables."""
 
+import math
 
 import numpy as np
 
+from ..control.corners import corners
 from ..errors import FileFormatError, ParameterError
+from ..evaluation.recordings import load_course
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
 from ..vehicle.steady_state import steady_state_table
@@ -51,6 +54,12 @@ def add_parser(commands):
     check.add_argument("table", metavar="CSV", help="lookup table")
     check.add_argument("--vehicle", help="shipped vehicle or vehicle file to compare with")
     check.add_argument("--linear", action="store_true", help="linearize the vehicle's tires")
+    check.add_argument(
+        "--raceline",
+        metavar="LINE",
+        help="list the speed at which each corner exceeds the table's limit: shipped track, "
+        "raceline file or bag[#topic]",
+    )
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run=run_check)
 
@@ -77,6 +86,8 @@ def run_check(arguments):
     """Report on a table; compare it with a vehicle."""
     table = load_table(arguments.table)
     _describe(arguments.table, table)
+    if arguments.raceline:
+        _describe_corners(load_course(arguments.raceline), table)
     _draw(arguments, table)
     if not arguments.vehicle:
         return
@@ -146,6 +157,32 @@ def _describe(path, table):
         for i in picked
     )
     print(f"  largest lateral acceleration [m/s^2]: {limits}")
+
+
+def _describe_corners(raceline, table):
+    """The speed at which each corner takes all that the table has."""
+    found = corners(raceline, table)
+    print(f"  corners of {raceline.name or 'the raceline'}, where they have the least to spare:")
+    for corner in found:
+        side = "left" if corner.curvature > 0.0 else "right"
+        limit = (
+            f"exceeds the table's limit at {corner.limit_speed:.2f} m/s"
+            if math.isfinite(corner.limit_speed)
+            else "does not reach the table's limit below 30 m/s"
+        )
+        own = ""
+        if math.isfinite(corner.speed) and math.isfinite(corner.limit_speed):
+            own = f"; the raceline has {corner.speed:.2f} m/s, {corner.share:.0%} of that"
+        print(
+            f"    s = {corner.s:.1f} m, {side}, radius {1.0 / abs(corner.curvature):.2f} m: "
+            f"{limit}{own}"
+        )
+    shares = [corner.share for corner in found if math.isfinite(corner.share)]
+    if shares and max(shares) > 0.0:
+        print(
+            f"  the raceline can be driven at up to {1.0 / max(shares):.0%} of its speeds before a "
+            "corner exceeds the limit"
+        )
 
 
 def _draw(arguments, table):

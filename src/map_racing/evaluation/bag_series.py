@@ -51,6 +51,11 @@ class Series:
         self._values.append(values[good])
         self._data, self._received = [], []
 
+    @property
+    def size(self):
+        """Number of messages."""
+        return len(self._data) + sum(times.size for times in self._times)
+
     def jump_back(self, required=0, received=False):
         """How far the stamps fall back [s], or the times of receipt; None if they do not.
 

@@ -28,7 +28,14 @@ from .bag_records import BagFile
 from .bag_series import Series, TransformTree
 from .samples import FARTHEST, Commands, Recording
 
-__all__ = ["BagWriter", "DRIVE_TOPIC", "read_recording", "read_waypoint_table", "read_waypoints"]
+__all__ = [
+    "BagWriter",
+    "DRIVE_TOPIC",
+    "read_recording",
+    "read_signals",
+    "read_waypoint_table",
+    "read_waypoints",
+]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
 """Where racing stacks publish the drive command."""
@@ -39,6 +46,14 @@ _POSE_DECODERS = {
     msg.MD5[msg.POSE_COVARIANCE]: msg.decode_pose,
 }
 _KINDS = {md5: rank for rank, md5 in enumerate(_POSE_DECODERS)}
+# What else can be read over time: decoder, and the names of its last columns.
+_SIGNALS = {
+    msg.MD5[msg.ODOMETRY]: (msg.decode_odometry, ("v_x", "v_y", "yaw_rate")),
+    msg.MD5[msg.IMU]: (msg.decode_imu, ("yaw_rate", "a_x", "a_y", "a_z")),
+    msg.MD5[msg.ACKERMANN]: (msg.decode_drive, ("steering", "speed")),
+    msg.MD5[msg.FLOAT64]: (msg.decode_float64, ("value",)),
+}
+_KNOWN_IMUS = ("/vesc/sensors/imu/raw", "/sensors/imu/raw", "/imu")
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
 _TRUTH = ("ground_truth", "groundtruth", "gt_pose")
@@ -357,8 +372,69 @@ def read_recording(path, pose_topic=None):
         frame=source.frame,
         commands=commands,
         raceline=raceline,
+        receive_time=received,
         notes=notes,
     )
+
+
+def read_signals(path, recording, topics):
+    """Further topics of a bag, on the clock of what was already read from it.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    recording : Recording
+        What `read_recording` read from the same bag.
+    topics : dict of str to str
+        Names to topics of Odometry, Imu, AckermannDriveStamped or Float64. An empty topic under the
+        name ``"imu"`` stands for the IMU's, wherever it is.
+
+    Returns
+    -------
+    dict of str to (ndarray, dict)
+        Names to times [s] and columns: ``v_x v_y yaw_rate``, ``yaw_rate a_x a_y a_z``,
+        ``steering speed``, or ``value``. A name whose topic is empty and not found is left out.
+
+    Raises
+    ------
+    BagError
+        If a topic is not in the bag, or of another type, or its time falls back.
+    """
+    found, sources, owners = {}, {}, {}
+    with BagFile(path) as bag:
+        for name, topic in topics.items():
+            wanted = "/" + topic.lstrip("/") if topic else _imu_topic(bag)
+            if wanted is None:
+                continue
+            sources[name] = wanted
+            if wanted in found:
+                continue
+            numbers = {n for n, c in bag.connections.items() if c.topic == wanted}
+            kinds = {bag.connections[n].md5sum for n in numbers}
+            if len(kinds) != 1 or not kinds <= set(_SIGNALS):
+                there = ", ".join(sorted(bag.connections[n].type for n in numbers))
+                known = ", ".join(kind for kind, md5 in msg.MD5.items() if md5 in _SIGNALS)
+                raise BagError(
+                    f"{path}: {wanted}: expected messages of {known}; it has {there or 'none'}"
+                )
+            decode, columns = _SIGNALS[kinds.pop()]
+            found[wanted] = Series(decode), columns
+            owners.update(dict.fromkeys(numbers, found[wanted][0]))
+        for message in bag.messages(set(owners)):
+            owners[message.connection].add(message)
+    read = {}
+    for topic, (series, columns) in found.items():
+        if not series.size:
+            raise BagError(f"{path}: {topic}: expected messages, got none")
+        received = recording.receive_time
+        back = series.jump_back(received=received)
+        if back:
+            raise BagError(f"{path}: {topic}: time jumps back by {back:.1f} s")
+        times, values = series.columns(recording.notes, topic, received=received)
+        at = (times - recording.t0_ns) * 1e-9
+        read[topic] = at, dict(zip(columns, values[-len(columns) :]))
+    signals = {name: read[topic] for name, topic in sources.items()}
+    return signals
 
 
 def read_waypoints(path, topic=None):
@@ -560,6 +636,16 @@ def _drive_connections(bag):
         for number, connection in bag.connections.items()
         if connection.topic == topic and connection.md5sum == md5sum
     }
+
+
+def _imu_topic(bag):
+    """Topic of the IMU, or None."""
+    topics = {
+        connection.topic
+        for number, connection in bag.connections.items()
+        if connection.md5sum == msg.MD5[msg.IMU] and bag.counts.get(number)
+    }
+    return min(topics, key=lambda name: (_name_rank(name, _KNOWN_IMUS), name), default=None)
 
 
 # -- waypoints -----------------------------------------------------------------------------------

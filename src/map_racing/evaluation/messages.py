@@ -18,6 +18,7 @@ from ..angles import yaw_from_quaternion
 __all__ = [
     "ACKERMANN",
     "DEFINITIONS",
+    "FLOAT64",
     "IMU",
     "MD5",
     "ODOMETRY",
@@ -28,7 +29,9 @@ __all__ = [
     "WAYPOINTS",
     "Transform",
     "decode_drive",
+    "decode_float64",
     "decode_header",
+    "decode_imu",
     "decode_odometry",
     "decode_path",
     "decode_pose",
@@ -48,6 +51,7 @@ POSE_COVARIANCE = "geometry_msgs/PoseWithCovarianceStamped"
 ACKERMANN = "ackermann_msgs/AckermannDriveStamped"
 IMU = "sensor_msgs/Imu"
 PATH = "nav_msgs/Path"
+FLOAT64 = "std_msgs/Float64"
 TF = "tf2_msgs/TFMessage"
 WAYPOINTS = "f110_msgs/WpntArray"
 
@@ -58,6 +62,7 @@ MD5 = {
     ACKERMANN: "1fd5d7f58889cefd44d29f6653240d0c",
     IMU: "6a62c6daae103f4ff57a132d6f95cec2",
     PATH: "6227e2b7e9cce15051f669a5e197bbf7",
+    FLOAT64: "fdb28210bfa9d7c91146260178d9a584",
     TF: "94810edda583a504dfda3829e70d7eec",
     WAYPOINTS: "f862195689eef47cf0c81faffd1f380d",
 }
@@ -81,6 +86,7 @@ DEFINITIONS = {
 
 _HEADER = struct.Struct("<IIII")
 _U32 = struct.Struct("<I")
+_F64 = struct.Struct("<d")
 _POSE = struct.Struct("<7d")
 _PLANE_POSE = struct.Struct("<2d8x4d")
 _ODOMETRY_OUT = struct.Struct("<7d288x6d288x")
@@ -111,6 +117,12 @@ _ODOMETRY_FIELDS = {
 }
 _ODOMETRY_BODY = _TWIST + 48 + 288
 _DRIVE_FIELDS = {"steering_angle": ("<f4", 0), "speed": ("<f4", 8)}
+# Behind orientation, angular velocity and linear acceleration follow a covariance each.
+_RATES, _ACCELERATIONS = 13 * 8, 25 * 8
+_IMU_FIELDS = {
+    "yaw_rate": ("<f8", _RATES + 16),
+    **{name: ("<f8", _ACCELERATIONS + 8 * i) for i, name in enumerate(("a_x", "a_y", "a_z"))},
+}
 _NAN = math.nan
 
 
@@ -160,6 +172,18 @@ def decode_pose(batch):
 def decode_drive(batch):
     """The same of ``AckermannDriveStamped``, with values ``steering_angle speed`` [rad, m/s]."""
     return _table(batch, _DRIVE.size, _DRIVE_FIELDS)
+
+
+def decode_imu(batch):
+    """The same of ``Imu``, with values ``yaw_rate a_x a_y a_z`` [rad/s, m/s^2] in its own axes."""
+    return _table(batch, _IMU_OUT.size, _IMU_FIELDS)
+
+
+def decode_float64(batch):
+    """The same of ``Float64``, one value each; it has no stamp, so all are 0."""
+    good = np.array([len(data) == 8 for data in batch], dtype=bool)
+    values = np.array([_F64.unpack(data)[0] if len(data) == 8 else _NAN for data in batch])
+    return np.zeros(len(batch), dtype=np.int64), values.reshape(-1, 1), good
 
 
 def _decode(batch, body, fields, has_child=False):

@@ -20,11 +20,13 @@ from .samples import Commands, Recording, in_order, jump_back, usable
 __all__ = [
     "Commands",
     "Recording",
+    "is_bag",
     "load_course",
     "load_recording",
     "parse_columns",
     "read_course",
     "read_csv_recording",
+    "read_table",
     "save_course",
 ]
 
@@ -120,7 +122,7 @@ def read_course(source):
     """
     path, _, topic = str(source).partition("#")
     _refuse_special(path)
-    if _is_bag(path):
+    if is_bag(path):
         return read_waypoint_table(path, topic or None)
     return read_course_file(*find_course_file(source))
 
@@ -245,6 +247,45 @@ def read_csv_recording(path, columns=None):
     )
 
 
+def read_table(path, columns):
+    """Some columns of a CSV file, laid out as `read_csv_recording` says, row by row as they are.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    columns : iterable of str
+        Names of columns.
+
+    Returns
+    -------
+    table : dict of str to ndarray, shape (n,)
+        Empty cells are NaN.
+    notes : list of str
+        What was left out.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such column, or a cell is not a number; with file, line and column.
+    """
+    _refuse_special(path)
+    try:
+        with _open_text(path) as file:
+            names, delimiter, rows = _split_header(path, file)
+            where = {}
+            for column in columns:
+                if column not in names:
+                    raise FileFormatError(f"{path}: no column {column!r}; it has {_some(names)}")
+                where[column] = names.index(column)
+            table, _, notes = _parse_rows(path, rows, delimiter, names, where, seconds=False)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path}: expected a text file (CSV) or a ROS 1 bag") from None
+    return dict(zip(where, table.T)), notes
+
+
 def parse_columns(text):
     """Column map from its text form ``"t=time,x=pose_x"``.
 
@@ -283,8 +324,17 @@ def _refuse_special(path):
         raise FileFormatError(f"{path}: expected a file, got a pipe or a device")
 
 
-def _is_bag(path):
-    """Whether a path means a bag: by its content or, for want of a file, by its name."""
+def is_bag(path):
+    """Whether a path means a bag: by its content or, for want of a file, by its name.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Returns
+    -------
+    bool
+    """
     try:
         with open(path, "rb") as file:
             return file.read(8) == b"#ROSBAG " or Path(path).suffix in (".bag", ".active")
@@ -294,7 +344,7 @@ def _is_bag(path):
 
 def _is_csv(path):
     names = Path(path).name.lower()
-    return not _is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
+    return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
 
 
 def _open_text(path):
@@ -329,23 +379,28 @@ def _locate(path, names, columns):
     for name, aliases in _ALIASES.items():
         if name in columns:
             if columns[name] not in names:
-                listed = ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
-                raise FileFormatError(f"{path}: no column {columns[name]!r}; it has {listed}")
+                raise FileFormatError(f"{path}: no column {columns[name]!r}; it has {_some(names)}")
             where[name] = names.index(columns[name])
             continue
         found = next((alias for alias in aliases if alias in lowered), None)
         if found is not None:
             where[name] = lowered.index(found)
         elif name in _REQUIRED:
-            listed = ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
             raise FileFormatError(
-                f"{path}: which column is {name}? It has {listed}; say --columns {name}=NAME"
+                f"{path}: which column is {name}? It has {_some(names)}; say --columns {name}=NAME"
             )
     return where
 
 
-def _parse_rows(path, rows, delimiter, names, where):
-    """Values of the located columns, shape (rows, fields), numbers of their lines, and notes."""
+def _some(names):
+    return ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
+
+
+def _parse_rows(path, rows, delimiter, names, where, seconds=True):
+    """Values of the located columns, shape (rows, fields), numbers of their lines, and notes.
+
+    With `seconds`, the field ``t`` must be a time in seconds.
+    """
     table, numbers, notes, short = [], [], [], None
     fields = list(where)
     for number, line in rows:
@@ -369,7 +424,7 @@ def _parse_rows(path, rows, delimiter, names, where):
                         f"got {cells[index].strip()!r}"
                     ) from None
                 values.append(math.nan)
-        time = values[fields.index("t")]
+        time = values[fields.index("t")] if seconds else math.nan
         if math.isfinite(time) and abs(time) > _LATEST:
             raise FileFormatError(
                 f"{path}:{number}: column {names[where['t']]}: expected a time in seconds, "

@@ -64,6 +64,8 @@ class Recording:
         Drive commands of the same recording.
     raceline : Raceline, optional
         Raceline that the recording itself carries.
+    receive_time : bool
+        Whether the times are those of receipt, because the header's were of no use.
     notes : list of str
         What was chosen, repaired or left out while reading, one line each.
     """
@@ -82,6 +84,7 @@ class Recording:
     frame: str = ""
     commands: Commands | None = None
     raceline: Raceline | None = None
+    receive_time: bool = False
     notes: list[str] = field(default_factory=list)
 
 

@@ -160,7 +160,7 @@ def load_vehicle(source):
         raise ParameterError(f"{path}: {error}") from None
 
 
-def save_vehicle(vehicle, path):
+def save_vehicle(vehicle, path, comment=""):
     """Write a car to a YAML file that `load_vehicle` reads back to an equal one.
 
     Parameters
@@ -168,6 +168,8 @@ def save_vehicle(vehicle, path):
     vehicle : Vehicle
     path : str or pathlib.Path
         File to write; it is replaced at once or, if that fails, left as it was.
+    comment : str, optional
+        Where its figures come from; lines of it go to the top of the file.
 
     Raises
     ------
@@ -185,7 +187,9 @@ def save_vehicle(vehicle, path):
     values.update((key, getattr(vehicle, key)) for key in _LIMITS)
     lines = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
     with replacing(path) as file:
-        file.write("# Vehicle of map_racing: SI units and radians\n" + lines)
+        file.write("# Vehicle of map_racing: SI units and radians\n")
+        file.writelines(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+        file.write(lines)
 
 
 def parameter_hash(vehicle):

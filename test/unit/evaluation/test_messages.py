@@ -165,3 +165,18 @@ def test_what_is_not_of_the_type_is_told(decode, batch):
     assert stamps[-3] == STAMP
     assert values[-3, 0] == 1.0
     assert len(values) == len(batch)
+
+
+@given(FINITE, FINITE, FINITE, FINITE, st.text(max_size=8))
+@settings(deadline=None)
+def test_imu_round_trip(a_x, a_y, a_z, yaw_rate, frame):
+    data = msg.encode_imu(3, STAMP, frame, a_x, a_y, a_z, yaw_rate)
+    assert one(msg.decode_imu, data) == (STAMP, yaw_rate, a_x, a_y, a_z)
+
+
+def test_float64_has_a_value_and_no_stamp():
+    data = [struct.pack("<d", 0.25), b"short", struct.pack("<d", -1.5)]
+    stamps, values, good = msg.decode_float64(data)
+    assert stamps.tolist() == [0, 0, 0] and good.tolist() == [True, False, True]
+    assert values[good].tolist() == [[0.25], [-1.5]]
+    assert msg.decode_float64([])[1].shape == (0, 1)

@@ -1,0 +1,236 @@
+"""Figures of identified tires: points and curves, coverage, prediction, and the drives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.colors import Normalize
+
+from .style import COLORS, finished, new_figure
+
+__all__ = [
+    "AxleFigure",
+    "DriveFigure",
+    "plot_coverage",
+    "plot_drive",
+    "plot_prediction",
+    "plot_tires",
+]
+
+
+class AxleFigure(NamedTuple):
+    """What is drawn of one axle; left turns have positive slip and force here.
+
+    Parameters
+    ----------
+    name : str
+    slip, force : ndarray, shape (n,)
+        Points [rad], [N].
+    inlier : ndarray of bool, shape (n,)
+    curve, linear : callable
+        Force [N] of the identified tires over slip [rad].
+    covered : float
+        Largest slip that the data cover [rad].
+    load : float
+        Static load [N].
+    """
+
+    name: str
+    slip: np.ndarray
+    force: np.ndarray
+    inlier: np.ndarray
+    curve: object
+    linear: object
+    covered: float
+    load: float
+
+
+class DriveFigure(NamedTuple):
+    """Signals of one drive on one clock, shape (n,), and slices of what is steady in it."""
+
+    name: str
+    t: np.ndarray
+    v: np.ndarray
+    delta: np.ndarray
+    r: np.ndarray
+    a_y: np.ndarray
+    segments: list
+
+
+def plot_tires(axles):
+    """Points, rejected points and fitted curves of each axle at its static load.
+
+    Parameters
+    ----------
+    axles : sequence of AxleFigure
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(5.6 * len(axles), 4.8)
+    for number, axle in enumerate(axles):
+        axes = figure.add_subplot(1, len(axles), number + 1)
+        top = 1.25 * float(np.percentile(np.abs(axle.force[axle.inlier]), 99.0))
+        widest = 1.35 * max(axle.covered, 1e-4)
+        axes.plot(
+            *(axle.slip[axle.inlier], axle.force[axle.inlier], "."),
+            color=COLORS[0],
+            ms=4,
+            alpha=0.35,
+            mew=0.0,
+            label=f"{np.count_nonzero(axle.inlier)} points",
+        )
+        if not axle.inlier.all():
+            rejected = ~axle.inlier
+            axes.plot(
+                *(axle.slip[rejected], axle.force[rejected], "x"),
+                color=COLORS[4],
+                ms=4,
+                alpha=0.7,
+                label=f"{np.count_nonzero(rejected)} rejected",
+            )
+        slip = np.linspace(-widest, widest, 401)
+        inside = np.where(np.abs(slip) <= axle.covered, axle.curve(slip), np.nan)
+        axes.plot(slip, axle.linear(slip), color="0.4", lw=1.2, ls="-.", label="linear tire")
+        axes.plot(slip, axle.curve(slip), color=COLORS[1], lw=1.4, ls=":", label="extrapolated")
+        axes.plot(slip, inside, color=COLORS[1], lw=2.2, label="Pacejka")
+        axes.set_xlim(-widest, widest)
+        axes.set_ylim(-top, top)
+        axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+        axes.axvline(0.0, color="0.8", lw=0.8, zorder=0)
+        axes.set_xlabel("slip angle [rad], positive in left turns")
+        axes.set_ylabel("lateral force [N]")
+        axes.set_title(f"{axle.name} axle, static load {axle.load:.1f} N")
+        axes.grid(alpha=0.25)
+        axes.legend(loc="upper left", fontsize="small")
+    return finished(figure)
+
+
+def plot_coverage(v, delta, a_y, largest):
+    """Where the data are: steering angle over speed, and how near the limit.
+
+    Parameters
+    ----------
+    v, delta, a_y : ndarray, shape (n,)
+        Points of steady cornering [m/s, rad, m/s^2].
+    largest : float
+        Largest lateral acceleration held [m/s^2].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(11.0, 4.6)
+    axes = figure.add_subplot(1, 2, 1)
+    points = axes.scatter(
+        v, delta, c=np.abs(a_y), s=9, cmap="viridis", norm=Normalize(0.0, largest), linewidths=0.0
+    )
+    figure.colorbar(points, ax=axes, label="lateral acceleration [m/s²]")
+    axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("speed [m/s]")
+    axes.set_ylabel("steering angle [rad], left positive")
+    axes.set_title("steady cornering")
+    axes.grid(alpha=0.25)
+    axes = figure.add_subplot(1, 2, 2)
+    edges = np.linspace(-1.1 * largest, 1.1 * largest, 45)
+    axes.hist(a_y, bins=edges, color=COLORS[0])
+    axes.axvline(-largest, color=COLORS[1], lw=1.4, ls="--")
+    axes.axvline(largest, color=COLORS[1], lw=1.4, ls="--", label=f"held: {largest:.2f} m/s²")
+    axes.legend(loc="upper center", fontsize="small")
+    axes.set_xlabel("lateral acceleration [m/s²], left positive")
+    axes.set_ylabel("points")
+    axes.set_title("how near the limit")
+    axes.grid(alpha=0.25)
+    return finished(figure)
+
+
+def plot_prediction(runs, measured, predicted, title="Predicted by the other runs"):
+    """Predicted against measured yaw rate and lateral acceleration.
+
+    Parameters
+    ----------
+    runs : sequence of str, length n
+        Run of each hold.
+    measured, predicted : array_like, shape (n, 2)
+        Yaw rate [rad/s] and lateral acceleration [m/s^2]; NaN where nothing is predicted.
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    measured, predicted = np.asarray(measured), np.asarray(predicted)
+    names = list(dict.fromkeys(runs))
+    figure = new_figure(11.0, 5.2)
+    for column, quantity in enumerate(("yaw rate [rad/s]", "lateral acceleration [m/s²]")):
+        axes = figure.add_subplot(1, 2, column + 1)
+        top = 1.12 * float(np.nanmax(np.abs(measured[:, column])))
+        line = np.linspace(-top, top, 2)
+        axes.fill_between(line, 0.9 * line, 1.1 * line, color="0.92", label="±10 %", zorder=0)
+        axes.fill_between(line, 0.95 * line, 1.05 * line, color="0.82", label="±5 %", zorder=1)
+        axes.plot(line, line, color="0.4", lw=0.8, zorder=2)
+        for number, name in enumerate(names):
+            own = np.array([run == name for run in runs])
+            axes.plot(
+                *(measured[own, column], predicted[own, column]),
+                marker="osD^vP"[number // len(COLORS) % 6],
+                ls="",
+                color=COLORS[number % len(COLORS)],
+                ms=5,
+                alpha=0.85,
+                label=name,
+                zorder=3,
+            )
+        axes.set_xlim(-top, top)
+        axes.set_ylim(-top, top)
+        axes.set_xlabel(f"measured {quantity}")
+        axes.set_ylabel(f"predicted {quantity}")
+        axes.grid(alpha=0.25)
+        if column == 0:
+            axes.legend(loc="upper left", fontsize="x-small")
+    figure.suptitle(title)
+    return finished(figure, top=0.98)
+
+
+def plot_drive(drive):
+    """Speed, steering, yaw rate and lateral acceleration of a drive; what is used is shaded.
+
+    Parameters
+    ----------
+    drive : DriveFigure
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(10.0, 7.0)
+    rows = (
+        ("speed [m/s]", drive.v),
+        ("steering [rad]", drive.delta),
+        ("yaw rate [rad/s]", drive.r),
+        ("lat. acceleration [m/s²]", drive.a_y),
+    )
+    first = None
+    for number, (label, values) in enumerate(rows):
+        axes = figure.add_subplot(len(rows), 1, number + 1, sharex=first)
+        first = first or axes
+        for cut in drive.segments:
+            axes.axvspan(drive.t[cut][0], drive.t[cut][-1], color=COLORS[5], alpha=0.25, lw=0.0)
+        axes.plot(drive.t, values, color=COLORS[0], lw=1.3)
+        if number == 3:
+            axes.plot(drive.t, drive.v * drive.r, color=COLORS[1], lw=1.0, ls="--")
+            axes.plot([], [], color=COLORS[0], label="measured")
+            axes.plot([], [], color=COLORS[1], ls="--", label="speed × yaw rate")
+            axes.legend(loc="best", fontsize="x-small", ncol=2)
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.25)
+        if number < 3:
+            for text in axes.get_xticklabels():
+                text.set_visible(False)
+    axes.set_xlabel("time [s]")
+    axes.set_xlim(drive.t[0], drive.t[-1])
+    figure.suptitle(f"{drive.name}: low-passed signals; shaded: steady cornering that was used")
+    return finished(figure, top=0.98)
