@@ -141,6 +141,9 @@ def test_points_that_turn_back():
     rows = np.arange(N)
     rows[[100, 102]] = rows[[102, 100]]
     mended(table(rows), 1e-4, ["2 points dropped at which the course turned back"])
+    # There and back to the same point, which is there twice then.
+    rows = np.insert(np.arange(N), 100, [150, 99])
+    mended(table(rows), 0.0, ["2 points dropped at which the course turned back"])
     # One point far off: both its neighbors' ways turn back there.
     broken = table(x=set_at("x", 200, 3.0 * LINE.x[200]), y=set_at("y", 200, 3.0 * LINE.y[200]))
     mended(broken, 1e-5, ["1 point dropped at which the course turned back"])
