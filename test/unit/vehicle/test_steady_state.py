@@ -84,6 +84,24 @@ def test_cells_are_stable_equilibria_of_the_equations(car):
             assert np.linalg.eigvals(jacobian).real.max() < 1e-4
 
 
+def test_tires_that_peak_together_end_the_branch_before_their_peak():
+    """A front tire a little stiffer than the rear one makes the last millirad a saddle."""
+    car = dataclasses.replace(
+        NUC4,
+        front=PacejkaTire(12.0, 2.0, 0.4, 0.0),
+        rear=PacejkaTire(11.0, 2.0, 0.4, 0.0),
+        **{"l_f": 0.1953125, "mu": 1.1171875, "I_z": 0.0859375},
+    )
+    angles = np.linspace(0.355, 0.37, 151)
+    a_lat = steady_state_table(car, [2.0], angles).a_lat[:, 0]
+    last = np.flatnonzero(np.isfinite(a_lat))[-1]
+    assert np.isnan(a_lat[last + 1 :]).all()
+    assert 0 < last < 150
+    for delta, a in zip(angles[: last + 1], a_lat[: last + 1]):
+        assert np.linalg.eigvals(equilibrium(car, 2.0, delta, a)[1]).real.max() < 0.0
+    assert math.isnan(simulate_to_steady_state(car, 2.0, angles[last + 1], duration=60.0))
+
+
 @settings(deadline=None, max_examples=60)
 @given(car=cars)
 def test_a_branch_once_ended_does_not_begin_again(car):
