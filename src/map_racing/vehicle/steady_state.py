@@ -29,9 +29,9 @@ __all__ = ["simulate_to_steady_state", "steady_state_table"]
 
 # front slip angles [rad] between which each branch is followed, dense where tires are stiff ...
 _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
-# ... and on the way to the front tire's peak, as shares of its slip: where the rear tire peaks with
-# it, the branch may end in a saddle as narrow as the two are alike
-_BEFORE_PEAK = 1.0 - np.logspace(-1.0, -6.0, 41)
+# ... and around the front tire's peak, as shares of its slip: where the rear tire peaks with it, the
+# branch may end in a stretch as narrow as the two are alike
+_AROUND_PEAK = 1.0 + np.outer((-1.0, 1.0), np.logspace(-6.0, -1.0, 41)).ravel()
 
 
 def steady_state_table(vehicle, speeds, angles):
@@ -134,7 +134,7 @@ def _branches(vehicle, speeds):
         Both rising from 0 to the end of the branch; empty where straight running is unstable.
     """
     peak = vehicle.front.peak_slip
-    followed = np.union1d(_SLIP, peak * _BEFORE_PEAK) if peak < _SLIP[-1] else _SLIP
+    followed = np.union1d(_SLIP, peak * _AROUND_PEAK) if peak < _SLIP[-1] else _SLIP
     delta, stable = _equilibria(vehicle, speeds, followed[:, None])
     count = np.logical_and.accumulate(stable).sum(axis=0)
     # find the end within its interval: twice, to 1/128 each, which leaves 1e-14 rad of delta

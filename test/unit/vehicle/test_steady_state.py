@@ -102,6 +102,20 @@ def test_tires_that_peak_together_end_the_branch_before_their_peak():
     assert math.isnan(simulate_to_steady_state(car, 2.0, angles[last + 1], duration=60.0))
 
 
+def test_tires_that_peak_together_may_swing_just_beyond_their_peak():
+    """No saddle, but a growing oscillation, between the peak and the next point followed."""
+    car = dataclasses.replace(
+        NUC4,
+        front=PacejkaTire(21.5, 2.0, 0.59375, 0.0),
+        rear=PacejkaTire(22.0, 2.0, 0.59375, 0.0),
+        **{"l_f": 0.1015625, "mu": 0.5, "I_z": 0.0625},
+    )
+    a_lat = steady_state_table(car, SPEEDS, ANGLES).a_lat
+    for i, j in np.argwhere(np.isfinite(a_lat)).tolist():
+        jacobian = equilibrium(car, SPEEDS[j], ANGLES[i], a_lat[i, j])[1]
+        assert np.linalg.eigvals(jacobian).real.max() < 0.0
+
+
 @settings(deadline=None, max_examples=60)
 @given(car=cars)
 def test_a_branch_once_ended_does_not_begin_again(car):
