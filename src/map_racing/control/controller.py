@@ -318,6 +318,7 @@ def build_steering_map(kind, vehicle, v_max):
         return AckermannSteering(vehicle.l_wb, vehicle.delta_max)
     if kind == "linear_table":
         vehicle = linearized(vehicle)
+    v_max = min(max(v_max, 1.0), 100.0)
     return steady_state_table(vehicle, *default_grid(vehicle, v_max=v_max))
 
 

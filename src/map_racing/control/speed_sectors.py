@@ -5,6 +5,7 @@ from bisect import bisect_right
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping
+from ..vehicle.tires import finite
 
 __all__ = ["SpeedSectors", "load_speed_sectors"]
 
@@ -113,10 +114,7 @@ def load_speed_sectors(path, raceline):
 
 
 def _number(path, mapping, key, default=None, where=""):
-    value = mapping.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ParameterError(f"{path}: {where + ': ' if where else ''}{key}: expected a number")
-    return value
+    return finite(f"{path}: {where + ': ' if where else ''}{key}", mapping.get(key, default))
 
 
 def _index(path, mapping, key, where=""):

@@ -53,7 +53,7 @@ def steady_state_table(vehicle, speeds, angles):
     Raises
     ------
     ParameterError
-        If an axis is not as said.
+        If an axis is not as said, or the car has no stable steady state at all.
     """
     speeds, angles = np.asarray(speeds, dtype=float), np.asarray(angles, dtype=float)
     for name, axis, least in (("speeds", speeds, 1e-3), ("angles", angles, 0.0)):
@@ -70,7 +70,10 @@ def steady_state_table(vehicle, speeds, angles):
         l_wb=vehicle.l_wb,
         generator=f"map_racing {__version__}",
     )
-    return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
+    try:
+        return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
+    except ParameterError as error:
+        raise ParameterError(f"{vehicle.name}: its steady states make no table: {error}") from None
 
 
 def simulate_to_steady_state(vehicle, v, delta, duration=20.0):

@@ -19,7 +19,10 @@ import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = ["LinearTire", "PacejkaTire", "finite"]
+__all__ = ["LinearTire", "PacejkaTire", "finite", "positive"]
+
+# Beyond these a parameter is a slip of the pen, and would overflow somewhere.
+_SMALLEST, _LARGEST = 1e-9, 1e9
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class PacejkaTire:
     Raises
     ------
     ParameterError
-        If a coefficient is not a finite number, or not positive.
+        If a coefficient is not a number up to 1e9, or not positive.
     """
 
     B: float
@@ -47,7 +50,7 @@ class PacejkaTire:
     model = "pacejka"
 
     def __post_init__(self):
-        _check(self, positive=("B", "C", "D"))
+        _check(self)
 
     @property
     def stiffness(self):
@@ -151,7 +154,7 @@ class LinearTire:
     Raises
     ------
     ParameterError
-        If it is not a finite positive number.
+        If it is not a positive number up to 1e9.
     """
 
     C_S: float
@@ -159,7 +162,7 @@ class LinearTire:
     model = "linear"
 
     def __post_init__(self):
-        _check(self, positive=("C_S",))
+        _check(self)
 
     @property
     def stiffness(self):
@@ -199,7 +202,7 @@ class LinearTire:
 
 
 def finite(name, value):
-    """The value as a float, if it is a finite number.
+    """The value as a float, if it is a number of a credible size.
 
     Parameters
     ----------
@@ -215,18 +218,27 @@ def finite(name, value):
     Raises
     ------
     ParameterError
-        If it is something else; a text or a truth value is not a number.
+        If it is something else, such as a text or a truth value, or beyond 1e9.
     """
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not number or not math.isfinite(value):
+    # Integers of any length compare with infinity.
+    if not number or not -math.inf < value < math.inf:
         raise ParameterError(f"{name}: expected a finite number, got {value!r}")
+    if not -_LARGEST <= value <= _LARGEST:
+        raise ParameterError(f"{name}: expected a number of at most {_LARGEST:g} in magnitude")
     return float(value)
 
 
-def _check(tire, positive):
+def positive(name, value):
+    """The same, if it is not negative, zero or below 1e-9."""
+    value = finite(name, value)
+    if value < _SMALLEST:
+        raise ParameterError(f"{name}: expected a positive number, got {value:g}")
+    return value
+
+
+def _check(tire):
     """Store the coefficients as floats, having checked them."""
     for field in fields(tire):
-        value = finite(field.name, getattr(tire, field.name))
-        if field.name in positive and value <= 0.0:
-            raise ParameterError(f"{field.name}: expected a positive number, got {value:g}")
-        object.__setattr__(tire, field.name, value)
+        check = finite if field.name == "E" else positive
+        object.__setattr__(tire, field.name, check(field.name, getattr(tire, field.name)))

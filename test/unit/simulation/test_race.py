@@ -185,6 +185,12 @@ def test_a_car_that_makes_no_headway_is_not_waited_for():
     assert log.duration < 20.0
 
 
+def test_a_car_that_sees_no_pose_is_not_waited_for():
+    controller = Controller(MAP, TABLE, NUC4, REFERENCE)
+    log = race(_Honest(IDEAL), controller, REFERENCE, rate=1e-3)
+    assert (log.outcome, len(log.samples)) == (Outcome.STALLED, 1)
+
+
 @pytest.mark.parametrize("kind", ["limit", "sectors"])
 def test_a_slow_race_is_no_stall(kind):
     if kind == "limit":

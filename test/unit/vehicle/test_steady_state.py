@@ -181,6 +181,11 @@ def test_impossible_axes_are_refused(speeds, angles, name):
         steady_state_table(NUC4, speeds, angles)
 
 
+def test_a_car_without_any_steady_state_is_refused_by_name():
+    with pytest.raises(ParameterError, match="^oversteer: its steady states make no table: a_lat"):
+        steady_state_table(OVERSTEER, [11.0], ANGLES)
+
+
 def test_published_nuc4_table_is_reproduced(shared_data):
     folder = shared_data / "vehicles"
     published = load_table(folder / "NUC4_pacejka_lookup_table.csv")
