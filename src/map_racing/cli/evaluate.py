@@ -82,7 +82,7 @@ def run(arguments):
         raise ParameterError(f"--max-deviation must be positive, not {arguments.max_deviation}")
     given = (arguments.raceline or "").partition("#")[0]
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
-    course = load_course(arguments.raceline) if arguments.raceline else None
+    course = None if arguments.raceline is None else load_course(arguments.raceline)
     names, results, failed = [], [], 0
     bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
     for source, name in zip(bar, run_names(arguments.recordings)):

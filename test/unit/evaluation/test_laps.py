@@ -369,17 +369,18 @@ def test_memory_is_released_with_each_lap(drive, line):
 
 
 @pytest.mark.parametrize(
-    "options",
+    "options, said",
     [
-        {"start_s": math.nan},
-        {"car_width": -1.0},
-        {"car_width": math.inf},
-        {"sectors": 0},
-        {"sectors": 1001},
+        ({"start_s": math.nan}, "start line: expected a finite"),
+        ({"car_width": -1.0}, "car width: expected 0 to 10 m, got -1.0"),
+        ({"car_width": math.nan}, "car width: expected 0 to 10 m, got nan"),
+        ({"car_width": 300.0}, "car width: expected 0 to 10 m, got 300.0"),
+        ({"sectors": 0}, "sectors: expected 1 to 1000, got 0"),
+        ({"sectors": 1001}, "sectors: expected 1 to 1000, got 1001"),
     ],
 )
-def test_impossible_parameters(line, options):
-    with pytest.raises(ParameterError):
+def test_impossible_parameters(line, options, said):
+    with pytest.raises(ParameterError, match=said):
         LapEvaluator(line, **options)
 
 
@@ -429,6 +430,18 @@ def test_commands_are_held(drive, line):
     assert lap.trace.t[0] == lap.start_time_s
     assert lap.trace.s[0] == 0.0
     assert lap.trace.s[-1] == pytest.approx(line.length)
+
+
+def test_commands_that_begin_later_or_never(drive, line):
+    t, x, y = drive(12.0)
+    none, late = np.zeros(0), np.array([7.0])
+    for commands in (Commands(none, none, none), Commands(late, np.zeros(1), np.full(1, 4.0))):
+        laps = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line).laps
+        before = [lap for lap in laps if lap.end_time_s < 7.0]
+        assert [lap.speed_reference for lap in before] == ["raceline", "raceline"]
+        assert before[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
+    assert laps[-1].speed_reference == "command"
+    assert laps[-1].rms_speed_error_mps == pytest.approx(2.0)
 
 
 def test_car_that_drove_elsewhere(drive, line):
