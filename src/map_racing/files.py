@@ -96,7 +96,9 @@ def replacing(path):
     special = target.exists() and not target.is_file()
     temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with open(temporary, "w", encoding="utf-8", newline="") as file:
+        # Names of files that are not UTF-8 are written as they are.
+        errors = "surrogateescape"
+        with open(temporary, "w", encoding="utf-8", errors=errors, newline="") as file:
             yield file
         if not special:
             os.replace(str(temporary), str(target))

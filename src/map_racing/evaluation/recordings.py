@@ -22,6 +22,7 @@ __all__ = [
     "load_recording",
     "parse_columns",
     "read_csv_recording",
+    "split_source",
 ]
 
 # Names under which columns of a CSV file are known; the first that the file has is taken.
@@ -89,11 +90,29 @@ def load_course(source):
     ------
     BagError, FileFormatError, ParameterError, RacelineError
     """
-    path, _, topic = str(source).partition("#")
+    path, topic = split_source(source)
     _refuse_special(path)
     if _is_bag(path):
         return read_waypoints(path, topic or None)
     return load_raceline(source)
+
+
+def split_source(source):
+    """Path of a course, and what in the file is meant, which may follow behind ``#``.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+
+    Returns
+    -------
+    path, selector : str
+        The selector is empty where there is none; names of files may contain ``#``, too.
+    """
+    path, mark, selector = str(source).rpartition("#")
+    if not mark or Path(source).is_file():
+        return str(source), ""
+    return path, selector
 
 
 def read_csv_recording(path, columns=None):

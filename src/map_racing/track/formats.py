@@ -308,7 +308,7 @@ def _is_number(token):
 def _json_columns(text, path, key):
     """Columns of one waypoint array of a race_stack JSON file."""
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_int=float)  # too many digits are infinite, no error
     except RecursionError:
         raise FileFormatError(f"{path}: broken JSON: nested too deeply") from None
     except ValueError as error:

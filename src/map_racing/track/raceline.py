@@ -167,7 +167,10 @@ class Raceline:
             raise self._error(f"point {index}: expected a finite {key}, got {column[index]}")
         if np.any(np.abs(column) > _FARTHEST):
             index = int(np.argmax(np.abs(column)))
-            raise self._error(f"point {index}: expected {key} in meters, got {column[index]:g}")
+            raise self._error(
+                f"point {index}: expected a {key} of at most {_FARTHEST:g} m or m/s, "
+                f"got {column[index]:g}"
+            )
         return column
 
     def _build(self, columns):

@@ -161,6 +161,10 @@ def test_courses_from_files_and_bags(tmp_path, race_bag, course):
     )
     with pytest.raises(BagError, match="no raceline"):
         load_course(f"{race_bag()}#/other")
+    sharp = tmp_path / "run#1.bag"
+    sharp.write_bytes(race_bag().read_bytes())
+    for source in (sharp, f"{sharp}#/global_waypoints"):
+        assert load_course(source).length == pytest.approx(line.length, abs=1e-3)
     with pytest.raises(ParameterError):
         load_course("no_such_track")
 
