@@ -337,6 +337,17 @@ def test_the_stiffest_tires_are_integrated_stably(v, error):
     assert v * rates[-1] == pytest.approx(table.a_lat[1, 0], rel=error)
 
 
+def test_the_imu_feels_the_force_of_the_tires_not_only_the_turning():
+    plant = Plant(PlantParameters(vehicle="nuc4"))
+    plant.reset(0.0, 0.0, 0.0, 5.0)
+    drive(plant, 0.2, 5.0, 0.03)
+    before, delta = plant.state, plant.steering_angle
+    plant.advance(0.2, 5.0)
+    v_y_dot, _ = single_track_derivatives(plant.vehicle)(*before[4:], delta, 0.0)
+    assert plant.acceleration[1] == pytest.approx(v_y_dot + before.v_x * before.r, rel=1e-12)
+    assert abs(v_y_dot) > 1.0
+
+
 # -- localization ------------------------------------------------------------------------------
 
 NOISY = PlantParameters(

@@ -1,5 +1,6 @@
 """The public simulator's plant against its published figures and the equations of its model."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -127,6 +128,60 @@ def test_a_held_wheel_settles_on_the_circle_of_the_linear_single_track_model(v, 
     state = plant.reference_state()
     assert math.hypot(state.v_x, state.v_y) == pytest.approx(v)
     assert state.v_y / state.v_x == pytest.approx(math.tan(beta))
+
+
+@pytest.mark.parametrize("target", [5.0, 3.0])
+def test_one_step_of_the_dynamic_model_is_the_published_one(target):
+    """CommonRoad's single-track model, as printed: load transfer moves grip between the axles."""
+    car = dataclasses.replace(SIM, h_cg=0.074, mu=1.0489)
+    plant = PublicSimulator(car)
+    plant.reset(0.0, 0.0, 0.0, 4.0)
+    plant.steering_angle, plant.slip_angle, plant.yaw_rate = 0.1, -0.03, 0.8
+    v, delta, beta, r = plant.speed, plant.steering_angle, plant.slip_angle, plant.yaw_rate
+    plant.advance(0.0, target)
+    a, g = plant.acceleration[0], 9.81
+    assert abs(a) > 1.0
+    front = C_SF * (g * L_R - a * car.h_cg)
+    rear = C_SR * (g * L_F + a * car.h_cg)
+    mu, wheelbase = car.mu, L_R + L_F
+    beta_dot = (
+        (mu / (v**2 * wheelbase) * (rear * L_R - front * L_F) - 1.0) * r
+        - mu / (v * wheelbase) * (rear + front) * beta
+        + mu / (v * wheelbase) * front * delta
+    )
+    r_dot = mu * M / (I_Z * wheelbase) * (
+        front * L_F * delta
+        + (rear * L_R - front * L_F) * beta
+        - (front * L_F**2 + rear * L_R**2) * r / v
+    )
+    assert (plant.slip_angle - beta) / 0.01 == pytest.approx(beta_dot, rel=1e-9)
+    assert (plant.yaw_rate - r) / 0.01 == pytest.approx(r_dot, rel=1e-9)
+    assert plant.acceleration[1] == pytest.approx(v * (r + beta_dot), rel=1e-9)
+    assert plant.psi == pytest.approx(0.01 * r)
+    assert plant.y == pytest.approx(0.01 * v * math.sin(beta))
+
+
+def test_one_step_of_the_rolling_model_keeps_its_angles():
+    """tan(beta) = l_r / l_wb tan(delta) and r = v cos(beta) tan(delta) / l_wb, differentiated."""
+    plant = simulator()
+    for _ in range(5):  # fills the delay line
+        plant.advance(0.4, 0.0)
+    plant.speed, plant.steering_angle = 0.4, 0.2
+    plant.slip_angle = math.atan(L_R / L_WB * math.tan(0.2))
+    r = plant.yaw_rate = 0.4 * math.cos(plant.slip_angle) * math.tan(0.2) / L_WB
+    beta = plant.slip_angle
+    plant.advance(0.4, 0.6)
+    a, h = plant.acceleration[0], 1e-6
+    assert a > 0.3 and plant.steering_angle == pytest.approx(0.232)
+
+    def rolling(time):
+        delta = 0.2 + 3.2 * time
+        slip = math.atan(L_R / L_WB * math.tan(delta))
+        return slip, (0.4 + a * time) * math.cos(slip) * math.tan(delta) / L_WB
+
+    slopes = [(ahead - behind) / (2.0 * h) for ahead, behind in zip(rolling(h), rolling(-h))]
+    assert (plant.slip_angle - beta) / 0.01 == pytest.approx(slopes[0], rel=1e-6)
+    assert (plant.yaw_rate - r) / 0.01 == pytest.approx(slopes[1], rel=1e-6)
 
 
 def test_walking_speed_is_pure_rolling():

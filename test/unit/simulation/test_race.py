@@ -178,6 +178,8 @@ def test_a_car_that_is_told_to_stand_stalls():
 def test_a_car_that_makes_no_headway_is_not_waited_for():
     """Standing, or going round in circles."""
     assert drive(speed_scale=0.0).outcome is Outcome.STALLED
+    creeping = drive(v_max_mps=0.03)
+    assert creeping.outcome is Outcome.STALLED and creeping.duration < 12.0
     raceline = Raceline(REFERENCE.x, REFERENCE.y, vx_mps=REFERENCE.speed)
     log = race(Plant(IDEAL), _Circling(), raceline, Localization(IDEAL, 1))
     assert log.outcome is Outcome.STALLED
