@@ -6,12 +6,14 @@ import math
 import numpy as np
 import pytest
 
+from map_racing.evaluation.bags import read_recording
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.vehicle.parameters import load_vehicle
 
 SIM = load_vehicle("sim")
 # interfaces of the public simulator
 L_WB, L_R, L_F, M, I_Z, C_SF, C_SR = 0.3302, 0.17145, 0.15875, 3.47, 0.04712, 4.718, 5.4562
+H_CG = 0.074
 
 
 def simulator(speed=0.0, steering=0.0):
@@ -133,7 +135,7 @@ def test_a_held_wheel_settles_on_the_circle_of_the_linear_single_track_model(v, 
 @pytest.mark.parametrize("target", [5.0, 3.0])
 def test_one_step_of_the_dynamic_model_is_the_published_one(target):
     """CommonRoad's single-track model, as printed: load transfer moves grip between the axles."""
-    car = dataclasses.replace(SIM, h_cg=0.074, mu=1.0489)
+    car = dataclasses.replace(SIM, mu=1.0489)
     plant = PublicSimulator(car)
     plant.reset(0.0, 0.0, 0.0, 4.0)
     plant.steering_angle, plant.slip_angle, plant.yaw_rate = 0.1, -0.03, 0.8
@@ -141,8 +143,8 @@ def test_one_step_of_the_dynamic_model_is_the_published_one(target):
     plant.advance(0.0, target)
     a, g = plant.acceleration[0], 9.81
     assert abs(a) > 1.0
-    front = C_SF * (g * L_R - a * car.h_cg)
-    rear = C_SR * (g * L_F + a * car.h_cg)
+    front = C_SF * (g * L_R - a * H_CG)
+    rear = C_SR * (g * L_F + a * H_CG)
     mu, wheelbase = car.mu, L_R + L_F
     beta_dot = (
         (mu / (v**2 * wheelbase) * (rear * L_R - front * L_F) - 1.0) * r
@@ -182,6 +184,41 @@ def test_one_step_of_the_rolling_model_keeps_its_angles():
     slopes = [(ahead - behind) / (2.0 * h) for ahead, behind in zip(rolling(h), rolling(-h))]
     assert (plant.slip_angle - beta) / 0.01 == pytest.approx(slopes[0], rel=1e-6)
     assert (plant.yaw_rate - r) / 0.01 == pytest.approx(slopes[1], rel=1e-6)
+
+
+def test_the_recorded_simulator_is_this_one(shared_data):
+    """Axle forces from recorded motion: rear tires, load transfer and servo are exactly these.
+
+    Poses and rates of the recording are free of noise; each step's length is its travel over its
+    speed. The rear tires' slip is known, so their law can be read off; the front tires' then gives
+    the steering angle, which moves at the servo's rate or not at all.
+    """
+    driven = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
+    v, r, psi = driven.v_x, driven.yaw_rate, np.unwrap(driven.psi)
+    d_x, d_y = np.diff(driven.x), np.diff(driven.y)
+    slow = v < 2.0
+    step = np.hypot(d_x, d_y) / np.where(slow, 1.0, v)[:-1]
+    beta = np.arctan2(d_y, d_x) - psi[:-1]
+    beta -= 2.0 * math.pi * np.round(beta / (2.0 * math.pi))
+    n = beta.size - 1
+    dt, beta_dot = step[:n], np.diff(beta) / step[:n]
+    r_dot, a = np.diff(r)[:n] / dt, np.diff(v)[:n] / dt
+    v, r, beta = v[:n], r[:n], beta[:n]
+    both, turn = v * (beta_dot + r), I_Z / M * r_dot
+    rear, slip_r = (L_F * both - turn) / L_WB, L_R * r / v - beta
+    known = ~slow[:n] & (np.abs(slip_r) > 0.05)
+    # rear / slip_r = C_SR (g l_f + a h) / l_wb: a line over a
+    stiffness = rear[known] / slip_r[known]
+    slope, constant = np.polyfit(a[known], stiffness, 1)
+    assert np.ptp(a[known]) > 10.0
+    assert constant * L_WB / (9.81 * L_F) == pytest.approx(SIM.mu * C_SR, rel=1e-9)
+    assert slope * L_WB / (SIM.mu * C_SR) == pytest.approx(PublicSimulator.h_cg, rel=1e-9)
+    front = C_SF * SIM.mu * (9.81 * L_R - a * PublicSimulator.h_cg) / L_WB
+    delta = (L_R * both + turn) / L_WB / front + beta + L_F * r / v
+    rate = np.abs(np.diff(delta) / dt[:-1])[known[:-1] & known[1:]]
+    servo = np.minimum(rate, np.abs(rate - SIM.delta_rate_max)) < 1e-6
+    assert np.mean(servo) > 0.99
+    assert np.min(a) == pytest.approx(-SIM.a_brake_max, rel=1e-9)
 
 
 def test_walking_speed_is_pure_rolling():
