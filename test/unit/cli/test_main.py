@@ -283,6 +283,20 @@ def test_generated_table_checks_against_its_vehicle(tmp_path, capsys):
     assert "not a table of SIM" in refused(capsys, "lookup", "check", path, "--vehicle", "sim")
 
 
+def test_a_table_may_differ_from_its_vehicle_as_much_as_tires_do(tmp_path, capsys):
+    text = find_config("vehicles", "nuc4", (".yaml",)).read_text(encoding="utf-8")
+    for mu in ("0.995", "0.98"):
+        car, path = tmp_path / f"{mu}.yaml", tmp_path / f"{mu}.csv"
+        car.write_text(re.sub(r"(?m)^mu: \S+", f"mu: {mu}", text), encoding="utf-8")
+        assert main(["lookup", "generate", "--vehicle", str(car), "--output", str(path)]) == 0
+        check = ["lookup", "check", str(path), "--vehicle", "nuc4"]
+        if mu == "0.995":
+            assert main(check) == 0
+            assert "made from other parameters" in capsys.readouterr().out
+        else:
+            assert "not a table of NUC4: off by 0.1" in refused(capsys, *check)
+
+
 def test_table_is_drawn(tmp_path):
     arguments = ["--vehicle", "sim", "--output", str(tmp_path / "t.csv"), "--v-max", "8"]
     plots = tmp_path / "plots"

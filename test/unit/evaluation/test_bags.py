@@ -341,6 +341,32 @@ def test_tf_is_chained_over_static_and_slow_transforms(tmp_path):
     assert recording.frame == "map"
 
 
+def test_headings_of_tf_are_joined_across_the_half_turn(tmp_path):
+    """The slow transform turns from 3.0 over pi to -3.08 rad while the fast one goes on."""
+
+    def fill(bag, i, t):
+        if i % 10 == 0:
+            bag.transform(t, 0.0, 0.0, 3.0 + 0.005 * i, parent="map", child="odom")
+        bag.transform(t, 1.0, 0.0, 0.0, parent="odom", child="base_link")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    i = np.minimum(np.arange(len(TIMES)), 40)
+    np.testing.assert_allclose(recording.x, np.cos(3.0 + 0.005 * i), atol=1e-6)
+    np.testing.assert_allclose(np.cos(recording.psi), np.cos(3.0 + 0.005 * i), atol=1e-6)
+
+
+def test_a_static_transform_sent_with_an_older_stamp_sets_no_clock_back(tmp_path):
+    def fill(bag, i, t):
+        if i % 20 == 0:
+            stamp = 100.0 - i
+            bag.transform(stamp, 0.3, 0.0, 0.0, parent="base", child="base_link", static=True)
+        bag.transform(t, i, 0.0, 0.0, parent="map", child="base")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    np.testing.assert_allclose(recording.x, np.arange(len(TIMES)) + 0.3, atol=1e-6)
+    assert not any("jump back" in note for note in recording.notes)
+
+
 # -- samples -------------------------------------------------------------------------------------
 
 

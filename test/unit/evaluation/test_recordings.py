@@ -107,6 +107,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
         ("t,x,y\n0,1,2\n", "at least two rows"),
         ("t,x,y\n0,,2\n1,,3\n", "at least two rows .*2 of 2 without a finite pose left out"),
         ("t,x,y\n0,1,2\n1e300,1,2\n", "run.csv:3: column t: expected a time in sec.* 1e.300"),
+        ("t,x,y\n1700000000000000000,1,2\n1,1,2\n", "run.csv:2: column t: expected a time in sec"),
         ("t,x,y\n-1e300,1,2\n1,1,2\n", "run.csv:2: column t: expected a time in seconds"),
     ],
 )

@@ -174,6 +174,23 @@ def test_projection_onto_what_runs_along():
     assert abs(other.d) == pytest.approx(nearest, abs=1e-6)
 
 
+@pytest.mark.parametrize("turn", [-1.5, 1.5])
+def test_a_car_across_the_course_is_still_on_it(turn):
+    x, y = WINDING.to_cartesian(12.0, 0.3)
+    foot = WINDING.project(x, y, WINDING.pose(12.0).psi + turn)
+    assert foot == pytest.approx(WINDING.project(x, y), abs=1e-9)
+
+
+def test_the_curve_does_not_depend_on_where_its_points_begin():
+    random = np.random.default_rng(2)
+    angle = np.sort(random.uniform(0.0, 2.0 * math.pi, 40))
+    x, y = 6.0 * np.cos(angle), 4.0 * np.sin(angle)
+    course, other = Raceline(x, y), Raceline(np.roll(x, 17), np.roll(y, 17))
+    assert other.length == pytest.approx(course.length, abs=1e-9)
+    at = course.sample(course.s_points + 0.05)
+    assert max(abs(other.project(*point).d) for point in zip(at.x, at.y)) < 1e-5
+
+
 def test_projection_at_the_center_of_curvature():
     foot = circle().project(0.0, 0.0)
     assert foot.d == pytest.approx(5.0, abs=1e-7)
@@ -360,6 +377,10 @@ def test_repeated_points_are_dropped():
         (*SQUARE, {"vx_mps": [1, 2, math.nan, 4]}, "point 2: expected a finite speed, got nan"),
         (*SQUARE, {"d_left_m": [1] * 4}, "both walls or to neither"),
         (np.linspace(0.0, 9.0, 20), np.zeros(20), {}, "closed course, but the last point is 9.00"),
+        (
+            *(np.cos(np.linspace(0.0, 5.0, 200)), np.sin(np.linspace(0.0, 5.0, 200))),
+            *({}, "closed course, but the last point is 1.20"),
+        ),
     ],
 )
 def test_impossible_courses_are_refused(x, y, columns, message):
