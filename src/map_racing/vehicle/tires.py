@@ -78,8 +78,7 @@ class PacejkaTire:
         """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
         x = self.B * np.asarray(alpha, dtype=float)
         y = x - self.E * (x - np.arctan(x))
-        bend = 1.0 - self.E * (x * x) / (1.0 + x * x)
-        return self.stiffness * np.cos(self.C * np.arctan(y)) * bend / (1.0 + y * y)
+        return self.stiffness * np.cos(self.C * np.arctan(y)) * self._bend(x) / (1.0 + y * y)
 
     def slip(self, force):
         """Slip angle on the rising side of the curve, the inverse of `normalized_force`.
@@ -125,6 +124,10 @@ class PacejkaTire:
         y = math.atan(x) + (x - math.atan(x)) * (1.0 - self.E) if self.E > 1.0 else 0.5 * math.pi
         return self.C * math.atan(y)
 
+    def _bend(self, x):
+        """Derivative of ``x - E (x - atan x)``, whose digits hold as E approaches 1."""
+        return (1.0 + (1.0 - self.E) * (x * x)) / (1.0 + x * x)
+
     def _unbend(self, y):
         """Solve ``x - E (x - atan x) = y`` for x up to the turning point.
 
@@ -134,7 +137,7 @@ class PacejkaTire:
         y = np.asarray(y, dtype=float)
         x = y
         for _ in range(60):
-            step = (x - self.E * (x - np.arctan(x)) - y) / (1.0 - self.E * x * x / (1.0 + x * x))
+            step = (x - self.E * (x - np.arctan(x)) - y) / self._bend(x)
             x = x - step
             with np.errstate(invalid="ignore"):
                 if not np.any(np.abs(step) > 1e-9 * (1.0 + np.abs(x))):
