@@ -1,6 +1,5 @@
 """``map-racing lookup``: make, check and draw steady-state lookup tables."""
 
-
 import numpy as np
 
 from ..errors import FileFormatError, ParameterError

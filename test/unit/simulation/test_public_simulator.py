@@ -151,10 +151,15 @@ def test_one_step_of_the_dynamic_model_is_the_published_one(target):
         - mu / (v * wheelbase) * (rear + front) * beta
         + mu / (v * wheelbase) * front * delta
     )
-    r_dot = mu * M / (I_Z * wheelbase) * (
-        front * L_F * delta
-        + (rear * L_R - front * L_F) * beta
-        - (front * L_F**2 + rear * L_R**2) * r / v
+    r_dot = (
+        mu
+        * M
+        / (I_Z * wheelbase)
+        * (
+            front * L_F * delta
+            + (rear * L_R - front * L_F) * beta
+            - (front * L_F**2 + rear * L_R**2) * r / v
+        )
     )
     assert (plant.slip_angle - beta) / 0.01 == pytest.approx(beta_dot, rel=1e-9)
     assert (plant.yaw_rate - r) / 0.01 == pytest.approx(r_dot, rel=1e-9)
