@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -48,17 +49,28 @@ def read_yaml_mapping(path):
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe loader that refuses a key given twice, of which YAML would take the last."""
+    """Safe loader that refuses a key given twice, of which YAML would take the last.
+
+    It reads 1e-3 as a number, as YAML 1.2 does; PyYAML's 1.1 wants 1.0e-3.
+    """
 
     def construct_mapping(self, node, deep=False):
         seen = set()
         for key, _ in node.value:
+            if not isinstance(key.value, str):
+                continue
             if key.value in seen:
                 problem = f"{key.value}: given twice"
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-            if isinstance(key.value, str):
-                seen.add(key.value)
+            seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+_UniqueKeyLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
 
 
 @contextmanager
@@ -84,7 +96,9 @@ def replacing(path):
     special = target.exists() and not target.is_file()
     temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with open(temporary, "w", encoding="utf-8", newline="") as file:
+        # Names of files that are not UTF-8 are written as they are.
+        errors = "surrogateescape"
+        with open(temporary, "w", encoding="utf-8", errors=errors, newline="") as file:
             yield file
         if not special:
             os.replace(str(temporary), str(target))

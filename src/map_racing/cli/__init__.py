@@ -1,6 +1,7 @@
 """The command line ``map-racing``: it parses, calls the core and prints; nothing else."""
 
 import argparse
+import os
 import sys
 
 from .. import __version__
@@ -40,6 +41,7 @@ def main(argv=None):
         Exit code: 0, or 1 after an error, which is one line on stderr. argparse itself exits with 2
         on arguments that it cannot take.
     """
+    _prepare_streams()
     arguments = build_parser().parse_args(argv)
     try:
         return arguments.run(arguments) or 0
@@ -50,6 +52,19 @@ def main(argv=None):
         name = f"{error.filename}: " if error.filename else ""
         print(f"map-racing: {name}{error.strerror or error}", file=sys.stderr)
         return 1
+    except MemoryError:
+        print("map-racing: not enough memory", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("map-racing: interrupted", file=sys.stderr)
         return 130
+
+
+def _prepare_streams():
+    """Print whatever a file is called, whatever the terminal can show, and without a stderr."""
+    if sys.stderr is None:
+        # Progress bars ask it whether it is a terminal.
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")

@@ -1,6 +1,5 @@
 """Controller parameters and their files."""
 
-import math
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 
@@ -9,6 +8,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
+from ..vehicle.tires import finite
 from .guidance import LookaheadLaw
 
 __all__ = ["ControllerParameters", "load_controller_parameters", "save_controller_parameters"]
@@ -66,13 +66,8 @@ class ControllerParameters:
 
     def __post_init__(self):
         for field in fields(self):
-            value = getattr(self, field.name)
-            if field.type in ("float", float) and not (
-                isinstance(value, (int, float))
-                and not isinstance(value, bool)
-                and math.isfinite(value)
-            ):
-                raise ParameterError(f"{field.name} must be a finite number, not {value!r}")
+            if field.type in ("float", float):
+                finite(field.name, getattr(self, field.name))
         for name, allowed in (
             ("steering_map", STEERING_MAPS),
             ("speed_source", SPEED_SOURCES),

@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
+from ..vehicle.tires import finite
 
 __all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_speed_sectors"]
 
@@ -182,10 +183,7 @@ def save_speed_sectors(path, sectors):
 
 
 def _number(path, mapping, key, default=None, where=""):
-    value = mapping.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ParameterError(f"{path}: {where + ': ' if where else ''}{key}: expected a number")
-    return value
+    return finite(f"{path}: {where + ': ' if where else ''}{key}", mapping.get(key, default))
 
 
 def _index(path, mapping, key, where=""):

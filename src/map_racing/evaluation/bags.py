@@ -523,7 +523,7 @@ class _Source(NamedTuple):
 def _choose_source(bag, pose_topic):
     """The source to take the pose from, and notes that explain the choice."""
     sources = _topic_sources(bag)
-    wanted = _canonical(pose_topic) if pose_topic else None
+    wanted = None if pose_topic is None else _canonical(pose_topic)
     matching = [source for source in sources if source.topic == wanted]
     certain = sources and sources[0].rank[:2] == (0, 0)
     if (wanted and not matching) or not (wanted or certain):

@@ -33,6 +33,7 @@ __all__ = [
     "read_course_file",
     "read_raceline_file",
     "save_raceline",
+    "split_source",
 ]
 
 # Names of columns in files and messages, compared in lower case.
@@ -118,9 +119,27 @@ def load_raceline(source, key=None):
 def find_course_file(source, key=None):
     """Path and key of a shipped track or a file, see `load_raceline`."""
     text = str(source)
-    if key is None and "#" in text and not Path(text).is_file():
-        text, key = text.rsplit("#", 1)
-    return find_config("tracks", text, _SUFFIXES), key
+    if key is None:
+        text, key = split_source(source)
+    return find_config("tracks", text, _SUFFIXES), key or None
+
+
+def split_source(source):
+    """Path of a course, and what in the file is meant, which may follow behind ``#``.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+
+    Returns
+    -------
+    path, selector : str
+        The selector is empty where there is none; names of files may contain ``#``, too.
+    """
+    path, mark, selector = str(source).rpartition("#")
+    if not mark or Path(source).is_file():
+        return str(source), ""
+    return path, selector
 
 
 def read_raceline_file(path, key=None):
@@ -490,7 +509,7 @@ def _distance(points, directions, wall, guess):
 def _json_columns(text, path, key):
     """Columns of one waypoint array of a race_stack JSON file."""
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_int=float)  # too many digits are infinite, no error
     except RecursionError:
         raise FileFormatError(f"{path}: broken JSON: nested too deeply") from None
     except ValueError as error:

@@ -29,8 +29,8 @@ __all__ = ["simulate_to_steady_state", "steady_state_table"]
 
 # front slip angles [rad] between which each branch is followed, dense where tires are stiff ...
 _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
-# ... and around the front tire's peak, as shares of its slip: where the rear tire peaks with it, the
-# branch may end in a stretch as narrow as the two are alike
+# ... and around the front tire's peak, as shares of its slip: where the rear tire peaks with it,
+# the branch may end in a stretch as narrow as the two are alike
 _AROUND_PEAK = 1.0 + np.outer((-1.0, 1.0), np.logspace(-6.0, -1.0, 41)).ravel()
 
 
@@ -56,7 +56,7 @@ def steady_state_table(vehicle, speeds, angles):
     Raises
     ------
     ParameterError
-        If an axis is not as said.
+        If an axis is not as said, or the car has no stable steady state at all.
     """
     speeds, angles = np.asarray(speeds, dtype=float), np.asarray(angles, dtype=float)
     for name, axis, least in (("speeds", speeds, 1e-3), ("angles", angles, 0.0)):
@@ -73,7 +73,10 @@ def steady_state_table(vehicle, speeds, angles):
         l_wb=vehicle.l_wb,
         generator=f"map_racing {__version__}",
     )
-    return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
+    try:
+        return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
+    except ParameterError as error:
+        raise ParameterError(f"{vehicle.name}: its steady states make no table: {error}") from None
 
 
 def simulate_to_steady_state(vehicle, v, delta, duration=20.0):

@@ -213,6 +213,32 @@ def test_impossible_axes_are_refused(speeds, angles, name):
         steady_state_table(NUC4, speeds, angles)
 
 
+def test_a_growing_oscillation_is_no_steady_state():
+    """A front tire far beyond its peak feeds the yaw motion; the equilibrium is no saddle."""
+    car = dataclasses.replace(
+        NUC4,
+        front=PacejkaTire(11.74, 1.302, 0.8393, 1.441),
+        rear=PacejkaTire(5.74, 1.029, 0.8414, -1.545),
+        **{"l_f": 0.199, "I_z": 0.0394},
+    )
+    column = steady_state_table(car, [3.5], [0.32, 0.36, 0.4]).a_lat[:, 0]
+    assert column[0] == pytest.approx(simulate_to_steady_state(car, 3.5, 0.32), abs=1e-6)
+    assert np.isnan(column[1:]).all()
+    assert math.isnan(simulate_to_steady_state(car, 3.5, 0.36, duration=60.0))
+
+
+def test_what_has_not_settled_is_no_steady_state():
+    assert math.isnan(simulate_to_steady_state(NUC4, 7.0, 0.2, duration=0.4))
+    settled = simulate_to_steady_state(NUC4, 7.0, 0.2, duration=0.5)
+    expected = steady_state_table(NUC4, [7.0], [0.2]).a_lat[0, 0]
+    assert settled == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_car_without_any_steady_state_is_refused_by_name():
+    with pytest.raises(ParameterError, match="^oversteer: its steady states make no table: a_lat"):
+        steady_state_table(OVERSTEER, [11.0], ANGLES)
+
+
 def test_published_nuc4_table_is_reproduced(shared_data):
     folder = shared_data / "vehicles"
     published = load_table(folder / "NUC4_pacejka_lookup_table.csv")
