@@ -71,6 +71,19 @@ def test_walls_of_a_sharp_corner_meet_in_its_point():
     np.testing.assert_allclose(corner, 0.0, atol=0.06)
 
 
+def test_stretches_that_claim_the_same_ground_are_told():
+    """Two straights 2 m apart that have 1.3 m each on the side between them."""
+    turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 30)
+    straight = np.linspace(-6.0, 6.0, 120)[1:-1]
+    x = np.concatenate((6.0 + np.cos(turn), straight[::-1], -6.0 - np.cos(turn), straight))
+    y = np.concatenate((np.sin(turn), np.full(118, 1.0), -np.sin(turn), np.full(118, -1.0)))
+    walls = Walls(Raceline(x, y, d_left_m=np.full(x.size, 1.3), d_right_m=np.full(x.size, 0.5)))
+    assert "shared-ground" in [finding.code for finding in walls.findings]
+    # Either has what the wall of the other leaves.
+    assert walls.distance(np.array([[0.0, 1.0]])) == pytest.approx([0.5], abs=1e-3)
+    assert walls.distance(np.array([[0.0, 0.5]])) == pytest.approx([0.2], abs=1e-3)
+
+
 def test_smoothing_stays_between_the_walls():
     course = ring()
     noise = 0.05 * np.random.default_rng(2).standard_normal((course.n, 2))
