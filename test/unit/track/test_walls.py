@@ -40,6 +40,19 @@ def test_reach_is_the_distance_to_where_the_clearance_begins(clearance, lean):
     np.testing.assert_allclose(np.hypot(*end.T), 6.0 - clearance, atol=1e-3)
 
 
+def test_reach_away_from_where_the_clearance_begins():
+    walls = Walls(ring())
+    angle = np.linspace(0.0, 2.0 * math.pi, 37)
+    for radius, sign in ((5.7, -1.0), (5.7 + 1e-4, -1.0), (3.8, 1.0), (3.8 - 1e-4, 1.0)):
+        out = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        reach = walls.reach(radius * out, sign * out, 0.3, 20.0)
+        np.testing.assert_allclose(reach, 1.9, atol=2e-3)
+        # Toward the wall there is nothing left.
+        np.testing.assert_allclose(
+            walls.reach(radius * out, -sign * out, 0.3, 20.0), 0.0, atol=1e-3
+        )
+
+
 def test_reach_ends_at_the_farthest_and_is_negative_too_close_to_a_wall():
     walls = Walls(ring())
     out = np.array([[1.0, 0.0]])
