@@ -71,6 +71,8 @@ def repaired(table):
         _first_loop_only,
         _drop_overlap,
         _drop_turning_back,
+        _first_loop_only,  # again: points in a wrong order hide it
+        _drop_overlap,
         _swap_walls,
         _clamp_walls,
         _fill_gap,
@@ -141,6 +143,11 @@ def _chosen(table, rows):
         columns={key: np.asarray(column)[rows] for key, column in table.columns.items()},
         lines=None if table.lines is None else table.lines[rows],
     )
+
+
+def _kept(table, rows):
+    """The table with some of its points, of which two may be one now that none is in between."""
+    return driven_columns(_chosen(table, rows))
 
 
 def _sampled(table, raceline, s):
@@ -237,7 +244,7 @@ def _first_loop_only(table, codes):
     if found is None:
         return table, None
     end, loops = found
-    return _chosen(table, np.arange(end)), f"only the first of {loops} loops kept"
+    return _kept(table, np.arange(end)), f"only the first of {loops} loops kept"
 
 
 def _drop_overlap(table, codes):
@@ -245,7 +252,7 @@ def _drop_overlap(table, codes):
     if not count:
         return table, None
     rows = np.arange(table.columns["x"].size - count)
-    return _chosen(table, rows), f"{points(count, 'last')} dropped that overlapped the start"
+    return _kept(table, rows), f"{points(count, 'last')} dropped that overlapped the start"
 
 
 def _drop_turning_back(table, codes):
@@ -261,10 +268,11 @@ def _drop_turning_back(table, codes):
         before, here, after = (xy[rows[np.mod(near + step, n)]] for step in (-1, 0, 1))
         detour = _length(here - before) + _length(after - here) - _length(after - before)
         rows = np.delete(rows, near[int(np.argmax(detour))])
+        rows = rows[distinct_points(*xy[rows].T)]
     count = len(xy) - rows.size
     if not count or turns_back(xy[rows]).size:
         return table, None
-    return _chosen(table, rows), f"{points(count)} dropped at which the course turned back"
+    return _kept(table, rows), f"{points(count)} dropped at which the course turned back"
 
 
 def _length(ways):
@@ -293,8 +301,6 @@ def _fill_gap(table, codes):
     """Points along the closed curve where they are missing or uneven."""
     if not {"gap", "spacing"} & codes or examine(table).worst(ERROR):
         return table, None
-    # Points between which others were dropped may now be one.
-    table = driven_columns(table)
     line = raceline_of(table)
     steps = np.diff(np.append(line.s_points, line.length))
     usual = float(np.median(steps))

@@ -145,6 +145,13 @@ def test_points_that_turn_back():
     assert {place.index for place in found["turns-back"].places} <= {100, 101, 102}
 
 
+def test_a_wrong_order_is_not_a_second_loop():
+    rows = np.arange(0, N, 8)
+    rows[[6, 12]] = rows[[12, 6]]
+    found = codes(table(rows=rows, without=("s", "ax", "psi", "kappa")))
+    assert [f.code for f in found.values() if f.severity == ERROR] == ["turns-back"]
+
+
 def test_gaps():
     found = codes(table(rows=np.arange(N - 9)))
     assert list(found) == ["gap"] and found["gap"].places[0].index == N - 10

@@ -141,9 +141,20 @@ def test_points_that_turn_back():
     rows = np.arange(N)
     rows[[100, 102]] = rows[[102, 100]]
     mended(table(rows), 1e-4, ["2 points dropped at which the course turned back"])
+    # There and back to the same point, which is there twice then.
+    rows = np.insert(np.arange(N), 100, [150, 99])
+    mended(table(rows), 0.0, ["2 points dropped at which the course turned back"])
     # One point far off: both its neighbors' ways turn back there.
     broken = table(x=set_at("x", 200, 3.0 * LINE.x[200]), y=set_at("y", 200, 3.0 * LINE.y[200]))
     mended(broken, 1e-5, ["1 point dropped at which the course turned back"])
+
+
+def test_a_wrong_order_in_the_second_lap():
+    rows = np.tile(np.arange(N), 2)
+    rows[[N + 100, N + 102]] = rows[[N + 102, N + 100]]
+    course, done = repaired(table(rows))
+    assert [text.split()[0] for text in done] == ["2", "only"]
+    assert np.array_equal(course.columns["x"], LINE.x)
 
 
 def test_gaps_are_filled_along_the_curve_and_points_stay():
