@@ -108,6 +108,9 @@ def read_map_image(path):
     negate = content.get("negate", 0)
     if negate not in (0, 1):
         raise FileFormatError(f"{path}: negate: expected 0 or 1, got {negate!r}")
+    mode = content.get("mode", "trinary")
+    if mode not in ("trinary", "scale"):
+        raise FileFormatError(f"{path}: mode: expected trinary or scale, got {mode!r}")
     name = content.get("image")
     if not isinstance(name, str) or not name:
         raise FileFormatError(f"{path}: image: expected the name of a file, got {name!r}")

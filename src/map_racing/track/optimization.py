@@ -43,8 +43,10 @@ _PASS_GAIN, _MOST_PASSES = 1e-4, 8
 _STEP_GAIN, _MOST_STEPS = 1e-6, 40
 # The clearance is held to this [m], also between the points, in at most so many rounds.
 _CLOSE_ENOUGH, _MOST_ROUNDS = 1e-4, 8
-# Tensions that are tried, relative to the mean squared curvature.
-_TENSIONS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+# Squared curvature that is given for any gain of time, and the gain of time that is worth more.
+_RISE, _WORTH = 0.05, 0.02
+# Tensions, relative to the mean squared curvature; tried until two of them make the lap slower.
+_TENSIONS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 
 
 class OptimizedLine(NamedTuple):
@@ -126,11 +128,12 @@ def minimum_curvature(course, clearance, *, tension=0.0, step=0.1, progress=None
     return search.result(search.best(search.reference, tension), tension)
 
 
-def fastest_line(course, clearance, limits, *, rise=0.05, step=0.1, progress=None):
-    """The fastest of the paths whose squared curvature is close to the least.
+def fastest_line(course, clearance, limits, *, step=0.1, progress=None):
+    """The fastest path that bends little more than the least, or that is much faster.
 
-    The path of least squared curvature takes long ways around where these cost no curvature. A
-    little tension shortens it; how much is best, the lap time decides.
+    The path of least squared curvature takes long ways around where these cost little curvature. A
+    tension shortens it; how much is best, the lap time decides among the paths of at most 5 % more
+    squared curvature. One with more than that has to be 2 % faster, as the inside of a ring is.
 
     Parameters
     ----------
@@ -138,8 +141,6 @@ def fastest_line(course, clearance, limits, *, rise=0.05, step=0.1, progress=Non
         As of `minimum_curvature`.
     limits : dict
         The car's, as of `speed_profile`.
-    rise : float, optional
-        By how much the sum may exceed the least.
 
     Returns
     -------
@@ -155,24 +156,33 @@ def fastest_line(course, clearance, limits, *, rise=0.05, step=0.1, progress=Non
     """
     search = _Search(course, clearance, step, progress)
     line = search.best(search.reference, 0.0)
-    least = squared_curvature(line, step)
     try:
         _, time = raceline_speeds(line, **limits)
     except ParameterError as error:
         raise RacelineError(f"{search.name}: no line for this car: {error}") from None
-    best, slower = (time, line, 0.0), 0
+    least = squared_curvature(line, step)
+    mean = least / line.length
+    # The fastest of all, and of those that bend little more than the least.
+    best = close = (time, line, 0.0)
+    slower = 0
     for weight in _TENSIONS:
-        tension = weight * least / line.length
-        shorter = search.best(line, tension)
-        if squared_curvature(shorter, step) > (1.0 + rise) * least or slower > 1:
-            break
-        line = shorter
+        tension = weight * mean
+        line = search.best(line, tension)
         try:
             _, time = raceline_speeds(line, **limits)
         except ParameterError:
             break
-        slower = 0 if time < best[0] else slower + 1
+        # Where a little tension changes nothing, more may.
+        slower = slower + 1 if time > (1.0 + 1e-4) * best[0] else 0
         best = min(best, (time, line, tension), key=lambda item: item[0])
+        if squared_curvature(line, step) <= (1.0 + _RISE) * least:
+            close = best
+        elif slower:
+            break
+        if slower == 2:
+            break
+    if best[0] > (1.0 - _WORTH) * close[0]:
+        best = close
     found = search.result(best[1], best[2])
     line = found.raceline
     speed, _ = raceline_speeds(line, **limits)
@@ -537,7 +547,10 @@ def _bounded_minimum(model, low, high):
 def _room(value, move):
     """Largest share up to 1 of a move that keeps a positive value from changing sign."""
     falling = move < 0.0
-    return min(1.0, float(np.min(-value[falling] / move[falling]))) if falling.any() else 1.0
+    if not falling.any():
+        return 1.0
+    with np.errstate(over="ignore"):
+        return min(1.0, float(np.min(-value[falling] / move[falling])))
 
 
 class _Folded:

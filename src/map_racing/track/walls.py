@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import RacelineError
-from .findings import NOTE, Finding
+from .findings import NOTE, WARNING, Finding
 
 __all__ = ["Walls", "march", "smooth_between"]
 
@@ -58,10 +58,12 @@ class Walls:
         left = line + at.d_left[:, None] * normal
         right = line - at.d_right[:, None] * normal
         tree = cKDTree(line)
-        begins, ends, dropped = [], [], []
+        begins, ends, dropped, shared = [], [], [], 0
         for wall, width in ((left, at.d_left), (right, at.d_right)):
-            keep = ~self._inside(wall, width, tree, line, normal, at, course.length)
+            deep, own = self._inside(wall, width, tree, line, normal, at, course.length)
+            keep = ~((deep > 0.01 * width) & own)
             dropped.append(int(np.sum(~keep)))
+            shared += int(np.sum((deep > 0.1 * width) & ~own))
             begins.append(wall[keep])
             ends.append(np.roll(wall[keep], -1, axis=0))
         self.findings = ()
@@ -71,6 +73,11 @@ class Walls:
                 f"of the left wall and {dropped[1]} of the right one left out"
             )
             self.findings = (Finding("crossing-normals", NOTE, text),)
+        if shared:
+            text = (
+                f"{shared} points of walls lie inside another stretch of the track: they bound both"
+            )
+            self.findings += (Finding("shared-ground", WARNING, text),)
         self._begin, end = np.concatenate(begins), np.concatenate(ends)
         self._along = end - self._begin
         self.segments = np.stack((self._begin, end), axis=1)
@@ -79,12 +86,12 @@ class Walls:
 
     @staticmethod
     def _inside(wall, width, tree, line, normal, at, length):
-        """Which wall points lie inside the track, as the line near them has it."""
+        """How deep wall points lie inside the track near them, and whether in their own bend."""
         distance, foot = tree.query(wall)
         along = np.abs(np.mod(at.s - at.s[foot] + 0.5 * length, length) - 0.5 * length)
         left = np.sum((wall - line[foot]) * normal[foot], axis=1) > 0.0
         there = np.where(left, at.d_left[foot], at.d_right[foot])
-        return (distance < there - 0.01 * width) & (along < 4.0 * width)
+        return there - distance, along < 4.0 * width
 
     def _densify(self, spacing):
         """Points along all segments, so that the nearest point tells the nearest segment."""
@@ -156,8 +163,11 @@ def march(distance, points, directions, clearance, farthest):
     ndarray, shape (n,)
         As of `Walls.reach`.
     """
-    reached = np.zeros(len(points))
-    clearance = np.broadcast_to(clearance, reached.shape)
+    clearance = np.broadcast_to(clearance, len(points))
+    # A line that has been optimized runs along the clearance: from there a step away is free.
+    away = 1e-3 * farthest
+    begin, after = (distance(points + s * directions) - clearance for s in (0.0, away))
+    reached = np.where((np.abs(begin) < away) & (after > np.maximum(begin, 0.0)), away, 0.0)
     going = np.arange(len(points))
     for _ in range(100):
         free = distance(points[going] + reached[going, None] * directions[going])

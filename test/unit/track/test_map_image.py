@@ -248,6 +248,7 @@ def test_no_place_is_wide_enough(tmp_path):
         ({"origin": "[0, 0]"}, "origin: expected"),
         ({"origin": "[0, 0, .nan]"}, "origin: expected a number"),
         ({"negate": 2}, "negate: expected 0 or 1"),
+        ({"mode": "raw"}, "mode: expected trinary or scale"),
         ({"free_thresh": 0.9}, "free_thresh <= occupied_thresh"),
     ],
 )

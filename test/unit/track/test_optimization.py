@@ -184,6 +184,14 @@ def test_bounded_steps_are_those_of_another_solver(n, seed):
     assert costs[0] <= costs[1] + 1e-6 * (1.0 + costs[1])
 
 
+def test_on_a_ring_the_narrowest_circle_is_fastest():
+    """The lap takes 2 pi sqrt(R / a), though the widest circle bends least."""
+    found = fastest_line(ring(5.0, 1.0), 0.25, LIMITS)
+    np.testing.assert_allclose(np.hypot(found.raceline.x, found.raceline.y), 4.25, atol=3e-3)
+    _, time = raceline_speeds(found.raceline, **LIMITS)
+    assert time == pytest.approx(2.0 * math.pi * math.sqrt(4.25 / 7.0), rel=1e-3)
+
+
 def test_the_fastest_line_is_faster_and_bends_little_more():
     course = load_raceline("reference")
     least = minimum_curvature(course, 0.25)
@@ -191,7 +199,7 @@ def test_the_fastest_line_is_faster_and_bends_little_more():
     times = [raceline_speeds(found.raceline, **LIMITS)[1] for found in (least, fastest)]
     assert times[1] < 0.97 * times[0]
     sums = [squared_curvature(found.raceline) for found in (least, fastest)]
-    assert sums[0] <= sums[1] <= 1.05 * sums[0] * (1.0 + 1e-3)
+    assert sums[0] <= sums[1] <= 1.1 * sums[0]
     assert fastest.tension > 0.0 and least.tension == 0.0
     np.testing.assert_allclose(
         fastest.raceline.speed, raceline_speeds(fastest.raceline, **LIMITS)[0], rtol=1e-3

@@ -40,6 +40,19 @@ def test_reach_is_the_distance_to_where_the_clearance_begins(clearance, lean):
     np.testing.assert_allclose(np.hypot(*end.T), 6.0 - clearance, atol=1e-3)
 
 
+def test_reach_away_from_where_the_clearance_begins():
+    walls = Walls(ring())
+    angle = np.linspace(0.0, 2.0 * math.pi, 37)
+    for radius, sign in ((5.7, -1.0), (5.7 + 1e-4, -1.0), (3.8, 1.0), (3.8 - 1e-4, 1.0)):
+        out = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        reach = walls.reach(radius * out, sign * out, 0.3, 20.0)
+        np.testing.assert_allclose(reach, 1.9, atol=2e-3)
+        # Toward the wall there is nothing left.
+        np.testing.assert_allclose(
+            walls.reach(radius * out, -sign * out, 0.3, 20.0), 0.0, atol=1e-3
+        )
+
+
 def test_reach_ends_at_the_farthest_and_is_negative_too_close_to_a_wall():
     walls = Walls(ring())
     out = np.array([[1.0, 0.0]])
@@ -69,6 +82,19 @@ def test_walls_of_a_sharp_corner_meet_in_its_point():
     assert np.max(np.abs(inside)) < 3.02
     corner = walls.distance(np.array([[3.0, 3.0], [-3.0, 3.0], [3.0, -3.0]]))
     np.testing.assert_allclose(corner, 0.0, atol=0.06)
+
+
+def test_stretches_that_claim_the_same_ground_are_told():
+    """Two straights 2 m apart that have 1.3 m each on the side between them."""
+    turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 30)
+    straight = np.linspace(-6.0, 6.0, 120)[1:-1]
+    x = np.concatenate((6.0 + np.cos(turn), straight[::-1], -6.0 - np.cos(turn), straight))
+    y = np.concatenate((np.sin(turn), np.full(118, 1.0), -np.sin(turn), np.full(118, -1.0)))
+    walls = Walls(Raceline(x, y, d_left_m=np.full(x.size, 1.3), d_right_m=np.full(x.size, 0.5)))
+    assert "shared-ground" in [finding.code for finding in walls.findings]
+    # Either has what the wall of the other leaves.
+    assert walls.distance(np.array([[0.0, 1.0]])) == pytest.approx([0.5], abs=1e-3)
+    assert walls.distance(np.array([[0.0, 0.5]])) == pytest.approx([0.2], abs=1e-3)
 
 
 def test_smoothing_stays_between_the_walls():
