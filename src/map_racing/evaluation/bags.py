@@ -21,12 +21,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..errors import BagError, RacelineError
 from ..track.checks import raceline_of
+from ..track.raceline import FARTHEST
 from ..track.table import CourseTable
 from ..track.waypoints import WAYPOINT_COLUMNS, waypoint_rows
 from . import messages as msg
 from .bag_records import BagFile
 from .bag_series import Series, TransformTree
-from .samples import FARTHEST, Commands, Recording
+from .samples import Commands, Recording
 
 __all__ = [
     "BagWriter",

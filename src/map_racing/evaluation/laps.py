@@ -24,9 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import EvaluationError, ParameterError
-from ..track.raceline import Raceline
+from ..track.raceline import FARTHEST, Raceline
 from ..track.tracker import CourseTracker
-from .samples import FARTHEST
 
 __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary", "evaluate"]
 
