@@ -1,0 +1,236 @@
+"""The running controller among neighbors that do what they should not."""
+
+import math
+import sys
+import threading
+import time
+
+import pytest
+import rosgraph
+from ackermann_msgs.msg import AckermannDriveStamped
+from dynamic_reconfigure.client import Client
+from geometry_msgs.msg import PoseStamped
+from harness import Car, Rig, wait_for, waypoints
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Float64
+
+from map_racing.nodes.waypoints import waypoint_array_class
+from map_racing.track.formats import load_raceline
+
+
+def assert_sane(rig, v_max=12.0):
+    """Nothing that was commanded or logged so far is nonsense."""
+    for message in list(rig.drive):
+        speed, angle = message.drive.speed, message.drive.steering_angle
+        assert 0.0 <= speed <= v_max * (1.0 + 1e-6), speed
+        assert abs(angle) < 0.5, angle
+    assert "Traceback" not in rig.node.output and "bad callback" not in rig.node.output
+
+
+@pytest.fixture
+def poses_only(ros, start, advertise, listen):
+    """Controller and car with PoseStamped, which has no velocity."""
+    cars = []
+
+    def make(params=None):
+        given = {"raceline": "reference", "pose_source": "pose", "max_pose_age_s": 0.8}
+        node = start("controller", {**given, **(params or {})})
+        publisher = advertise("/pose", PoseStamped)
+        car = Car(ros, [lambda m: publisher.publish(PoseStamped(m.header, m.pose.pose))])
+        cars.append(car)
+        return Rig(car, node, listen)
+
+    yield make
+    for car in cars:
+        car.stop()
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_frozen_poses_without_velocity(poses_only, stamped):
+    rig = poses_only()
+    rig.driving()
+    at = rig.car.message().pose
+
+    def freeze(message):
+        message.pose = at
+        if not stamped:
+            message.header.stamp = type(message.header.stamp)()
+        return message
+
+    rig.car.change = freeze
+    rig.wait_mode("stopped", "pose frozen while moving")
+    rig.car.change = lambda message: message
+    rig.driving()
+
+
+def test_poses_of_two_nodes(rig, start):
+    """A second localization, 0.3 m beside: the car keeps to the first, and the log names both."""
+    rig = rig()
+    rig.driving()
+    start("simulator", {"start_s": 20.0})
+    wait_for(lambda: "/simulator" in rig.node.output, what="the error")
+    mark = len(rig.drive)
+    wait_for(lambda: len(rig.drive) > mark + 100)
+    rig.wait_mode("driving")
+    assert_sane(rig)
+
+
+def test_a_burst_of_poses(rig):
+    rig = rig()
+    rig.driving()
+    rig.car.silent = True
+    (publish,) = rig.car.publishers
+    messages = []
+    for _ in range(1000):
+        message = rig.car.message()
+        message.header.stamp -= type(message.header.stamp - message.header.stamp).from_sec(30.0)
+        messages.append(message)
+    for message in messages:
+        publish(message)
+    rig.car.silent = False
+    rig.driving()
+    assert_sane(rig)
+
+
+def test_poses_out_of_order(rig):
+    rig = rig()
+    rig.driving()
+    held = []
+
+    def shuffle(message):
+        held.append(message)
+        return held.pop(0) if len(held) > 1 and len(held) % 2 else held.pop()
+
+    rig.car.change = shuffle
+    time.sleep(1.0)
+    assert_sane(rig)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_nonsense_by_live_tuning(rig, value):
+    rig = rig({"v_max_mps": 3.0})
+    rig.driving()
+    client = Client("/controller/tuning", timeout=10.0)
+    names = [d["name"] for d in client.get_parameter_descriptions() if d["type"] == "double"]
+    for name in names:
+        client.update_configuration({name: value})
+    held = client.get_configuration(timeout=5.0)
+    assert all(math.isfinite(held[name]) for name in names), held
+    client.update_configuration({"steering_map": "magic"})
+    mark = len(rig.drive)
+    wait_for(lambda: len(rig.drive) > mark + 50)
+    assert_sane(rig, 3.0)
+
+
+@pytest.mark.parametrize("speed", [1e7, 1e9])
+def test_absurd_speeds_of_a_raceline(rig, advertise, speed):
+    rig = rig({"raceline": None, "v_max_mps": 2.5})
+    message = waypoints(load_raceline("reference"))
+    for waypoint in message.wpnts:
+        waypoint.vx_mps = speed
+    advertise("/global_waypoints", waypoint_array_class()[0]).publish(message)
+    wait_for(lambda: len(rig.drive) > 100)
+    assert_sane(rig, 2.5)
+
+
+def test_a_huge_raceline_while_driving(rig, advertise):
+    rig = rig({"raceline": None})
+    raceline = load_raceline("reference")
+    publisher = advertise("/global_waypoints", waypoint_array_class()[0])
+    publisher.publish(waypoints(raceline))
+    rig.driving()
+    mark = len(rig.drive)
+    huge = waypoints(raceline, points=20000)
+    publisher.publish(huge)
+    wait_for(lambda: rig.node.output.count("raceline of /global_waypoints") == 2)
+    wait_for(lambda: len(rig.drive) > mark + 100)
+    assert min(m.drive.speed for m in rig.drive[mark:]) > 1.0
+    rig.wait_mode("driving")
+
+
+def test_another_frame(rig):
+    """The wheels' odometry in place of the pose in the map."""
+    rig = rig()
+
+    def in_odom(message):
+        message.header.frame_id = "odom"
+        return message
+
+    rig.driving()
+    rig.car.change = in_odom
+    rig.wait_mode("stopped", "pose in another frame")
+    assert "expected map, got odom" in rig.node.output
+    rig.car.change = lambda message: message
+    rig.driving()
+
+
+def test_a_topic_of_another_type(start, advertise, listen):
+    node = start("controller", {"raceline": "reference"})
+    publisher = advertise("/odom", PoseStamped, subscribers=0)
+    publisher.publish(PoseStamped())
+    wait_for(lambda: "no pose yet on /odom" in node.output)
+    assert "geometry_msgs/PoseStamped" in node.output
+
+
+def test_absurd_twists(rig):
+    rig = rig()
+    rig.driving()
+    values = [1e7, -1e7, 1e200, -1e200, math.inf, math.nan]
+    state = [0]
+
+    def absurd(message):
+        state[0] += 1
+        value = values[state[0] // 10 % len(values)]
+        message.twist.twist.linear.x = value
+        message.twist.twist.linear.y = -value
+        message.twist.twist.angular.z = value
+        return message
+
+    rig.car.change = absurd
+    wait_for(lambda: state[0] > 150)
+    assert_sane(rig)
+    rig.car.change = lambda message: message
+    rig.driving()
+
+
+CLOCK = """
+import os, sys, time
+real, file = time.time, sys.argv[1]
+def stepped():
+    try:
+        with open(file) as f:
+            return real() + float(f.read() or 0.0)
+    except FileNotFoundError:
+        return real()
+time.time = stepped
+from map_racing.nodes import controller
+controller.main()
+"""
+
+
+@pytest.mark.parametrize("step", [3600.0, -3600.0, 2.0, -2.0])
+def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step):
+    """All nodes of a computer jump; the car is not told to stop dead."""
+    ros.set_param("/controller/raceline", "reference")
+    ros.set_param("/controller/max_pose_age_s", 0.8)
+    file = tmp_path / "step"
+    node = processes([sys.executable, "-c", CLOCK, file, "__name:=controller"])
+    publisher = advertise("/odom", Odometry)
+    car = Car(ros, [publisher.publish])
+    rig = Rig(car, node, listen)
+    now = car.now
+    try:
+        rig.driving()
+        temporary = tmp_path / "new"
+        temporary.write_text(str(step))
+        temporary.rename(file)
+        car.now = lambda: now() + ros.Duration.from_sec(step)
+        time.sleep(1.0)
+        rig.driving()
+        speeds = [m.drive.speed for m in rig.drive]
+        begin = next(k for k, v in enumerate(speeds) if v > 1.0)
+        falls = [a - b for a, b in zip(speeds[begin:], speeds[begin + 1 :])]
+        assert max(falls) < 0.5, (max(falls), node.output)
+        assert_sane(rig)
+    finally:
+        car.stop()
