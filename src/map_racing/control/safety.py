@@ -43,6 +43,7 @@ class Reason(Enum):
     STOP_REQUESTED = "stop requested"
     FAILURE = "controller failed"
     NO_POSE = "no pose yet"
+    FRAME = "pose in another frame"
     INVALID_POSE = "pose not finite"
     STALE_POSE = "pose too old"
     FROZEN_POSE = "pose frozen while moving"
@@ -154,6 +155,7 @@ class Supervisor:
         self._pose = None
         self._speed = 0.0
         self._now = self._arrival = self._changed = None
+        self._moving_since, self._moving = None, False
         self._saturated_since = self._stopped_since = None
         self._command = (0.0, 0.0)  # steering angle, speed
         self._commanded = None
@@ -216,19 +218,29 @@ class Supervisor:
         if not abs(self.pose_age) <= limits.max_pose_age_s:
             self._seen[Reason.STALE_POSE] = now
             trusted = False
-        if last is None or (x, y, psi) != last[1:4] or abs(v_x) < MOVING:
-            self._changed = now
-        elif now - self._changed > limits.max_pose_age_s:
-            self._seen[Reason.FROZEN_POSE] = now
-            trusted = False
         if last is not None and self._is_jump(last, state):
             self._seen[Reason.JUMP] = now
             self.jumped = True
+        if self._is_frozen(now, last, state):
+            self._seen[Reason.FROZEN_POSE] = now
+            trusted = False
         if now - self._seen.get(Reason.JUMP, -math.inf) <= SETTLING:
             trusted = False
         if trusted:
             self._speed = v_x
         return trusted
+
+    def refuse(self, now):
+        """Look at a pose that is in another frame than the raceline.
+
+        Returns
+        -------
+        Decision
+        """
+        self._advance(now)
+        self._arrival = now
+        self._seen[Reason.FRAME] = now
+        return self.decide(now, None)
 
     def decide(self, now, result):
         """Turn the controller's result into what the car is told.
@@ -299,6 +311,26 @@ class Supervisor:
             self._forget()
             self.restarted = True
         self._now = now
+
+    def _is_frozen(self, now, last, state):
+        """Whether a car that moves has had the same pose for too long.
+
+        It moves if it says so, or if it did when the pose last changed: a velocity that was worked
+        out from poses ends with them. One pose that is elsewhere, as when somebody corrects the
+        localization of a standing car, is no motion.
+        """
+        fast = abs(state.v_x) >= MOVING
+        if last is None or state[1:4] != last[1:4]:
+            if self.jumped or not fast:
+                self._moving_since = None
+            elif self._moving_since is None:
+                self._moving_since = now
+            since = self._moving_since
+            self._moving = since is not None and now - since > SETTLING
+            self._changed = now
+        elif not (fast or self._moving):
+            self._changed = now
+        return now - self._changed > self.limits.max_pose_age_s
 
     def _is_jump(self, last, state):
         elapsed = max(state.t - last.t, 0.0)

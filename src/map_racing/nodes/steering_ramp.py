@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, Header
 from ..errors import ParameterError
 from ..experiments.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
 from .conversions import stamp_ns
-from .node import get_parameter, run, sleep
+from .node import FirstSender, get_parameter, run, sleep
 
 __all__ = ["SteeringRampNode", "main"]
 
@@ -66,6 +66,7 @@ class SteeringRampNode:
         self._last_pose = None
         self._angle, self._phase = 0.0, None
         self._ended = False
+        self._sender = FirstSender(rospy.resolve_name("odom"))
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
         rospy.on_shutdown(self._end)
         if self._dead_man:
@@ -100,13 +101,13 @@ class SteeringRampNode:
         now = rospy.Time.now().to_nsec()
         stamp = stamp_ns(message.header, now)
         with self._lock:
-            if self._ended:
+            if self._ended or not self._sender.sent(message):
                 return
             if self._ramp is None:
                 self._ramp = SteeringRamp(self._parameters, Circle(at.x, at.y, self._radius))
             enabled = not self._dead_man or time.monotonic() < self._held_until
             # An old pose is none: the car is not where it says.
-            if now - stamp < MAX_POSE_AGE_S * 1e9:
+            if abs(now - stamp) < MAX_POSE_AGE_S * 1e9:
                 self._last_pose = time.monotonic()
             else:
                 enabled = False

@@ -12,8 +12,7 @@ import rospy
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
-from ..angles import yaw_from_quaternion
-from .conversions import frame, stamp_ns, to_time
+from .conversions import frame, heading, stamp_ns, to_time
 
 __all__ = ["TransformBroadcaster", "TransformListener", "TransformTree"]
 
@@ -139,8 +138,8 @@ class TransformListener:
         now = rospy.Time.now().to_nsec()
         with self._lock:
             for transform in message.transforms:
-                at, q = transform.transform.translation, transform.transform.rotation
-                pose = at.x, at.y, yaw_from_quaternion(q.x, q.y, q.z, q.w)
+                at, rotation = transform.transform.translation, transform.transform.rotation
+                pose = at.x, at.y, heading(rotation)
                 parent = frame(transform.header.frame_id)
                 stamp = stamp_ns(transform.header, now)
                 self._tree.add(parent, frame(transform.child_frame_id), stamp, pose, static)
