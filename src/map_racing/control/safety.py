@@ -226,7 +226,7 @@ class Supervisor:
             trusted = False
         if now - self._seen.get(Reason.JUMP, -math.inf) <= SETTLING:
             trusted = False
-        if trusted:
+        if trusted and self._changed == now:
             self._speed = v_x
         return trusted
 
