@@ -12,13 +12,11 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-
 if "map_racing" not in os.environ.get("ROS_PACKAGE_PATH", ""):
     pytest.exit("run these tests with ./scripts/test_ros, which builds their workspace", 4)
 
-from harness import Car, Rig, wait_for  # noqa: E402 - they need the workspace
-from nav_msgs.msg import Odometry  # noqa: E402
+from harness import ROOT, Car, Rig, wait_for
+from nav_msgs.msg import Odometry
 
 
 class Process:

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
@@ -14,6 +15,7 @@ from map_racing.nodes.conversions import set_plane_pose
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.formats import load_raceline
 
+ROOT = Path(__file__).resolve().parents[2]
 RATE = 50.0
 
 

@@ -1,13 +1,15 @@
 """The running controller among neighbors that do what they should not."""
 
 import math
+import os
+import signal
 import sys
 import time
 
 import pytest
 from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
-from harness import Car, Rig, wait_for, waypoints
+from harness import ROOT, Car, Rig, wait_for, waypoints
 from nav_msgs.msg import Odometry
 
 from map_racing.nodes.waypoints import waypoint_array_class
@@ -233,3 +235,32 @@ def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step
         assert_sane(rig)
     finally:
         car.stop()
+
+
+def test_an_interrupt_while_it_asks_the_master(processes, roscore):
+    """As Ctrl-C in the first second, which is spent on questions to the master."""
+    code = """
+import os, signal, threading, xmlrpc.client
+request, count = xmlrpc.client.Transport.single_request, [0]
+def interrupted(*arguments, **options):
+    if threading.current_thread() is threading.main_thread():
+        count[0] += 1
+        if count[0] == 20:
+            os.kill(os.getpid(), signal.SIGINT)
+    return request(*arguments, **options)
+xmlrpc.client.Transport.single_request = interrupted
+from map_racing.nodes import controller
+controller.main()
+"""
+    node = processes([sys.executable, "-c", code, "__name:=controller"])
+    assert node.wait() == 0
+    assert "Traceback" not in node.output
+
+
+def test_without_a_master_it_says_so_and_can_be_interrupted(processes, roscore):
+    environment = {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:9"}
+    node = processes([sys.executable, ROOT / "scripts/controller"], environment)
+    wait_for(lambda: "no ROS master at http://127.0.0.1:9" in node.output)
+    node.signal(signal.SIGINT)
+    assert node.wait() == 130
+    assert "Traceback" not in node.output
