@@ -3,6 +3,7 @@
 import math
 import os
 import signal
+import socket
 import sys
 import time
 
@@ -263,4 +264,36 @@ def test_without_a_master_it_says_so_and_can_be_interrupted(processes, roscore):
     wait_for(lambda: "no ROS master at http://127.0.0.1:9" in node.output)
     node.signal(signal.SIGINT)
     assert node.wait() == 130
+    assert "Traceback" not in node.output
+
+
+def test_the_master_goes_and_comes_again(roscore, processes, tmp_path):
+    """What is connected stays so: the car drives on, and the log tells what does not work now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    uri = f"http://127.0.0.1:{port}"
+    environment = {**os.environ, "ROS_MASTER_URI": uri, "ROS_LOG_DIR": str(tmp_path)}
+
+    def master():
+        core = processes(["roscore", "-p", port], environment)
+        wait_for(lambda: "/rosout" in core.output, 30.0, "roscore")
+        return core
+
+    core = master()
+    processes([sys.executable, ROOT / "scripts/simulator"], environment)
+    code = """
+from map_racing.nodes import controller, node
+node.MASTER_PERIOD_S = 0.5
+controller.main()
+"""
+    node = processes([sys.executable, "-c", code, "_raceline:=reference"], environment)
+    wait_for(lambda: "driving" in node.output, 30.0)
+    core.stop()
+    wait_for(lambda: f"the ROS master at {uri} does not answer" in node.output, 30.0)
+    master()
+    wait_for(lambda: "started again and does not know this node" in node.output, 30.0)
+    assert "stop" not in node.output.rpartition("driving")[2]
+    node.signal(signal.SIGINT)
+    assert node.wait() == 0
     assert "Traceback" not in node.output

@@ -134,7 +134,7 @@ def why_silent(topic, kind):
         return "nobody publishes it"
     if found != kind:
         return f"{nodes[0]} publishes {found} there, expected {kind}"
-    return f"{nodes[0]} is to publish it"
+    return f"{nodes[0]} publishes it, but nothing came"
 
 
 def _shut_down(number, _):
