@@ -486,6 +486,7 @@ def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
         ({"v_max_mps": "fast"}, "~v_max_mps: expected float"),
         ({"v_max_mps": -1.0}, "v_max_mps must be positive"),
         ({"raceline": "nowhere.csv"}, "nowhere.csv: no such file"),
+        ({"sectors": "nowhere.yaml"}, "nowhere.yaml: cannot read"),
     ],
 )
 def test_impossible_parameters_end_with_one_line(start, params, text):

@@ -64,7 +64,8 @@ def test_every_file_for_every_stack(roscore, file, stack):
 
 def test_another_stack_is_refused(roscore):
     code, output = roslaunch("--nodes", "map_racing", "race.launch", "stack:=autoware")
-    assert code != 0 and "autoware" in output
+    text = "stack: expected race_stack, f1tenth_system or f1tenth_simulator, got autoware"
+    assert code != 0 and text in output
 
 
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])

@@ -38,6 +38,7 @@ from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
 from ..evaluation import messages
 from ..evaluation.recordings import load_course
+from ..files import read_yaml_mapping
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
@@ -81,6 +82,8 @@ class ControllerNode:
         pose_source = get_parameter("pose_source", "odom", "odom, pose or tf")
         table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
         self._sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
+        if self._sectors:
+            read_yaml_mapping(self._sectors)  # the rest needs a raceline
         self._frames = (
             frame(get_parameter("map_frame", "map", "frame of poses and raceline")),
             frame(get_parameter("base_frame", "base_link", "frame of the car, pose_source tf")),
@@ -114,6 +117,7 @@ class ControllerNode:
         self._clock = SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
+        self._refused = ""  # why the latest raceline is none
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
         self._shown, self._quiet_until = None, {}
@@ -131,7 +135,7 @@ class ControllerNode:
         }
         rospy.on_shutdown(self._end)
         if source:
-            self._set_raceline(load_course(source))
+            self._follow(load_course(source))
         else:
             self._topic = RacelineSubscriber(
                 "global_waypoints", self._set_raceline, self._refuse_raceline
@@ -356,17 +360,23 @@ class ControllerNode:
         self._diagnostics.publish(array)
 
     def _missing(self):
-        """What a car that waits has not got: in words, with topic and type."""
+        """What a car that waits has not got: in words, with the topic and its type if any."""
         if self._supervisor.mode is not Mode.WAITING:
             return
         if math.isnan(self._supervisor.pose_age) and self._supervisor.reason is not Reason.FRAME:
             yield f"no pose yet on {self._pose_from}", *self._pose_topic
         if self._controller.raceline is None:
             topic = rospy.resolve_name("global_waypoints")
-            yield f"no raceline yet on {topic}", topic, messages.WAYPOINTS
+            if self._refused:
+                yield self._refused, None, None
+            else:
+                yield f"no raceline yet on {topic}", topic, messages.WAYPOINTS
 
     def _tell_what_is_missing(self):
-        missing = [f"{what} ({why_silent(*topic)})" for what, *topic in self._missing()]
+        missing = [
+            f"{what} ({why_silent(topic, kind)})" if topic else what
+            for what, topic, kind in self._missing()
+        ]
         if missing:
             rospy.logwarn_throttle(10.0, "waiting: " + ", ".join(missing))
 
@@ -386,23 +396,27 @@ class ControllerNode:
 
     def _set_raceline(self, raceline):
         try:
-            sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-            if raceline.speed is None:
-                raise ParameterError(f"{raceline.source}: the raceline has no speeds")
+            self._follow(raceline)
         except MapRacingError as error:
             self._refuse_raceline(error)
-            return
+
+    def _follow(self, raceline):
+        sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
+        if raceline.speed is None:
+            raise ParameterError(f"{raceline.source}: the raceline has no speeds")
         # What is costly about a first search is done here, not in the first control step.
         raceline.project(0.0, 0.0)
         with self._lock:
             self._controller.sectors = sectors
             self._controller.raceline = raceline
             self._supervisor.raceline_changed(True)
+            self._refused = ""
         rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
 
     def _refuse_raceline(self, error):
         with self._lock:
             self._supervisor.raceline_changed(False)
+            self._refused = str(error)
         rospy.logerr_throttle(QUIET_S, str(error))
 
     # -- requests ----------------------------------------------------------------------------
