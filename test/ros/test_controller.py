@@ -19,7 +19,8 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
 
-from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.parameters import load_controller_parameters, load_safety_limits
+from map_racing.control.safety import SafetyLimits
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.formats import load_raceline
@@ -499,6 +500,19 @@ def test_impossible_parameters_end_with_one_line(start, params, text):
 # -- tuning --------------------------------------------------------------------------------------
 
 
+def test_a_saved_file_is_what_the_node_starts_with(rig, ros, start, tmp_path):
+    target = str(tmp_path / "tuned.yaml")
+    first = rig({"save_to": target, "speed_scale": 0.6, "max_pose_age_s": None})
+    wanted = {"table_m_m": 0.33, "delay_s": 0.08, "max_jump_m": 0.7, "stop_deceleration_mps2": 2.5}
+    Client("/controller/tuning", timeout=10.0).update_configuration(wanted)
+    assert first.call(ros, "save").success
+    first.node.stop()
+    start("controller", {"controller": target, "raceline": "reference"}, name="again")
+    held = Client("/again/tuning", timeout=10.0).get_configuration(timeout=10.0)
+    for name, value in {**wanted, "speed_scale": 0.6}.items():
+        assert held[name] == value, name
+
+
 def test_tuning_and_saving(rig, ros, tmp_path):
     target = tmp_path / "tuned" / "{steering_map}.yaml"
     rig = rig({"controller": "map", "save_to": str(target), "speed_scale": 0.6})
@@ -509,12 +523,16 @@ def test_tuning_and_saving(rig, ros, tmp_path):
     assert first["ackermann_q_s"] == shipped["pure_pursuit"].q_s
     assert first["speed_scale"] == 0.6
     rig.driving()
-    client.update_configuration({"table_q_s": 0.21, "speed_scale": 0.5, "ackermann_m_m": 0.4})
+    client.update_configuration(
+        {"table_q_s": 0.21, "speed_scale": 0.5, "ackermann_m_m": 0.4, "max_deviation_m": 0.9}
+    )
     saved = rig.call(ros, "save")
     assert saved.success
     assert saved.message == str(tmp_path / "tuned" / "table.yaml")
     wanted = shipped["map"].with_(q_s=0.21, speed_scale=0.5)
     assert load_controller_parameters(saved.message) == wanted
+    limits = SafetyLimits(max_deviation_m=0.9, max_pose_age_s=0.8)
+    assert load_safety_limits(saved.message) == limits
 
     client.update_configuration({"steering_map": "ackermann"})
     wait_for(lambda: rig.status()["steering map"] == "ackermann")

@@ -31,6 +31,7 @@ from ..control.parameters import (
     STEERING_MAPS,
     ControllerParameters,
     load_controller_parameters,
+    load_safety_limits,
     save_controller_parameters,
 )
 from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
@@ -97,7 +98,7 @@ class ControllerNode:
         parameters = _overridden(load_controller_parameters(controller))
         if table and parameters.steering_map == "ackermann":
             raise ParameterError(f"~lookup_table: {controller} is pure pursuit and uses none")
-        limits = replace(SafetyLimits(), max_speed_mps=parameters.v_max_mps)
+        limits = replace(load_safety_limits(controller), max_speed_mps=parameters.v_max_mps)
         limits = replace(_overridden(limits), max_speed_mps=parameters.v_max_mps)
 
         self._vehicle, self._v_max = vehicle, parameters.v_max_mps
@@ -445,7 +446,7 @@ class ControllerNode:
         path = Path(name).expanduser()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            save_controller_parameters(parameters, path)
+            save_controller_parameters(parameters, path, self._supervisor.limits)
         except (MapRacingError, OSError) as error:
             return TriggerResponse(False, str(error))
         rospy.loginfo("saved to %s", path)

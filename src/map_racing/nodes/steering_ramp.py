@@ -10,6 +10,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
+from ..control.safety import PoseMotion
 from ..errors import ParameterError
 from ..experiments.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
 from .conversions import stamp_ns
@@ -67,6 +68,7 @@ class SteeringRampNode:
         self._angle, self._phase = 0.0, None
         self._ended = False
         self._sender = FirstSender(rospy.resolve_name("odom"))
+        self._motion = PoseMotion()
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
         rospy.on_shutdown(self._end)
         if self._dead_man:
@@ -110,10 +112,13 @@ class SteeringRampNode:
             if abs(now - stamp) < MAX_POSE_AGE_S * 1e9:
                 self._last_pose = time.monotonic()
             else:
+                rospy.logwarn_throttle(1.0, f"pose too old ({1e-9 * (now - stamp):.2f} s)")
                 enabled = False
-            command = self._ramp.update(
-                1e-9 * stamp, at.x, at.y, message.twist.twist.linear.x, enabled
-            )
+            speed = message.twist.twist.linear.x
+            if self._motion.frozen(1e-9 * now, (at.x, at.y), speed) > MAX_POSE_AGE_S:
+                rospy.logwarn_throttle(1.0, "pose frozen while moving")
+                enabled = False
+            command = self._ramp.update(1e-9 * stamp, at.x, at.y, speed, enabled)
             if command.phase is not self._phase:
                 self._phase = command.phase
                 rospy.loginfo("%s", command.phase.value)
