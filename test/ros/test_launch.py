@@ -79,6 +79,11 @@ def test_topics_of_a_stack(launch, stack, listen):
     commands.wait(lambda m: m.drive.speed > 2.0, timeout=30.0)
 
 
+def test_a_topic_of_ones_own(launch):
+    race = launch("race.launch", track="reference", odom="/my/odom")
+    wait_for(lambda: "no pose yet on /my/odom (nobody publishes it)" in race.output, 30.0)
+
+
 def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
     """A raceline, the laps and the bag; and a missing raceline ends the launch."""
     track = config_directory() / "tracks" / "reference.csv"
