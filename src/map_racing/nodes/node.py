@@ -63,7 +63,9 @@ def run(name, make):
     to_launch_folder()
     _wait_for_master()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _shut_down)
+        # A node that was started with nohup outlives its terminal.
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _shut_down)
     try:
         rospy.init_node(name, disable_signals=True)
         threading.Thread(target=_watch_master, daemon=True).start()
