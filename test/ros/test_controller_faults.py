@@ -44,23 +44,25 @@ def poses_only(ros, start, advertise, listen):
         car.stop()
 
 
-@pytest.mark.parametrize("stamped", [True, False])
-def test_frozen_poses_without_velocity(poses_only, stamped):
+def test_frozen_poses_without_velocity(poses_only):
+    """With fresh stamps, and then without any."""
     rig = poses_only()
     rig.driving()
-    wait_for(lambda: len(rig.drive) > 50)
-    at = rig.car.message().pose
+    for stamped in (True, False):
+        mark = len(rig.drive)
+        wait_for(lambda start=mark: len(rig.drive) > start + 40)
+        at = rig.car.message().pose
 
-    def freeze(message):
-        message.pose = at
-        if not stamped:
-            message.header.stamp = type(message.header.stamp)()
-        return message
+        def freeze(message, at=at, stamped=stamped):
+            message.pose = at
+            if not stamped:
+                message.header.stamp = type(message.header.stamp)()
+            return message
 
-    rig.car.change = freeze
-    rig.stops("pose frozen while moving")
-    rig.car.change = lambda message: message
-    rig.driving()
+        rig.car.change = freeze
+        rig.stops("pose frozen while moving")
+        rig.car.change = lambda message: message
+        rig.driving()
 
 
 def test_poses_of_two_nodes(rig, start):
@@ -107,14 +109,15 @@ def test_poses_out_of_order(rig):
     assert_sane(rig)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_nonsense_by_live_tuning(rig, value):
+def test_nonsense_by_live_tuning(rig):
     rig = rig({"v_max_mps": 3.0})
     rig.driving()
     client = Client("/controller/tuning", timeout=10.0)
     names = [d["name"] for d in client.get_parameter_descriptions() if d["type"] == "double"]
     for name in names:
-        client.update_configuration({name: value})
+        client.update_configuration({name: math.nan})
+    for value in (math.inf, -math.inf):
+        client.update_configuration(dict.fromkeys(names, value))
     held = client.get_configuration(timeout=5.0)
     assert all(math.isfinite(held[name]) for name in names), held
     client.update_configuration({"steering_map": "magic"})
@@ -123,14 +126,17 @@ def test_nonsense_by_live_tuning(rig, value):
     assert_sane(rig, 3.0)
 
 
-@pytest.mark.parametrize("speed", [1e7, 1e9])
-def test_absurd_speeds_of_a_raceline(rig, advertise, speed):
+def test_absurd_speeds_of_a_raceline(rig, advertise):
+    """What can be a number of meters per second is limited, what cannot stops the car."""
     rig = rig({"raceline": None, "v_max_mps": 2.5})
     message = waypoints(load_raceline("reference"))
-    for waypoint in message.wpnts:
-        waypoint.vx_mps = speed
-    advertise("/global_waypoints", waypoint_array_class()[0]).publish(message)
-    wait_for(lambda: len(rig.drive) > 100)
+    publisher = advertise("/global_waypoints", waypoint_array_class()[0])
+    for speed, mode in ((1e7, ("driving",)), (1e9, ("stopped", "raceline not drivable"))):
+        for waypoint in message.wpnts:
+            waypoint.vx_mps = speed
+        publisher.publish(message)
+        rig.wait_mode(*mode)
+    assert max(m.drive.speed for m in rig.drive) == 2.5
     assert_sane(rig, 2.5)
 
 
@@ -181,14 +187,14 @@ def test_absurd_twists(rig):
 
     def absurd(message):
         state[0] += 1
-        value = values[state[0] // 10 % len(values)]
+        value = values[state[0] // 5 % len(values)]
         message.twist.twist.linear.x = value
         message.twist.twist.linear.y = -value
         message.twist.twist.angular.z = value
         return message
 
     rig.car.change = absurd
-    wait_for(lambda: state[0] > 150)
+    wait_for(lambda: state[0] > 60)
     assert_sane(rig)
     rig.car.change = lambda message: message
     rig.driving()
@@ -209,7 +215,7 @@ controller.main()
 """
 
 
-@pytest.mark.parametrize("step", [3600.0, -3600.0, 2.0, -2.0])
+@pytest.mark.parametrize("step", [3600.0, -2.0])
 def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step):
     """All nodes of a computer jump; the car is not told to stop dead."""
     ros.set_param("/controller/raceline", "reference")

@@ -136,7 +136,7 @@ def why_silent(topic, kind):
         return "nobody publishes it"
     if found != kind:
         return f"{nodes[0]} publishes {found} there, expected {kind}"
-    return f"{nodes[0]} publishes it, but nothing came"
+    return f"{nodes[0]} publishes it, but none came"
 
 
 def _shut_down(number, _):

@@ -17,6 +17,8 @@ from .conversions import frame, heading, stamp_ns, to_time
 __all__ = ["TransformBroadcaster", "TransformListener", "TransformTree"]
 
 KEPT_NS = 5 * 10**9  # as long back as the history of a frame goes
+# A transform that is older by more than this than the last was sent after the clock was set back.
+BACKWARDS_NS = 5 * 10**8
 
 
 class _Edge:
@@ -27,7 +29,7 @@ class _Edge:
         self.times, self.poses = deque(), deque()
 
     def add(self, stamp, pose):
-        if self.static or (self.times and stamp < self.times[-1] - KEPT_NS):
+        if self.static or (self.times and stamp < self.times[-1] - BACKWARDS_NS):
             self.times.clear()
             self.poses.clear()
         index = bisect_right(self.times, stamp)
@@ -60,10 +62,6 @@ class TransformTree:
 
     def __init__(self):
         self._edges = {}
-
-    def clear(self):
-        """Forget all that moves: time jumped back."""
-        self._edges = {child: edge for child, edge in self._edges.items() if edge.static}
 
     def add(self, parent, child, stamp, pose, static=False):
         """Add the pose ``(x, y, psi)`` of `child` in `parent` at a time [ns]."""
@@ -123,11 +121,6 @@ class TransformListener:
             rospy.Subscriber("/tf_static", TFMessage, self._receive, True, tcp_nodelay=True),
             rospy.Subscriber("/tf", TFMessage, self._receive, False, tcp_nodelay=True),
         )
-
-    def clear(self):
-        """Forget all that moves: time jumped back."""
-        with self._lock:
-            self._tree.clear()
 
     def lookup(self, parent, child, stamp=None):
         """As `TransformTree.lookup`."""

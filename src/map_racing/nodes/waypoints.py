@@ -113,10 +113,6 @@ class RacelineSubscriber:
         self._content = self._sender = None
         self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
 
-    def unregister(self):
-        """Listen no longer."""
-        self._subscriber.unregister()
-
     def _receive(self, message):
         try:
             body = message._buff[messages.decode_header(message._buff)[2] :]
