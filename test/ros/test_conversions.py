@@ -41,6 +41,14 @@ def test_a_quaternion_that_nobody_filled_in_is_no_heading():
     assert math.isnan(plane_pose(Pose())[2])
 
 
+@pytest.mark.parametrize("x", [math.nan, math.inf, 1e9, -1e300])
+def test_what_is_no_place_on_earth_is_none(x):
+    pose = Pose()
+    set_plane_pose(pose, x, 1.0, 0.5)
+    assert math.isnan(plane_pose(pose)[0]) and math.isnan(plane_pose(pose)[1])
+    assert plane_pose(pose)[2] == pytest.approx(0.5)
+
+
 def test_stamps():
     ns = 1795488573_453447123
     assert stamp_ns(Header(stamp=to_time(ns)), 5) == ns

@@ -157,7 +157,7 @@ def test_a_car_put_elsewhere_leaves_no_line_across_the_map(drawing):
 
 def test_a_replay_without_guidance_shows_car_and_trail(start, listen, advertise):
     """0.2 m to the left of a line."""
-    start("lookahead_visualizer", {**PARAMETERS, "trail_error": 0.4})
+    node = start("lookahead_visualizer", {**PARAMETERS, "trail_error": 0.4})
     inbox = listen("/lookahead_markers", MarkerArray)
     raceline = load_raceline("reference")
     advertise("/global_waypoints", waypoint_array_class()[0], latch=True).publish(
@@ -166,6 +166,9 @@ def test_a_replay_without_guidance_shows_car_and_trail(start, listen, advertise)
     publisher = advertise("/odom", Odometry)
     message = Odometry()
     message.header.frame_id = "/map"
+    for x in (math.nan, 1e300):
+        set_plane_pose(message.pose.pose, x, 0.0, 0.0)
+        publisher.publish(message)
     for k in range(200):
         point = raceline.pose(0.05 * k)
         x, y = point.x - 0.2 * math.sin(point.psi), point.y + 0.2 * math.cos(point.psi)
@@ -177,6 +180,7 @@ def test_a_replay_without_guidance_shows_car_and_trail(start, listen, advertise)
     screen = Screen(inbox)
     assert {namespace for namespace, _ in screen} == {"car", "trail"}
     assert screen.trail.header.frame_id == "map"
+    assert "Traceback" not in node.output
     middle = [0.5 * (a + b) for a, b in zip(*ERROR_COLORS)]
     color = screen.trail.colors[-1]
     assert (color.r, color.g, color.b) == pytest.approx(middle, abs=0.01)

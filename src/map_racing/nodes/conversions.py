@@ -7,6 +7,7 @@ import genpy
 from ..angles import yaw_from_quaternion
 from ..control.motion import MotionEstimate
 from ..control.state import CarState
+from ..evaluation.samples import FARTHEST
 
 __all__ = [
     *("StateReader", "frame", "heading", "plane_pose", "set_plane_pose", "stamp_ns", "to_time"),
@@ -45,8 +46,11 @@ def heading(q):
 
 
 def plane_pose(pose):
-    """``x, y, psi`` [m, m, rad] of a ``geometry_msgs/Pose``, whose heading may be NaN."""
-    return pose.position.x, pose.position.y, heading(pose.orientation)
+    """``x, y, psi`` [m, m, rad] of a ``geometry_msgs/Pose``; NaN: no place on earth, no heading."""
+    x, y = pose.position.x, pose.position.y
+    if not (abs(x) < FARTHEST and abs(y) < FARTHEST):
+        x = y = math.nan
+    return x, y, heading(pose.orientation)
 
 
 def set_plane_pose(pose, x, y, psi):
