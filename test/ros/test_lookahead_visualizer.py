@@ -136,6 +136,13 @@ def test_more_than_the_grip_is_said_and_taken_back(drawing):
     assert screen.label.text == "stopping: pose too old"
 
 
+def test_what_is_not_finite_is_not_drawn(drawing):
+    screen = drawing(
+        [guidance(8000), guidance(8001, steering_angle=math.inf), guidance(8002, lookahead_y=1.0)]
+    )
+    assert screen.lookahead.pose.position.y == 1.0
+
+
 def test_a_jump_back_in_time_clears_the_screen(drawing):
     drawing(guidance(i) for i in range(8000, 8100))
     count = len(drawing.inbox)

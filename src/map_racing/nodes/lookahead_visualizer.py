@@ -96,6 +96,9 @@ class LookaheadVisualizer:
         self._clear = True
 
     def _receive(self, guidance):
+        at = guidance.x + guidance.y + guidance.lookahead_x + guidance.lookahead_y
+        if not math.isfinite(at + guidance.d + guidance.eta + guidance.steering_angle):
+            return
         self._guided_ns = stamp = guidance.header.stamp.to_nsec()
         if not self._is_due(stamp, guidance.x, guidance.y, guidance.d):
             return
