@@ -359,9 +359,9 @@ class Raceline:
         ParameterError
             If the position is not finite.
         """
-        if not math.isfinite(x + y + (psi or 0.0)):
+        if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and math.isfinite(psi or 0.0)):
             heading = "" if psi is None else f", heading {psi}"
-            raise ParameterError(f"expected a finite position, got ({x}, {y}){heading}")
+            raise ParameterError(f"expected a finite position on earth, got ({x}, {y}){heading}")
         if psi is None:
             if self._tree is None:
                 self._tree = cKDTree(np.stack((self.x, self.y), axis=1))

@@ -240,6 +240,14 @@ def test_projection_of_no_position(bad):
         WINDING.project(0.0, 0.0, bad)
 
 
+@pytest.mark.parametrize("far", [1e9, -1e160, 1e300])
+def test_projection_of_a_position_whose_square_is_none(far):
+    with pytest.raises(ParameterError, match="finite position on earth"):
+        WINDING.project(far, 0.0)
+    with pytest.raises(ParameterError, match="finite position on earth"):
+        WINDING.project(0.0, far, 0.5)
+
+
 # -- point ahead ---------------------------------------------------------------------------------
 
 
