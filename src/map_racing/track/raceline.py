@@ -359,7 +359,7 @@ class Raceline:
         ParameterError
             If the position is not finite.
         """
-        if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and math.isfinite(psi or 0.0)):
+        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and math.isfinite(psi or 0.0)):
             heading = "" if psi is None else f", heading {psi}"
             raise ParameterError(f"expected a finite position on earth, got ({x}, {y}){heading}")
         if psi is None:
