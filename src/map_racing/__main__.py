@@ -1,8 +1,6 @@
 """``python -m map_racing`` is the command line."""
 
-import sys
-
-from .cli import main
+from .start import command_line
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command_line()

@@ -8,6 +8,10 @@ class MapRacingError(Exception):
     and exits with code 1; nodes log it.
     """
 
+    def __str__(self):
+        # Names of files and keys may hold line breaks.
+        return " ".join(super().__str__().splitlines())
+
 
 class ParameterError(MapRacingError):
     """A parameter is missing, unknown or impossible."""

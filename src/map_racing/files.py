@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -48,17 +49,28 @@ def read_yaml_mapping(path):
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe loader that refuses a key given twice, of which YAML would take the last."""
+    """Safe loader that refuses a key given twice, of which YAML would take the last.
+
+    It reads 1e-3 as a number, as YAML 1.2 does; PyYAML's 1.1 wants 1.0e-3.
+    """
 
     def construct_mapping(self, node, deep=False):
         seen = set()
         for key, _ in node.value:
+            if not isinstance(key.value, str):
+                continue
             if key.value in seen:
                 problem = f"{key.value}: given twice"
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-            if isinstance(key.value, str):
-                seen.add(key.value)
+            seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+_UniqueKeyLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
 
 
 @contextmanager
@@ -86,8 +98,9 @@ def replacing(path, binary=False):
     special = target.exists() and not target.is_file()
     temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        text = {} if binary else {"encoding": "utf-8", "newline": ""}
-        with open(temporary, "wb" if binary else "w", **text) as file:
+        # Names of files that are not UTF-8 are written as they are.
+        text = {"encoding": "utf-8", "errors": "surrogateescape", "newline": ""}
+        with open(temporary, "wb" if binary else "w", **({} if binary else text)) as file:
             yield file
         if not special:
             os.replace(str(temporary), str(target))

@@ -1,9 +1,9 @@
-"""Start of the scripts: what is not installed is one line, not a traceback."""
+"""Start of the programs: what is not installed, or a Ctrl-C meanwhile, is no traceback."""
 
 import sys
 from importlib import import_module
 
-__all__ = ["start"]
+__all__ = ["command_line", "start"]
 
 
 def start(module):
@@ -26,3 +26,8 @@ def start(module):
     except KeyboardInterrupt:
         sys.exit(130)
     sys.exit(main())
+
+
+def command_line():
+    """Run the command line, as the installed program ``map-racing``."""
+    start("cli")

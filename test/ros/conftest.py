@@ -7,36 +7,16 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-
 if "map_racing" not in os.environ.get("ROS_PACKAGE_PATH", ""):
     pytest.exit("run these tests with ./scripts/test_ros, which builds their workspace", 4)
 
-
-def wait_for(condition, timeout=10.0, what="the condition"):
-    """Wait until ``condition()`` is true, and return its value; fail the test after `timeout` [s].
-
-    The time limits of these tests are only there to end them: nothing is measured by them.
-    """
-    end = time.monotonic() + timeout
-    while True:
-        value = condition()
-        if value:
-            return value
-        if time.monotonic() > end:
-            pytest.fail(f"waited {timeout:g} s in vain for {what}")
-        time.sleep(0.02)
-
-
-@pytest.fixture(name="wait_for")
-def _wait_for():
-    return wait_for
+from harness import ROOT, Car, Rig, wait_for
+from nav_msgs.msg import Odometry
 
 
 class Process:
@@ -284,3 +264,22 @@ def advertise(ros):
     yield publish
     for publisher in publishers:
         publisher.unregister()
+
+
+@pytest.fixture
+def rig(ros, start, advertise, listen):
+    """``rig({"v_max_mps": 3.0})`` starts the controller and a car that sends it poses."""
+    cars = []
+
+    def make(params=None, **options):
+        # A busy computer holds back the poses of this process; where age matters, the default does.
+        given = {"raceline": "reference", "max_pose_age_s": 0.8, **(params or {})}
+        node = start("controller", {k: v for k, v in given.items() if v is not None})
+        publisher = advertise("/odom", Odometry)
+        car = Car(ros, [publisher.publish], **options)
+        cars.append(car)
+        return Rig(car, node, listen)
+
+    yield make
+    for car in cars:
+        car.stop()

@@ -13,141 +13,20 @@ from ackermann_msgs.msg import AckermannDriveStamped
 from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
+from harness import Car, Rig, wait_for, waypoints
 from map_racing.msg import Guidance
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
-from std_srvs.srv import Trigger
 
-from map_racing.control.parameters import load_controller_parameters
-from map_racing.nodes.conversions import set_plane_pose
+from map_racing.control.parameters import load_controller_parameters, load_safety_limits
+from map_racing.control.safety import SafetyLimits
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.formats import load_raceline
 from map_racing.vehicle.lookup import default_grid, load_table
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
-
-RATE = 50.0
-
-
-def wait_for(condition, timeout=10.0, what="the condition"):
-    """Wait until ``condition()`` is true; fail after `timeout` [s]."""
-    end = time.monotonic() + timeout
-    while not condition():
-        if time.monotonic() > end:
-            pytest.fail(f"waited {timeout:g} s in vain for {what() if callable(what) else what}")
-        time.sleep(0.02)
-
-
-class Car:
-    """Poses of a car that drives along the reference track whatever it is told.
-
-    A thread publishes them; `change` alters each message on its way.
-    """
-
-    def __init__(self, rospy, publishers, speed=3.0):
-        self.raceline = load_raceline("reference")
-        self.publishers, self.speed = publishers, speed
-        self.now = lambda: rospy.Time.now()
-        self.to_time = rospy.Time.from_sec
-        self.s, self.d = 2.0, 0.0
-        self.change = lambda message: message
-        self.silent = False
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def message(self):
-        point = self.raceline.pose(self.s)
-        odometry = Odometry()
-        odometry.header.stamp = self.now()
-        odometry.header.frame_id = "map"
-        odometry.child_frame_id = "base_link"
-        x = point.x - self.d * math.sin(point.psi)
-        y = point.y + self.d * math.cos(point.psi)
-        set_plane_pose(odometry.pose.pose, x, y, point.psi)
-        odometry.twist.twist.linear.x = self.speed
-        odometry.twist.twist.angular.z = point.kappa * self.speed
-        return odometry
-
-    def _run(self):
-        last = time.monotonic()
-        while not self._end.wait(1.0 / RATE):
-            now = time.monotonic()
-            self.s += self.speed * (now - last)
-            last = now
-            if not self.silent:
-                message = self.change(self.message())
-                for publish in self.publishers:
-                    publish(message)
-
-    def stop(self):
-        self._end.set()
-        self._thread.join()
-
-
-class Rig:
-    """Controller, car, and all that the controller says."""
-
-    def __init__(self, car, node, listen):
-        self.car, self.node = car, node
-        self.drive = listen("/drive", AckermannDriveStamped)
-        self.diagnostics = listen("/diagnostics", DiagnosticArray)
-
-    def driving(self):
-        mark = len(self.drive)
-        wait_for(lambda: [m for m in self.drive[mark:] if m.drive.speed > 1.0], 10.0, "driving")
-        self.wait_mode("driving")
-
-    def status(self):
-        ours = [a.status[0] for a in list(self.diagnostics) if "controller" in a.status[0].name]
-        return {pair.key: pair.value for pair in ours[-1].values} if ours else {}
-
-    def wait_mode(self, mode, reason=""):
-        wait_for(
-            lambda: (self.status().get("mode"), self.status().get("reason")) == (mode, reason),
-            10.0,
-            lambda: f"{mode}: {reason}, but have {self.status()}",
-        )
-
-    def stops(self, reason):
-        """Wait for the stop; it must have been a ramp at the stated deceleration."""
-        self.wait_mode("stopped", reason)
-        messages = list(self.drive)
-        end = next(i for i in reversed(range(len(messages))) if messages[i].drive.speed > 0.0)
-        begin = end
-        while begin > 0 and messages[begin - 1].drive.speed > messages[begin].drive.speed:
-            begin -= 1
-        # The raceline itself may brake just before, but nowhere asks for less than 2 m/s.
-        ramp = [m for m in messages[begin + 1 : end + 1] if m.drive.speed < 2.0]
-        assert len(ramp) > 5, [m.drive.speed for m in messages[end - 10 : end + 2]]
-        fell = ramp[0].drive.speed - ramp[-1].drive.speed
-        took = (ramp[-1].header.stamp - ramp[0].header.stamp).to_sec()
-        assert messages[end + 1].drive.speed == 0.0
-        return ramp, fell / took if took > 0.0 else math.nan
-
-    def call(self, ros, service):
-        ros.wait_for_service(f"/controller/{service}", 10.0)
-        return ros.ServiceProxy(f"/controller/{service}", Trigger)()
-
-
-@pytest.fixture
-def rig(ros, start, advertise, listen):
-    cars = []
-
-    def make(params=None, **options):
-        # A busy computer holds back the poses of this process; where age matters, the default does.
-        given = {"raceline": "reference", "max_pose_age_s": 0.8, **(params or {})}
-        node = start("controller", {k: v for k, v in given.items() if v is not None})
-        publisher = advertise("/odom", Odometry)
-        car = Car(ros, [publisher.publish], **options)
-        cars.append(car)
-        return Rig(car, node, listen)
-
-    yield make
-    for car in cars:
-        car.stop()
 
 
 def test_each_pose_makes_one_command_with_its_header(rig, listen):
@@ -443,28 +322,6 @@ def test_no_speed_above_the_limit(rig):
 # -- racelines -----------------------------------------------------------------------------------
 
 
-def waypoints(raceline, points=200, **changes):
-    array, waypoint = waypoint_array_class()
-    message = array()
-    step = raceline.length / points
-    for k in range(points):
-        point = raceline.pose(k * step)
-        message.wpnts.append(
-            waypoint(
-                id=k,
-                s_m=k * step,
-                x_m=point.x,
-                y_m=point.y,
-                psi_rad=point.psi,
-                kappa_radpm=point.kappa,
-                vx_mps=raceline.speed_at(k * step),
-                d_left=1.0,
-                d_right=1.0,
-            )
-        )
-    return message
-
-
 def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise):
     rig = rig({"raceline": None})
     raceline = load_raceline("reference")
@@ -495,7 +352,7 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
     message.wpnts[7].x_m = math.nan
     publisher.publish(message)
     rig.stops("raceline not drivable")
-    assert "point 7: expected a finite x" in rig.node.output
+    assert "expected a finite x, got nan, at point 7:" in rig.node.output
     publisher.publish(waypoint_array_class()[0]())
     time.sleep(0.3)
     rig.wait_mode("stopped", "raceline not drivable")
@@ -533,7 +390,9 @@ def test_it_says_what_it_waits_for(start, listen):
     diagnostics = listen("/diagnostics", DiagnosticArray)
     text = "no pose yet on /elsewhere, no raceline yet on /global_waypoints"
     diagnostics.wait(lambda m: text in [pair.value for pair in m.status[0].values])
-    wait_for(lambda: f"waiting: {text}" in node.output, what="the line in the log")
+    nobody = " (nobody publishes it)"
+    text = f"waiting: {text.replace(',', nobody + ',')}{nobody}"
+    wait_for(lambda: text in node.output, what="the line in the log")
 
 
 # -- the end -------------------------------------------------------------------------------------
@@ -628,6 +487,7 @@ def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
         ({"v_max_mps": "fast"}, "~v_max_mps: expected float"),
         ({"v_max_mps": -1.0}, "v_max_mps must be positive"),
         ({"raceline": "nowhere.csv"}, "nowhere.csv: no such file"),
+        ({"sectors": "nowhere.yaml"}, "nowhere.yaml: cannot read"),
     ],
 )
 def test_impossible_parameters_end_with_one_line(start, params, text):
@@ -640,6 +500,19 @@ def test_impossible_parameters_end_with_one_line(start, params, text):
 # -- tuning --------------------------------------------------------------------------------------
 
 
+def test_a_saved_file_is_what_the_node_starts_with(rig, ros, start, tmp_path):
+    target = str(tmp_path / "tuned.yaml")
+    first = rig({"save_to": target, "speed_scale": 0.6, "max_pose_age_s": None})
+    wanted = {"table_m_m": 0.33, "delay_s": 0.08, "max_jump_m": 0.7, "stop_deceleration_mps2": 2.5}
+    Client("/controller/tuning", timeout=10.0).update_configuration(wanted)
+    assert first.call(ros, "save").success
+    first.node.stop()
+    start("controller", {"controller": target, "raceline": "reference"}, name="again")
+    held = Client("/again/tuning", timeout=10.0).get_configuration(timeout=10.0)
+    for name, value in {**wanted, "speed_scale": 0.6}.items():
+        assert held[name] == value, name
+
+
 def test_tuning_and_saving(rig, ros, tmp_path):
     target = tmp_path / "tuned" / "{steering_map}.yaml"
     rig = rig({"controller": "map", "save_to": str(target), "speed_scale": 0.6})
@@ -650,12 +523,16 @@ def test_tuning_and_saving(rig, ros, tmp_path):
     assert first["ackermann_q_s"] == shipped["pure_pursuit"].q_s
     assert first["speed_scale"] == 0.6
     rig.driving()
-    client.update_configuration({"table_q_s": 0.21, "speed_scale": 0.5, "ackermann_m_m": 0.4})
+    client.update_configuration(
+        {"table_q_s": 0.21, "speed_scale": 0.5, "ackermann_m_m": 0.4, "max_deviation_m": 0.9}
+    )
     saved = rig.call(ros, "save")
     assert saved.success
     assert saved.message == str(tmp_path / "tuned" / "table.yaml")
     wanted = shipped["map"].with_(q_s=0.21, speed_scale=0.5)
     assert load_controller_parameters(saved.message) == wanted
+    limits = SafetyLimits(max_deviation_m=0.9, max_pose_age_s=0.8)
+    assert load_safety_limits(saved.message) == limits
 
     client.update_configuration({"steering_map": "ackermann"})
     wait_for(lambda: rig.status()["steering map"] == "ackermann")

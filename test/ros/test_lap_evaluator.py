@@ -7,6 +7,7 @@ import time
 
 import pytest
 import rosgraph
+from harness import wait_for
 from map_racing.msg import LapResult
 from visualization_msgs.msg import MarkerArray
 
@@ -100,14 +101,6 @@ def evaluator(start):
         return node
 
     return run
-
-
-def wait_for(condition, timeout=10.0, what="the condition"):
-    """Wait until a condition is true."""
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, f"waited in vain for {what}"
-        time.sleep(0.02)
 
 
 def play(processes, bag, *options):

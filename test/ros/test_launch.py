@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
+from harness import wait_for
 from map_racing.msg import LapResult
 
 from map_racing.cli import main
@@ -63,7 +64,8 @@ def test_every_file_for_every_stack(roscore, file, stack):
 
 def test_another_stack_is_refused(roscore):
     code, output = roslaunch("--nodes", "map_racing", "race.launch", "stack:=autoware")
-    assert code != 0 and "autoware" in output
+    text = "stack: expected race_stack, f1tenth_system or f1tenth_simulator, got autoware"
+    assert code != 0 and text in output
 
 
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])
@@ -77,7 +79,12 @@ def test_topics_of_a_stack(launch, stack, listen):
     commands.wait(lambda m: m.drive.speed > 2.0, timeout=30.0)
 
 
-def test_relative_paths_are_those_of_the_shell(roscore, processes, wait_for, tmp_path):
+def test_a_topic_of_ones_own(launch):
+    race = launch("race.launch", track="reference", odom="/my/odom")
+    wait_for(lambda: "no pose yet on /my/odom (nobody publishes it)" in race.output, 30.0)
+
+
+def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
     """A raceline, the laps and the bag; and a missing raceline ends the launch."""
     track = config_directory() / "tracks" / "reference.csv"
     (tmp_path / "mine.csv").write_text(track.read_text())
@@ -91,8 +98,8 @@ def test_relative_paths_are_those_of_the_shell(roscore, processes, wait_for, tmp
     race = run("mine.csv")
     wait_for(lambda: "raceline of /global_waypoints: 36.54 m" in race.output, 30.0)
     wait_for(lambda: list(tmp_path.glob("run*.bag*")), 20.0)
+    wait_for((tmp_path / "laps.csv").is_file, 20.0)
     race.stop(30.0)
-    assert (tmp_path / "laps.csv").is_file()
     other = run("other.csv")
     other.wait(60.0)
     assert "other.csv: no such file" in other.output
@@ -114,7 +121,7 @@ def test_a_replay_of_other_topics_says_so(launch, tmp_path):
     assert "no poses on /pf/pose/odom: nothing was evaluated" in replay.output
 
 
-def test_a_saved_controller_keeps_its_speed(launch, wait_for, tmp_path):
+def test_a_saved_controller_keeps_its_speed(launch, tmp_path):
     """What a file says holds where the launch says nothing."""
     path = tmp_path / "tuned.yaml"
     save_controller_parameters(load_controller_parameters("map").with_(speed_scale=0.55), path)

@@ -4,11 +4,15 @@ import math
 import time
 
 import pytest
+from harness import waypoints
 from map_racing.msg import Guidance
+from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from map_racing.nodes.conversions import to_time
+from map_racing.nodes.conversions import set_plane_pose, to_time
 from map_racing.nodes.lookahead_visualizer import ERROR_COLORS
+from map_racing.nodes.waypoints import waypoint_array_class
+from map_racing.track.formats import load_raceline
 
 PARAMETERS = {"rate": 50.0}
 
@@ -132,6 +136,13 @@ def test_more_than_the_grip_is_said_and_taken_back(drawing):
     assert screen.label.text == "stopping: pose too old"
 
 
+def test_what_is_not_finite_is_not_drawn(drawing):
+    screen = drawing(
+        [guidance(8000), guidance(8001, steering_angle=math.inf), guidance(8002, lookahead_y=1.0)]
+    )
+    assert screen.lookahead.pose.position.y == 1.0
+
+
 def test_a_jump_back_in_time_clears_the_screen(drawing):
     drawing(guidance(i) for i in range(8000, 8100))
     count = len(drawing.inbox)
@@ -149,6 +160,37 @@ def test_a_car_put_elsewhere_leaves_no_line_across_the_map(drawing):
         ]
     )
     assert {p.y for p in screen.trail.points} == {9.0}
+
+
+def test_a_replay_without_guidance_shows_car_and_trail(start, listen, advertise):
+    """0.2 m to the left of a line."""
+    node = start("lookahead_visualizer", {**PARAMETERS, "trail_error": 0.4})
+    inbox = listen("/lookahead_markers", MarkerArray)
+    raceline = load_raceline("reference")
+    advertise("/global_waypoints", waypoint_array_class()[0], latch=True).publish(
+        waypoints(raceline)
+    )
+    publisher = advertise("/odom", Odometry)
+    message = Odometry()
+    message.header.frame_id = "/map"
+    for x in (math.nan, 1e300):
+        set_plane_pose(message.pose.pose, x, 0.0, 0.0)
+        publisher.publish(message)
+    for k in range(200):
+        point = raceline.pose(0.05 * k)
+        x, y = point.x - 0.2 * math.sin(point.psi), point.y + 0.2 * math.cos(point.psi)
+        set_plane_pose(message.pose.pose, x, y, point.psi)
+        message.header.stamp = to_time(10**12 + 10**7 * k)
+        publisher.publish(message)
+        time.sleep(0.01)
+    inbox.wait(lambda m: any(marker.ns == "trail" for marker in m.markers))
+    screen = Screen(inbox)
+    assert {namespace for namespace, _ in screen} == {"car", "trail"}
+    assert screen.trail.header.frame_id == "map"
+    assert "Traceback" not in node.output
+    middle = [0.5 * (a + b) for a, b in zip(*ERROR_COLORS)]
+    color = screen.trail.colors[-1]
+    assert (color.r, color.g, color.b) == pytest.approx(middle, abs=0.01)
 
 
 def test_the_raceline_of_whoever_publishes_it_is_drawn(start, listen):

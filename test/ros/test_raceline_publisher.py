@@ -19,7 +19,7 @@ def test_waypoints_are_the_raceline_and_come_again(start, listen):
     assert header["type"] == WAYPOINTS and header["md5sum"] == MD5[WAYPOINTS]
     assert header["latching"] == "1"
     sent, club = raceline_from_message(inbox[0], "/global_waypoints"), load_course("club")
-    assert [finding.split(";")[0] for finding in sent.findings] == ["heading is measured from +x"]
+    assert [finding.code for finding in sent.findings] == ["heading-x"]
     assert sent.length == pytest.approx(club.length, abs=1e-4)
     at = np.linspace(0.0, club.length, 500)
     for name, factor, error in (("x", 1, 1e-4), ("y", 1, 1e-4), ("speed", 0.5, 0.02)):

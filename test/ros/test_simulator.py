@@ -138,6 +138,19 @@ def test_walls_and_the_way_back(start, listen, drive, advertise):
     assert not collision[-1].data
 
 
+@pytest.mark.parametrize("x", [math.nan, 1e300])
+def test_an_absurd_initial_pose_moves_nothing(start, listen, advertise, x):
+    odometry = listen("/odom", Odometry)
+    node = start("simulator", {"clock_rate": 5.0})
+    put = PoseWithCovarianceStamped()
+    set_plane_pose(put.pose.pose, x, 0.0, 0.0)
+    advertise("/initialpose", PoseWithCovarianceStamped).publish(put)
+    odometry.wait(lambda _: "initialpose: expected a pose" in node.output)
+    last = odometry[-1].header.stamp
+    odometry.wait(lambda m: m.header.stamp > last and abs(m.pose.pose.position.x) < 100.0)
+    assert node.running and "Traceback" not in node.output
+
+
 def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
     """The same controller, car and noise give the same laps; only commands are float32 here."""
     raceline, vehicle = load_course("reference"), load_vehicle("nuc4")

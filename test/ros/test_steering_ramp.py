@@ -115,6 +115,40 @@ def test_a_stop_where_poses_stop_coming(start, advertise, hold, listen, ros):
     commands.wait(lambda m: m in list(commands)[silent:] and m.drive.speed == 0.0)
 
 
+def test_the_area_is_around_the_first_pose_that_is_one(start, advertise, hold, listen, ros):
+    commands = listen("/drive", AckermannDriveStamped)
+    node = start("steering_ramp", FAST)
+    hold("/enable", Bool, Bool(True))
+    publisher = advertise("/odom", Odometry)
+    message = Odometry()
+    for k in range(60):
+        message.header.stamp = ros.Time.now()
+        if k == 0:
+            message.header.stamp -= ros.Duration(100.0)
+        message.pose.pose.position.x = {0: 90.0, 1: math.nan, 2: 1e300}.get(k, 0.0)
+        publisher.publish(message)
+        ros.sleep(0.025)
+    assert commands[-1].drive.speed > 1.0
+    assert "Traceback" not in node.output and "outside" not in node.output
+
+
+def test_a_pose_that_stays_while_the_car_moves_stops_it(start, advertise, hold, listen, ros):
+    """Else the area would bound nothing."""
+    commands = listen("/drive", AckermannDriveStamped)
+    node = start("steering_ramp", FAST)
+    hold("/enable", Bool, Bool(True))
+    publisher = advertise("/odom", Odometry)
+    message = Odometry()
+    for k in range(100):
+        message.header.stamp = ros.Time.now()
+        message.twist.twist.linear.x = 0.0 if k < 40 else 2.0
+        publisher.publish(message)
+        ros.sleep(0.025)
+    assert max(m.drive.speed for m in commands) > 1.0
+    commands.wait(lambda _: commands[-1].drive.speed == 0.0)
+    assert "pose frozen while moving" in node.output
+
+
 def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
     commands = listen("/drive", AckermannDriveStamped)
     start("steering_ramp", FAST)

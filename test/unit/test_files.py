@@ -30,6 +30,8 @@ def test_reads_a_mapping(tmp_path):
         (b"a: 1\x00\n", "expected YAML"),
         (b"a: 1\nb: 2\na: 3\n", ":3: expected YAML: a: given twice"),
         (b"s: {a: 1, a: 2}\n", ":1: expected YAML: a: given twice"),
+        (b"? [a, b]\n: 1\n", ":1: expected YAML: found unhashable key"),
+        (b"{a: 1}: 1\n", ":1: expected YAML: found unhashable key"),
         (b"[" * 3000, "nested too deeply"),
         (b"a: 2020-13-45\n", "expected YAML"),
         (b"\xff\xfe\x00\x01", "found bytes that are not text"),
@@ -42,6 +44,15 @@ def test_refuses_what_is_no_mapping(tmp_path, content, expected):
         read_yaml_mapping(path)
     message = str(caught.value)
     assert message.startswith(str(path)) and expected in message and "\n" not in message
+
+
+def test_numbers_with_exponent_are_numbers(tmp_path):
+    path = tmp_path / "car.yaml"
+    path.write_text("a: 1e-3\nb: [4.7e2, -2E3, .5e+1, 1.0e-3]\nc: 1e\nd: e3\ne: 1e-3 m\n")
+    assert read_yaml_mapping(path) == {
+        **{"a": 1e-3, "b": [470.0, -2000.0, 5.0, 1e-3]},
+        **{"c": "1e", "d": "e3", "e": "1e-3 m"},
+    }
 
 
 def test_refuses_a_file_that_is_not_there(tmp_path):
@@ -112,6 +123,10 @@ def test_a_pipe_is_written_to_as_it_is(tmp_path):
         assert stat.S_ISFIFO(os.stat(str(pipe)).st_mode)
     finally:
         os.close(reader)
+
+
+def test_errors_are_one_line_whatever_they_name():
+    assert str(MapRacingError("a\nb.yaml: c\r\nd")) == "a b.yaml: c d"
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])

@@ -1,6 +1,7 @@
 """``map-racing evaluate``: laps of recorded driving."""
 
 import math
+import os
 import re
 import sys
 from dataclasses import replace
@@ -12,6 +13,7 @@ from ..errors import BagError, EvaluationError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_course, load_recording
 from ..evaluation.report import lap_table, summary_table, write_csv, write_json
+from ..track.formats import split_source
 from .outputs import check_outputs, make_folder
 
 
@@ -80,9 +82,9 @@ def run(arguments):
     """Evaluate, print, write; a recording that cannot be read does not hold up the others."""
     if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
         raise ParameterError(f"--max-deviation must be positive, not {arguments.max_deviation}")
-    given = (arguments.raceline or "").partition("#")[0]
+    given = split_source(arguments.raceline or "")[0]
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
-    course = load_course(arguments.raceline) if arguments.raceline else None
+    course = None if arguments.raceline is None else load_course(arguments.raceline)
     names, results, failed = [], [], 0
     bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
     for source, name in zip(bar, run_names(arguments.recordings)):
@@ -121,7 +123,7 @@ def evaluate_one(source, course, arguments):
     notes = recording.notes
     if course is not None:
         notes = [note for note in notes if not note.startswith("raceline:")]
-        notes.append("; ".join([f"raceline: {arguments.raceline}", *course.findings]))
+        notes.append("; ".join([f"raceline: {arguments.raceline}", *map(str, course.findings)]))
     elif recording.raceline is None:
         raise BagError(f"{source}: no raceline in it; give one with --raceline")
     raceline = course or recording.raceline
@@ -139,9 +141,14 @@ def evaluate_one(source, course, arguments):
 
 
 def run_names(sources):
-    """Short distinct names of runs: the files' stems, or the whole paths where stems repeat."""
+    """Short names of runs: the files' stems or, where these repeat, their paths as they differ."""
     stems = [re.sub(r"\.(bag(\.active)?|csv(\.gz)?)$", "", Path(source).name) for source in sources]
-    return stems if len(set(stems)) == len(stems) else [str(source) for source in sources]
+    names = stems
+    if len(set(stems)) < len(stems):
+        folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]
+        names = [os.path.relpath(str(source), os.path.commonpath(folders)) for source in sources]
+    # Figures can only show text.
+    return [os.fsencode(str(name)).decode("utf-8", "replace") for name in names]
 
 
 def draw(folder, names, results):
@@ -153,12 +160,12 @@ def draw(folder, names, results):
     folder = make_folder(folder)
     figures = []
     for name, result in zip(names, results):
-        stem = name.replace("/", "_")
+        stem, name = name.replace("/", "_"), _title(name)
         if any(math.isfinite(lap.lap_time_s) for lap in result.laps):
             figures.append((f"{stem}_laps.png", runs.plot_laps, (result, name)))
         figures.append((f"{stem}_speed.png", runs.plot_path, (result, "speed", name)))
         figures.append((f"{stem}_error.png", runs.plot_path, (result, "error", name)))
-    named = list(zip(names, results))
+    named = list(zip(map(_title, names), results))
     figures.append(("boxes.png", runs.plot_boxes, (named,)))
     for file_name, plot, values in tqdm(figures, desc="figures", disable=None, leave=False):
         save(plot(*values), folder / file_name)
@@ -167,3 +174,9 @@ def draw(folder, names, results):
             save(runs.plot_differences(named), folder / "difference.png")
         except EvaluationError as error:  # on different courses there is nothing to compare
             print(f"no difference.png: {error}")
+
+
+def _title(name):
+    """The name as text for figures, which take what is between two dollars for a formula."""
+    short = name if len(name) <= 40 else f"{name[:18]}...{name[-19:]}"
+    return short.replace("$", r"\$")

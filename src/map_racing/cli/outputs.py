@@ -25,7 +25,8 @@ def check_outputs(outputs, inputs=()):
         If an output is also an input or another output, is no file name, has no folder, or would
         replace a recorded bag by something else.
     """
-    taken = {_identity(path): "an input" for path in inputs if path}
+    # Inputs may be names of shipped files as well.
+    taken = {_identity(path): "an input" for path in inputs if path and Path(path).is_file()}
     for path in outputs:
         if path is None:
             continue

@@ -14,13 +14,16 @@ from ..resources import list_config
 from ..simulation.plant import Localization, Plant, load_plant_parameters
 from ..simulation.public_simulator import PublicSimulator
 from ..simulation.race import Outcome, race
+from ..track.formats import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle, parameter_hash
 from .outputs import check_outputs
 
 PUBLIC_SIMULATOR = "public_simulator"
 KINDS = ("tracks", "controllers", "plants", "vehicles")
-MOST_LAPS = 1000  # a race is kept in memory until its bag is written
+# A race is kept in memory until its bag is written.
+MOST_LAPS = 1000
+LONGEST_LAP = 5000.0  # [m]
 
 
 def add_parser(commands):
@@ -79,7 +82,7 @@ def run(arguments):
         raise ParameterError(f"--laps must be 1 to {MOST_LAPS}, not {arguments.laps}")
     output = Path(arguments.output)
     inputs = (
-        arguments.track.partition("#")[0],
+        split_source(arguments.track)[0],
         *(arguments.controller, arguments.plant, arguments.vehicle),
         *(arguments.lookup_table, arguments.speed_sectors),
     )
@@ -88,6 +91,11 @@ def run(arguments):
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
     raceline = load_course(arguments.track)
+    if raceline.length > LONGEST_LAP:
+        raise ParameterError(
+            f"{arguments.track}: expected a lap of at most {LONGEST_LAP:g} m, got "
+            f"{raceline.length:.0f} m: is it in meters?"
+        )
     for finding in raceline.findings:
         print(f"{arguments.track}: {finding}")
 

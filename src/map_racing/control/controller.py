@@ -188,7 +188,7 @@ class Controller:
 
         _, x, y, psi, _, _, _ = state
         s, d, _, _ = self._tracker.update(x, y, psi)
-        speed = self._speed_command(s + parameters.speed_lookahead_s * v_x, s)
+        speed = self._speed_command(s + parameters.speed_lookahead_s * v_x)
         law_speed = abs(v_x) if parameters.speed_source == "measured" else speed
         if law_speed < LOWEST_LAW_SPEED:
             law_speed = LOWEST_LAW_SPEED
@@ -242,9 +242,9 @@ class Controller:
         found = self._raceline.project_near(state.x, state.y, guess, 1.0)
         return (found or self._raceline.project(state.x, state.y)).d
 
-    def _speed_command(self, s_ahead, s):
+    def _speed_command(self, s):
         parameters = self.parameters
-        speed = self._raceline.speed_at(s_ahead) * parameters.speed_scale
+        speed = self._raceline.speed_at(s) * parameters.speed_scale
         if self.sectors is not None:
             speed *= self.sectors.scale_at(s)
         return speed if speed < parameters.v_max_mps else parameters.v_max_mps
@@ -318,6 +318,7 @@ def build_steering_map(kind, vehicle, v_max):
         return AckermannSteering(vehicle.l_wb, vehicle.delta_max)
     if kind == "linear_table":
         vehicle = linearized(vehicle)
+    v_max = min(max(v_max, 1.0), 100.0)
     return steady_state_table(vehicle, *default_grid(vehicle, v_max=v_max))
 
 

@@ -1,6 +1,5 @@
 """Controller parameters and their files."""
 
-import math
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 
@@ -9,9 +8,16 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
+from ..vehicle.tires import finite
 from .guidance import LookaheadLaw
+from .safety import SafetyLimits
 
-__all__ = ["ControllerParameters", "load_controller_parameters", "save_controller_parameters"]
+__all__ = [
+    "ControllerParameters",
+    "load_controller_parameters",
+    "load_safety_limits",
+    "save_controller_parameters",
+]
 
 STEERING_MAPS = ("ackermann", "linear_table", "table")
 SPEED_SOURCES = ("measured", "command")
@@ -66,13 +72,8 @@ class ControllerParameters:
 
     def __post_init__(self):
         for field in fields(self):
-            value = getattr(self, field.name)
-            if field.type in ("float", float) and not (
-                isinstance(value, (int, float))
-                and not isinstance(value, bool)
-                and math.isfinite(value)
-            ):
-                raise ParameterError(f"{field.name} must be a finite number, not {value!r}")
+            if field.type in ("float", float):
+                finite(field.name, getattr(self, field.name))
         for name, allowed in (
             ("steering_map", STEERING_MAPS),
             ("speed_source", SPEED_SOURCES),
@@ -125,10 +126,37 @@ def load_controller_parameters(source):
         If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
     path = find_config("controllers", source, (".yaml",))
-    return read_parameters(path, ControllerParameters)
+    values = read_yaml_mapping(path)
+    values.pop("safety", None)
+    return read_parameters(path, ControllerParameters, values)
 
 
-def save_controller_parameters(parameters, path):
+def load_safety_limits(source):
+    """Read the safety limits of a controller's file, which are those of its mapping ``safety``.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        As of `load_controller_parameters`.
+
+    Returns
+    -------
+    SafetyLimits
+        The default of each limit that the file does not have.
+
+    Raises
+    ------
+    ParameterError
+        If a limit is unknown or impossible; the message names file and limit.
+    """
+    path = find_config("controllers", source, (".yaml",))
+    values = read_yaml_mapping(path).get("safety", {})
+    if not isinstance(values, dict):
+        raise ParameterError(f"{path}: safety: expected names and values, not {values!r}")
+    return read_parameters(f"{path}: safety", SafetyLimits, values)
+
+
+def save_controller_parameters(parameters, path, limits=None):
     """Write controller parameters to YAML, such that `load_controller_parameters` reads the same.
 
     Parameters
@@ -136,6 +164,8 @@ def save_controller_parameters(parameters, path):
     parameters : ControllerParameters
     path : str or pathlib.Path
         A file there is replaced when the new one is complete.
+    limits : SafetyLimits, optional
+        Written, too, for `load_safety_limits`; but for the largest speed, which is ``v_max_mps``.
 
     Raises
     ------
@@ -145,11 +175,19 @@ def save_controller_parameters(parameters, path):
     with replacing(path) as file:
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
         yaml.safe_dump(asdict(parameters), file, sort_keys=False)
+        if limits is not None:
+            values = asdict(limits)
+            del values["max_speed_mps"]
+            yaml.safe_dump({"safety": values}, file, sort_keys=False)
 
 
-def read_parameters(path, kind):
-    """Read one dataclass from a YAML mapping of the same names, refusing all else by name."""
-    values = read_yaml_mapping(path)
+def read_parameters(path, kind, values=None):
+    """Read one dataclass from a YAML mapping of the same names, refusing all else by name.
+
+    With `values`, the mapping that was read already, `path` is only for the texts of errors.
+    """
+    if values is None:
+        values = read_yaml_mapping(path)
     known = {field.name for field in fields(kind)}
     unknown = sorted(str(name) for name in values if name not in known)
     if unknown:

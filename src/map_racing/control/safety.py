@@ -15,7 +15,7 @@ from typing import NamedTuple
 from ..errors import ParameterError
 from .controller import Status
 
-__all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
+__all__ = ["Decision", "Mode", "PoseMotion", "Reason", "SafetyLimits", "Supervisor"]
 
 # Faster than this [m/s] the steering table, not the lock, limits the turn; and the pose changes.
 MOVING = 1.0
@@ -43,6 +43,7 @@ class Reason(Enum):
     STOP_REQUESTED = "stop requested"
     FAILURE = "controller failed"
     NO_POSE = "no pose yet"
+    FRAME = "pose in another frame"
     INVALID_POSE = "pose not finite"
     STALE_POSE = "pose too old"
     FROZEN_POSE = "pose frozen while moving"
@@ -105,6 +106,45 @@ class SafetyLimits:
                 raise ParameterError(f"{field.name} must be {wanted}, but is {value}")
 
 
+class PoseMotion:
+    """Notices that a car moves while its pose stays the same.
+
+    It moves if its velocity says so, or if it did when the pose last changed: a velocity that was
+    worked out from poses ends with them. One pose that is elsewhere, as when somebody corrects the
+    localization of a standing car, is no motion.
+    """
+
+    def __init__(self):
+        self._pose = self._changed = self._moving_since = None
+        self._moving = False
+
+    def frozen(self, now, pose, v_x, jumped=False):
+        """For how long [s] the car has been moving with the same pose.
+
+        Parameters
+        ----------
+        now : float
+            Time [s].
+        pose : tuple of float
+        v_x : float
+            Speed [m/s].
+        jumped : bool, optional
+            Whether the car cannot have driven there.
+        """
+        fast = abs(v_x) >= MOVING
+        if pose != self._pose:
+            if jumped or not fast:
+                self._moving_since = None
+            elif self._moving_since is None:
+                self._moving_since = now
+            since = self._moving_since
+            self._moving = since is not None and now - since > SETTLING
+            self._pose, self._changed = pose, now
+        elif not (fast or self._moving):
+            self._changed = now
+        return now - self._changed
+
+
 class Decision(NamedTuple):
     """What the car is told, and why."""
 
@@ -153,7 +193,8 @@ class Supervisor:
         self._seen = {}  # passing causes: when they were last seen
         self._pose = None
         self._speed = 0.0
-        self._now = self._arrival = self._changed = None
+        self._now = self._arrival = None
+        self._motion = PoseMotion()
         self._saturated_since = self._stopped_since = None
         self._command = (0.0, 0.0)  # steering angle, speed
         self._commanded = None
@@ -216,19 +257,30 @@ class Supervisor:
         if not abs(self.pose_age) <= limits.max_pose_age_s:
             self._seen[Reason.STALE_POSE] = now
             trusted = False
-        if last is None or (x, y, psi) != last[1:4] or abs(v_x) < MOVING:
-            self._changed = now
-        elif now - self._changed > limits.max_pose_age_s:
-            self._seen[Reason.FROZEN_POSE] = now
-            trusted = False
         if last is not None and self._is_jump(last, state):
             self._seen[Reason.JUMP] = now
             self.jumped = True
+        frozen = self._motion.frozen(now, (x, y, psi), v_x, self.jumped)
+        if frozen > limits.max_pose_age_s:
+            self._seen[Reason.FROZEN_POSE] = now
+            trusted = False
         if now - self._seen.get(Reason.JUMP, -math.inf) <= SETTLING:
             trusted = False
-        if trusted:
+        if trusted and not frozen:
             self._speed = v_x
         return trusted
+
+    def refuse(self, now):
+        """Look at a pose that is in another frame than the raceline.
+
+        Returns
+        -------
+        Decision
+        """
+        self._advance(now)
+        self._arrival = now
+        self._seen[Reason.FRAME] = now
+        return self.decide(now, None)
 
     def decide(self, now, result):
         """Turn the controller's result into what the car is told.

@@ -3,10 +3,18 @@
 import math
 from bisect import bisect_right
 
-from ..errors import ParameterError
-from ..files import read_yaml_mapping
+import numpy as np
+from scipy import ndimage
 
-__all__ = ["SpeedSectors", "load_speed_sectors"]
+from ..errors import ParameterError
+from ..files import read_yaml_mapping, replacing
+from ..vehicle.tires import finite
+
+__all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_speed_sectors"]
+
+# A corner is where the car needs more than this share of the lap's largest lateral acceleration;
+# stretches shorter than this share of the lap belong to their neighbors.
+_CORNER, _SHORTEST = 0.4, 0.03
 
 
 class SpeedSectors:
@@ -112,11 +120,70 @@ def load_speed_sectors(path, raceline):
         raise ParameterError(f"{path}: {error}") from error
 
 
+def corners_and_straights(raceline):
+    """Divide a raceline where its corners begin and end.
+
+    Parameters
+    ----------
+    raceline : Raceline
+        With speeds.
+
+    Returns
+    -------
+    list of (int, int, str)
+        First and last point of each sector in the order of the lap, from point 0 to the last, as
+        of `Raceline.s_points`, and ``"left"``, ``"right"`` or ``"straight"``.
+
+    Raises
+    ------
+    ParameterError
+        If the raceline has no speeds.
+    """
+    if raceline.speed is None:
+        raise ParameterError(f"{raceline.source or raceline.name}: the raceline has no speeds")
+    at = raceline.sample(raceline.s_points)
+    a_lat = at.speed**2 * at.kappa
+    size = a_lat.size
+    # Left 1, straight 0, right -1; short stretches vanish in the majority around them.
+    kind = np.sign(a_lat) * (np.abs(a_lat) > _CORNER * np.max(np.abs(a_lat)))
+    window = max(3, int(_SHORTEST * size) | 1)
+    kind = ndimage.median_filter(kind, 2 * window + 1, mode="wrap")
+    starts = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), size]
+    names = {1: "left", 0: "straight", -1: "right"}
+    return [(a, b - 1, names[int(kind[a])]) for a, b in zip(starts, starts[1:])]
+
+
+def save_speed_sectors(path, sectors):
+    """Write ``speed_scaling.yaml`` of the public stack, with every scale 1.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Replaced in one step if it exists.
+    sectors : list of (int, int, str)
+        As of `corners_and_straights`; the words become comments.
+    """
+    lines = [
+        "# Scale of the raceline's speed from waypoint start to end, for each sector; none exceeds",
+        "# the global limit.",
+        "global_limit: 1.0",
+        f"n_sectors: {len(sectors)}",
+    ]
+    for index, (start, end, what) in enumerate(sectors):
+        lines += [
+            f"Sector{index}:  # {what}",
+            f"  start: {start}",
+            f"  end: {end}",
+            "  scaling: 1.0",
+            "  only_FTG: false",
+            "  no_FTG: false",
+        ]
+    with replacing(path) as file:
+        file.write("\n".join(lines) + "\n")
+
+
 def _number(path, mapping, key, default=None, where=""):
-    value = mapping.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ParameterError(f"{path}: {where + ': ' if where else ''}{key}: expected a number")
-    return value
+    return finite(f"{path}: {where + ': ' if where else ''}{key}", mapping.get(key, default))
 
 
 def _index(path, mapping, key, where=""):

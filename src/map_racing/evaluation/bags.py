@@ -20,14 +20,23 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..errors import BagError, RacelineError
-from ..track.formats import raceline_from_columns
+from ..track.checks import raceline_of
+from ..track.raceline import FARTHEST
+from ..track.table import CourseTable
 from ..track.waypoints import WAYPOINT_COLUMNS, waypoint_rows
 from . import messages as msg
 from .bag_records import BagFile
 from .bag_series import Series, TransformTree
-from .samples import FARTHEST, Commands, Recording
+from .samples import Commands, Recording
 
-__all__ = ["BagWriter", "DRIVE_TOPIC", "read_recording", "read_signals", "read_waypoints"]
+__all__ = [
+    "BagWriter",
+    "DRIVE_TOPIC",
+    "read_recording",
+    "read_signals",
+    "read_waypoint_table",
+    "read_waypoints",
+]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
 """Where racing stacks publish the drive command."""
@@ -211,11 +220,15 @@ class BagWriter:
         Parameters
         ----------
         stamp : float or int
-        raceline : Raceline
+        raceline : Raceline, or ndarray of shape (n, 10)
+            An array holds the waypoints themselves, as of
+            `map_racing.track.waypoints.waypoint_rows`.
         spacing : float, optional
-            Distance between the waypoints [m], see `map_racing.track.waypoints.waypoint_rows`.
+            Distance between the waypoints [m] of a Raceline.
         """
-        rows = waypoint_rows(raceline, spacing)
+        rows = raceline
+        if not isinstance(raceline, np.ndarray):
+            rows = waypoint_rows(raceline, spacing)
         self._write(
             *(topic, msg.WAYPOINTS, stamp, received, msg.encode_waypoints, frame, rows.tolist()),
             latched=latched,
@@ -346,8 +359,8 @@ def read_recording(path, pose_topic=None):
     if waypoints:
         topic = min(waypoints, key=_waypoint_rank)
         try:
-            raceline = _raceline(path, topic, waypoints[topic])
-            notes.append("; ".join([f"raceline: {topic}", *raceline.findings]))
+            raceline = raceline_of(_course_table(path, topic, waypoints[topic]))
+            notes.append("; ".join([f"raceline: {topic}", *map(str, raceline.findings)]))
         except RacelineError as error:
             notes.append(f"raceline left out: {error}")
     return Recording(
@@ -426,14 +439,7 @@ def read_signals(path, recording, topics):
 
 
 def read_waypoints(path, topic=None):
-    """Raceline that a bag carries as ``f110_msgs/WpntArray``: the first message that has waypoints.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-    topic : str, optional
-        Without it ``/global_waypoints`` is preferred, then other topics of that kind;
-        local waypoints, which are only a stretch of the course, are never chosen.
+    """Raceline that a bag carries, see `read_waypoint_table`.
 
     Returns
     -------
@@ -446,22 +452,53 @@ def read_waypoints(path, topic=None):
     RacelineError
         If the waypoints do not make a closed course.
     """
+    return raceline_of(read_waypoint_table(path, topic))
+
+
+def read_waypoint_table(path, topic=None):
+    """Course that a bag carries as ``f110_msgs/WpntArray``, or else as ``nav_msgs/Path``.
+
+    It is the first array that has waypoints, or the longest path.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    topic : str, optional
+        Without it ``/global_waypoints`` is preferred, then other topics of waypoint arrays, then
+        paths; local waypoints and paths, which are only a stretch of the course, are never chosen.
+
+    Returns
+    -------
+    CourseTable
+
+    Raises
+    ------
+    BagError
+        If the bag has no waypoints, or none on `topic`.
+    """
+    notes = []
     with BagFile(path) as bag:
         lines = _waypoint_connections(bag, topic)
         best = min(lines.values(), key=_waypoint_rank, default=None)
-        waypoints, notes = {}, []
+        waypoints = {}
         for message in bag.messages(set(lines)):
             number = message.connection
             line = bag.connections[number]
             _collect_waypoints(waypoints, lines[number], line, message, notes)
             if best in waypoints:
                 break
-    if not waypoints:
-        asked = f" on {topic}" if topic else ""
-        why = f": {notes[0]}" if notes else ""
-        raise BagError(f"{path}: no raceline (f110_msgs/WpntArray with waypoints){asked}{why}")
-    name = min(waypoints, key=_waypoint_rank)
-    return _raceline(path, name, waypoints[name])
+        if waypoints:
+            name = min(waypoints, key=_waypoint_rank)
+            return _course_table(path, name, waypoints[name])
+        paths = _read_paths(bag, topic, notes)
+    if paths:
+        name = min(paths, key=lambda name: (_waypoint_rank(name), -len(paths[name]["x"])))
+        return _course_table(path, name, paths[name], "Path")
+    asked = f" on {topic}" if topic else ""
+    why = f": {notes[0]}" if notes else ""
+    raise BagError(
+        f"{path}: no raceline (f110_msgs/WpntArray with waypoints, nav_msgs/Path){asked}{why}"
+    )
 
 
 # -- choice of topics ----------------------------------------------------------------------------
@@ -487,7 +524,7 @@ class _Source(NamedTuple):
 def _choose_source(bag, pose_topic):
     """The source to take the pose from, and notes that explain the choice."""
     sources = _topic_sources(bag)
-    wanted = _canonical(pose_topic) if pose_topic else None
+    wanted = None if pose_topic is None else _canonical(pose_topic)
     matching = [source for source in sources if source.topic == wanted]
     certain = sources and sources[0].rank[:2] == (0, 0)
     if (wanted and not matching) or not (wanted or certain):
@@ -668,5 +705,32 @@ def _decode_by_definition(connection, data):
     }
 
 
-def _raceline(path, topic, waypoints):
-    return raceline_from_columns(waypoints, name=Path(path).stem, source=f"{path}: {topic}")
+def _read_paths(bag, topic, notes):
+    """The longest path of each topic that has one of at least four poses."""
+    wanted = "/" + topic.lstrip("/") if topic else None
+    lines = {
+        number: connection.topic
+        for number, connection in bag.connections.items()
+        if connection.md5sum == msg.MD5[msg.PATH]
+        and (connection.topic == wanted if wanted else "local" not in connection.topic)
+    }
+    longest, paths = {}, {}
+    for message in bag.messages(set(lines)) if lines else ():
+        name = lines[message.connection]
+        if len(message.data) > len(longest.get(name, b"")):
+            longest[name] = bytes(message.data)
+    for name, data in longest.items():
+        try:
+            columns = msg.decode_path(data)
+        except struct.error as error:
+            notes.append(f"{name}: cannot decode {msg.PATH} ({error})")
+            continue
+        if columns["x"].size >= 4:
+            paths[name] = columns
+    return paths
+
+
+def _course_table(path, topic, columns, kind="WpntArray"):
+    return CourseTable(
+        columns, name=Path(path).stem, source=f"{path}: {topic}", layout=f"{kind} on {topic}"
+    )

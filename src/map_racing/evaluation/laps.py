@@ -24,9 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import EvaluationError, ParameterError
-from ..track.raceline import Raceline
+from ..track.raceline import FARTHEST, Raceline
 from ..track.tracker import CourseTracker
-from .samples import FARTHEST
 
 __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary", "evaluate"]
 
@@ -40,6 +39,7 @@ _NO_WALLS = 2.0
 # So far beyond the walls [m] a car has not merely cut a corner or met walls drawn too tight.
 _ELSEWHERE = 0.5
 _MOST_SECTORS = 1000
+_WIDEST_CAR = 10.0
 
 
 @dataclass(frozen=True)
@@ -226,11 +226,11 @@ class RunResult:
 def check_options(start_s, car_width, sectors):
     """Raise a ParameterError if an option of `LapEvaluator` is impossible on any raceline."""
     if not math.isfinite(start_s):
-        raise ParameterError(f"expected a finite start_s, got {start_s}")
-    if not (math.isfinite(car_width) and car_width >= 0.0):
-        raise ParameterError(f"expected a car_width >= 0 m, got {car_width}")
+        raise ParameterError(f"start line: expected a finite arc length [m], got {start_s}")
+    if not 0.0 <= car_width <= _WIDEST_CAR:
+        raise ParameterError(f"car width: expected 0 to {_WIDEST_CAR:g} m, got {car_width}")
     if not 1 <= sectors <= _MOST_SECTORS:
-        raise ParameterError(f"expected 1 to {_MOST_SECTORS} sectors, got {sectors}")
+        raise ParameterError(f"sectors: expected 1 to {_MOST_SECTORS}, got {sectors}")
 
 
 class LapEvaluator:
@@ -632,5 +632,5 @@ def _variation(values, dt):
 
 def _held(t, commands, values):
     """Command in force at each time; NaN before the first."""
-    index = np.searchsorted(commands.t, t, side="right") - 1
-    return np.where(index >= 0, values[np.maximum(index, 0)], _NAN)
+    # Index -1, before the first, is the NaN behind the last.
+    return np.append(values, _NAN)[np.searchsorted(commands.t, t, side="right") - 1]

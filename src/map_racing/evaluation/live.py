@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FileFormatError, MapRacingError, ParameterError
+from ..track.raceline import FARTHEST
 from .laps import Lap, LapEvaluator, LapLimits, check_options
-from .samples import FARTHEST
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 

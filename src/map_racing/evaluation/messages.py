@@ -22,6 +22,7 @@ __all__ = [
     "IMU",
     "MD5",
     "ODOMETRY",
+    "PATH",
     "POSE",
     "POSE_COVARIANCE",
     "TF",
@@ -32,6 +33,7 @@ __all__ = [
     "decode_header",
     "decode_imu",
     "decode_odometry",
+    "decode_path",
     "decode_pose",
     "decode_transforms",
     "decode_waypoints",
@@ -48,6 +50,7 @@ POSE = "geometry_msgs/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/PoseWithCovarianceStamped"
 ACKERMANN = "ackermann_msgs/AckermannDriveStamped"
 IMU = "sensor_msgs/Imu"
+PATH = "nav_msgs/Path"
 FLOAT64 = "std_msgs/Float64"
 TF = "tf2_msgs/TFMessage"
 WAYPOINTS = "f110_msgs/WpntArray"
@@ -58,6 +61,7 @@ MD5 = {
     POSE_COVARIANCE: "953b798c0f514ff060a53a3498ce6246",
     ACKERMANN: "1fd5d7f58889cefd44d29f6653240d0c",
     IMU: "6a62c6daae103f4ff57a132d6f95cec2",
+    PATH: "6227e2b7e9cce15051f669a5e197bbf7",
     FLOAT64: "fdb28210bfa9d7c91146260178d9a584",
     TF: "94810edda583a504dfda3829e70d7eec",
     WAYPOINTS: "f862195689eef47cf0c81faffd1f380d",
@@ -252,6 +256,29 @@ def decode_waypoints(data):
         raise struct.error("the message is too short for its waypoints")
     table = np.frombuffer(data, _WAYPOINTS, count, at + 4)
     return {name: table[name].astype(float) for name in _WAYPOINTS.names}
+
+
+def decode_path(data):
+    """Columns ``x y psi`` of a ``nav_msgs/Path``; without ``psi`` where no pose has a direction."""
+    at = decode_header(data)[2]
+    (count,) = _U32.unpack_from(data, at)
+    at += 4
+    if count > (len(data) - at) // (16 + _POSE.size):
+        raise struct.error("the message is too short for its poses")
+    poses = np.empty((count, 6))
+    for row in range(count):
+        (length,) = _U32.unpack_from(data, at + 12)
+        at += 16 + length
+        poses[row] = _PLANE_POSE.unpack_from(data, at)
+        at += _POSE.size
+    x, y, q_x, q_y, q_z, q_w = poses.T
+    columns = {"x": x, "y": y}
+    # Planners often leave all orientations at their defaults: 0 0 0 1, or 0 0 0 0.
+    if np.any(q_z):
+        columns["psi"] = np.arctan2(
+            2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z)
+        )
+    return columns
 
 
 def _string(text):

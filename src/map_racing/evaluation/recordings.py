@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError, ParameterError
-from ..track.formats import load_raceline
-from .bags import read_recording, read_waypoints
+from ..track.checks import raceline_of
+from ..track.formats import find_course_file, read_course_file, split_source
+from ..track.writers import choose_format, closed_rows, write_course_file
+from .bags import BagWriter, read_recording, read_waypoint_table
 from .samples import Commands, Recording, in_order, jump_back, usable
 
 __all__ = [
@@ -22,8 +24,10 @@ __all__ = [
     "load_course",
     "load_recording",
     "parse_columns",
+    "read_course",
     "read_csv_recording",
     "read_table",
+    "save_course",
 ]
 
 # Names under which columns of a CSV file are known; the first that the file has is taken.
@@ -75,27 +79,89 @@ def load_recording(source, pose_topic=None, columns=None):
 
 
 def load_course(source):
-    """Raceline from wherever it is.
+    """Raceline from wherever it is: what every command and node reads one with.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        See `read_course`.
+
+    Returns
+    -------
+    Raceline
+        With what was noticed as `findings`.
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError
+        If it cannot be read.
+    RacelineError
+        If something is wrong with it beyond use.
+    """
+    return raceline_of(read_course(source))
+
+
+def read_course(source):
+    """What a file says of a course, wherever it is, before anything of it is believed.
 
     Parameters
     ----------
     source : str or pathlib.Path
         Name of a shipped track, a raceline file (see `map_racing.track.formats`), or a bag with
-        ``f110_msgs/WpntArray``, optionally followed by ``#TOPIC``.
+        ``f110_msgs/WpntArray`` or ``nav_msgs/Path``. ``FILE#KEY`` names the topic of a bag, the
+        waypoint array of a JSON file, or the columns of a CSV file, as ``line.csv#x,y,speed``.
 
     Returns
     -------
-    Raceline
+    CourseTable
 
     Raises
     ------
-    BagError, FileFormatError, ParameterError, RacelineError
+    BagError, FileFormatError, ParameterError
+        If it cannot be read.
     """
-    path, _, topic = str(source).partition("#")
+    path, topic = split_source(source)
     _refuse_special(path)
     if is_bag(path):
-        return read_waypoints(path, topic or None)
-    return load_raceline(source)
+        return read_waypoint_table(path, topic or None)
+    return read_course_file(*find_course_file(source))
+
+
+def save_course(path, course, form=None):
+    """Write a course in any of the `map_racing.track.writers.FORMATS`.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Replaced in one step if it exists.
+    course : CourseColumns
+        Of `map_racing.track.writers.course_columns`.
+    form : str, optional
+        Needed where the suffix of the path does not tell it.
+
+    Returns
+    -------
+    str
+        The format.
+
+    Raises
+    ------
+    ParameterError
+        If the format is unknown or does not go with the suffix.
+    RacelineError
+        If the course lacks what the format needs.
+    MapRacingError
+        If the file cannot be written.
+    """
+    form = choose_format(path, form)
+    if form == "bag":
+        with BagWriter(path) as bag:
+            # ROS has no time 0; 1 s after it is as good as any, and always the same.
+            bag.waypoints(1.0, closed_rows(course))
+    else:
+        write_course_file(path, course, form)
+    return form
+
 
 
 def read_csv_recording(path, columns=None):
@@ -140,7 +206,7 @@ def read_csv_recording(path, columns=None):
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected a text file (CSV) or a ROS 1 bag") from None
+        raise FileFormatError(f"{path}: expected UTF-8 text (CSV) or a ROS 1 bag") from None
     values = dict(zip(where, table.T))
     nan = np.full(len(table), math.nan)
     kept = np.flatnonzero(usable(values["t"], [values["x"], values["y"]]))
@@ -253,7 +319,9 @@ def _fields():
 
 
 def _refuse_special(path):
-    """Refuse pipes and devices: reading one may never end."""
+    """Refuse pipes and devices, since reading one may never end, and no name at all."""
+    if not str(path):
+        raise FileFormatError("'': expected the name of a file")
     path = Path(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise FileFormatError(f"{path}: expected a file, got a pipe or a device")
@@ -283,7 +351,9 @@ def _is_csv(path):
 
 
 def _open_text(path):
-    if str(path).endswith(".gz"):
+    with open(path, "rb") as file:
+        zipped = file.read(2) == b"\x1f\x8b"
+    if zipped:
         return gzip.open(str(path), "rt", encoding="utf-8-sig")
     return open(path, encoding="utf-8-sig")
 
@@ -302,6 +372,8 @@ def _split_header(path, file):
     delimiter = max(",;\t", key=first[1].count)
     numeric = _is_number(first[1].split(delimiter)[0])
     header = comment if numeric else first[1]
+    if not header:
+        raise FileFormatError(f"{path}: expected names of columns above the numbers, found none")
     names = [name.strip().strip('"') for name in header.split(delimiter)]
     data = (row for row in lines if not row[1].startswith("#"))
     return names, delimiter, chain([first], data) if numeric else data
@@ -353,12 +425,7 @@ def _parse_rows(path, rows, delimiter, names, where, seconds=True):
             try:
                 values.append(float(cells[index]))
             except ValueError:
-                if cells[index].strip():
-                    raise FileFormatError(
-                        f"{path}:{number}: column {names[index]}: expected a number, "
-                        f"got {cells[index].strip()!r}"
-                    ) from None
-                values.append(math.nan)
+                values.append(_number(path, number, names[index], cells[index]))
         time = values[fields.index("t")] if seconds else math.nan
         if math.isfinite(time) and abs(time) > _LATEST:
             raise FileFormatError(
@@ -370,6 +437,18 @@ def _parse_rows(path, rows, delimiter, names, where, seconds=True):
     if short is not None:
         notes.append(f"line {short[0]}, the last, is cut off: left out")
     return np.array(table, dtype=float).reshape(len(table), len(where)), numbers, notes
+
+
+def _number(path, line, name, cell):
+    """Value of a cell that is not simply a number: quoted, empty or wrong."""
+    text = cell.strip().strip('"').strip()
+    try:
+        return float(text) if text else math.nan
+    except ValueError:
+        shown = repr(text if len(text) < 40 else text[:37] + "...")
+        raise FileFormatError(
+            f"{path}:{line}: column {name}: expected a number, got {shown}"
+        ) from None
 
 
 def _is_number(text):

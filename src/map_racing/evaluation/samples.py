@@ -6,12 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..track.raceline import Raceline
+from ..track.raceline import FARTHEST, Raceline
 
-__all__ = ["FARTHEST", "Commands", "Recording", "in_order", "jump_back", "usable"]
-
-FARTHEST = 1e8
-"""Coordinates beyond this [m] are no place on earth but damaged data."""
+__all__ = ["Commands", "Recording", "in_order", "jump_back", "usable"]
 
 # Steps back in time shorter than this [s] come from transport and threads; longer ones mean that a
 # clock was set back or that another run begins.

@@ -21,6 +21,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float64, Header
 from std_srvs.srv import Trigger, TriggerResponse
+from tf2_msgs.msg import TFMessage
 
 from map_racing.cfg import ControllerConfig
 from map_racing.msg import Guidance
@@ -30,22 +31,26 @@ from ..control.parameters import (
     STEERING_MAPS,
     ControllerParameters,
     load_controller_parameters,
+    load_safety_limits,
     save_controller_parameters,
 )
 from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
+from ..evaluation import messages
 from ..evaluation.recordings import load_course
+from ..files import read_yaml_mapping
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
-from .node import get_parameter, run
+from .node import FirstSender, SteadyClock, get_parameter, run, why_silent
 from .transforms import TransformListener
 from .waypoints import RacelineSubscriber
 
 __all__ = ["ControllerNode", "main"]
 
 WATCHDOG_HZ = 20.0
+MISSING_S = 2.0
 SWITCH_S = 0.0005
 # Lines of the log about the same thing are at least this far apart [s].
 QUIET_S = 1.0
@@ -78,9 +83,11 @@ class ControllerNode:
         pose_source = get_parameter("pose_source", "odom", "odom, pose or tf")
         table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
         self._sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
-        self._frames = tuple(
-            get_parameter(f"{name}_frame", default, "with pose_source tf")
-            for name, default in (("map", "map"), ("base", "base_link"))
+        if self._sectors:
+            read_yaml_mapping(self._sectors)  # the rest needs a raceline
+        self._frames = (
+            frame(get_parameter("map_frame", "map", "frame of poses and raceline")),
+            frame(get_parameter("base_frame", "base_link", "frame of the car, pose_source tf")),
         )
         ros_home = os.environ.get("ROS_HOME") or Path.home() / ".ros"
         self._save_to = get_parameter(
@@ -91,7 +98,7 @@ class ControllerNode:
         parameters = _overridden(load_controller_parameters(controller))
         if table and parameters.steering_map == "ackermann":
             raise ParameterError(f"~lookup_table: {controller} is pure pursuit and uses none")
-        limits = replace(SafetyLimits(), max_speed_mps=parameters.v_max_mps)
+        limits = replace(load_safety_limits(controller), max_speed_mps=parameters.v_max_mps)
         limits = replace(_overridden(limits), max_speed_mps=parameters.v_max_mps)
 
         self._vehicle, self._v_max = vehicle, parameters.v_max_mps
@@ -108,9 +115,10 @@ class ControllerNode:
         )
         self._supervisor = Supervisor(limits)
         self._reader = StateReader()
+        self._clock = SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
-        self._frame = "map"
+        self._refused = ""  # why the latest raceline is none
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
         self._shown, self._quiet_until = None, {}
@@ -128,7 +136,7 @@ class ControllerNode:
         }
         rospy.on_shutdown(self._end)
         if source:
-            self._set_raceline(load_course(source))
+            self._follow(load_course(source))
         else:
             self._topic = RacelineSubscriber(
                 "global_waypoints", self._set_raceline, self._refuse_raceline
@@ -145,19 +153,24 @@ class ControllerNode:
         self._tuning = None
         self._tuning = Server(ControllerConfig, self._tune, namespace="tuning")
         self._pose_from = rospy.resolve_name(pose_source)
+        self._sender = FirstSender(self._pose_from)
         latest = {"queue_size": 1, "tcp_nodelay": True}
+        self._pose_topic = self._pose_from, Odometry._type
         if pose_source == "odom":
             rospy.Subscriber("odom", Odometry, self._on_pose, self._reader.odometry, **latest)
         elif pose_source == "pose":
+            self._pose_topic = self._pose_from, PoseStamped._type
             rospy.Subscriber("pose", PoseStamped, self._on_pose, self._reader.pose, **latest)
         else:
             self._pose_from = "/tf, {} to {}".format(*self._frames)
+            self._pose_topic = "/tf", TFMessage._type
             self._transform_stamp = 0
             self._transforms = TransformListener(self._on_transforms)
         every = rospy.Duration.from_sec
         self._timers = [
             rospy.Timer(every(1.0 / WATCHDOG_HZ), self._watch, reset=True),
             rospy.Timer(every(1.0), lambda _: self._diagnose(), reset=True),
+            rospy.Timer(every(MISSING_S), lambda _: self._tell_what_is_missing(), reset=True),
         ]
         # What there is now stays: the garbage collector need not look through it while driving.
         gc.collect()
@@ -167,10 +180,9 @@ class ControllerNode:
 
     def _on_pose(self, message, read):
         begin = time.perf_counter()
-        now = rospy.Time.now().to_nsec()
-        t = 1e-9 * stamp_ns(message.header, now)
         with self._lock:
-            self._act(begin, 1e-9 * now, message.header, lambda: read(message, t))
+            if self._sender.sent(message):
+                self._act(begin, message.header, lambda t: read(message, t))
 
     def _on_transforms(self):
         begin = time.perf_counter()
@@ -180,18 +192,23 @@ class ControllerNode:
                 return
             self._transform_stamp, *pose = found
             header = Header(stamp=to_time(found[0]), frame_id=self._frames[0])
-            self._act(
-                begin,
-                rospy.Time.now().to_sec(),
-                header,
-                lambda: self._reader.plane(1e-9 * found[0], *pose),
-            )
+            self._act(begin, header, lambda t: self._reader.plane(t, *pose))
 
-    def _act(self, begin, now, header, read):
+    def _act(self, begin, header, read):
         """One control step on the state that `read` returns; whatever fails in it stops the car."""
-        header.frame_id = self._frame = frame(header.frame_id) or "map"
+        now = self._clock.now()
+        header.frame_id = frame(header.frame_id) or self._frames[0]
         try:
-            state = read()
+            if header.frame_id != self._frames[0]:
+                rospy.logerr_throttle(
+                    10.0,
+                    f"{self._pose_from}: expected poses in the frame {self._frames[0]}, "
+                    f"got one in {header.frame_id} (~map_frame)",
+                )
+                self._command(header, self._supervisor.refuse(now))
+                return
+            stamp = stamp_ns(header, 0)
+            state = read(1e-9 * stamp - self._clock.steps if stamp else now)
             trusted = self._supervisor.observe(now, state)
             if self._supervisor.restarted:
                 self._restart()
@@ -222,18 +239,18 @@ class ControllerNode:
     def _watch(self, _):
         """Notice poses that stop coming."""
         with self._lock:
-            now = rospy.Time.now()
+            header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
             try:
-                decision = self._supervisor.watch(now.to_sec())
+                decision = self._supervisor.watch(self._clock.now())
                 if self._supervisor.restarted:
                     self._restart()
                 if decision is not None:
-                    self._command(Header(stamp=now, frame_id=self._frame), decision)
+                    self._command(header, decision)
                 else:
                     self._report()
             except Exception:
                 rospy.logerr_throttle(QUIET_S, _trace("the watchdog failed"))
-                self._send(Header(stamp=now, frame_id=self._frame), self._last_angle, 0.0)
+                self._send(header, self._last_angle, 0.0)
 
     # -- commands and what is told of them ---------------------------------------------------
 
@@ -303,7 +320,8 @@ class ControllerNode:
         if now > self._quiet_until.get(reason, 0.0) and (before is None or reason is not before[1]):
             self._quiet_until[reason] = now + QUIET_S
             log = rospy.logwarn if mode in (Mode.STOPPING, Mode.STOPPED) else rospy.loginfo
-            log(mode.value + (f": {reason.value}" if reason is not Reason.NONE else ""))
+            age = f" ({supervisor.pose_age:.2f} s)" if reason is Reason.STALE_POSE else ""
+            log(_text(mode, reason) + age)
         self._diagnose()
 
     def _diagnose(self):
@@ -313,9 +331,6 @@ class ControllerNode:
             parameters, raceline = controller.parameters, controller.raceline
             rate, saturated, slowest = self._tally.figures()
             age = supervisor.pose_age
-        missing = list(self._missing()) if mode is Mode.WAITING else []
-        if missing:
-            rospy.logwarn_throttle(10.0, "waiting: " + ", ".join(missing))
         level = DiagnosticStatus.ERROR
         if mode is Mode.DRIVING:
             level = DiagnosticStatus.OK
@@ -325,7 +340,7 @@ class ControllerNode:
         values = {
             "mode": mode.value,
             "reason": reason.value,
-            "waiting for": ", ".join(missing),
+            "waiting for": ", ".join(what for what, _, _ in self._missing()),
             "pose rate [Hz]": f"{rate:.1f}",
             "pose age [s]": f"{age:.3f}",
             "saturated share": f"{saturated:.3f}",
@@ -338,7 +353,7 @@ class ControllerNode:
             level=level,
             name=f"{name}: driving",
             hardware_id="map_racing",
-            message=mode.value + (f": {reason.value}" if reason is not Reason.NONE else ""),
+            message=_text(mode, reason),
             values=[KeyValue(key, value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
@@ -346,11 +361,25 @@ class ControllerNode:
         self._diagnostics.publish(array)
 
     def _missing(self):
-        """What the car has not got yet."""
-        if math.isnan(self._supervisor.pose_age):
-            yield f"no pose yet on {self._pose_from}"
+        """What a car that waits has not got: in words, with the topic and its type if any."""
+        if self._supervisor.mode is not Mode.WAITING:
+            return
+        if math.isnan(self._supervisor.pose_age) and self._supervisor.reason is not Reason.FRAME:
+            yield f"no pose yet on {self._pose_from}", *self._pose_topic
         if self._controller.raceline is None:
-            yield f"no raceline yet on {rospy.resolve_name('global_waypoints')}"
+            topic = rospy.resolve_name("global_waypoints")
+            if self._refused:
+                yield self._refused, None, None
+            else:
+                yield f"no raceline yet on {topic}", topic, messages.WAYPOINTS
+
+    def _tell_what_is_missing(self):
+        missing = [
+            f"{what} ({why_silent(topic, kind)})" if topic else what
+            for what, topic, kind in self._missing()
+        ]
+        if missing:
+            rospy.logwarn_throttle(10.0, "waiting: " + ", ".join(missing))
 
     def _end(self):
         """Tell the car to stop, for good."""
@@ -359,30 +388,36 @@ class ControllerNode:
             if self._supervisor.mode is Mode.WAITING:
                 return
         for _ in range(LAST_COMMANDS):
-            self._send(Header(stamp=rospy.Time.now(), frame_id=self._frame), self._last_angle, 0.0)
+            self._send(
+                Header(stamp=rospy.Time.now(), frame_id=self._frames[0]), self._last_angle, 0.0
+            )
             time.sleep(LAST_PERIOD_S)
 
     # -- raceline ----------------------------------------------------------------------------
 
     def _set_raceline(self, raceline):
         try:
-            sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-            if raceline.speed is None:
-                raise ParameterError(f"{raceline.source}: the raceline has no speeds")
+            self._follow(raceline)
         except MapRacingError as error:
             self._refuse_raceline(error)
-            return
+
+    def _follow(self, raceline):
+        sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
+        if raceline.speed is None:
+            raise ParameterError(f"{raceline.source}: the raceline has no speeds")
         # What is costly about a first search is done here, not in the first control step.
         raceline.project(0.0, 0.0)
         with self._lock:
             self._controller.sectors = sectors
             self._controller.raceline = raceline
             self._supervisor.raceline_changed(True)
+            self._refused = ""
         rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
 
     def _refuse_raceline(self, error):
         with self._lock:
             self._supervisor.raceline_changed(False)
+            self._refused = str(error)
         rospy.logerr_throttle(QUIET_S, str(error))
 
     # -- requests ----------------------------------------------------------------------------
@@ -407,10 +442,11 @@ class ControllerNode:
 
     def _on_save(self, _):
         parameters = self._controller.parameters
-        path = Path(self._save_to.format(steering_map=parameters.steering_map)).expanduser()
+        name = self._save_to.replace("{steering_map}", parameters.steering_map)
+        path = Path(name).expanduser()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            save_controller_parameters(parameters, path)
+            save_controller_parameters(parameters, path, self._supervisor.limits)
         except (MapRacingError, OSError) as error:
             return TriggerResponse(False, str(error))
         rospy.loginfo("saved to %s", path)
@@ -441,6 +477,8 @@ class ControllerNode:
         return config
 
     def _take(self, config):
+        for name in (n for n, v in config.items() if isinstance(v, float) and not math.isfinite(v)):
+            raise ParameterError(f"{name}: expected a finite number, got {config[name]}")
         lookaheads = {
             kind: (config[f"{kind}_m_m"], config[f"{kind}_q_s"]) for kind in STEERING_MAPS
         }
@@ -494,6 +532,10 @@ class _Tally:
             self._figures = self._steps / elapsed, share, self._slowest
             self._clear()
         return self._figures
+
+
+def _text(mode, reason):
+    return f"{mode.value}: {reason.value}" if reason.value else mode.value
 
 
 def _trace(text):

@@ -7,8 +7,11 @@ import genpy
 from ..angles import yaw_from_quaternion
 from ..control.motion import MotionEstimate
 from ..control.state import CarState
+from ..evaluation.samples import FARTHEST
 
-__all__ = ["StateReader", "frame", "plane_pose", "set_plane_pose", "stamp_ns", "to_time"]
+__all__ = [
+    *("StateReader", "frame", "heading", "plane_pose", "set_plane_pose", "stamp_ns", "to_time"),
+]
 
 
 def stamp_ns(header, received_ns):
@@ -33,16 +36,21 @@ def frame(name):
     return name.lstrip("/")
 
 
-def plane_pose(pose):
-    """``x, y, psi`` [m, m, rad] of a ``geometry_msgs/Pose``.
+def heading(q):
+    """Heading [rad] of a ``geometry_msgs/Quaternion``.
 
-    A quaternion of zeros, as messages hold that nobody filled in, is no heading: NaN.
+    One of zeros, as messages hold that nobody filled in, is no heading: NaN.
     """
-    at, q = pose.position, pose.orientation
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-    if not norm > 0.01:
-        return at.x, at.y, math.nan
-    return at.x, at.y, yaw_from_quaternion(q.x, q.y, q.z, q.w)
+    return yaw_from_quaternion(q.x, q.y, q.z, q.w) if norm > 0.01 else math.nan
+
+
+def plane_pose(pose):
+    """``x, y, psi`` [m, m, rad] of a ``geometry_msgs/Pose``; NaN: no place on earth, no heading."""
+    x, y = pose.position.x, pose.position.y
+    if not (abs(x) < FARTHEST and abs(y) < FARTHEST):
+        x = y = math.nan
+    return x, y, heading(pose.orientation)
 
 
 def set_plane_pose(pose, x, y, psi):

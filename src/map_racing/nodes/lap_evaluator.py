@@ -19,7 +19,7 @@ from ..evaluation.recordings import load_course
 from ..evaluation.report import lap_table
 from .conversions import frame, stamp_ns, to_time
 from .markers import delete_all, make_marker
-from .node import get_parameter, run
+from .node import FirstSender, get_parameter, run, why_silent
 from .waypoints import RacelineSubscriber
 
 __all__ = ["LapEvaluatorNode", "main"]
@@ -51,7 +51,6 @@ class LapEvaluatorNode:
         if not deviation >= 0.0:
             raise ParameterError(f"~max_deviation: expected 0 or more [m], got {deviation}")
 
-        # Its put may interrupt its get: the shutdown hook runs in a signal handler of that thread.
         self._queue = queue.SimpleQueue()
         self._frame = "map"
         self._best, self._counted = _NAN, 0
@@ -78,18 +77,20 @@ class LapEvaluatorNode:
                 lambda error: rospy.logwarn("%s", error),
             )
         self._subscribe("drive", AckermannDriveStamped, self._add_command)
-        self._no_poses = f"no poses on {rospy.resolve_name(pose)}"
-        if pose == "odom":
-            self._subscribe("odom", Odometry, self._add_odometry)
-        else:
-            self._subscribe("pose", PoseStamped, self._add_pose)
+        kind, add = (
+            (Odometry, self._add_odometry) if pose == "odom" else (PoseStamped, self._add_pose)
+        )
+        self._pose_topic = rospy.resolve_name(pose), kind._type
+        self._no_poses = f"no poses on {self._pose_topic[0]}"
+        sender = FirstSender(self._pose_topic[0])
+        self._subscribe(pose, kind, add, sender.sent)
 
-    def _subscribe(self, topic, kind, handle):
+    def _subscribe(self, topic, kind, handle, counts=lambda _: True):
         # Without a queue size nothing is dropped; the buffer takes in many messages at once.
         rospy.Subscriber(
             topic,
             kind,
-            lambda message: self._put(handle, message),
+            lambda message: self._put(handle, message) if counts(message) else None,
             queue_size=None,
             buff_size=1 << 20,
             tcp_nodelay=True,
@@ -112,7 +113,8 @@ class LapEvaluatorNode:
                 handle(message, received_ns, received)
             except queue.Empty:
                 if self._no_poses:
-                    rospy.logwarn_throttle(30.0, f"{self._no_poses} yet")
+                    why = why_silent(*self._pose_topic)
+                    rospy.logwarn_throttle(30.0, f"{self._no_poses} yet ({why})")
             if self._queue.empty() or self._queue.qsize() % 256 == 0:
                 self._laps.advance(time.monotonic())
         if self._no_poses:

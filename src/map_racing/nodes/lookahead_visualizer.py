@@ -1,13 +1,16 @@
 """Node ``lookahead_visualizer``: what the controller sees and wants, as markers.
 
-All of it is in the message ``guidance``; nothing is computed anew but the points of curves. The
-raceline is that of ``global_waypoints``, whoever publishes it.
+All of it is in the message ``guidance``; nothing is computed anew but the points of curves. Where
+none come, as in replays of other stacks' bags, car and trail are drawn from the poses. The raceline
+is that of ``global_waypoints``, whoever publishes it.
 """
 
 import math
 from collections import deque
 
 import rospy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -15,8 +18,11 @@ from map_racing.msg import Guidance
 
 from ..control.guidance import arc_to
 from ..errors import ParameterError
+from ..track.tracker import CourseTracker
 from ..track.waypoints import waypoint_rows
 from ..vehicle.parameters import load_vehicle
+from .conversions import frame as plain_frame
+from .conversions import plane_pose, stamp_ns
 from .markers import delete_all, make_marker, points_of, raceline_markers
 from .node import get_parameter, run
 from .waypoints import RacelineSubscriber
@@ -28,6 +34,8 @@ _LIFETIME = 0.5
 _TRAIL_LIFETIME = 5.0
 # Distance of the points of the trail [m]; farther than the last the car was put elsewhere.
 _TRAIL_STEP, _TRAIL_JUMP = 0.05, 2.0
+# Without guidance for so long [ns] the poses are drawn.
+_UNGUIDED_NS = 500000000
 _CIRCLE = [2.0 * math.pi * i / 48 for i in range(49)]
 
 LOOKAHEAD_COLOR = (1.0, 0.0, 0.0)
@@ -53,12 +61,15 @@ class LookaheadVisualizer:
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file: its size"))
         self._base = get_parameter("base_frame", "base_link", "frame of the rear axle")
         self._map = get_parameter("map_frame", "map", "frame of the raceline")
+        pose = get_parameter("pose_source", "odom", "odom or pose, drawn where no guidance comes")
         rate = get_parameter("rate", 20.0, "most pictures per second [Hz]")
         trail = get_parameter("trail_length", 15.0, "length of the driven trail [m]")
         self._error = get_parameter("trail_error", 0.2, "lateral error of the last color [m]")
         for name, value in (("rate", rate), ("trail_error", self._error)):
             if not 0.0 < value < math.inf:
                 raise ParameterError(f"~{name}: expected a positive number, got {value}")
+        if pose not in ("odom", "pose"):
+            raise ParameterError(f"~pose_source: expected odom or pose, got {pose!r}")
         if not 0.0 <= trail <= 1000.0:
             raise ParameterError(f"~trail_length: expected 0 to 1000 m, got {trail}")
         self._period_ns = int(1e9 / rate)
@@ -66,6 +77,8 @@ class LookaheadVisualizer:
         self._l_wb = vehicle.l_wb
         self._trail_length = trail
         self._trail = deque()
+        self._tracker = None
+        self._guided_ns = -_UNGUIDED_NS
         self._restart()
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
@@ -74,6 +87,8 @@ class LookaheadVisualizer:
             "global_waypoints", self._draw_course, lambda error: rospy.logwarn("%s", error)
         )
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
+        kind, what = (Odometry, _pose_of_odometry) if pose == "odom" else (PoseStamped, _pose)
+        rospy.Subscriber(pose, kind, self._receive_pose, what, queue_size=10, tcp_nodelay=True)
 
     def _restart(self):
         self._trail.clear()
@@ -81,43 +96,68 @@ class LookaheadVisualizer:
         self._clear = True
 
     def _receive(self, guidance):
-        stamp_ns = guidance.header.stamp.to_nsec()
-        if stamp_ns < self._last_ns:
-            self._restart()
-        self._last_ns = stamp_ns
-        self._extend_trail(guidance)
-        if stamp_ns < self._drawn_ns + self._period_ns:
+        at = guidance.x + guidance.y + guidance.lookahead_x + guidance.lookahead_y
+        if not math.isfinite(at + guidance.d + guidance.eta + guidance.steering_angle):
             return
-        self._drawn_ns = stamp_ns
+        self._guided_ns = stamp = guidance.header.stamp.to_nsec()
+        if not self._is_due(stamp, guidance.x, guidance.y, guidance.d):
+            return
         frame = guidance.header.frame_id
         if self._point.get_num_connections():
             self._point.publish(_lookahead_point(guidance, frame))
         if self._markers.get_num_connections():
-            if self._clear:
-                self._markers.publish(delete_all())
-                self._clear = False
-            markers = [_lookahead_point(guidance, frame), *self._drawn(guidance, frame)]
-            # The trail changes slowly and is by far the largest.
-            if stamp_ns >= self._trail_ns + 2 * self._period_ns and len(self._trail) > 1:
-                self._trail_ns = stamp_ns
-                markers.append(self._drawn_trail(frame))
-            self._markers.publish(MarkerArray(markers))
+            point = _lookahead_point(guidance, frame)
+            self._draw([point, *self._drawn(guidance, frame)], stamp, frame)
+
+    def _receive_pose(self, message, pose_of):
+        stamp = stamp_ns(message.header, rospy.Time.now().to_nsec())
+        if self._tracker is None or abs(stamp - self._guided_ns) < _UNGUIDED_NS:
+            return
+        x, y, psi = plane_pose(pose_of(message))
+        if not math.isfinite(x + y + psi):
+            return
+        deviation = self._tracker.update(x, y, psi).d
+        if self._is_due(stamp, x, y, deviation) and self._markers.get_num_connections():
+            frame = plain_frame(message.header.frame_id) or self._map
+            self._draw([self._drawn_car()], stamp, frame)
+
+    def _is_due(self, stamp, x, y, deviation):
+        """Extend the trail; whether it is time for the next picture."""
+        if stamp < self._last_ns:
+            self._restart()
+        self._last_ns = stamp
+        self._extend_trail(x, y, deviation)
+        if stamp < self._drawn_ns + self._period_ns:
+            return False
+        self._drawn_ns = stamp
+        return True
+
+    def _draw(self, markers, stamp, frame):
+        if self._clear:
+            self._markers.publish(delete_all())
+            self._clear = False
+        # The trail changes slowly and is by far the largest.
+        if stamp >= self._trail_ns + 2 * self._period_ns and len(self._trail) > 1:
+            self._trail_ns = stamp
+            markers.append(self._drawn_trail(frame))
+        self._markers.publish(MarkerArray(markers))
 
     def _draw_course(self, raceline):
+        self._tracker = CourseTracker(raceline)
         rows = waypoint_rows(raceline).tolist()
         self._course.publish(raceline_markers(raceline, rows, self._map))
 
-    def _extend_trail(self, guidance):
+    def _extend_trail(self, x, y, deviation):
         driven = 0.0
         if self._trail:
-            x, y, _, driven = self._trail[-1]
-            moved = math.hypot(guidance.x - x, guidance.y - y)
+            last_x, last_y, _, driven = self._trail[-1]
+            moved = math.hypot(x - last_x, y - last_y)
             if moved < _TRAIL_STEP:
                 return
             if moved > _TRAIL_JUMP:
                 self._trail.clear()
             driven += moved
-        self._trail.append((guidance.x, guidance.y, abs(guidance.d), driven))
+        self._trail.append((x, y, abs(deviation), driven))
         while driven - self._trail[0][3] > self._trail_length:
             self._trail.popleft()
 
@@ -155,13 +195,7 @@ class LookaheadVisualizer:
         half = 0.5 * guidance.steering_angle
         steering.pose.orientation.z, steering.pose.orientation.w = math.sin(half), math.cos(half)
         yield steering
-
-        car = make_marker(
-            *(Marker.CUBE, "car", self._base, CAR_COLOR), scale=self._size, lifetime=_LIFETIME
-        )
-        car.frame_locked = True
-        car.pose.position.x, car.pose.position.z = 0.5 * self._l_wb, 0.5 * self._size[2]
-        yield car
+        yield self._drawn_car()
 
         label = make_marker(
             *(Marker.TEXT_VIEW_FACING, "label", frame, LABEL_COLOR),
@@ -176,6 +210,14 @@ class LookaheadVisualizer:
             label.action = Marker.DELETE
         yield label
 
+    def _drawn_car(self):
+        car = make_marker(
+            *(Marker.CUBE, "car", self._base, CAR_COLOR), scale=self._size, lifetime=_LIFETIME
+        )
+        car.frame_locked = True
+        car.pose.position.x, car.pose.position.z = 0.5 * self._l_wb, 0.5 * self._size[2]
+        return car
+
     def _drawn_trail(self, frame):
         trail = make_marker(
             *(Marker.LINE_STRIP, "trail", frame, CAR_COLOR),
@@ -186,6 +228,14 @@ class LookaheadVisualizer:
         trail.points = points_of((x, y) for x, y, _, _ in self._trail)
         trail.colors = [error_color(error / self._error) for _, _, error, _ in self._trail]
         return trail
+
+
+def _pose(message):
+    return message.pose
+
+
+def _pose_of_odometry(message):
+    return message.pose.pose
 
 
 def _lookahead_point(guidance, frame):

@@ -10,10 +10,11 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
+from ..control.safety import PoseMotion
 from ..errors import ParameterError
 from ..experiments.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
-from .conversions import stamp_ns
-from .node import get_parameter, run, sleep
+from .conversions import plane_pose, stamp_ns
+from .node import FirstSender, get_parameter, run, sleep
 
 __all__ = ["SteeringRampNode", "main"]
 
@@ -66,6 +67,8 @@ class SteeringRampNode:
         self._last_pose = None
         self._angle, self._phase = 0.0, None
         self._ended = False
+        self._sender = FirstSender(rospy.resolve_name("odom"))
+        self._motion = PoseMotion()
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
         rospy.on_shutdown(self._end)
         if self._dead_man:
@@ -96,30 +99,39 @@ class SteeringRampNode:
         self._held_until = time.monotonic() + self._patience if held else -math.inf
 
     def _on_odometry(self, message):
-        at = message.pose.pose.position
+        x, y, _ = plane_pose(message.pose.pose)
         now = rospy.Time.now().to_nsec()
         stamp = stamp_ns(message.header, now)
         with self._lock:
-            if self._ended:
+            if self._ended or not self._sender.sent(message):
                 return
-            if self._ramp is None:
-                self._ramp = SteeringRamp(self._parameters, Circle(at.x, at.y, self._radius))
             enabled = not self._dead_man or time.monotonic() < self._held_until
             # An old pose is none: the car is not where it says.
-            if now - stamp < MAX_POSE_AGE_S * 1e9:
-                self._last_pose = time.monotonic()
-            else:
+            if not math.isfinite(x + y):
+                rospy.logwarn_throttle(1.0, "pose not finite")
                 enabled = False
-            command = self._ramp.update(
-                1e-9 * stamp, at.x, at.y, message.twist.twist.linear.x, enabled
-            )
+            elif abs(now - stamp) > MAX_POSE_AGE_S * 1e9:
+                rospy.logwarn_throttle(1.0, f"pose too old ({1e-9 * (now - stamp):.2f} s)")
+                enabled = False
+            else:
+                self._last_pose = time.monotonic()
+                if self._ramp is None:
+                    self._ramp = SteeringRamp(self._parameters, Circle(x, y, self._radius))
+            if self._ramp is None:
+                self._send(message.header, 0.0, 0.0)
+                return
+            speed = message.twist.twist.linear.x
+            if self._motion.frozen(1e-9 * now, (x, y), speed) > MAX_POSE_AGE_S:
+                rospy.logwarn_throttle(1.0, "pose frozen while moving")
+                enabled = False
+            command = self._ramp.update(1e-9 * stamp, x, y, speed, enabled)
             if command.phase is not self._phase:
                 self._phase = command.phase
                 rospy.loginfo("%s", command.phase.value)
             if command.phase is Phase.OUTSIDE:
                 rospy.logwarn_throttle(
                     5.0,
-                    f"({at.x:.2f}, {at.y:.2f}) is outside of the area, {self._ramp.area}: "
+                    f"({x:.2f}, {y:.2f}) is outside of the area, {self._ramp.area}: "
                     "drive the car back into it, or set a larger ~radius or ~box",
                 )
             self._send(message.header, command.steering_angle, command.speed)

@@ -12,12 +12,13 @@ import rospy
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
-from ..angles import yaw_from_quaternion
-from .conversions import frame, stamp_ns, to_time
+from .conversions import frame, heading, stamp_ns, to_time
 
 __all__ = ["TransformBroadcaster", "TransformListener", "TransformTree"]
 
 KEPT_NS = 5 * 10**9  # as long back as the history of a frame goes
+# A transform that is older by more than this than the last was sent after the clock was set back.
+BACKWARDS_NS = 5 * 10**8
 
 
 class _Edge:
@@ -28,7 +29,7 @@ class _Edge:
         self.times, self.poses = deque(), deque()
 
     def add(self, stamp, pose):
-        if self.static or (self.times and stamp < self.times[-1] - KEPT_NS):
+        if self.static or (self.times and stamp < self.times[-1] - BACKWARDS_NS):
             self.times.clear()
             self.poses.clear()
         index = bisect_right(self.times, stamp)
@@ -61,10 +62,6 @@ class TransformTree:
 
     def __init__(self):
         self._edges = {}
-
-    def clear(self):
-        """Forget all that moves: time jumped back."""
-        self._edges = {child: edge for child, edge in self._edges.items() if edge.static}
 
     def add(self, parent, child, stamp, pose, static=False):
         """Add the pose ``(x, y, psi)`` of `child` in `parent` at a time [ns]."""
@@ -125,11 +122,6 @@ class TransformListener:
             rospy.Subscriber("/tf", TFMessage, self._receive, False, tcp_nodelay=True),
         )
 
-    def clear(self):
-        """Forget all that moves: time jumped back."""
-        with self._lock:
-            self._tree.clear()
-
     def lookup(self, parent, child, stamp=None):
         """As `TransformTree.lookup`."""
         with self._lock:
@@ -139,8 +131,8 @@ class TransformListener:
         now = rospy.Time.now().to_nsec()
         with self._lock:
             for transform in message.transforms:
-                at, q = transform.transform.translation, transform.transform.rotation
-                pose = at.x, at.y, yaw_from_quaternion(q.x, q.y, q.z, q.w)
+                at, rotation = transform.transform.translation, transform.transform.rotation
+                pose = at.x, at.y, heading(rotation)
                 parent = frame(transform.header.frame_id)
                 stamp = stamp_ns(transform.header, now)
                 self._tree.add(parent, frame(transform.child_frame_id), stamp, pose, static)

@@ -15,8 +15,8 @@ from ..control.state import CarState, moved
 from ..errors import ParameterError
 from ..resources import find_config
 from ..vehicle.parameters import Vehicle, load_vehicle
-from ..vehicle.single_track import single_track_derivatives
-from ..vehicle.tires import PacejkaTire
+from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
+from ..vehicle.tires import PacejkaTire, finite, positive
 
 __all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters", "scaled_tires"]
 
@@ -31,7 +31,7 @@ class PlantParameters:
         Geometry, masses, limits and nominal tires: a car, or in files the name of a shipped vehicle
         or of a vehicle file, by a path from the plant's own file.
     mu_scale, front_stiffness_scale, rear_stiffness_scale : float
-        Friction and cornering stiffness of the plant's tires relative to the vehicle's.
+        Friction and cornering stiffness of the plant's tires relative to the vehicle's, 0.1 to 3.
     steering_delay_s, steering_time_constant_s : float
         Dead time and lag of the servo; its rate limit is the vehicle's.
     drive_delay_s, drive_time_constant_s : float
@@ -39,7 +39,7 @@ class PlantParameters:
     a_max_mps2, a_brake_max_mps2 : float
         Largest acceleration and deceleration of the drive.
     localization_rate_hz, localization_latency_s : float
-        Poses per second; time from the instant at which a pose holds to its arrival.
+        Poses per second, 1 to 500; time from the instant at which a pose holds to its arrival.
     position_noise_m, heading_noise_rad, velocity_noise_mps, yaw_rate_noise_radps : float
         Standard deviations of white noise on what localization reports.
     acceleration_noise_mps2 : float
@@ -73,25 +73,24 @@ class PlantParameters:
     measures_v_y: bool = True
 
     def __post_init__(self):
-        positive = (
-            "mu_scale",
-            "front_stiffness_scale",
-            "rear_stiffness_scale",
-            "drive_time_constant_s",
-            "a_max_mps2",
-            "a_brake_max_mps2",
-            "localization_rate_hz",
-        )
         if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
             raise ParameterError(f"vehicle must be a name or a path, not {self.vehicle!r}")
         for name, value in vars(self).items():
             if name in ("vehicle", "measures_v_y"):
                 continue
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ParameterError(f"{name} must be a number, not {value!r}")
-            if not math.isfinite(value) or value < 0 or (name in positive and value == 0):
-                least = "positive" if name in positive else "finite and not negative"
-                raise ParameterError(f"{name} must be {least}, but is {value}")
+            if name.endswith("_scale"):
+                if not 0.1 <= finite(name, value) <= 3.0:
+                    raise ParameterError(f"{name}: expected 0.1 to 3, got {value:g}")
+            elif name in _POSITIVE:
+                positive(name, value)
+            elif finite(name, value) < 0.0:
+                raise ParameterError(f"{name}: expected 0 or more, got {value:g}")
+        for name in _DELAYS:  # a larger one is meant in milliseconds
+            if getattr(self, name) > 1.0:
+                raise ParameterError(f"{name}: expected 0 to 1 s, got {getattr(self, name):g}")
+        rate, most = self.localization_rate_hz, 1.0 / Plant.time_step
+        if not 1.0 <= rate <= most:
+            raise ParameterError(f"localization_rate_hz: expected 1 to {most:g} Hz, got {rate:g}")
         if not isinstance(self.measures_v_y, bool):
             raise ParameterError(f"measures_v_y must be true or false, not {self.measures_v_y!r}")
 
@@ -130,6 +129,10 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
         front=_scaled(vehicle.front, front_stiffness),
         rear=_scaled(vehicle.rear, rear_stiffness),
     )
+
+
+_POSITIVE = ("drive_time_constant_s", "a_max_mps2", "a_brake_max_mps2")
+_DELAYS = ("steering_delay_s", "drive_delay_s", "localization_latency_s")
 
 
 def _scaled(tire, factor):
@@ -179,7 +182,10 @@ class Plant:
     def __init__(self, parameters):
         self.parameters = parameters
         self.vehicle = parameters.build_vehicle()
-        self._derivatives = single_track_derivatives(self.vehicle)
+        # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at walking
+        # pace are damped up to a higher speed.
+        v_eps = max(V_EPS, fastest_mode(self.vehicle) * self.time_step / 2.5)
+        self._derivatives = single_track_derivatives(self.vehicle, v_eps)
         self.reset(0.0, 0.0, 0.0)
 
     def reset(self, x, y, psi, speed=0.0):

@@ -3,7 +3,7 @@
 A second plant, not ours, to check the closed loop against figures that were measured elsewhere: the
 CommonRoad single-track model with linear tires and small angles, one Euler step per 10 ms, steering
 commands through a delay line of five samples, a bang-bang servo and a crude speed controller.
-Model and figures as published with that simulator.
+Model and figures as published with that simulator; a recording of it obeys them to rounding.
 """
 
 import math
@@ -24,16 +24,21 @@ class PublicSimulator:
     Parameters
     ----------
     vehicle : Vehicle
-        A car with linear tires; the figures of the simulator are those of the shipped ``sim``.
+        A car with linear tires; the figures of the simulator are those of the shipped ``sim``, but
+        for `h_cg`.
 
     Attributes
     ----------
+    h_cg : float
+        Height of the center of gravity [m], as the recording shows. The published model file of the
+        same car says 0.02 m, which would hide most of the load that braking takes off the rear.
     speed : float
         Magnitude of the velocity, which the simulator calls ``linear.x`` [m/s].
     slip_angle : float
         Angle from heading to velocity [rad].
     """
 
+    h_cg = 0.074
     time_step = 0.01
     steering_delay_steps = 5
     steering_dead_band = 1e-4
@@ -119,8 +124,8 @@ class PublicSimulator:
         """Linear single-track model with load transfer: ``beta'`` and ``r'``."""
         vehicle = self.vehicle
         l_f, l_r, l_wb = vehicle.l_f, vehicle.l_r, vehicle.l_wb
-        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * vehicle.h_cg) / l_wb
-        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * vehicle.h_cg) / l_wb
+        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * self.h_cg) / l_wb
+        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * self.h_cg) / l_wb
         # Axle forces per mass: stiffness times slip angle, positive to the left.
         force_front = front * (delta - beta - l_f * r / v)
         force_rear = rear * (-beta + l_r * r / v)

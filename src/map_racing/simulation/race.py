@@ -143,9 +143,9 @@ def race(
                 break
             if driven > headway + HEADWAY:
                 headway, headway_at = driven, car.now
-            if car.now > time_limit or car.now > headway_at + PATIENCE:
-                outcome = Outcome.STALLED
-                break
+        if car.now > time_limit or car.now > headway_at + PATIENCE:
+            outcome = Outcome.STALLED
+            break
         for seen in arrived:
             result = controller.step(seen.measured)
             steering, speed = result.steering_angle, result.speed

@@ -26,10 +26,13 @@ __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceli
 
 # Points closer than this are one point written twice; the densest real courses have 2 mm.
 _SAME_POINT = 1e-4
-_FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m].
+FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m]; damaged data may be.
 # Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
-# keeps memory linear in the number of points whatever their unit.
+# keeps memory linear in the number of points whatever their unit. Dense points get cells of 2 cm,
+# or a thousandth of the lap: finer ones would leave the processor's cache, and each step take 20 %
+# longer.
 _CELL, _CELLS_PER_POINT = 0.1, 16
+_FINEST, _FINEST_OF_LAP = 0.02, 0.001
 
 # Points by which a closed spline is continued beyond its ends; 2^-50 is the rounding of floats.
 _OVERLAP = 50
@@ -115,7 +118,7 @@ class Raceline:
     s_points : ndarray
         Arc length of the given points, without the dropped ones [m].
     name, source : str
-    findings : tuple of str
+    findings : tuple of map_racing.track.findings.Finding
         What a reader of files or messages noticed; empty for a raceline made from arrays.
 
     Raises
@@ -162,9 +165,12 @@ class Raceline:
         if bad.any():
             index = int(np.argmax(bad))
             raise self._error(f"point {index}: expected a finite {key}, got {column[index]}")
-        if np.any(np.abs(column) > _FARTHEST):
+        if np.any(np.abs(column) > FARTHEST):
             index = int(np.argmax(np.abs(column)))
-            raise self._error(f"point {index}: expected {key} in meters, got {column[index]:g}")
+            raise self._error(
+                f"point {index}: expected a {key} of at most {FARTHEST:g} m or m/s, "
+                f"got {column[index]:g}"
+            )
         return column
 
     def _build(self, columns):
@@ -353,9 +359,9 @@ class Raceline:
         ParameterError
             If the position is not finite.
         """
-        if not math.isfinite(x + y + (psi or 0.0)):
+        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and math.isfinite(psi or 0.0)):
             heading = "" if psi is None else f", heading {psi}"
-            raise ParameterError(f"expected a finite position, got ({x}, {y}){heading}")
+            raise ParameterError(f"expected a finite position on earth, got ({x}, {y}){heading}")
         if psi is None:
             if self._tree is None:
                 self._tree = cKDTree(np.stack((self.x, self.y), axis=1))
@@ -594,9 +600,11 @@ def _arc_length_form(x, y):
         return width * np.hypot(tangents[..., 0], tangents[..., 1]).dot(_WEIGHTS)
 
     s = np.concatenate(([0.0], np.cumsum(arc(u[:-1], chords))))
-    spacing = s[-1] / chords.size
-    n = math.ceil(s[-1] / min(spacing, max(_CELL, spacing / _CELLS_PER_POINT)) - 1e-9)
-    targets = np.linspace(0.0, s[-1], n + 1)[:-1]
+    length, spacing = s[-1], s[-1] / chords.size
+    cell = min(spacing, max(_CELL, spacing / _CELLS_PER_POINT))
+    cell = max(cell, min(_FINEST, _FINEST_OF_LAP * length))
+    n = math.ceil(length / cell - 1e-9)
+    targets = np.linspace(0.0, length, n + 1)[:-1]
     segment = np.clip(np.searchsorted(s, targets, side="right") - 1, 0, chords.size - 1)
     begin, wanted = u[segment], targets - s[segment]
     width = wanted * chords[segment] / (s[segment + 1] - s[segment])

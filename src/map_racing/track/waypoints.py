@@ -8,11 +8,13 @@ __all__ = ["WAYPOINT_COLUMNS", "scaled_speed", "waypoint_rows"]
 
 # Fields of f110_msgs/Wpnt that are read, and what `raceline_from_columns` calls them.
 WAYPOINT_COLUMNS = {
+    "s_m": "s",
     "x_m": "x",
     "y_m": "y",
     "psi_rad": "psi",
     "kappa_radpm": "kappa",
     "vx_mps": "speed",
+    "ax_mps2": "ax",
     "d_left": "d_left",
     "d_right": "d_right",
 }

@@ -14,7 +14,7 @@ import yaml
 
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
-from .tires import finite
+from .tires import positive
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table"]
 
@@ -42,8 +42,7 @@ class Provenance:
     generator: str
 
     def __post_init__(self):
-        if not finite("l_wb", self.l_wb) > 0.0:
-            raise ParameterError(f"l_wb: expected a positive number, got {self.l_wb:g}")
+        positive("l_wb", self.l_wb)
 
 
 class _Column(NamedTuple):
@@ -294,16 +293,21 @@ def default_grid(vehicle, v_max=None):
     ----------
     vehicle : Vehicle
     v_max : float, optional
-        Fastest column [m/s]; the vehicle's own if not given.
+        Fastest column [m/s], from 0.2 to 100; the vehicle's own if not given.
 
     Returns
     -------
     speeds, angles : ndarray
         [m/s] and [rad], up to the vehicle's largest steering angle.
+
+    Raises
+    ------
+    ParameterError
+        If the fastest column is not as said.
     """
     v_max = vehicle.v_max if v_max is None else float(v_max)
-    if not 0.2 <= v_max < math.inf:
-        raise ParameterError(f"v_max: expected a speed of at least 0.2 m/s, got {v_max:g}")
+    if not 0.2 <= v_max <= 100.0:
+        raise ParameterError(f"v_max: expected a speed from 0.2 to 100 m/s, got {v_max:g}")
     speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 * (v_max - 0.1))) + 1)
     return speeds, np.linspace(0.0, vehicle.delta_max, 257)
 

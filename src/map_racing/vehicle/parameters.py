@@ -15,7 +15,7 @@ from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
 from .single_track import GRAVITY
-from .tires import LinearTire, PacejkaTire, finite
+from .tires import LinearTire, PacejkaTire, finite, positive
 
 __all__ = [
     "Tire",
@@ -64,7 +64,7 @@ class Vehicle:
     Raises
     ------
     ParameterError
-        If a value is not a finite number in its range, if the tires are not of one model, or if
+        If a value is not a number in its range, if the tires are not of one model, or if
         driving or braking at the limits would lift an axle.
     """
 
@@ -94,8 +94,8 @@ class Vehicle:
             raise ParameterError(f"rear: expected a tire as in front, got {self.rear!r}")
         for key in _NUMBERS:
             value = finite(key, getattr(self, key))
-            if value < 0.0 or (value == 0.0 and key != "h_cg"):
-                raise ParameterError(f"{key}: expected a positive number, got {value:g}")
+            if key != "h_cg" or value < 0.0:
+                positive(key, value)
             object.__setattr__(self, key, value)
         if self.delta_max >= 0.5 * math.pi:
             raise ParameterError(f"delta_max: expected less than pi/2 rad, got {self.delta_max:g}")

@@ -21,7 +21,14 @@ import math
 
 import numpy as np
 
-__all__ = ["GRAVITY", "V_EPS", "axle_loads", "single_track_derivatives", "slip_angles"]
+__all__ = [
+    "GRAVITY",
+    "V_EPS",
+    "axle_loads",
+    "fastest_mode",
+    "single_track_derivatives",
+    "slip_angles",
+]
 
 GRAVITY = 9.81
 """Acceleration of gravity [m/s^2]."""
@@ -29,7 +36,7 @@ GRAVITY = 9.81
 V_EPS = 0.75
 """Forward wheel speed [m/s] below which slip angles are damped instead of growing with 1/v.
 
-The fastest mode of ``nuc4`` (a very stiff rear tire) decays with 741 m/s / v; at this speed it is
+The fastest mode of ``nuc4`` (a very stiff rear tire) decays with 741 m/s^2 / v; at this speed it is
 988 1/s, which RK4 still integrates at steps of 2.8 ms. With 0.5 m/s it would diverge at 2 ms.
 """
 
@@ -54,6 +61,32 @@ def axle_loads(vehicle, a_long):
         scale * (GRAVITY * vehicle.l_r - transfer),
         scale * (GRAVITY * vehicle.l_f + transfer),
     )
+
+
+def fastest_mode(vehicle):
+    """Decay rate of the faster mode of straight running, times the speed: no mode is faster.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    float
+        The rate [1/s] at a speed v [m/s] is this over v [m/s^2].
+    """
+    F_zf, F_zr = axle_loads(vehicle, 0.0)
+    stiff_f = vehicle.mu * F_zf * vehicle.front.stiffness
+    stiff_r = vehicle.mu * F_zr * vehicle.rear.stiffness
+    coupling = vehicle.l_f * stiff_f - vehicle.l_r * stiff_r
+    damping = vehicle.l_f**2 * stiff_f + vehicle.l_r**2 * stiff_r
+    rates = np.linalg.eigvals(
+        [
+            [(stiff_f + stiff_r) / vehicle.m, coupling / vehicle.m],
+            [coupling / vehicle.I_z, damping / vehicle.I_z],
+        ]
+    )
+    return float(np.max(np.abs(rates)))
 
 
 def slip_angles(vehicle, v_x, v_y, r, delta, v_eps=V_EPS):

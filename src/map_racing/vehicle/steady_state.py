@@ -27,8 +27,11 @@ from .single_track import GRAVITY, single_track_derivatives
 
 __all__ = ["simulate_to_steady_state", "steady_state_table"]
 
-# front slip angles [rad] between which each branch is followed, dense where tires are stiff
+# front slip angles [rad] between which each branch is followed, dense where tires are stiff ...
 _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
+# ... and around the front tire's peak, as shares of its slip: where the rear tire peaks with it,
+# the branch may end in a stretch as narrow as the two are alike
+_AROUND_PEAK = 1.0 + np.outer((-1.0, 1.0), np.logspace(-6.0, -1.0, 41)).ravel()
 
 
 def steady_state_table(vehicle, speeds, angles):
@@ -53,7 +56,7 @@ def steady_state_table(vehicle, speeds, angles):
     Raises
     ------
     ParameterError
-        If an axis is not as said.
+        If an axis is not as said, or the car has no stable steady state at all.
     """
     speeds, angles = np.asarray(speeds, dtype=float), np.asarray(angles, dtype=float)
     for name, axis, least in (("speeds", speeds, 1e-3), ("angles", angles, 0.0)):
@@ -70,7 +73,10 @@ def steady_state_table(vehicle, speeds, angles):
         l_wb=vehicle.l_wb,
         generator=f"map_racing {__version__}",
     )
-    return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
+    try:
+        return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
+    except ParameterError as error:
+        raise ParameterError(f"{vehicle.name}: its steady states make no table: {error}") from None
 
 
 def simulate_to_steady_state(vehicle, v, delta, duration=20.0):
@@ -130,11 +136,13 @@ def _branches(vehicle, speeds):
     list of (ndarray, ndarray)
         Both rising from 0 to the end of the branch; empty where straight running is unstable.
     """
-    delta, stable = _equilibria(vehicle, speeds, _SLIP[:, None])
+    peak = vehicle.front.peak_slip
+    followed = np.union1d(_SLIP, peak * _AROUND_PEAK) if peak < _SLIP[-1] else _SLIP
+    delta, stable = _equilibria(vehicle, speeds, followed[:, None])
     count = np.logical_and.accumulate(stable).sum(axis=0)
     # find the end within its interval: twice, to 1/128 each, which leaves 1e-14 rad of delta
-    low = _SLIP[np.maximum(count - 1, 0)]
-    high = _SLIP[np.minimum(count, _SLIP.size - 1)]
+    low = followed[np.maximum(count - 1, 0)]
+    high = followed[np.minimum(count, followed.size - 1)]
     columns = np.arange(speeds.size)
     for _ in range(2):
         slip = low + (high - low) * np.linspace(0.0, 1.0, 129)[:, None]
@@ -143,9 +151,9 @@ def _branches(vehicle, speeds):
         low, high = slip[last, columns], slip[np.minimum(last + 1, 128), columns]
     delta_end = delta_end[last, columns]
     return [
-        (np.append(_SLIP[:n], low[j]), np.append(delta[:n, j], delta_end[j]))
+        (np.append(followed[:n], low[j]), np.append(delta[:n, j], delta_end[j]))
         if n
-        else (_SLIP[:0],) * 2
+        else (followed[:0],) * 2
         for j, n in enumerate(count)
     ]
 

@@ -19,7 +19,10 @@ import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = ["LinearTire", "PacejkaTire", "finite"]
+__all__ = ["LinearTire", "PacejkaTire", "finite", "positive"]
+
+# Beyond these a parameter is a slip of the pen, and would overflow somewhere.
+_SMALLEST, _LARGEST = 1e-9, 1e9
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class PacejkaTire:
     Raises
     ------
     ParameterError
-        If a coefficient is not a finite number, or not positive.
+        If a coefficient is not a number up to 1e9, or not positive.
     """
 
     B: float
@@ -47,7 +50,7 @@ class PacejkaTire:
     model = "pacejka"
 
     def __post_init__(self):
-        _check(self, positive=("B", "C", "D"))
+        _check(self)
 
     @property
     def stiffness(self):
@@ -75,8 +78,7 @@ class PacejkaTire:
         """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
         x = self.B * np.asarray(alpha, dtype=float)
         y = x - self.E * (x - np.arctan(x))
-        bend = 1.0 - self.E * (x * x) / (1.0 + x * x)
-        return self.stiffness * np.cos(self.C * np.arctan(y)) * bend / (1.0 + y * y)
+        return self.stiffness * np.cos(self.C * np.arctan(y)) * self._bend(x) / (1.0 + y * y)
 
     def slip(self, force):
         """Slip angle on the rising side of the curve, the inverse of `normalized_force`.
@@ -122,6 +124,10 @@ class PacejkaTire:
         y = math.atan(x) + (x - math.atan(x)) * (1.0 - self.E) if self.E > 1.0 else 0.5 * math.pi
         return self.C * math.atan(y)
 
+    def _bend(self, x):
+        """Derivative of ``x - E (x - atan x)``, whose digits hold as E approaches 1."""
+        return (1.0 + (1.0 - self.E) * (x * x)) / (1.0 + x * x)
+
     def _unbend(self, y):
         """Solve ``x - E (x - atan x) = y`` for x up to the turning point.
 
@@ -131,7 +137,7 @@ class PacejkaTire:
         y = np.asarray(y, dtype=float)
         x = y
         for _ in range(60):
-            step = (x - self.E * (x - np.arctan(x)) - y) / (1.0 - self.E * x * x / (1.0 + x * x))
+            step = (x - self.E * (x - np.arctan(x)) - y) / self._bend(x)
             x = x - step
             with np.errstate(invalid="ignore"):
                 if not np.any(np.abs(step) > 1e-9 * (1.0 + np.abs(x))):
@@ -151,7 +157,7 @@ class LinearTire:
     Raises
     ------
     ParameterError
-        If it is not a finite positive number.
+        If it is not a positive number up to 1e9.
     """
 
     C_S: float
@@ -159,7 +165,7 @@ class LinearTire:
     model = "linear"
 
     def __post_init__(self):
-        _check(self, positive=("C_S",))
+        _check(self)
 
     @property
     def stiffness(self):
@@ -199,7 +205,7 @@ class LinearTire:
 
 
 def finite(name, value):
-    """The value as a float, if it is a finite number.
+    """The value as a float, if it is a number of a credible size.
 
     Parameters
     ----------
@@ -215,18 +221,27 @@ def finite(name, value):
     Raises
     ------
     ParameterError
-        If it is something else; a text or a truth value is not a number.
+        If it is something else, such as a text or a truth value, or beyond 1e9.
     """
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not number or not math.isfinite(value):
+    # Integers of any length compare with infinity.
+    if not number or not -math.inf < value < math.inf:
         raise ParameterError(f"{name}: expected a finite number, got {value!r}")
+    if not -_LARGEST <= value <= _LARGEST:
+        raise ParameterError(f"{name}: expected a number of at most {_LARGEST:g} in magnitude")
     return float(value)
 
 
-def _check(tire, positive):
+def positive(name, value):
+    """The same, if it is not negative, zero or below 1e-9."""
+    value = finite(name, value)
+    if value < _SMALLEST:
+        raise ParameterError(f"{name}: expected a positive number, got {value:g}")
+    return value
+
+
+def _check(tire):
     """Store the coefficients as floats, having checked them."""
     for field in fields(tire):
-        value = finite(field.name, getattr(tire, field.name))
-        if field.name in positive and value <= 0.0:
-            raise ParameterError(f"{field.name}: expected a positive number, got {value:g}")
-        object.__setattr__(tire, field.name, value)
+        check = finite if field.name == "E" else positive
+        object.__setattr__(tire, field.name, check(field.name, getattr(tire, field.name)))

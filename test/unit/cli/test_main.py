@@ -1,8 +1,10 @@
 """The command line as its users meet it: exit codes, one line per error, files."""
 
 import json
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -91,12 +93,28 @@ def test_race_with_a_table_and_sectors(tmp_path, capsys):
         (["--lookup-table", "nowhere.csv"], "nowhere.csv"),
         (["--speed-sectors", "nowhere.yaml"], "nowhere.yaml"),
         (["--controller", "pure_pursuit", "--lookup-table", "t.csv"], "no lookup table"),
+        (["--track", ""], "'': expected the name of a file"),
     ],
 )
 def test_race_refuses(tmp_path, capsys, arguments, said):
     line = refused(capsys, "race", *arguments, "--output", tmp_path / "a.bag")
     assert re.search(said, line), line
     assert list(tmp_path.iterdir()) == []
+
+
+def test_race_refuses_a_course_in_millimeters(tmp_path, capsys):
+    angle = np.arange(100) * 2.0 * np.pi / 100
+    path = tmp_path / "mm.csv"
+    rows = zip((5000.0 * np.cos(angle)).tolist(), (5000.0 * np.sin(angle)).tolist())
+    path.write_text("x_m,y_m,vx_mps\n" + "\n".join(f"{x},{y},3" for x, y in rows))
+    line = refused(capsys, "race", "--track", path, "--output", tmp_path / "a.bag")
+    assert "expected a lap of at most 5000 m, got 31416 m: is it in meters?" in line
+
+
+def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["race", "--laps", "1", "--controller", "map", "--output", "map"]) == 0
+    assert (tmp_path / "map").is_file()
 
 
 def test_race_refuses_a_folder_that_is_not_there(tmp_path, capsys):
@@ -149,6 +167,11 @@ def test_evaluate_refuses(bags, tmp_path, capsys):
     assert "empty.bag" in refused(capsys, "evaluate", tmp_path / "empty.bag")
     assert "/nothing" in refused(capsys, "evaluate", bag, "--pose-topic", "/nothing")
     assert "club" in refused(capsys, "evaluate", bag, "--raceline", "club")
+    assert "no pose on /" in refused(capsys, "evaluate", bag, "--pose-topic", "")
+    assert "'': expected the name" in refused(capsys, "evaluate", bag, "--raceline", "")
+    assert "'': expected the name" in refused(capsys, "evaluate", "")
+    assert "Is a directory" in refused(capsys, "evaluate", tmp_path)
+    assert "start line" in refused(capsys, "evaluate", bag, "--start-line", "nan")
     assert "max-deviation" in refused(capsys, "evaluate", bag, "--max-deviation", "0")
     path = tmp_path / "run.csv"
     path.write_text("t,x,y\n0,0,0\n1,1,0\n")
@@ -251,6 +274,8 @@ def test_real_laps_from_csv(shared_data, tmp_path):
 def test_names_of_runs_keep_their_dots():
     assert run_names(["a/map_0.7.bag", "b/pp.csv.gz", "c.bag.active"]) == ["map_0.7", "pp", "c"]
     assert run_names(["a/x.bag", "b/x.bag"]) == ["a/x.bag", "b/x.bag"]
+    assert run_names(["/m/n/a/x.bag", "/m/n/b/x.bag"]) == ["a/x.bag", "b/x.bag"]
+    assert run_names(["/m/n/x.bag", "/m/n/x.bag"]) == ["x.bag", "x.bag"]
 
 
 # -- lookup --------------------------------------------------------------------------------------
@@ -266,6 +291,20 @@ def test_generated_table_checks_against_its_vehicle(tmp_path, capsys):
     assert main(["lookup", "check", str(path), "--vehicle", "nuc4"]) == 0
     assert "largest difference 0.00e+00" in capsys.readouterr().out
     assert "not a table of SIM" in refused(capsys, "lookup", "check", path, "--vehicle", "sim")
+
+
+def test_a_table_may_differ_from_its_vehicle_as_much_as_tires_do(tmp_path, capsys):
+    text = find_config("vehicles", "nuc4", (".yaml",)).read_text(encoding="utf-8")
+    for mu in ("0.995", "0.98"):
+        car, path = tmp_path / f"{mu}.yaml", tmp_path / f"{mu}.csv"
+        car.write_text(re.sub(r"(?m)^mu: \S+", f"mu: {mu}", text), encoding="utf-8")
+        assert main(["lookup", "generate", "--vehicle", str(car), "--output", str(path)]) == 0
+        check = ["lookup", "check", str(path), "--vehicle", "nuc4"]
+        if mu == "0.995":
+            assert main(check) == 0
+            assert "made from other parameters" in capsys.readouterr().out
+        else:
+            assert "not a table of NUC4: off by 0.1" in refused(capsys, *check)
 
 
 def test_table_is_drawn(tmp_path):
@@ -299,6 +338,71 @@ def test_wrong_arguments_exit_with_2(capsys):
         with pytest.raises(SystemExit) as exit_code:
             main(arguments)
         assert exit_code.value.code == 2
+
+
+def program(*arguments, **options):
+    """Run the command line as a process."""
+    command = [sys.executable, "-m", "map_racing", *map(str, arguments)]
+    pipe = subprocess.PIPE
+    return subprocess.run(command, **{"stdout": pipe, "stderr": pipe, "check": False, **options})
+
+
+def test_names_that_are_not_utf8(bags, tmp_path):
+    name = b"r\xfcn.bag"
+    path = os.fsdecode(os.fsencode(str(tmp_path)) + b"/" + name)
+    shutil.copy(str(bags["map"]), path)
+    files = ["--csv", tmp_path / "l.csv", "--json", tmp_path / "l.json", "--plots", tmp_path / "p"]
+    done = program("evaluate", path, *files)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert name in (tmp_path / "l.csv").read_bytes()
+    assert json.loads((tmp_path / "l.json").read_text())["runs"][0]["bag"] == path
+    assert len(list((tmp_path / "p").iterdir())) == 4
+
+
+def test_figures_of_runs_with_strange_names(bags, tmp_path):
+    path = tmp_path / f"\u8d5b $\\frac$ {'long' * 40}.bag"
+    shutil.copy(str(bags["map"]), str(path))
+    done = program("evaluate", path, path, "--plots", tmp_path / "p")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert len(list((tmp_path / "p").iterdir())) == 4
+
+
+def test_a_terminal_that_knows_no_umlauts(bags, tmp_path):
+    path = tmp_path / "ru\u0308n_\u8d5b.bag"
+    shutil.copy(str(bags["map"]), str(path))
+    done = program("evaluate", path, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"n_\\u8d5b.bag" in done.stdout
+
+
+def test_without_any_stream(bags, tmp_path):
+    report = tmp_path / "l.json"
+    command = f'exec "{sys.executable}" -m map_racing evaluate "$0" --json "$1" <&- >&- 2>&-'
+    subprocess.run(["sh", "-c", command, str(bags["map"]), str(report)], check=True)
+    assert json.loads(report.read_text())["runs"][0]["summary"]["laps_completed"] == 2
+
+
+def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):
+    command = [sys.executable, "-m", "map_racing", "race", "--laps", "1000"]
+    process = subprocess.Popen(
+        [*command, "--output", str(tmp_path / "a.bag")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    process.stdout.readline()  # it races now
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (130, b"map-racing: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_little_memory_is_one_line(capsys, monkeypatch):
+    def exhausted(_):
+        raise MemoryError
+
+    monkeypatch.setattr("map_racing.cli.lookup.load_table", exhausted)
+    assert "not enough memory" in refused(capsys, "lookup", "check", "table.csv")
 
 
 def test_installed_copy_finds_its_data(tmp_path):

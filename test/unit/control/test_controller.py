@@ -175,6 +175,23 @@ def test_speed_is_the_racelines_scaled():
     assert ahead == pytest.approx(REFERENCE.speed_at(10.0), abs=1e-3)
 
 
+def test_far_beside_the_path_it_comes_at_45_degrees():
+    raceline = circle(1000.0, 4.0, points=2000)
+    for d in (2.0, -2.0):
+        result = controller(raceline=raceline).step(on_course(raceline, 50.0, d))
+        assert result.lookahead_distance == pytest.approx(math.sqrt(2.0) * 2.0, rel=1e-9)
+        assert result.eta == pytest.approx(-math.copysign(math.pi / 4.0, d), abs=0.01)
+
+
+def test_a_slow_sector_is_met_at_its_speed():
+    """The raceline's scaled speed is read as far ahead as the unscaled one."""
+    sectors = SpeedSectors([(5.0, 10.0, 0.5)], REFERENCE.length)
+    subject = controller(sectors=sectors, speed_lookahead_s=0.25)
+    for s, scale in ((3.99, 1.0), (4.01, 0.5), (8.99, 0.5), (9.01, 1.0)):
+        result = subject.step(on_course(REFERENCE, s, v_x=4.0))
+        assert result.speed == pytest.approx(scale * REFERENCE.speed_at(s + 1.0), rel=1e-6)
+
+
 def test_speed_scales_of_sectors_hold_where_the_car_is():
     sectors = SpeedSectors([(5.0, 10.0, 0.5)], REFERENCE.length)
     for s, scale in [(4.5, 1.0), (5.5, 0.5), (9.5, 0.5), (10.5, 1.0)]:

@@ -55,3 +55,14 @@ def test_a_slow_localization_still_gives_a_velocity():
     for k in range(5):
         motion = estimate.update(0.5 * k, 0.5 * k, 0.0, 0.0)
     assert motion.v_x == pytest.approx(1.0)
+
+
+def test_what_is_older_than_the_window_is_forgotten():
+    estimate = MotionEstimate(window=0.1)
+    x, motions = 0.0, {}
+    for k in range(40):
+        x += 0.025 * (1.0 if k <= 20 else 3.0)
+        motions[k] = estimate.update(0.025 * k, x, 0.0, 0.0)
+    assert motions[20].v_x == pytest.approx(1.0)
+    assert 1.1 < motions[23].v_x < 2.9
+    assert motions[24].v_x == pytest.approx(3.0)

@@ -102,18 +102,23 @@ def test_unknown_names_are_refused_with_the_known_ones(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.3", True, [0.3], "1e-1"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.3", True, [0.3]])
 def test_what_is_no_number_is_refused_by_name(tmp_path, name, value):
-    assert f"{name} must be a finite number, not {value!r}" in refusal(
+    assert f"{name}: expected a finite number, got {value!r}" in refusal(
         written(tmp_path, **{name: value})
     )
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), 1e300])
+def test_numbers_that_would_overflow_are_refused_by_name(tmp_path, value):
+    assert ": m_m: expected a number" in refusal(written(tmp_path, m_m=value))
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_an_empty_value_is_refused_by_name(tmp_path, name):
     path = written(tmp_path, **{name: "EMPTY"})
     path.write_text(path.read_text().replace("EMPTY", ""))
-    assert f"{name} must be a finite number, not None" in refusal(path)
+    assert f"{name}: expected a finite number, got None" in refusal(path)
 
 
 @pytest.mark.parametrize("name", ["steering_map", "speed_source", "reference_point"])

@@ -125,6 +125,36 @@ def test_frozen_poses_without_stamps_show_by_the_speed():
     assert car.supervisor.reason is Reason.FROZEN_POSE
 
 
+def test_frozen_poses_whose_velocity_is_worked_out_from_them():
+    """It ends with the poses; the stop is a ramp from the speed before."""
+    car = Car(stop_deceleration_mps2=4.0)
+    car.drive()
+    x = car.x
+    decisions = [car.step(car.pose(x=x, v_x=4.0 if k == 0 else 0.0)) for k in range(20)]
+    assert [decision.mode for decision in decisions[:7]] == [Mode.DRIVING] * 7
+    assert decisions[7][:2] == (Mode.STOPPING, Reason.FROZEN_POSE)
+    assert decisions[7].speed == 3.875
+    assert car.drive(0.6)[-1].mode is Mode.DRIVING
+
+
+def test_one_pose_elsewhere_is_no_motion():
+    """Somebody corrects the localization of a standing car, which gives it a velocity for once."""
+    car = Car(speed=0.0)
+    car.drive()
+    car.x += 0.3
+    car.step(car.pose(v_x=4.0))
+    assert car.drive(3.0)[-1].mode is Mode.DRIVING
+
+
+def test_poses_in_another_frame_stop_and_recover():
+    car = Car()
+    car.drive()
+    decision = car.supervisor.refuse(car.now)
+    assert decision[:3] == (Mode.STOPPING, Reason.FRAME, 0.1)
+    assert decision.speed == 3.875
+    assert car.drive(0.6)[-1].mode is Mode.DRIVING
+
+
 def test_a_standing_car_may_have_the_same_pose_for_ever():
     car = Car(speed=0.0)
     assert car.drive(5.0)[-1].mode is Mode.DRIVING

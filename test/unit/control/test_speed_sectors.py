@@ -5,7 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors
+from map_racing.control.speed_sectors import (
+    SpeedSectors,
+    corners_and_straights,
+    load_speed_sectors,
+    save_speed_sectors,
+)
 from map_racing.errors import FileFormatError, ParameterError
 from map_racing.evaluation.recordings import load_course
 from map_racing.track.raceline import Raceline
@@ -134,21 +139,22 @@ def test_real_files(shared_data, track, scale):
 @pytest.mark.parametrize(
     "old, new, expected",
     [
-        ("n_sectors: 2", "", "n_sectors: expected a number"),
-        ("n_sectors: 2", "n_sectors: two", "n_sectors: expected a number"),
-        ("n_sectors: 2", "n_sectors: true", "n_sectors: expected a number"),
+        ("n_sectors: 2", "", "n_sectors: expected a finite number"),
+        ("n_sectors: 2", "n_sectors: two", "n_sectors: expected a finite number"),
+        ("n_sectors: 2", "n_sectors: true", "n_sectors: expected a finite number"),
         ("n_sectors: 2", "n_sectors: 3", "Sector2: expected start, end and scaling"),
         ("n_sectors: 2", "n_sectors: -1", "n_sectors: expected a whole number >= 0, not -1"),
         ("n_sectors: 2", "n_sectors: 1.5", "n_sectors: expected a whole number >= 0, not 1.5"),
-        ("global_limit: 0.9", "global_limit: .nan", "global_limit: expected a number"),
+        ("global_limit: 0.9", "global_limit: .nan", "global_limit: expected a finite number"),
         ("global_limit: 0.9", "global_limit: -1", "expected a scale >= 0"),
-        ("start: 10", "begin: 10", "Sector1: start: expected a number"),
+        ("global_limit: 0.9", f"global_limit: {10**400}", "global_limit: expected a number of at"),
+        ("start: 10", "begin: 10", "Sector1: start: expected a finite number"),
         ("start: 10", "start: 9", "overlap"),
         ("start: 10", "start: 9.7", "Sector1: start: expected a whole number >= 0, not 9.7"),
         ("start: 10", "start: -1", "Sector1: start: expected a whole number >= 0, not -1"),
         ("start: 10", "start: 25", "Sector1: expected start <= end, not 25, 19"),
         ("start: 10, end: 19", "start: 40, end: 50", "Sector1: end: 50 is beyond the 20 points"),
-        ("scaling: 0.5", "scaling: fast", "Sector0: scaling: expected a number"),
+        ("scaling: 0.5", "scaling: fast", "Sector0: scaling: expected a finite number"),
         ("scaling: 0.5", "scaling: -0.5", "expected a scale >= 0, not -0.5"),
         ("Sector1:", "Sector7:", "Sector1: expected start, end and scaling"),
     ],
@@ -167,3 +173,39 @@ def test_files_that_are_none_are_refused(tmp_path):
         load_speed_sectors(tmp_path / "speed_scaling.yaml", circle())
     with pytest.raises(FileFormatError, match=r"speed_scaling\.yaml: expected keys and values"):
         load(tmp_path, "- 1\n")
+
+
+def test_corners_and_straights_of_a_stadium(tmp_path):
+    """Two half circles and two straights are four sectors, and each scale comes back in its own."""
+    turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 40)
+    straight = np.linspace(-8.0, 8.0, 80)[1:-1]
+    x = np.concatenate((8.0 + 3 * np.cos(turn), straight[::-1], -8.0 - 3 * np.cos(turn), straight))
+    y = np.concatenate(
+        (3.0 * np.sin(turn), np.full(78, 3.0), -3.0 * np.sin(turn), np.full(78, -3.0))
+    )
+    course = Raceline(x, y, vx_mps=np.full(x.size, 4.0))
+    sectors = corners_and_straights(course)
+    assert [what for _, _, what in sectors] == ["left", "straight", "left", "straight"]
+    assert sectors[0][0] == 0 and sectors[-1][1] == course.s_points.size - 1
+    for (_, end, _), (start, _, _) in zip(sectors, sectors[1:]):
+        assert start == end + 1
+    # The ends of the half circles, to a few points.
+    assert sectors[1][0] == pytest.approx(40, abs=4) and sectors[2][0] == pytest.approx(118, abs=4)
+    assert {what for _, _, what in corners_and_straights(course.reversed())} == {
+        "right",
+        "straight",
+    }
+    path = tmp_path / "speed_scaling.yaml"
+    save_speed_sectors(path, sectors)
+    scales = load_speed_sectors(path, course)
+    assert {scales.scale_at(s) for s in course.s.tolist()} == {1.0}
+    path.write_text(path.read_text().replace("scaling: 1.0", "scaling: 0.5", 1))
+    scales = load_speed_sectors(path, course)
+    assert scales.scale_at(course.s_points[sectors[0][1]]) == 0.5
+    assert scales.scale_at(course.s_points[sectors[1][0]] + 1e-6) == 1.0
+
+
+def test_sectors_need_speeds():
+    angle = np.linspace(0.0, 6.0, 50)
+    with pytest.raises(ParameterError, match="no speeds"):
+        corners_and_straights(Raceline(np.cos(angle), np.sin(angle)))

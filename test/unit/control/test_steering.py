@@ -18,6 +18,13 @@ MAPS = {
 speeds, accelerations = st.floats(0.0, 20.0), st.floats(-30.0, 30.0)
 
 
+@pytest.mark.parametrize("v_max", [1e-3, 1e9])
+def test_tables_are_made_for_any_largest_speed(v_max):
+    table = build_steering_map("table", NUC4, v_max)
+    expected = MAPS["table"].steering(0.8, 0.5)[0]
+    assert table.steering(0.8, 0.5)[0] == pytest.approx(expected, abs=1e-4)
+
+
 def test_ackermann_angle_is_that_of_the_circle_through_both_axles():
     """A wheelbase of 0.3 m on a circle of 1.5 m radius needs atan(0.2)."""
     steering = AckermannSteering(l_wb=0.3, delta_max=0.4)

@@ -249,6 +249,42 @@ def test_pose_is_chosen(tmp_path, sources, expected, reverse):
     np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
 
 
+def write_raw(path, kind, messages, publishers=1):
+    """A bag of serialized messages of one type on /amcl_pose, from publishers in turn."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    name = kind.replace("/", "/msg/")
+    definition, md5sum = types.generate_msgdef(name)
+    with Writer(path) as writer:
+        lines = [
+            writer.add_connection(
+                *("/amcl_pose", name), msgdef=definition, md5sum=md5sum, callerid=f"/{i}"
+            )
+            for i in range(publishers)
+        ]
+        for i, (t, data) in enumerate(zip(TIMES, messages)):
+            writer.write(lines[i % publishers], int(t * 1e9), data)
+    return path
+
+
+def test_pose_with_covariance_is_a_pose(tmp_path):
+    messages = [
+        msg.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) + struct.pack("<36d", *range(36))
+        for i, t in enumerate(TIMES)
+    ]
+    recording = read_recording(write_raw(tmp_path / "a.bag", msg.POSE_COVARIANCE, messages))
+    assert (recording.topic, recording.type) == ("/amcl_pose", msg.POSE_COVARIANCE)
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+    np.testing.assert_allclose(recording.psi, 0.5, atol=1e-12)
+    assert np.isnan(recording.v_x).all()
+
+
+def test_a_topic_of_several_publishers_is_one_topic(tmp_path):
+    """A node that was started again is another connection."""
+    messages = [msg.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) for i, t in enumerate(TIMES)]
+    recording = read_recording(write_raw(tmp_path / "a.bag", msg.POSE, messages, publishers=3))
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+
+
 def test_pose_topic_overrides_the_choice(tmp_path):
     def fill(bag, i, t):
         odometry("/car_state/odom")(bag, i, t)
@@ -303,6 +339,32 @@ def test_tf_is_chained_over_static_and_slow_transforms(tmp_path):
     np.testing.assert_allclose(recording.psi, 0.5 + psi + 0.2, atol=1e-9)
     assert np.isnan(recording.v_x).all()
     assert recording.frame == "map"
+
+
+def test_headings_of_tf_are_joined_across_the_half_turn(tmp_path):
+    """The slow transform turns from 3.0 over pi to -3.08 rad while the fast one goes on."""
+
+    def fill(bag, i, t):
+        if i % 10 == 0:
+            bag.transform(t, 0.0, 0.0, 3.0 + 0.005 * i, parent="map", child="odom")
+        bag.transform(t, 1.0, 0.0, 0.0, parent="odom", child="base_link")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    i = np.minimum(np.arange(len(TIMES)), 40)
+    np.testing.assert_allclose(recording.x, np.cos(3.0 + 0.005 * i), atol=1e-6)
+    np.testing.assert_allclose(np.cos(recording.psi), np.cos(3.0 + 0.005 * i), atol=1e-6)
+
+
+def test_a_static_transform_sent_with_an_older_stamp_sets_no_clock_back(tmp_path):
+    def fill(bag, i, t):
+        if i % 20 == 0:
+            stamp = 100.0 - i
+            bag.transform(stamp, 0.3, 0.0, 0.0, parent="base", child="base_link", static=True)
+        bag.transform(t, i, 0.0, 0.0, parent="map", child="base")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    np.testing.assert_allclose(recording.x, np.arange(len(TIMES)) + 0.3, atol=1e-6)
+    assert not any("jump back" in note for note in recording.notes)
 
 
 # -- samples -------------------------------------------------------------------------------------
@@ -471,7 +533,7 @@ def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, course):
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
-    findings = "; ".join(read_waypoints(path).findings)
+    findings = "; ".join(map(str, read_waypoints(path).findings))
     assert "+y (north)" in findings
     assert "every speed is 0" in findings
 

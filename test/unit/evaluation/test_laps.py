@@ -288,6 +288,60 @@ def test_off_track(drive, course, line):
     )
 
 
+@pytest.mark.parametrize("beyond, counts", [(-0.1, True), (0.1, False)])
+@pytest.mark.parametrize(
+    "limit, fault",
+    [("max_gap", "gap"), ("max_reverse", "reverse"), ("no walls", "off track by 0.10 m")],
+)
+def test_limits_as_documented(drive, course, line, limit, fault, beyond, counts):
+    """A gap of 0.25 s, falling back by 0.5 m, and 2 m off a course without walls."""
+    t, x, y = drive(17.5)
+    if limit == "max_gap":
+        keep = np.abs(t - 8.0) > 0.5 * (0.25 + beyond)
+        t, x, y = t[keep], x[keep], y[keep]
+    elif limit == "max_reverse":
+        back = 0.5 + beyond
+        knots, places = [0.0, 8.0, 8.0 + back, 18.0], [-3.0, 45.0, 45.0 - back, 105.0 - 2.0 * back]
+        t, x, y = drive(17.5, s=lambda t: np.interp(t, knots, places))
+    else:
+        line = course.raceline()
+        far = 2.0 + beyond
+        t, x, y = drive(17.5, d=lambda s: np.where(np.abs(s - 55.0) < 0.5, -far, 0.1))
+        limits = LapLimits(max_speed=200.0)
+        result = run(line, t, x, y, limits=limits)
+    if limit != "no walls":
+        result = run(line, t, x, y)
+    assert result.laps[2].valid is counts
+    assert result.laps[2].reason.startswith("" if counts else fault)
+
+
+def test_deviation_that_changes_sides_between_samples(drive, course):
+    """Linear in between: of 0.1 m to and fro half is left on average."""
+    t, x, y = drive(12.0, d=lambda s: 0.1 * (-1.0) ** np.arange(s.size))
+    lap = run(course.raceline(), t, x, y).laps[1]
+    assert lap.mean_abs_lateral_error_m == pytest.approx(0.05, abs=1e-4)
+    assert lap.rms_lateral_error_m == pytest.approx(0.1 / math.sqrt(3.0), abs=1e-4)
+    assert lap.p95_abs_lateral_error_m == pytest.approx(0.095, abs=2e-4)
+    assert lap.mean_lateral_error_m == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_sector_ends_at_its_first_passage(drive, course, line):
+    third = course.length / 3.0
+    knots = [0.0, (third + 3.2) / V, (third + 3.2) / V + 0.4, 12.0]
+    places = [-3.0, third + 0.2, third - 0.2, third - 0.2 + V * (12.0 - knots[2])]
+    lap = run(line, *drive(12.0, s=lambda t: np.interp(t, knots, places))).laps[1]
+    assert lap.valid
+    assert lap.sector_times_s[0] == pytest.approx(third / V, abs=2e-3)
+    assert sum(lap.sector_times_s) == pytest.approx(lap.lap_time_s, abs=1e-9)
+
+
+def test_a_car_pulled_back_over_the_line_at_once_is_told(drive, line):
+    knots, places = [0.0, 0.5, 0.8, 1.1, 8.1], [-3.0, 0.0, 2.0, -1.0, -1.0 + 7.0 * V]
+    result = run(line, *drive(8.0, s=lambda t: np.interp(t, knots, places)))
+    assert reasons(result)[:2] == ["out-lap", "not completed; reverse"]
+    assert result.laps[2].valid
+
+
 # -- one sample or a million -----------------------------------------------------------------------
 
 
@@ -369,17 +423,18 @@ def test_memory_is_released_with_each_lap(drive, line):
 
 
 @pytest.mark.parametrize(
-    "options",
+    "options, said",
     [
-        {"start_s": math.nan},
-        {"car_width": -1.0},
-        {"car_width": math.inf},
-        {"sectors": 0},
-        {"sectors": 1001},
+        ({"start_s": math.nan}, "start line: expected a finite"),
+        ({"car_width": -1.0}, "car width: expected 0 to 10 m, got -1.0"),
+        ({"car_width": math.nan}, "car width: expected 0 to 10 m, got nan"),
+        ({"car_width": 300.0}, "car width: expected 0 to 10 m, got 300.0"),
+        ({"sectors": 0}, "sectors: expected 1 to 1000, got 0"),
+        ({"sectors": 1001}, "sectors: expected 1 to 1000, got 1001"),
     ],
 )
-def test_impossible_parameters(line, options):
-    with pytest.raises(ParameterError):
+def test_impossible_parameters(line, options, said):
+    with pytest.raises(ParameterError, match=said):
         LapEvaluator(line, **options)
 
 
@@ -431,11 +486,41 @@ def test_commands_are_held(drive, line):
     assert lap.trace.s[-1] == pytest.approx(line.length)
 
 
+def test_commands_that_begin_later_or_never(drive, line):
+    t, x, y = drive(12.0)
+    none, late = np.zeros(0), np.array([7.0])
+    for commands in (Commands(none, none, none), Commands(late, np.zeros(1), np.full(1, 4.0))):
+        laps = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line).laps
+        before = [lap for lap in laps if lap.end_time_s < 7.0]
+        assert [lap.speed_reference for lap in before] == ["raceline", "raceline"]
+        assert before[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
+    assert laps[-1].speed_reference == "command"
+    assert laps[-1].rms_speed_error_mps == pytest.approx(2.0)
+
+
 def test_car_that_drove_elsewhere(drive, line):
     t, x, y = drive(12.0)
     with pytest.raises(EvaluationError, match=r"run.bag: the car drove elsewhere.*bean") as error:
         evaluate(recording(t, x + 30.0, y), line)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("off, elsewhere", [(1.3, False), (1.7, True)])
+def test_walls_drawn_too_tight_are_not_elsewhere(drive, line, off, elsewhere):
+    t, x, y = drive(12.0, d=lambda s: np.full_like(s, -off))
+    if elsewhere:
+        with pytest.raises(EvaluationError, match="half of the time more than 1.7 m off"):
+            evaluate(recording(t, x, y), line)
+    else:
+        assert "off track by 0.30 m" in evaluate(recording(t, x, y), line).laps[1].reason
+
+
+def test_car_that_never_came_along_drove_elsewhere(course, line):
+    t = np.arange(800) / 40.0
+    x, y, psi = course.place(10.0)
+    circle = recording(t, x + 0.5 * np.cos(8.0 * t), y + 0.5 * np.sin(8.0 * t))
+    with pytest.raises(EvaluationError, match=r"of \d+ m it came \d m along the raceline bean"):
+        evaluate(circle, line)
 
 
 def test_car_that_drove_against_the_direction(drive, line):

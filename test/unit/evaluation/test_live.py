@@ -216,7 +216,7 @@ def test_nothing_to_finish_is_no_run(line):
     assert taken.runs == []
     with pytest.raises(ParameterError, match="patience"):
         Taken(line, patience=math.nan)
-    with pytest.raises(ParameterError, match="car_width"):
+    with pytest.raises(ParameterError, match="car width"):
         Taken(car_width=-1.0)
 
 

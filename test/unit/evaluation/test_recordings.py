@@ -61,6 +61,7 @@ def test_column_map(csv):
         "# made by hand\n\n#t,x,y\n# 0\n0,1,2\n# pause\n1,3,4\n".replace("# 0\n", ""),
         "t\tx\ty\n0\t1\t2\n1\t3\t4\n",
         "\ufeffT, X, Y\r\n0, 1, 2\r\n1, 3, 4\r\n",
+        '"t","x","y"\n"0","1","2"\n"1", "3", "4"\n',
     ],
 )
 def test_layouts(csv, text):
@@ -73,6 +74,8 @@ def test_gzip(tmp_path):
     path = tmp_path / "run.csv.gz"
     path.write_bytes(gzip.compress(ROWS.encode()))
     assert load_recording(path).t.size == 3
+    path.rename(tmp_path / "zipped.csv")
+    assert load_recording(tmp_path / "zipped.csv").t.size == 3
     path.write_bytes(gzip.compress(ROWS.encode())[:-20])
     with pytest.raises(FileFormatError, match="cannot read"):
         load_recording(path)
@@ -94,6 +97,8 @@ def test_rows_that_cannot_be_used_are_reported(csv):
     ("text", "expected"),
     [
         ("t,x,y\n0,1,2\n1,a,2\n", r"run.csv:3: column x: expected a number, got 'a'"),
+        ("t,x,y\n0,1,2\n1," + 99 * "a" + ",2\n", "expected a number, got 'a{37}...'$"),
+        ("0,1,2\n1,2,3\n", "expected names of columns above the numbers, found none"),
         ("t,x,y\n0,1,2\n1,2\n2,3,4\n", r"run.csv:3: expected 3 columns, got 2"),
         ("t,x,z\n0,1,2\n", r"which column is y\? It has t, x, z"),
         ("", "expected rows of numbers"),
@@ -102,6 +107,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
         ("t,x,y\n0,1,2\n", "at least two rows"),
         ("t,x,y\n0,,2\n1,,3\n", "at least two rows .*2 of 2 without a finite pose left out"),
         ("t,x,y\n0,1,2\n1e300,1,2\n", "run.csv:3: column t: expected a time in sec.* 1e.300"),
+        ("t,x,y\n1700000000000000000,1,2\n1,1,2\n", "run.csv:2: column t: expected a time in sec"),
         ("t,x,y\n-1e300,1,2\n1,1,2\n", "run.csv:2: column t: expected a time in seconds"),
     ],
 )
@@ -126,11 +132,14 @@ def test_malformed_arguments(csv, tmp_path):
         load_recording(path, pose_topic="/odom")
     with pytest.raises(FileFormatError, match="No such file"):
         load_recording(tmp_path / "missing.csv")
+    for read in (load_recording, load_course):
+        with pytest.raises(FileFormatError, match="^'': expected the name of a file"):
+            read("")
     with pytest.raises(BagError, match="No such file"):
         load_recording(tmp_path / "missing.bag")
     binary = tmp_path / "image.csv"
     binary.write_bytes(bytes(range(128, 256)))
-    with pytest.raises(FileFormatError, match="expected a text file"):
+    with pytest.raises(FileFormatError, match="expected UTF-8 text"):
         load_recording(binary)
 
 
@@ -153,6 +162,10 @@ def test_courses_from_files_and_bags(tmp_path, race_bag, course):
     )
     with pytest.raises(BagError, match="no raceline"):
         load_course(f"{race_bag()}#/other")
+    sharp = tmp_path / "run#1.bag"
+    sharp.write_bytes(race_bag().read_bytes())
+    for source in (sharp, f"{sharp}#/global_waypoints"):
+        assert load_course(source).length == pytest.approx(line.length, abs=1e-3)
     with pytest.raises(ParameterError):
         load_course("no_such_track")
 

@@ -5,6 +5,7 @@ import pytest
 
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.evaluation.bag_records import BagFile
 from map_racing.evaluation.bags import read_recording, read_waypoints
 from map_racing.evaluation.laps import evaluate
 from map_racing.experiments.race_bag import EPOCH_NS, GROUND_TRUTH_TOPIC, write_race_bag
@@ -38,6 +39,18 @@ def test_recording_is_what_was_measured_and_commanded(raced, tmp_path, compressi
     np.testing.assert_allclose(recording.commands.steering_angle, angles, atol=1e-7)
     # A command cannot precede the pose that it answers.
     assert np.all(recording.commands.t >= recording.t + 0.02 - 1e-9)
+
+
+def test_records_bear_the_time_of_arrival(raced, tmp_path):
+    raceline, log = raced
+    write_race_bag(tmp_path / "race.bag", log, raceline)
+    arrivals = [EPOCH_NS + round(sample.arrival * 1e9) for sample in log.samples]
+    with BagFile(tmp_path / "race.bag") as bag:
+        times = {}
+        for message in bag.messages():
+            times.setdefault(bag.connections[message.connection].topic, []).append(message.time_ns)
+    del times["/global_waypoints"]
+    assert len(times) == 6 and all(column == arrivals for column in times.values())
 
 
 def test_truth_and_raceline_are_in_it(raced, tmp_path):

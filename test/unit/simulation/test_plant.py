@@ -285,14 +285,32 @@ def refusal(tmp_path, values):
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -0.1, "1.0", True, None, [1.0]])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, -0.1, "1.0", True, None, [1.0]])
 def test_impossible_numbers_are_refused_by_name(tmp_path, name, value):
-    assert f"{name} must be" in refusal(tmp_path, {"vehicle": "nuc4", name: value})
+    assert f": {name}: expected " in refusal(tmp_path, {"vehicle": "nuc4", name: value})
+
+
+@pytest.mark.parametrize(
+    "name, value, expected",
+    [
+        ("steering_delay_s", 20.0, "expected 0 to 1 s, got 20"),
+        ("drive_delay_s", 1.1, "expected 0 to 1 s, got 1.1"),
+        ("localization_latency_s", 30.0, "expected 0 to 1 s, got 30"),
+        ("localization_rate_hz", 0.5, "expected 1 to 500 Hz"),
+        ("localization_rate_hz", 501.0, "expected 1 to 500 Hz"),
+        ("a_max_mps2", 1e300, "expected a number of at most"),
+        ("mu_scale", 0.05, "expected 0.1 to 3, got 0.05"),
+        ("rear_stiffness_scale", 85.0, "expected 0.1 to 3, got 85"),
+    ],
+)
+def test_values_in_another_unit_are_refused_by_name(tmp_path, name, value, expected):
+    """Milliseconds, percents, or more poses than the plant has steps."""
+    assert f": {name}: {expected}" in refusal(tmp_path, {"vehicle": "nuc4", name: value})
 
 
 @pytest.mark.parametrize("name", [name for name in NUMBERS if name.endswith("scale")])
 def test_tires_without_grip_are_refused(tmp_path, name):
-    assert f"{name} must be positive" in refusal(tmp_path, {"vehicle": "nuc4", name: 0})
+    assert f"{name}: expected 0.1 to 3, got 0" in refusal(tmp_path, {"vehicle": "nuc4", name: 0})
 
 
 def test_other_impossible_values_are_refused_by_name(tmp_path):
@@ -305,6 +323,29 @@ def test_other_impossible_values_are_refused_by_name(tmp_path):
         assert "vehicle must be" in refusal(tmp_path, {"vehicle": value})
     with pytest.raises(ParameterError, match="nuc5"):
         PlantParameters(vehicle="nuc5").build_vehicle()
+
+
+@pytest.mark.parametrize("v, error", [(0.5, 0.05), (1.0, 0.05), (2.0, 1e-9), (4.0, 1e-9)])
+def test_the_stiffest_tires_are_integrated_stably(v, error):
+    """At walking pace their modes are faster than a step of 2 ms resolves."""
+    plant = Plant(PlantParameters(vehicle="nuc4", rear_stiffness_scale=3.0))
+    plant.reset(0.0, 0.0, 0.0, v)
+    drive(plant, 0.2, v, 3.0)
+    rates = [state.r for state in drive(plant, 0.2, v, 0.2)]
+    assert np.ptp(rates) < 1e-9
+    table = steady_state_table(plant.vehicle, [v], [0.0, 0.2])
+    assert v * rates[-1] == pytest.approx(table.a_lat[1, 0], rel=error)
+
+
+def test_the_imu_feels_the_force_of_the_tires_not_only_the_turning():
+    plant = Plant(PlantParameters(vehicle="nuc4"))
+    plant.reset(0.0, 0.0, 0.0, 5.0)
+    drive(plant, 0.2, 5.0, 0.03)
+    before, delta = plant.state, plant.steering_angle
+    plant.advance(0.2, 5.0)
+    v_y_dot, _ = single_track_derivatives(plant.vehicle)(*before[4:], delta, 0.0)
+    assert plant.acceleration[1] == pytest.approx(v_y_dot + before.v_x * before.r, rel=1e-12)
+    assert abs(v_y_dot) > 1.0
 
 
 # -- localization ------------------------------------------------------------------------------

@@ -1,16 +1,19 @@
 """The public simulator's plant against its published figures and the equations of its model."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
+from map_racing.evaluation.bags import read_recording
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.vehicle.parameters import load_vehicle
 
 SIM = load_vehicle("sim")
 # interfaces of the public simulator
 L_WB, L_R, L_F, M, I_Z, C_SF, C_SR = 0.3302, 0.17145, 0.15875, 3.47, 0.04712, 4.718, 5.4562
+H_CG = 0.074
 
 
 def simulator(speed=0.0, steering=0.0):
@@ -127,6 +130,100 @@ def test_a_held_wheel_settles_on_the_circle_of_the_linear_single_track_model(v, 
     state = plant.reference_state()
     assert math.hypot(state.v_x, state.v_y) == pytest.approx(v)
     assert state.v_y / state.v_x == pytest.approx(math.tan(beta))
+
+
+@pytest.mark.parametrize("target", [5.0, 3.0])
+def test_one_step_of_the_dynamic_model_is_the_published_one(target):
+    """CommonRoad's single-track model, as printed: load transfer moves grip between the axles."""
+    car = dataclasses.replace(SIM, mu=1.0489)
+    plant = PublicSimulator(car)
+    plant.reset(0.0, 0.0, 0.0, 4.0)
+    plant.steering_angle, plant.slip_angle, plant.yaw_rate = 0.1, -0.03, 0.8
+    v, delta, beta, r = plant.speed, plant.steering_angle, plant.slip_angle, plant.yaw_rate
+    plant.advance(0.0, target)
+    a, g = plant.acceleration[0], 9.81
+    assert abs(a) > 1.0
+    front = C_SF * (g * L_R - a * H_CG)
+    rear = C_SR * (g * L_F + a * H_CG)
+    mu, wheelbase = car.mu, L_R + L_F
+    beta_dot = (
+        (mu / (v**2 * wheelbase) * (rear * L_R - front * L_F) - 1.0) * r
+        - mu / (v * wheelbase) * (rear + front) * beta
+        + mu / (v * wheelbase) * front * delta
+    )
+    r_dot = (
+        mu
+        * M
+        / (I_Z * wheelbase)
+        * (
+            front * L_F * delta
+            + (rear * L_R - front * L_F) * beta
+            - (front * L_F**2 + rear * L_R**2) * r / v
+        )
+    )
+    assert (plant.slip_angle - beta) / 0.01 == pytest.approx(beta_dot, rel=1e-9)
+    assert (plant.yaw_rate - r) / 0.01 == pytest.approx(r_dot, rel=1e-9)
+    assert plant.acceleration[1] == pytest.approx(v * (r + beta_dot), rel=1e-9)
+    assert plant.psi == pytest.approx(0.01 * r)
+    assert plant.y == pytest.approx(0.01 * v * math.sin(beta))
+
+
+def test_one_step_of_the_rolling_model_keeps_its_angles():
+    """tan(beta) = l_r / l_wb tan(delta) and r = v cos(beta) tan(delta) / l_wb, differentiated."""
+    plant = simulator()
+    for _ in range(5):  # fills the delay line
+        plant.advance(0.4, 0.0)
+    plant.speed, plant.steering_angle = 0.4, 0.2
+    plant.slip_angle = math.atan(L_R / L_WB * math.tan(0.2))
+    r = plant.yaw_rate = 0.4 * math.cos(plant.slip_angle) * math.tan(0.2) / L_WB
+    beta = plant.slip_angle
+    plant.advance(0.4, 0.6)
+    a, h = plant.acceleration[0], 1e-6
+    assert a > 0.3 and plant.steering_angle == pytest.approx(0.232)
+
+    def rolling(time):
+        delta = 0.2 + 3.2 * time
+        slip = math.atan(L_R / L_WB * math.tan(delta))
+        return slip, (0.4 + a * time) * math.cos(slip) * math.tan(delta) / L_WB
+
+    slopes = [(ahead - behind) / (2.0 * h) for ahead, behind in zip(rolling(h), rolling(-h))]
+    assert (plant.slip_angle - beta) / 0.01 == pytest.approx(slopes[0], rel=1e-6)
+    assert (plant.yaw_rate - r) / 0.01 == pytest.approx(slopes[1], rel=1e-6)
+
+
+def test_the_recorded_simulator_is_this_one(shared_data):
+    """Axle forces from recorded motion: rear tires, load transfer and servo are exactly these.
+
+    Poses and rates of the recording are free of noise; each step's length is its travel over its
+    speed. The rear tires' slip is known, so their law can be read off; the front tires' then gives
+    the steering angle, which moves at the servo's rate or not at all.
+    """
+    driven = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
+    v, r, psi = driven.v_x, driven.yaw_rate, np.unwrap(driven.psi)
+    d_x, d_y = np.diff(driven.x), np.diff(driven.y)
+    slow = v < 2.0
+    step = np.hypot(d_x, d_y) / np.where(slow, 1.0, v)[:-1]
+    beta = np.arctan2(d_y, d_x) - psi[:-1]
+    beta -= 2.0 * math.pi * np.round(beta / (2.0 * math.pi))
+    n = beta.size - 1
+    dt, beta_dot = step[:n], np.diff(beta) / step[:n]
+    r_dot, a = np.diff(r)[:n] / dt, np.diff(v)[:n] / dt
+    v, r, beta = v[:n], r[:n], beta[:n]
+    both, turn = v * (beta_dot + r), I_Z / M * r_dot
+    rear, slip_r = (L_F * both - turn) / L_WB, L_R * r / v - beta
+    known = ~slow[:n] & (np.abs(slip_r) > 0.05)
+    # rear / slip_r = C_SR (g l_f + a h) / l_wb: a line over a
+    stiffness = rear[known] / slip_r[known]
+    slope, constant = np.polyfit(a[known], stiffness, 1)
+    assert np.ptp(a[known]) > 10.0
+    assert constant * L_WB / (9.81 * L_F) == pytest.approx(SIM.mu * C_SR, rel=1e-9)
+    assert slope * L_WB / (SIM.mu * C_SR) == pytest.approx(PublicSimulator.h_cg, rel=1e-9)
+    front = C_SF * SIM.mu * (9.81 * L_R - a * PublicSimulator.h_cg) / L_WB
+    delta = (L_R * both + turn) / L_WB / front + beta + L_F * r / v
+    rate = np.abs(np.diff(delta) / dt[:-1])[known[:-1] & known[1:]]
+    servo = np.minimum(rate, np.abs(rate - SIM.delta_rate_max)) < 1e-6
+    assert np.mean(servo) > 0.99
+    assert np.min(a) == pytest.approx(-SIM.a_brake_max, rel=1e-9)
 
 
 def test_walking_speed_is_pure_rolling():

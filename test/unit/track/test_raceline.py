@@ -44,7 +44,7 @@ def brute_force_distance(x, y):
 
 
 @pytest.mark.parametrize(
-    "spacing, error", [(0.002, 1e-12), (0.05, 2e-10), (0.2, 4e-8), (0.5, 1.5e-6), (1.0, 2.5e-5)]
+    "spacing, error", [(0.002, 1e-11), (0.05, 2e-10), (0.2, 4e-8), (0.5, 1.5e-6), (1.0, 2.5e-5)]
 )
 def test_circle(spacing, error):
     course = circle(5.0, spacing)
@@ -117,7 +117,15 @@ def test_speed_is_linear_between_points():
 def test_memory_is_linear_in_the_points():
     angle = np.arange(20) * math.pi / 10.0
     assert Raceline(5e5 * np.cos(angle), 5e5 * np.sin(angle)).n <= 16 * 20
-    assert circle(2.0, 0.002).n == 6283
+
+
+def test_dense_points_do_not_make_dense_cells():
+    """The cost of a step rises when the cells no longer fit into the processor's cache."""
+    assert circle(10.0, 0.002).ds == pytest.approx(0.02, rel=1e-3)
+    assert circle(0.5, 0.0005).n == 1000
+    course, denser = circle(10.0, 0.1), circle(10.0, 0.002)
+    for s in (0.0, 1.234, 55.5):
+        assert denser.pose(s) == pytest.approx(course.pose(s), abs=1e-6)
 
 
 def test_coordinates_far_from_the_origin_lose_nothing():
@@ -148,7 +156,10 @@ def test_projection_is_the_closest_point_of_all(x, y):
     foot = WINDING.project(x, y)
     at_x, at_y = WINDING.position(foot.s)
     # Where the curve is nearly a circle around the position, its closest point is a matter of 1e-5.
-    assert abs(foot.d) == pytest.approx(brute_force_distance(x, y), abs=2e-5)
+    # The closest of the samples may lie half their spacing along the curve.
+    closest = brute_force_distance(x, y)
+    assert abs(foot.d) <= closest + 2e-5
+    assert math.hypot(foot.d, 0.5 * DENSE_S[1]) >= closest - 2e-5
     assert math.hypot(x - at_x, y - at_y) == pytest.approx(abs(foot.d), abs=2e-5)
 
 
@@ -161,6 +172,23 @@ def test_projection_onto_what_runs_along():
     opposite = np.cos(DENSE.psi - psi) <= 0.0
     nearest = np.hypot(DENSE.x[opposite] - x, DENSE.y[opposite] - y).min()
     assert abs(other.d) == pytest.approx(nearest, abs=1e-6)
+
+
+@pytest.mark.parametrize("turn", [-1.5, 1.5])
+def test_a_car_across_the_course_is_still_on_it(turn):
+    x, y = WINDING.to_cartesian(12.0, 0.3)
+    foot = WINDING.project(x, y, WINDING.pose(12.0).psi + turn)
+    assert foot == pytest.approx(WINDING.project(x, y), abs=1e-9)
+
+
+def test_the_curve_does_not_depend_on_where_its_points_begin():
+    random = np.random.default_rng(2)
+    angle = np.sort(random.uniform(0.0, 2.0 * math.pi, 40))
+    x, y = 6.0 * np.cos(angle), 4.0 * np.sin(angle)
+    course, other = Raceline(x, y), Raceline(np.roll(x, 17), np.roll(y, 17))
+    assert other.length == pytest.approx(course.length, abs=1e-9)
+    at = course.sample(course.s_points + 0.05)
+    assert max(abs(other.project(*point).d) for point in zip(at.x, at.y)) < 1e-5
 
 
 def test_projection_at_the_center_of_curvature():
@@ -210,6 +238,14 @@ def test_projection_of_no_position(bad):
         WINDING.project(bad, 0.0)
     with pytest.raises(ParameterError, match="finite position"):
         WINDING.project(0.0, 0.0, bad)
+
+
+@pytest.mark.parametrize("far", [1e9, -1e160, 1e300])
+def test_projection_of_a_position_whose_square_is_none(far):
+    with pytest.raises(ParameterError, match="finite position on earth"):
+        WINDING.project(far, 0.0)
+    with pytest.raises(ParameterError, match="finite position on earth"):
+        WINDING.project(0.0, far, 0.5)
 
 
 # -- point ahead ---------------------------------------------------------------------------------
@@ -349,6 +385,10 @@ def test_repeated_points_are_dropped():
         (*SQUARE, {"vx_mps": [1, 2, math.nan, 4]}, "point 2: expected a finite speed, got nan"),
         (*SQUARE, {"d_left_m": [1] * 4}, "both walls or to neither"),
         (np.linspace(0.0, 9.0, 20), np.zeros(20), {}, "closed course, but the last point is 9.00"),
+        (
+            *(np.cos(np.linspace(0.0, 5.0, 200)), np.sin(np.linspace(0.0, 5.0, 200))),
+            *({}, "closed course, but the last point is 1.20"),
+        ),
     ],
 )
 def test_impossible_courses_are_refused(x, y, columns, message):
@@ -373,5 +413,6 @@ def test_arrays_cannot_be_changed():
 
 def test_coordinates_beyond_the_earth_are_refused():
     x, y = [0.0, 1.0, 1e300, 0.0], [0.0, 0.0, 1.0, 1.0]
-    with pytest.raises(RacelineError, match="point 2: expected x in meters, got 1e\\+300"):
+    expected = "point 2: expected a x of at most 1e.08 m or m/s, got 1e.300"
+    with pytest.raises(RacelineError, match=expected):
         Raceline(x, y)

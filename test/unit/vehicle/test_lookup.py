@@ -146,9 +146,10 @@ def test_default_grid_ends_at_the_limits_of_the_car():
     speed_axis, angle_axis = default_grid(car)
     assert (speed_axis[-1], angle_axis[0], angle_axis[-1]) == (9.7, 0.0, 0.35)
     assert np.diff(speed_axis).max() < 0.1 + 1e-12
+    assert angle_axis.size == 257
 
 
-@pytest.mark.parametrize("v_max", [0.0, -3.0, math.inf, math.nan])
+@pytest.mark.parametrize("v_max", [0.0, -3.0, 1e9, math.inf, math.nan])
 def test_default_grid_refuses_impossible_speeds(v_max):
     with pytest.raises(ParameterError, match="^v_max: expected"):
         default_grid(NUC4, v_max)

@@ -178,6 +178,11 @@ def test_missing_parameter_is_named(write, key):
     [
         ({"m": -1}, "m: expected a positive number, got -1"),
         ({"mu": 0}, "mu: expected a positive number, got 0"),
+        ({"mu": 1e-300}, "mu: expected a positive number, got 1e-300"),
+        ({"l_f": 1e300}, "l_f: expected a number of at most 1e.09 in magnitude"),
+        ({"m": 10**400}, "m: expected a number of at most 1e.09 in magnitude"),
+        ({"h_cg": -0.1}, "h_cg: expected a positive number, got -0.1"),
+        ({"h_cg": False}, "h_cg: expected a finite number, got False"),
         ({"I_z": float("nan")}, "I_z: expected a finite number, got nan"),
         ({"l_f": "0.16 m"}, "l_f: expected a finite number, got '0.16 m'"),
         ({"l_r": True}, "l_r: expected a finite number, got True"),

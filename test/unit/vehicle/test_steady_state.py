@@ -84,6 +84,38 @@ def test_cells_are_stable_equilibria_of_the_equations(car):
             assert np.linalg.eigvals(jacobian).real.max() < 1e-4
 
 
+def test_tires_that_peak_together_end_the_branch_before_their_peak():
+    """A front tire a little stiffer than the rear one makes the last millirad a saddle."""
+    car = dataclasses.replace(
+        NUC4,
+        front=PacejkaTire(12.0, 2.0, 0.4, 0.0),
+        rear=PacejkaTire(11.0, 2.0, 0.4, 0.0),
+        **{"l_f": 0.1953125, "mu": 1.1171875, "I_z": 0.0859375},
+    )
+    angles = np.linspace(0.355, 0.37, 151)
+    a_lat = steady_state_table(car, [2.0], angles).a_lat[:, 0]
+    last = np.flatnonzero(np.isfinite(a_lat))[-1]
+    assert np.isnan(a_lat[last + 1 :]).all()
+    assert 0 < last < 150
+    for delta, a in zip(angles[: last + 1], a_lat[: last + 1]):
+        assert np.linalg.eigvals(equilibrium(car, 2.0, delta, a)[1]).real.max() < 0.0
+    assert math.isnan(simulate_to_steady_state(car, 2.0, angles[last + 1], duration=60.0))
+
+
+def test_tires_that_peak_together_may_swing_just_beyond_their_peak():
+    """No saddle, but a growing oscillation, between the peak and the next point followed."""
+    car = dataclasses.replace(
+        NUC4,
+        front=PacejkaTire(21.5, 2.0, 0.59375, 0.0),
+        rear=PacejkaTire(22.0, 2.0, 0.59375, 0.0),
+        **{"l_f": 0.1015625, "mu": 0.5, "I_z": 0.0625},
+    )
+    a_lat = steady_state_table(car, SPEEDS, ANGLES).a_lat
+    for i, j in np.argwhere(np.isfinite(a_lat)).tolist():
+        jacobian = equilibrium(car, SPEEDS[j], ANGLES[i], a_lat[i, j])[1]
+        assert np.linalg.eigvals(jacobian).real.max() < 0.0
+
+
 @settings(deadline=None, max_examples=60)
 @given(car=cars)
 def test_a_branch_once_ended_does_not_begin_again(car):
@@ -179,6 +211,32 @@ def test_provenance_names_the_car():
 def test_impossible_axes_are_refused(speeds, angles, name):
     with pytest.raises(ParameterError, match=f"^{name}: expected"):
         steady_state_table(NUC4, speeds, angles)
+
+
+def test_a_growing_oscillation_is_no_steady_state():
+    """A front tire far beyond its peak feeds the yaw motion; the equilibrium is no saddle."""
+    car = dataclasses.replace(
+        NUC4,
+        front=PacejkaTire(11.74, 1.302, 0.8393, 1.441),
+        rear=PacejkaTire(5.74, 1.029, 0.8414, -1.545),
+        **{"l_f": 0.199, "I_z": 0.0394},
+    )
+    column = steady_state_table(car, [3.5], [0.32, 0.36, 0.4]).a_lat[:, 0]
+    assert column[0] == pytest.approx(simulate_to_steady_state(car, 3.5, 0.32), abs=1e-6)
+    assert np.isnan(column[1:]).all()
+    assert math.isnan(simulate_to_steady_state(car, 3.5, 0.36, duration=60.0))
+
+
+def test_what_has_not_settled_is_no_steady_state():
+    assert math.isnan(simulate_to_steady_state(NUC4, 7.0, 0.2, duration=0.4))
+    settled = simulate_to_steady_state(NUC4, 7.0, 0.2, duration=0.5)
+    expected = steady_state_table(NUC4, [7.0], [0.2]).a_lat[0, 0]
+    assert settled == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_car_without_any_steady_state_is_refused_by_name():
+    with pytest.raises(ParameterError, match="^oversteer: its steady states make no table: a_lat"):
+        steady_state_table(OVERSTEER, [11.0], ANGLES)
 
 
 def test_published_nuc4_table_is_reproduced(shared_data):

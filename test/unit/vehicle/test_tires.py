@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import ParameterError
@@ -64,6 +64,7 @@ def test_slope_is_the_derivative(tire):
 
 @settings(deadline=None)
 @given(tire=pacejka)
+@example(tire=PacejkaTire(1.0, 1.5, 1.0, 1.0 - 2.0**-52))
 def test_peak_is_the_largest_force_on_the_first_rise(tire):
     slip = np.linspace(0.0, min(tire.peak_slip, 10.0), 1001)
     force = tire.normalized_force(slip)

@@ -7,6 +7,8 @@ viridis).
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
@@ -31,7 +33,10 @@ def save(figure, path):
         If the file cannot be written.
     """
     try:
-        figure.savefig(str(path), dpi=130)
+        with warnings.catch_warnings():
+            # A letter that the font lacks is drawn as a box.
+            warnings.filterwarnings("ignore", "Glyph")
+            figure.savefig(str(path), dpi=130)
     except (OSError, ValueError) as error:
         raise MapRacingError(f"{path}: cannot write the figure: {error}") from None
 
@@ -45,7 +50,9 @@ def new_figure(width, height):
 
 def finished(figure, top=1.0):
     """The figure laid out; `top` leaves room for a title above that share of the height."""
-    figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")
+        figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
     return figure
 
 

@@ -1,0 +1,350 @@
+"""``map-racing raceline optimize``: the fastest line between the walls of a course or a map."""
+
+import math
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from ..control.speed_sectors import corners_and_straights, save_speed_sectors
+from ..errors import ParameterError
+from ..evaluation.recordings import load_course, save_course
+from ..track.findings import NOTE
+from ..track.map_image import course_from_map, read_map_image
+from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
+from ..track.raceline import Raceline
+from ..track.speed_profile import raceline_speeds
+from ..track.walls import Walls
+from ..track.writers import FORMATS, choose_format, course_columns
+from ..vehicle.lookup import default_grid, load_table
+from ..vehicle.parameters import load_vehicle
+from ..vehicle.steady_state import steady_state_table
+from .outputs import check_outputs, make_folder
+
+# What makes walls unusable, though the line itself can be driven.
+WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
+MAPS = (".yaml", ".yml")
+
+
+def add_action(actions):
+    """Add ``raceline optimize``."""
+    parser = actions.add_parser(
+        "optimize",
+        help="the fastest line between the walls, from a centerline, a raceline or a map",
+        description="Find the path of least squared curvature between the walls, half the car's "
+        "width and a margin away from them, shortened as far as that makes the lap faster; and the "
+        "highest speeds on it within the vehicle's limits: lateral acceleration as its lookup "
+        "table can steer it, shared with driving and braking in a friction ellipse. Print length, "
+        "squared curvature and estimated lap time before and after.",
+    )
+    parser.add_argument(
+        "source",
+        metavar="IN",
+        help="course with distances to the walls: shipped track, raceline file or bag; or the YAML "
+        "file of a map of map_server, with --start",
+    )
+    parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
+    parser.add_argument(
+        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
+    )
+    parser.add_argument(
+        "--middle",
+        metavar="FILE",
+        help="also write the smooth middle line between the walls, with speeds made alike if the "
+        "car can follow it",
+    )
+    parser.add_argument(
+        "--sectors",
+        metavar="YAML",
+        help="also write speed_scaling.yaml of the public stack: a sector for each corner and "
+        "straight of the output, with scale 1",
+    )
+    parser.add_argument("--plots", metavar="DIR", help="draw line, curvature and speed")
+
+    line = parser.add_argument_group("line")
+    line.add_argument(
+        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
+    )
+    line.add_argument(
+        "--margin",
+        type=float,
+        default=0.1,
+        metavar="M",
+        help="between the car's side and the walls [m] (default: %(default)s)",
+    )
+    line.add_argument(
+        "--compare",
+        metavar="FILE",
+        help="raceline to compare with; the car may come as close to the walls as on that line, "
+        "whatever --margin says",
+    )
+    line.add_argument(
+        "--curvature-only",
+        action="store_true",
+        help="least squared curvature, even where a shorter line is faster",
+    )
+    line.add_argument(
+        "--step",
+        type=float,
+        default=0.1,
+        metavar="M",
+        help="distance of the points that are moved [m] (default: %(default)s)",
+    )
+
+    speed = parser.add_argument_group("speed")
+    speed.add_argument(
+        "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
+    )
+    speed.add_argument(
+        "--lateral-scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="share of the lateral acceleration to use (default: %(default)s)",
+    )
+    speed.add_argument(
+        "--longitudinal-scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="share of driving and braking to use (default: %(default)s)",
+    )
+    speed.add_argument(
+        "--speed-scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="scale of the speeds that result (default: %(default)s)",
+    )
+    speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
+    speed.add_argument(
+        "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
+    )
+
+    image = parser.add_argument_group("map")
+    image.add_argument(
+        "--start",
+        nargs="+",
+        metavar="X,Y,PSI",
+        help="start on the map [m] and direction of travel there [rad]; counter-clockwise without",
+    )
+    image.add_argument(
+        "--passage",
+        type=float,
+        metavar="M",
+        help="close what is narrower than this, such as gaps in walls [m] (default: the car and "
+        "its margins)",
+    )
+    image.add_argument(
+        "--speckle",
+        type=float,
+        metavar="M2",
+        help="remove walls of less area than this [m^2] (default: two cells)",
+    )
+    # Else argparse takes -1.5,2 for an option.
+    parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
+    parser.set_defaults(run=run_optimize)
+
+
+def run_optimize(arguments):
+    """Optimize, compare, write."""
+    outputs = [arguments.output, arguments.middle, arguments.sectors]
+    inputs = (arguments.source.partition("#")[0], arguments.compare, arguments.vehicle)
+    check_outputs(outputs, (*inputs, arguments.lookup_table))
+    forms = [form_of(path, arguments.format) for path in outputs[:2]]
+    check_numbers(arguments)
+    vehicle = load_vehicle(arguments.vehicle)
+    limits = limits_of(arguments, vehicle)
+    course = load(arguments, vehicle)
+    lines = [(course.name or "input", course)]
+    clearance = 0.5 * vehicle.width + arguments.margin
+    if arguments.compare:
+        other = load_course(arguments.compare)
+        # A millimeter more, so that rounding does not favor our line.
+        clearance = float(np.min(clearances(course, other))) + 1e-3
+        lines.append((other.name or "compared", other))
+
+    began = time.perf_counter()
+    with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
+        options = {"step": arguments.step, "progress": lambda count: bar.update(count - bar.n)}
+        if arguments.curvature_only:
+            found = minimum_curvature(course, clearance, **options)
+        else:
+            found = fastest_line(course, clearance, limits, **options)
+    for finding in found.findings:
+        print(f"  {finding}")
+    optimized = driven(found.raceline, limits, arguments.speed_scale)
+    count = int(round(found.raceline.length / arguments.step))
+    print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
+    lines += [("middle", found.reference), ("optimized", optimized)]
+    print_table(lines, course, limits, arguments.speed_scale)
+
+    try:
+        middle = driven(found.reference, limits, arguments.speed_scale)
+    except ParameterError:
+        middle = found.reference
+    for path, form, line in zip(outputs, forms, (optimized, middle)):
+        if path:
+            save_course(path, course_columns(line), form)
+            told = "" if line.speed is not None else ", without speeds"
+            print(f"{path}: format {form}, {line.n} points{told}")
+    if arguments.sectors:
+        sectors = corners_and_straights(optimized)
+        save_speed_sectors(arguments.sectors, sectors)
+        print(f"{arguments.sectors}: {len(sectors)} sectors")
+    if arguments.plots:
+        print(f"  figure: {draw(arguments.plots, optimized, middle, found.walls)}")
+
+
+def form_of(path, wanted):
+    """Format of an output, None for none; plain CSV is our own."""
+    if path is None:
+        return None
+    if wanted is None and Path(path).suffix.lower() == ".csv":
+        wanted = "map_racing"
+    return choose_format(path, wanted)
+
+
+def check_numbers(arguments):
+    """Refuse numbers that cannot be meant."""
+    for key, least, most in (
+        ("margin", -0.5, 10.0),
+        ("step", 0.01, 100.0),
+        ("lateral_scale", 0.01, 2.0),
+        ("longitudinal_scale", 0.01, 2.0),
+        ("speed_scale", 0.01, 2.0),
+        ("v_max", 0.1, 1000.0),
+        ("power", 1e-3, 1e7),
+        ("passage", 1e-3, 100.0),
+        ("speckle", 0.0, 100.0),
+    ):
+        value = getattr(arguments, key)
+        if value is not None and not least <= value <= most:
+            option = "--" + key.replace("_", "-")
+            raise ParameterError(f"{option} must be from {least:g} to {most:g}, not {value:g}")
+
+
+def limits_of(arguments, vehicle):
+    """The car's limits for the speed profile."""
+    v_max = min(vehicle.v_max, arguments.v_max or math.inf)
+    if arguments.lookup_table:
+        table = load_table(arguments.lookup_table)
+    else:
+        table = steady_state_table(vehicle, *default_grid(vehicle, max(v_max, 0.5)))
+    lateral, longitudinal = arguments.lateral_scale, arguments.longitudinal_scale
+    drive = longitudinal * vehicle.a_max
+    if arguments.power is not None:
+        least = arguments.power / (vehicle.m * drive)
+
+        def drive(v, most=drive):
+            # P = m a v: all of a_max below the speed where the power is reached.
+            return most * least / np.maximum(v, least)
+
+    return {
+        "a_lat_max": lambda v: lateral * table.max_lateral_acceleration(v),
+        "a_drive_max": drive,
+        "a_brake_max": longitudinal * vehicle.a_brake_max,
+        "v_max": v_max,
+    }
+
+
+def load(arguments, vehicle):
+    """The course of a file, or of a map."""
+    if Path(arguments.source).suffix.lower() not in MAPS:
+        for option in ("start", "passage", "speckle"):
+            if getattr(arguments, option) is not None:
+                raise ParameterError(f"--{option} is for maps: {arguments.source} is a course")
+        course = load_course(arguments.source)
+        told = [finding for finding in course.findings if finding.severity != NOTE]
+        wrong = [finding for finding in told if finding.code in WRONG_WALLS]
+        if wrong:
+            raise ParameterError(
+                f"{arguments.source}: {wrong[0]} Mend it with map-racing raceline convert --repair"
+            )
+    else:
+        if arguments.start is None:
+            raise ParameterError(f"{arguments.source} is a map: expected --start X,Y[,PSI] on it")
+        passage = arguments.passage
+        if passage is None:
+            passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
+        course = course_from_map(
+            read_map_image(arguments.source),
+            *start_of(arguments.start),
+            passage=passage,
+            speckle=arguments.speckle,
+        )
+        told = course.findings
+    print(f"{arguments.source}: {course.length:.2f} m")
+    for finding in told:
+        print(f"  {finding}")
+    return course
+
+
+def start_of(words):
+    """Position and direction of ``--start``."""
+    try:
+        numbers = [float(word) for word in ",".join(words).split(",") if word.strip()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3):
+        raise ParameterError(f"--start: expected X,Y or X,Y,PSI, got {' '.join(words)}")
+    return tuple(numbers[:2]), (numbers[2] if len(numbers) == 3 else None)
+
+
+def clearances(course, line):
+    """Distances from a line to the walls of a course; an error where it is beyond one."""
+    at = line.sample(np.linspace(0.0, line.length, 4 * line.n, endpoint=False))
+    for x, y in zip(at.x.tolist(), at.y.tolist()):
+        foot = course.project(x, y)
+        left, right = course.widths_at(foot.s)
+        if not -right < foot.d < left:
+            raise ParameterError(
+                f"{line.source}: expected a line between the walls of {course.source}, but "
+                f"({x:.2f}, {y:.2f}) is beyond one"
+            )
+    return Walls(course).distance(np.stack((at.x, at.y), axis=1))
+
+
+def driven(line, limits, scale):
+    """A line with the fastest speeds on it."""
+    speed, _ = raceline_speeds(line, **limits)
+    return Raceline(
+        *(line.x, line.y),
+        vx_mps=scale * speed,
+        d_left_m=line.d_left,
+        d_right_m=line.d_right,
+        name=line.name,
+    )
+
+
+def print_table(lines, course, limits, scale):
+    """Figures of each line, all computed alike."""
+    print(
+        f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'clearance':>10s} "
+        f"{'lap time':>9s}\n"
+        f"  {'':24s} {'[m]':>9s} {'[rad^2/m]':>12s} {'[m]':>8s} {'[m]':>10s} {'[s]':>9s}"
+    )
+    for name, line in lines:
+        try:
+            lap = f"{raceline_speeds(line, **limits)[1] / scale:.3f}"
+        except ParameterError as error:
+            lap = "-"
+            print(f"  {name}: {error}")
+        least = float(np.min(clearances(course, line)))
+        print(
+            f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
+            f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {lap:>9s}"
+        )
+
+
+def draw(folder, optimized, middle, walls):
+    """The figure of an optimized line; its path."""
+    # matplotlib takes a second, and most calls draw nothing
+    from ..evaluation.plots.optimization import plot_optimized
+    from ..evaluation.plots.style import save
+
+    path = Path(make_folder(folder)) / f"{optimized.name or 'course'}_optimized.png"
+    save(plot_optimized(optimized, middle, walls), path)
+    return path

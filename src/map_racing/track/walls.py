@@ -1,0 +1,214 @@
+"""The walls beside a course, and how far a car can go toward them."""
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import RacelineError
+from .findings import NOTE, WARNING, Finding
+
+__all__ = ["Walls", "march", "smooth_between"]
+
+
+class Walls:
+    """The two walls of a course as polygons, for questions of distance.
+
+    Parameters
+    ----------
+    course : Raceline
+        Line with distances to the walls.
+
+    Attributes
+    ----------
+    segments : ndarray, shape (n, 2, 2)
+        Beginning and end of each piece of wall [m].
+    findings : tuple of Finding
+        What was left out of them.
+
+    Raises
+    ------
+    RacelineError
+        If the course has no walls, or a distance to one is not positive.
+
+    Notes
+    -----
+    On the inside of a bend tighter than the track is wide, neighboring normals cross before they
+    reach the wall, and the wall's points run backwards through the track. Points that lie inside
+    the track of their own bend are left out, and those around them connected.
+    """
+
+    def __init__(self, course):
+        name = course.source or course.name or "raceline"
+        if course.d_left is None:
+            raise RacelineError(f"{name}: expected distances to both walls, to stay between them")
+        for side, column in (("left", course.d_left), ("right", course.d_right)):
+            if column.min() <= 0.0:
+                k = int(np.argmin(column))
+                raise RacelineError(
+                    f"{name}: s = {course.s[k]:.2f} m: expected a positive distance to the {side} "
+                    f"wall, got {column[k]:g} m"
+                )
+        # Between coarse points the wall bends with the line.
+        spacing = min(course.ds, 0.25 * float(np.median(course.d_left + course.d_right)))
+        count = int(math.ceil(course.length / spacing - 1e-9))
+        at = course.sample(np.arange(count) * (course.length / count))
+        normal = np.stack((-np.sin(at.psi), np.cos(at.psi)), axis=1)
+        line = np.stack((at.x, at.y), axis=1)
+        left = line + at.d_left[:, None] * normal
+        right = line - at.d_right[:, None] * normal
+        tree = cKDTree(line)
+        begins, ends, dropped, shared = [], [], [], 0
+        for wall, width in ((left, at.d_left), (right, at.d_right)):
+            deep, own = self._inside(wall, width, tree, line, normal, at, course.length)
+            keep = ~((deep > 0.01 * width) & own)
+            dropped.append(int(np.sum(~keep)))
+            shared += int(np.sum((deep > 0.1 * width) & ~own))
+            begins.append(wall[keep])
+            ends.append(np.roll(wall[keep], -1, axis=0))
+        self.findings = ()
+        if any(dropped):
+            text = (
+                f"normals cross inside bends tighter than the track is wide: {dropped[0]} points "
+                f"of the left wall and {dropped[1]} of the right one left out"
+            )
+            self.findings = (Finding("crossing-normals", NOTE, text),)
+        if shared:
+            text = (
+                f"{shared} points of walls lie inside another stretch of the track: they bound both"
+            )
+            self.findings += (Finding("shared-ground", WARNING, text),)
+        self._begin, end = np.concatenate(begins), np.concatenate(ends)
+        self._along = end - self._begin
+        self.segments = np.stack((self._begin, end), axis=1)
+        self._square = np.maximum(np.sum(self._along**2, axis=1), 1e-18)
+        self._densify(spacing)
+
+    @staticmethod
+    def _inside(wall, width, tree, line, normal, at, length):
+        """How deep wall points lie inside the track near them, and whether in their own bend."""
+        distance, foot = tree.query(wall)
+        along = np.abs(np.mod(at.s - at.s[foot] + 0.5 * length, length) - 0.5 * length)
+        left = np.sum((wall - line[foot]) * normal[foot], axis=1) > 0.0
+        there = np.where(left, at.d_left[foot], at.d_right[foot])
+        return there - distance, along < 4.0 * width
+
+    def _densify(self, spacing):
+        """Points along all segments, so that the nearest point tells the nearest segment."""
+        parts = np.maximum(1, np.ceil(np.sqrt(self._square) / spacing)).astype(int)
+        segment = np.repeat(np.arange(parts.size), parts)
+        share = (np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / (
+            parts[segment]
+        )
+        self._tree = cKDTree(self._begin[segment] + share[:, None] * self._along[segment])
+        self._segment = segment
+
+    def distance(self, points):
+        """Distance from points to the nearest wall.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 2)
+            [m]
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m]
+        """
+        _, near = self._tree.query(points, k=min(3, self._segment.size))
+        best = np.full(len(points), np.inf)
+        for column in np.reshape(near, (len(points), -1)).T:
+            k = self._segment[column]
+            apart = points - self._begin[k]
+            share = np.clip(np.sum(apart * self._along[k], axis=1) / self._square[k], 0.0, 1.0)
+            apart -= share[:, None] * self._along[k]
+            best = np.minimum(best, np.hypot(apart[:, 0], apart[:, 1]))
+        return best
+
+    def reach(self, points, directions, clearance, farthest):
+        """How far one can go from points in a direction, keeping a clearance from all walls.
+
+        Parameters
+        ----------
+        points, directions : ndarray, shape (n, 2)
+            Beginnings [m] and unit vectors.
+        clearance : float or ndarray, shape (n,)
+            [m]
+        farthest : float
+            Where the search ends [m].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m]; negative where the beginning itself is too close to a wall, by how much.
+        """
+        return march(self.distance, points, directions, clearance, farthest)
+
+
+def march(distance, points, directions, clearance, farthest):
+    """How far one can go from points in a direction, keeping a clearance from all walls.
+
+    Each step goes as far as the nearest wall allows in any direction, so no wall is jumped over.
+
+    Parameters
+    ----------
+    distance : callable
+        Distance to the nearest wall [m] of points of shape (n, 2).
+    points, directions, clearance, farthest
+        As of `Walls.reach`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        As of `Walls.reach`.
+    """
+    clearance = np.broadcast_to(clearance, len(points))
+    # A line that has been optimized runs along the clearance: from there a step away is free.
+    away = 1e-3 * farthest
+    begin, after = (distance(points + s * directions) - clearance for s in (0.0, away))
+    reached = np.where((np.abs(begin) < away) & (after > np.maximum(begin, 0.0)), away, 0.0)
+    going = np.arange(len(points))
+    for _ in range(100):
+        free = distance(points[going] + reached[going, None] * directions[going])
+        free = free - clearance[going]
+        reached[going] += free
+        going = going[(free > 1e-5) & (reached[going] < farthest)]
+        if not going.size:
+            break
+    return np.minimum(reached, farthest)
+
+
+def smooth_between(points, length, deviation, distance, clearance):
+    """A closed line smoothed by a Gaussian, as far as it stays between the walls.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Line at equal steps [m].
+    length : float
+        Its length [m].
+    deviation : float
+        Standard deviation of the Gaussian along the line [m]; halved until the line keeps clear.
+    distance : callable
+        As of `march`.
+    clearance : float
+        To keep from the walls [m].
+
+    Returns
+    -------
+    smooth : ndarray, shape (n, 2)
+    clear : bool
+        False if it does not keep clear even where it is hardly smoothed.
+    """
+    wave = 2.0 * math.pi * np.fft.fftfreq(len(points), length / len(points))
+    spectrum = np.fft.fft(points, axis=0)
+    there = distance(points)
+    for halved in range(6):
+        blur = np.exp(-0.5 * (wave * deviation * 0.5**halved) ** 2)
+        smooth = np.fft.ifft(spectrum * blur[:, None], axis=0).real
+        # What moved less than the wall was away is still between the walls.
+        moved = np.hypot(*(smooth - points).T)
+        if np.all(distance(smooth) >= clearance) and np.all(moved < there):
+            return smooth, True
+    return smooth, False

@@ -1,0 +1,274 @@
+"""``map-racing raceline optimize`` as users call it, and races on what it writes."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from map_racing.cli import main
+from map_racing.control.controller import Controller, build_steering_map
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.speed_sectors import load_speed_sectors
+from map_racing.evaluation.recordings import load_course
+from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.race import Outcome, race
+from map_racing.track.formats import load_raceline, save_raceline
+from map_racing.track.raceline import Raceline
+from map_racing.vehicle.parameters import load_vehicle
+
+
+def run(*arguments):
+    return main(["raceline", "optimize", *map(str, arguments)])
+
+
+def centerline(path, width=0.9, columns="{x},{y},{right},{left}", **changes):
+    """A bean of 31 m as a centerline file; `changes` of the arrays x, y, right, left."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 160, endpoint=False)
+    radius = 4.5 + 1.2 * np.cos(3.0 * angle)
+    data = {"x": radius * np.cos(angle), "y": radius * np.sin(angle)}
+    data["right"] = data["left"] = np.full(160, width)
+    data = {key: changes.get(key, lambda column: column)(data[key].copy()) for key in data}
+    rows = zip(*(data[key].tolist() for key in ("x", "y", "right", "left")))
+    lines = ["# x_m, y_m, w_tr_right_m, w_tr_left_m"]
+    lines += [columns.format(x=x, y=y, right=right, left=left) for x, y, right, left in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def set_at(index, value):
+    def change(column):
+        column[index] = value
+        return column
+
+    return change
+
+
+def table_of(text):
+    """Rows of the printed table, by name."""
+    rows = [line.split() for line in text.splitlines()]
+    begin = next(k for k, row in enumerate(rows) if row[:2] == ["[m]", "[rad^2/m]"])
+    return {row[0]: row[1:] for row in rows[begin + 1 :] if len(row) == 6}
+
+
+def test_centerline_to_raceline(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+    out = tmp_path / "line.csv"
+    assert run(source, "--output", out, "--margin", "0.2", "--plots", tmp_path) == 0
+    rows = table_of(capsys.readouterr().out)
+    assert set(rows) == {"hall", "middle", "optimized"}
+    length, bending, _, clearance, lap = map(float, rows["optimized"])
+    assert bending < 0.8 * float(rows["hall"][1]) and lap < 0.95 * float(rows["hall"][4])
+    assert clearance == pytest.approx(0.348, abs=1.1e-3)
+    line = load_course(str(out))
+    assert line.length == pytest.approx(length, abs=0.01)
+    assert min(line.d_left.min(), line.d_right.min()) > 0.345
+    assert line.speed.max() <= load_vehicle("nuc4").v_max
+    assert (tmp_path / "hall_optimized.png").stat().st_size > 20000
+
+
+def test_speed_options(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+
+    def lap(*options):
+        assert run(source, "--curvature-only", *options) == 0
+        return float(table_of(capsys.readouterr().out)["optimized"][4])
+
+    full = lap()
+    assert lap("--speed-scale", "0.5") == pytest.approx(2.0 * full, abs=2e-3)
+    # The top speed is not reached here: all accelerations by half make all speeds slower by
+    # no more than sqrt(1/2), less where the limit falls with speed.
+    half = lap("--lateral-scale", "0.5", "--longitudinal-scale", "0.5")
+    assert 1.2 * full < half < 1.5 * full
+    assert lap("--power", "5") > 1.02 * full
+    assert lap("--v-max", "2") == pytest.approx(float(lap_length(source, capsys)) / 2.0, rel=1e-3)
+
+
+def lap_length(source, capsys):
+    run(source, "--curvature-only")
+    return table_of(capsys.readouterr().out)["optimized"][0]
+
+
+def test_compare_gives_the_same_room(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+    course = load_course(str(source))
+    angle = 2.0 * math.pi * course.s / course.length
+    other = Raceline(*course.to_cartesian(course.s, 0.4 + 0.0 * angle), name="other")
+    save_raceline(other, tmp_path / "other.csv")
+    assert run(source, "--compare", tmp_path / "other.csv") == 0
+    rows = table_of(capsys.readouterr().out)
+    assert float(rows["other"][3]) == pytest.approx(0.5, abs=0.005)
+    assert float(rows["optimized"][3]) == pytest.approx(float(rows["other"][3]), abs=2e-3)
+    beyond = Raceline(*course.to_cartesian(course.s, 1.2 + 0.0 * angle), name="beyond")
+    save_raceline(beyond, tmp_path / "beyond.csv")
+    assert run(source, "--compare", tmp_path / "beyond.csv") == 1
+    assert "is beyond one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json"])
+def test_speed_sectors_fit_the_output(tmp_path, suffix):
+    source = centerline(tmp_path / "hall.csv")
+    out, sectors = tmp_path / f"line.{suffix}", tmp_path / "speed_scaling.yaml"
+    assert run(source, "--output", out, "--sectors", sectors) == 0
+    content = yaml.safe_load(sectors.read_text())
+    count = content["n_sectors"]
+    assert content["global_limit"] == 1.0 and 2 <= count <= 12
+    line = load_course(str(out))
+    assert content["Sector0"]["start"] == 0
+    assert content[f"Sector{count - 1}"]["end"] == line.s_points.size - 1
+    for k in range(1, count):
+        assert content[f"Sector{k}"]["start"] == content[f"Sector{k - 1}"]["end"] + 1
+    assert {load_speed_sectors(sectors, line).scale_at(s) for s in line.s.tolist()} == {1.0}
+    # A scale that is written into a sector is read back there and nowhere else.
+    content["Sector1"]["scaling"] = 0.5
+    sectors.write_text(yaml.safe_dump(content))
+    scales = load_speed_sectors(sectors, line)
+    begin, end = (line.s_points[content["Sector1"][key]] for key in ("start", "end"))
+    assert scales.scale_at(0.5 * (begin + end)) == 0.5
+    assert scales.scale_at(begin - 0.01) == scales.scale_at(end + 0.11) == 1.0
+
+
+def hall_map(folder):
+    """A drawn hall as a mapping run leaves it: gray around, a few specks."""
+    axis = (np.arange(280) + 0.5) * 0.05 - 7.0
+    x, y = np.meshgrid(axis, axis[::-1])
+    radius = np.hypot(x / 1.3, y)
+    gray = np.full(x.shape, 205, dtype=np.uint8)
+    gray[(radius > 2.3) & (radius < 4.7)] = 0
+    gray[(radius > 2.5) & (radius < 4.5)] = 254
+    gray[40, 100] = gray[150, 20] = 0
+    Image.fromarray(gray).save(str(folder / "hall.pgm"))
+    text = "image: hall.pgm\nresolution: 0.05\norigin: [-7, -7, 0]\nnegate: 0\n"
+    (folder / "hall.yaml").write_text(text + "occupied_thresh: 0.65\nfree_thresh: 0.25\n")
+    return folder / "hall.yaml"
+
+
+@pytest.mark.parametrize(
+    "start, turn",
+    [
+        (["--start", "-4.5,0,-1.57"], 1.0),
+        (["--start", "-4.5", "0", "1.57"], -1.0),
+        (["--start", "-4.5,0"], 1.0),
+    ],
+)
+def test_a_map_becomes_a_raceline_in_one_command(tmp_path, capsys, start, turn):
+    out = tmp_path / "line.csv"
+    assert run(hall_map(tmp_path), *start, "--output", out) == 0
+    assert "taken as unknown" in capsys.readouterr().out
+    line = load_course(str(out))
+    assert np.sum(line.kappa) * line.ds == pytest.approx(turn * 2.0 * math.pi, abs=0.01)
+    assert math.hypot(line.x[0] + 4.5, line.y[0]) < 1.2
+    radius = np.hypot(line.x / 1.3, line.y)
+    assert radius.min() > 2.6 and radius.max() < 4.4
+
+
+@pytest.mark.parametrize(
+    "options, text",
+    [
+        ([], "is a map: expected --start X,Y[,PSI]"),
+        (["--start", "1"], "--start: expected X,Y or X,Y,PSI"),
+        (["--start", "a,b"], "--start: expected X,Y or X,Y,PSI"),
+        (["--start", "0,0"], "is in a wall or on unknown ground"),
+        (["--start", "-4.5,0", "--passage", "0"], "--passage must be from"),
+    ],
+)
+def test_starts_that_cannot_be(tmp_path, capsys, options, text):
+    assert run(hall_map(tmp_path), *options) == 1
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1
+
+
+WHOLE = ("x", "y", "right", "left")
+
+
+def keep(part):
+    return lambda column: column[part]
+
+
+@pytest.mark.parametrize(
+    "changes, text",
+    [
+        ({key: keep(slice(0, 100)) for key in WHOLE}, "closed"),
+        ({"x": set_at(20, math.nan)}, "finite"),
+        ({"left": set_at(20, math.nan)}, "finite"),
+        ({"left": set_at(slice(20, 24), 0.0)}, "positive distance to the left wall"),
+        ({"right": set_at(20, -0.3)}, "beyond the right wall"),
+        ({"right": set_at(slice(20, 24), 0.05), "left": set_at(slice(20, 24), 0.05)}, "narrow"),
+        ({key: lambda c: np.concatenate((c, c)) for key in WHOLE}, "one loop"),
+        ({"x": lambda c: 1e3 * np.sign(c)}, ""),
+    ],
+    ids=["open", "NaN", "NaN width", "zero", "negative", "narrow", "two loops", "no course"],
+)
+def test_bad_input_is_one_line(tmp_path, capsys, changes, text):
+    source = centerline(tmp_path / "bad.csv", **changes)
+    out = tmp_path / "line.csv"
+    assert run(source, "--output", out) == 1
+    error = capsys.readouterr().err
+    assert text in error and "bad.csv" in error and error.count("\n") == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "columns", ["{right},{left},{x},{y}", "{x},{right},{y},{left}"], ids=["both", "one"]
+)
+def test_swapped_columns_are_refused(tmp_path, capsys, columns):
+    source = centerline(tmp_path / "bad.csv", columns=columns)
+    assert run(source) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_exchanged_walls_are_refused(tmp_path, capsys):
+    """Those of a raceline, which is not in the middle."""
+    line = load_raceline("reference")
+    swapped = Raceline(line.x, line.y, d_left_m=line.d_right, d_right_m=line.d_left)
+    save_raceline(swapped, tmp_path / "swapped.csv")
+    capsys.readouterr()
+    assert run(tmp_path / "swapped.csv") == 1
+    assert "swapped" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options, text",
+    [
+        (["--margin", "nan"], "--margin"),
+        (["--step", "0"], "--step"),
+        (["--lateral-scale", "0"], "--lateral-scale"),
+        (["--start", "0,0"], "--start is for maps"),
+        (["--margin", "2"], "too narrow"),
+        (["--vehicle", "none"], "none: no such file"),
+        (["--output", "line.txt"], "line.txt"),
+        (["--v-max", "-1"], "--v-max"),
+    ],
+)
+def test_options_that_cannot_be(tmp_path, capsys, monkeypatch, options, text):
+    monkeypatch.chdir(tmp_path)
+    assert run(centerline(tmp_path / "hall.csv"), *options) == 1
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1
+
+
+def race_lap(path, speed_scale=0.9):
+    """Mean time of the timed lap of MAP on a line, and the log."""
+    plant_parameters = load_plant_parameters("nuc4")
+    parameters = load_controller_parameters("map").with_(speed_scale=speed_scale)
+    vehicle = load_vehicle(plant_parameters.vehicle)
+    line = load_raceline(path)
+    controller = Controller(
+        parameters, build_steering_map("table", vehicle, parameters.v_max_mps), vehicle, line
+    )
+    log = race(Plant(plant_parameters), controller, line, Localization(plant_parameters, 1), laps=1)
+    assert log.outcome is Outcome.COMPLETED
+    path = log.true_path()
+    start = path[:, 0][np.hypot(*(path[:, 1:3] - line.position(0.0)).T) < 0.5]
+    # The start of the timed lap is when the out-lap ends, and its end one lap later.
+    crossings = start[np.flatnonzero(np.diff(np.append(-10.0, start)) > 1.0)]
+    return crossings[2] - crossings[1]
+
+
+@pytest.mark.parametrize("track, gain", [("reference", 1.1), ("club", 1.2)])
+def test_the_car_is_faster_on_the_optimized_line_and_stays_on_the_track(tmp_path, track, gain):
+    """MAP on the middle line and on the optimized one, with speeds made alike."""
+    out, middle = tmp_path / "line.csv", tmp_path / "middle.csv"
+    assert run(track, "--output", out, "--middle", middle) == 0
+    assert race_lap(middle) > gain * race_lap(out)

@@ -1,0 +1,30 @@
+"""The figure of an optimized line shows what it is made of."""
+
+import numpy as np
+import pytest
+
+from map_racing.evaluation.plots.optimization import plot_optimized
+from map_racing.evaluation.plots.style import save
+from map_racing.track.formats import load_raceline
+from map_racing.track.raceline import Raceline
+from map_racing.track.walls import Walls
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_line_walls_curvature_and_speed(tmp_path, wide):
+    line = load_raceline("reference")
+    if not wide:  # a course higher than wide has its curves beside it
+        line = Raceline(
+            *(-line.y, line.x), vx_mps=line.speed, d_left_m=line.d_left, d_right_m=line.d_right
+        )
+    middle = Raceline(line.x, line.y, d_left_m=line.d_left, d_right_m=line.d_right)
+    figure = plot_optimized(line, middle, Walls(line), title="t")
+    course, bends, speeds = figure.axes[:3]
+    assert course.get_title() == "t"
+    path = course.collections[-1]
+    np.testing.assert_allclose(path.get_array(), line.speed)
+    assert [len(axes.lines) for axes in (bends, speeds)] == [3, 1]
+    np.testing.assert_allclose(bends.lines[1].get_ydata(), line.kappa)
+    np.testing.assert_allclose(speeds.lines[0].get_ydata(), line.speed)
+    save(figure, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 20000

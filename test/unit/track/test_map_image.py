@@ -1,0 +1,290 @@
+"""Centerlines from maps: drawn ones whose course is known, and real ones beside theirs."""
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from map_racing.errors import FileFormatError, ParameterError, RacelineError
+from map_racing.track.formats import read_raceline_file
+from map_racing.track.map_image import course_from_map, read_map_image
+from map_racing.track.raceline import Raceline
+
+FREE, OCCUPIED, UNKNOWN = 254, 0, 205
+CELL = 0.05
+HALF = 0.8  # half the width of the drawn track [m]
+
+
+def bean():
+    angle = np.linspace(0.0, 2.0 * math.pi, 300, endpoint=False)
+    radius = 5.0 + 1.2 * np.cos(3.0 * angle)
+    return Raceline(radius * np.cos(angle), radius * np.sin(angle))
+
+
+def drawn(course=None, outside=OCCUPIED):
+    """Gray values of the course's free space, first row on top, 16 m wide around the origin."""
+    course = course or bean()
+    axis = (np.arange(320) + 0.5) * CELL - 8.0
+    x, y = np.meshgrid(axis, axis[::-1])
+    at = course.sample(np.linspace(0.0, course.length, 4000, endpoint=False))
+    distance, _ = cKDTree(np.stack((at.x, at.y), axis=1)).query(np.stack((x, y), axis=-1))
+    gray = np.full(x.shape, outside, dtype=np.uint8)
+    gray[distance < HALF + 2.0 * CELL] = OCCUPIED
+    gray[distance < HALF] = FREE
+    return gray
+
+
+def cells(gray, x, y, size):
+    """A square of cells around a place, to draw into."""
+    column, row, half = int((x + 8.0) / CELL), int((8.0 - y) / CELL), int(round(0.5 * size / CELL))
+    return gray[row - half : row + half + 1, column - half : column + half + 1]
+
+
+def written(folder, gray, suffix="png", **fields):
+    """Image and YAML file of a map; the path of the latter."""
+    Image.fromarray(gray).save(str(folder / f"map.{suffix}"))
+    content = {
+        "image": f"map.{suffix}",
+        "resolution": CELL,
+        "origin": [-8.0, -8.0, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    content.update(fields)
+    path = folder / "map.yaml"
+    path.write_text(
+        "".join(f"{key}: {value}\n" for key, value in content.items() if value is not None)
+    )
+    return path
+
+
+def course_of(folder, gray, start=None, psi=None, passage=0.5, **fields):
+    start = start or bean().position(0.0)
+    return course_from_map(
+        read_map_image(written(folder, gray, **fields)), start, psi, passage=passage
+    )
+
+
+def codes(course):
+    return [finding.code for finding in course.findings]
+
+
+def deviations(course, expected):
+    return np.array(
+        [expected.project(x, y).d for x, y in zip(course.x.tolist(), course.y.tolist())]
+    )
+
+
+@pytest.mark.parametrize("suffix", ["png", "pgm", "bmp"])
+def test_line_and_widths_of_a_drawn_course(tmp_path, suffix):
+    course = course_of(tmp_path, drawn(), suffix=suffix)
+    assert np.abs(deviations(course, bean())).max() < 0.05
+    assert course.length == pytest.approx(bean().length, rel=0.01)
+    total = course.d_left + course.d_right
+    assert np.median(total) == pytest.approx(2.0 * HALF, abs=CELL)
+    assert total.min() > 2.0 * HALF - 2.0 * CELL and total.max() < 2.0 * HALF + 3.0 * CELL
+    # Nothing is known of the direction, and the lap begins beside the start.
+    assert codes(course) == ["direction"]
+    assert np.hypot(course.x[0] - 6.2, course.y[0]) < 0.1
+    assert np.sum(course.kappa) * course.ds == pytest.approx(2.0 * math.pi, abs=0.01)
+
+
+@pytest.mark.parametrize("psi, turn", [(0.5 * math.pi, 1.0), (-0.5 * math.pi, -1.0)])
+def test_direction_of_travel(tmp_path, psi, turn):
+    course = course_of(tmp_path, drawn(), psi=psi)
+    assert math.cos(course.psi[0] - psi) > 0.99
+    assert np.sum(course.kappa) * course.ds == pytest.approx(turn * 2.0 * math.pi, abs=0.01)
+    assert codes(course) == []
+
+
+def test_a_direction_across_the_track_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="the track there runs at .* got 0.00 rad"):
+        course_of(tmp_path, drawn(), psi=0.0)
+
+
+def test_origin_with_yaw(tmp_path):
+    """The map turned about its lower left corner, and moved."""
+    yaw, moved = 0.7, np.array([3.0, -2.0])
+    rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+    def world(points):
+        return (np.asarray(points) + 8.0).dot(rotation.T) + moved
+
+    course = course_of(
+        tmp_path, drawn(), start=tuple(world(bean().position(0.0))), origin=[3.0, -2.0, yaw]
+    )
+    expected = Raceline(*world(np.stack((bean().x, bean().y), axis=1)).T)
+    assert np.abs(deviations(course, expected)).max() < 0.05
+
+
+def test_negated_map(tmp_path):
+    course = course_of(tmp_path, 255 - drawn(), negate=1)
+    assert np.abs(deviations(course, bean())).max() < 0.05
+
+
+def test_color_and_transparent_images(tmp_path):
+    gray = drawn()
+    colored = np.stack([gray] * 3 + [np.full_like(gray, 255)], axis=-1)
+    course = course_of(tmp_path, colored)
+    assert np.abs(deviations(course, bean())).max() < 0.05
+
+
+def test_thin_walls_in_the_open_are_enough(tmp_path):
+    course = course_of(tmp_path, drawn(outside=FREE))
+    assert np.abs(deviations(course, bean())).max() < 0.05
+
+
+def test_unknown_cells_are_no_road(tmp_path):
+    gray = drawn(outside=UNKNOWN)
+    course = course_of(tmp_path, gray)
+    assert np.abs(deviations(course, bean())).max() < 0.05
+    assert "unknown-cells" not in codes(course)
+    # With this threshold map_server would drive on them.
+    course = course_of(tmp_path, gray, free_thresh=0.25)
+    assert np.abs(deviations(course, bean())).max() < 0.05
+    assert "unknown-cells" in codes(course)
+
+
+def test_speckle_is_removed_and_counted(tmp_path):
+    gray = drawn()
+    generator = np.random.default_rng(3)
+    rows, columns = np.nonzero(gray == FREE)
+    for k in generator.choice(rows.size, 60, replace=False):
+        gray[rows[k], columns[k]] = OCCUPIED
+    course = course_of(tmp_path, gray)
+    assert np.abs(deviations(course, bean())).max() < 0.08
+    told = [finding for finding in course.findings if finding.code == "speckle"]
+    assert len(told) == 1 and 20 < int(str(told[0]).split()[0]) <= 60
+
+
+def test_a_gap_narrower_than_the_passage_is_closed(tmp_path):
+    gray = drawn(outside=FREE)
+    x, y = bean().to_cartesian(10.0, -HALF - CELL)
+    cells(gray, float(x), float(y), 0.3)[:] = FREE
+    course = course_of(tmp_path, gray)
+    assert np.abs(deviations(course, bean())).max() < 0.1
+    assert course.d_right.max() < HALF + 0.3
+
+
+def test_a_wide_gap_in_the_outer_wall_makes_two_ways(tmp_path):
+    gray = drawn(outside=FREE)
+    x, y = bean().to_cartesian(10.0, -HALF - CELL)
+    cells(gray, float(x), float(y), 1.0)[:] = FREE
+    with pytest.raises(RacelineError, match="2 ways around: islands .* black line"):
+        course_of(tmp_path, gray)
+    # A wider passage closes it.
+    course = course_of(tmp_path, gray, passage=1.2)
+    assert np.abs(deviations(course, bean())).max() < 0.15
+
+
+def test_a_wide_gap_in_the_inner_wall_is_closed_and_told(tmp_path):
+    gray = drawn(outside=FREE)
+    x, y = bean().to_cartesian(10.0, HALF + CELL)
+    cells(gray, float(x), float(y), 0.8)[:] = FREE
+    course = course_of(tmp_path, gray)
+    assert "openings" in codes(course)
+    assert np.abs(deviations(course, bean())).max() < 0.35
+    assert course.d_left.max() < HALF + 0.5
+
+
+def test_an_obstacle_is_closed_toward_the_nearer_wall(tmp_path):
+    gray = drawn()
+    x, y = bean().to_cartesian(10.0, 0.1)
+    cells(gray, float(x), float(y), 0.2)[:] = OCCUPIED
+    course = course_of(tmp_path, gray)
+    told = [finding for finding in course.findings if finding.code == "obstacle"]
+    assert len(told) == 1 and "inner wall" in str(told[0])
+    foot = course.project(float(x), float(y))
+    assert foot.d > 0.3 and course.widths_at(foot.s)[0] < foot.d - 0.05
+
+
+def test_several_loops_are_refused(tmp_path):
+    """A hall with two blocks in it."""
+    gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
+    gray[40:280, 40:280] = FREE
+    gray[100:220, 80:130] = gray[100:220, 190:240] = OCCUPIED
+    with pytest.raises(RacelineError, match=r"expected one loop, but there are 2 ways around"):
+        course_of(tmp_path, gray, start=(0.0, 5.0))
+
+
+def test_no_loop_is_refused(tmp_path):
+    gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
+    gray[100:220, 80:240] = FREE
+    with pytest.raises(RacelineError, match="has no wall inside"):
+        course_of(tmp_path, gray, start=(0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "start, reason",
+    [
+        ((0.0, 0.0), "in a wall or on unknown ground"),
+        ((100.0, 0.0), "not on the map"),
+        ((6.9, 0.0), r"0\.[01]. m from a wall, less than 0.25 m"),
+    ],
+)
+def test_a_start_off_the_track_is_refused_and_a_better_one_named(tmp_path, start, reason):
+    with pytest.raises(ParameterError, match=reason + "; the nearest place") as error:
+        course_of(tmp_path, drawn(), start=start)
+    place = str(error.value).split("(")[-1].rstrip(")").split(",")
+    assert course_of(tmp_path, drawn(), start=tuple(map(float, place))).length > 30.0
+
+
+def test_no_place_is_wide_enough(tmp_path):
+    with pytest.raises(ParameterError, match="no place on the map is 5.00 m wide"):
+        course_of(tmp_path, drawn(), passage=5.0)
+
+
+@pytest.mark.parametrize(
+    "fields, text",
+    [
+        ({"image": "none.png"}, "none.png: expected an image: No such file"),
+        ({"image": "map.yaml"}, "map.yaml: expected an image"),
+        ({"image": None}, "image: expected the name of a file"),
+        ({"resolution": 0.0}, "resolution: expected meters per cell"),
+        ({"resolution": None}, "resolution: expected a number"),
+        ({"origin": "[0, 0]"}, "origin: expected"),
+        ({"origin": "[0, 0, .nan]"}, "origin: expected a number"),
+        ({"negate": 2}, "negate: expected 0 or 1"),
+        ({"mode": "raw"}, "mode: expected trinary or scale"),
+        ({"free_thresh": 0.9}, "free_thresh <= occupied_thresh"),
+    ],
+)
+def test_what_is_wrong_in_the_files_is_named(tmp_path, fields, text):
+    path = written(tmp_path, drawn(), **fields)
+    with pytest.raises(FileFormatError, match=text):
+        read_map_image(path)
+
+
+@pytest.mark.parametrize("circuit", ["Spielberg", "Oschersleben"])
+def test_published_centerlines_are_found_in_their_maps(shared_data, circuit):
+    folder = shared_data / "tracks" / circuit
+    published = read_raceline_file(folder / f"{circuit}_centerline.csv")
+    image = read_map_image(folder / f"{circuit}_map.yaml")
+    psi = float(published.psi[0])
+    course = course_from_map(image, published.position(0.0), psi, passage=0.5)
+    off = deviations(course, published)
+    assert np.sqrt(np.mean(off**2)) < 0.02
+    assert course.length == pytest.approx(published.length, rel=2e-3)
+    # The files say 2.2 m everywhere; the images are up to 0.3 m narrower.
+    total = course.d_left + course.d_right
+    assert total.min() > 1.85 and total.max() < 2.5
+
+
+def test_a_real_hall(shared_data):
+    """Posts stand on the track, and unknown cells look free by the file's threshold."""
+    folder = shared_data / "laps" / "ipz20"
+    published = read_raceline_file(folder / "centerline.csv")
+    image = read_map_image(folder / "IPZ20.yaml")
+    course = course_from_map(image, published.position(0.0), float(published.psi[0]), passage=0.5)
+    assert {"unknown-cells", "obstacle"} <= set(codes(course))
+    # The published line passes one of the posts on the other side.
+    assert np.median(np.abs(deviations(course, published))) < 0.1
+
+
+def test_a_map_without_walls(shared_data):
+    image = read_map_image(shared_data / "tracks" / "circle" / "circle.yaml")
+    with pytest.raises(RacelineError, match="has no wall inside"):
+        course_from_map(image, (0.0, 0.0), passage=0.5)

@@ -1,0 +1,112 @@
+"""Distances to walls, marching toward them, smoothing between them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.track.raceline import Raceline
+from map_racing.track.walls import Walls, smooth_between
+
+
+def ring(count=200):
+    angle = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+    return Raceline(
+        *(5.0 * np.cos(angle), 5.0 * np.sin(angle)),
+        d_left_m=np.full(count, 1.5),
+        d_right_m=np.full(count, 1.0),
+    )
+
+
+def test_distance_to_the_walls_of_a_ring():
+    walls = Walls(ring())
+    generator = np.random.default_rng(1)
+    angle, radius = generator.uniform(0.0, 2.0 * math.pi, 300), generator.uniform(3.5, 6.0, 300)
+    points = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
+    expected = np.minimum(radius - 3.5, 6.0 - radius)
+    # A wall is a polygon: 0.1 m of it leave the circle by 0.3 mm.
+    np.testing.assert_allclose(walls.distance(points), expected, atol=4e-4)
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.3])
+@pytest.mark.parametrize("lean", [0.0, 0.6, -1.1])
+def test_reach_is_the_distance_to_where_the_clearance_begins(clearance, lean):
+    walls = Walls(ring())
+    angle = np.linspace(0.0, 2.0 * math.pi, 37)
+    points = 5.0 * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    direction = np.stack((np.cos(angle + lean), np.sin(angle + lean)), axis=1)
+    reach = walls.reach(points, direction, clearance, 20.0)
+    end = points + reach[:, None] * direction
+    np.testing.assert_allclose(np.hypot(*end.T), 6.0 - clearance, atol=1e-3)
+
+
+def test_reach_away_from_where_the_clearance_begins():
+    walls = Walls(ring())
+    angle = np.linspace(0.0, 2.0 * math.pi, 37)
+    for radius, sign in ((5.7, -1.0), (5.7 + 1e-4, -1.0), (3.8, 1.0), (3.8 - 1e-4, 1.0)):
+        out = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        reach = walls.reach(radius * out, sign * out, 0.3, 20.0)
+        np.testing.assert_allclose(reach, 1.9, atol=2e-3)
+        # Toward the wall there is nothing left.
+        np.testing.assert_allclose(
+            walls.reach(radius * out, -sign * out, 0.3, 20.0), 0.0, atol=1e-3
+        )
+
+
+def test_reach_ends_at_the_farthest_and_is_negative_too_close_to_a_wall():
+    walls = Walls(ring())
+    out = np.array([[1.0, 0.0]])
+    assert walls.reach(np.array([[5.0, 0.0]]), out, 0.1, 0.4) == pytest.approx([0.4])
+    assert walls.reach(np.array([[5.9, 0.0]]), out, 0.3, 1.0) == pytest.approx([-0.2], abs=1e-3)
+
+
+def test_walls_of_a_sharp_corner_meet_in_its_point():
+    """Inside a corner of 0.2 m radius on a track of 1 m to each side, at (3, 3)."""
+    turn = np.linspace(-0.5 * math.pi, 0.0, 12)
+    side = np.linspace(-3.8, 3.8, 60)[:-1]
+    quarter = np.concatenate(
+        (
+            np.stack((side, np.full(59, -4.0)), axis=1),
+            np.stack((3.8 + 0.2 * np.cos(turn), -3.8 + 0.2 * np.sin(turn)), axis=1),
+        )
+    )
+    parts = [quarter]
+    for _ in range(3):
+        parts.append(np.stack((-parts[-1][:, 1], parts[-1][:, 0]), axis=1))
+    x, y = np.concatenate(parts).T
+    course = Raceline(x, y, d_left_m=np.full(x.size, 1.0), d_right_m=np.full(x.size, 1.0))
+    walls = Walls(course)
+    assert [finding.code for finding in walls.findings] == ["crossing-normals"]
+    inside = walls.segments[np.max(np.abs(walls.segments[:, 0]), axis=1) < 4.0]
+    # No wall is left in the track, and the corner is where the two sides meet.
+    assert np.max(np.abs(inside)) < 3.02
+    corner = walls.distance(np.array([[3.0, 3.0], [-3.0, 3.0], [3.0, -3.0]]))
+    np.testing.assert_allclose(corner, 0.0, atol=0.06)
+
+
+def test_stretches_that_claim_the_same_ground_are_told():
+    """Two straights 2 m apart that have 1.3 m each on the side between them."""
+    turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 30)
+    straight = np.linspace(-6.0, 6.0, 120)[1:-1]
+    x = np.concatenate((6.0 + np.cos(turn), straight[::-1], -6.0 - np.cos(turn), straight))
+    y = np.concatenate((np.sin(turn), np.full(118, 1.0), -np.sin(turn), np.full(118, -1.0)))
+    walls = Walls(Raceline(x, y, d_left_m=np.full(x.size, 1.3), d_right_m=np.full(x.size, 0.5)))
+    assert "shared-ground" in [finding.code for finding in walls.findings]
+    # Either has what the wall of the other leaves.
+    assert walls.distance(np.array([[0.0, 1.0]])) == pytest.approx([0.5], abs=1e-3)
+    assert walls.distance(np.array([[0.0, 0.5]])) == pytest.approx([0.2], abs=1e-3)
+
+
+def test_smoothing_stays_between_the_walls():
+    course = ring()
+    noise = 0.05 * np.random.default_rng(2).standard_normal((course.n, 2))
+    points = np.stack((course.x, course.y), axis=1) + noise
+    walls = Walls(course)
+    smooth, clear = smooth_between(points, course.length, 0.5, walls.distance, 0.9)
+    assert clear
+    assert np.std(np.hypot(*smooth.T)) < 0.3 * np.std(np.hypot(*points.T))
+    _, clear = smooth_between(points, course.length, 0.5, walls.distance, 1.2)
+    assert not clear
+    # Much smoothing would draw the ring together; it is halved until the ring is clear.
+    smooth, clear = smooth_between(points, course.length, 6.0, walls.distance, 0.3)
+    assert clear and walls.distance(smooth).min() >= 0.3
