@@ -364,7 +364,7 @@ def test_figures_of_runs_with_strange_names(bags, tmp_path):
     shutil.copy(str(bags["map"]), str(path))
     done = program("evaluate", path, path, "--plots", tmp_path / "p")
     assert (done.returncode, done.stderr) == (0, b"")
-    assert len(list((tmp_path / "p").iterdir())) == 4
+    assert len(list((tmp_path / "p").iterdir())) == 5
 
 
 def test_a_terminal_that_knows_no_umlauts(bags, tmp_path):
