@@ -326,17 +326,20 @@ def print_table(lines, course, limits, scale):
         f"{'lap time':>9s}\n"
         f"  {'':24s} {'[m]':>9s} {'[rad^2/m]':>12s} {'[m]':>8s} {'[m]':>10s} {'[s]':>9s}"
     )
+    undrivable = []
     for name, line in lines:
         try:
             lap = f"{raceline_speeds(line, **limits)[1] / scale:.3f}"
         except ParameterError as error:
             lap = "-"
-            print(f"  {name}: {error}")
+            undrivable.append(f"  {name}: no lap time: {error}")
         least = float(np.min(clearances(course, line)))
         print(
             f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
             f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {lap:>9s}"
         )
+    for told in undrivable:
+        print(told)
 
 
 def draw(folder, optimized, middle, walls):

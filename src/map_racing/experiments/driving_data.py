@@ -261,7 +261,9 @@ def load_run(path, channels=None):
     if is_bag(path):
         return _load_bag(path, channels)
     if not channels.channels:
-        raise ParameterError(f"{path}: a CSV file needs a channel map, which says what is in it")
+        raise ParameterError(
+            f"{path}: a CSV file needs a channel map, which says what is in it (--channels)"
+        )
     return _load_csv(path, channels)
 
 
@@ -327,7 +329,9 @@ def _blank_before_first(values, table, channels, names, what, notes):
         return
     blank = np.all([column == 0.0 for column in columns], axis=0)
     if blank.any():
-        notes.append(f"{blank.sum()} rows without {what} (all of it exactly 0) left out")
+        count = int(blank.sum())
+        rows = "row" if count == 1 else "rows"
+        notes.append(f"{count} {rows} without {what} (all of it exactly 0) left out")
         for name in names:
             if name in values:
                 values[name] = np.where(blank, math.nan, values[name])

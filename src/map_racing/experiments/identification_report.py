@@ -213,7 +213,7 @@ def _predictions(what, holds):
             lines.append(
                 f"{what}, {name.replace('_', ' ')}: yaw rate {errors['yaw_rate']:.1%}, lateral "
                 f"acceleration {errors['lateral_acceleration']:.1%} mean error in "
-                f"{errors['holds']} holds"
+                f"{errors['holds']} {'hold' if errors['holds'] == 1 else 'holds'}"
             )
     return lines
 

@@ -68,7 +68,7 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max):
         k = int(np.argmax(kappa))
         raise ParameterError(
             f"speed profile: s = {k * ds:.2f} m: the car cannot steer a radius of "
-            f"{1.0 / kappa[k]:.2f} m at any speed, only {limits.tightest:.2f} m"
+            f"{1.0 / kappa[k]:.3f} m at any speed; {limits.tightest:.3f} m is the least it can"
         )
     square = limits.fastest(point)
     # Nothing lowers the slowest point, since from there speed can only grow in both directions:

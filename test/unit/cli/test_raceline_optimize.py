@@ -68,6 +68,20 @@ def test_centerline_to_raceline(tmp_path, capsys):
     assert (tmp_path / "hall_optimized.png").stat().st_size > 20000
 
 
+def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+    course = load_course(str(source))
+    wave = 0.05 * np.cos(2.0 * math.pi * 40 * course.s / course.length)
+    other = Raceline(*course.to_cartesian(course.s, wave), name="wave")
+    save_raceline(other, tmp_path / "wave.csv")
+    assert run(source, "--compare", tmp_path / "wave.csv") == 0
+    printed = capsys.readouterr().out
+    assert table_of(printed)["wave"][4] == "-"
+    row, told = printed.splitlines()[-2:]
+    assert row.split()[0] == "optimized"
+    assert told.startswith("  wave: no lap time: speed profile: s = ")
+
+
 def test_speed_options(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
 

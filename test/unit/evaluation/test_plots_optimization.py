@@ -11,8 +11,9 @@ from map_racing.track.walls import Walls
 
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_line_walls_curvature_and_speed(tmp_path, wide):
-    line = load_raceline("reference")
+@pytest.mark.parametrize("track", ["reference", "club"])
+def test_line_walls_curvature_and_speed(tmp_path, track, wide):
+    line = load_raceline(track)
     if not wide:  # a course higher than wide has its curves beside it
         line = Raceline(
             *(-line.y, line.x), vx_mps=line.speed, d_left_m=line.d_left, d_right_m=line.d_right
@@ -27,4 +28,9 @@ def test_line_walls_curvature_and_speed(tmp_path, wide):
     np.testing.assert_allclose(bends.lines[1].get_ydata(), line.kappa)
     np.testing.assert_allclose(speeds.lines[0].get_ydata(), line.speed)
     save(figure, tmp_path / "figure.png")
+    renderer = figure.canvas.get_renderer()
+    for axes in figure.axes:  # nothing is cut off
+        box = axes.get_tightbbox(renderer)
+        assert box.x0 >= 0.0 and box.y0 >= 0.0
+        assert box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
     assert (tmp_path / "figure.png").stat().st_size > 20000

@@ -69,6 +69,9 @@ def test_rows_before_the_first_message_are_left_out(tmp_path):
     assert run.signals["x"].t[0] == pytest.approx(0.2)
     assert run.signals["steering"].t[0] == 0.0
     assert any("10 rows without pose" in note for note in run.notes)
+    table = [(0, 0, 0, 0, 0.1, 0, 0), *rows()[1:]]
+    run = load_run(csv(tmp_path / "b.csv", table), channels(tmp_path, NAMES))
+    assert any("1 row without pose" in note for note in run.notes)
 
 
 def test_time_in_other_units(tmp_path):
@@ -110,7 +113,7 @@ def test_shipped_maps_load():
 
 def test_csv_refusals(tmp_path):
     path = csv(tmp_path / "a.csv", rows())
-    with pytest.raises(ParameterError, match="needs a channel map"):
+    with pytest.raises(ParameterError, match="needs a channel map.*--channels"):
         load_run(path)
     with pytest.raises(FileFormatError, match="no column 'nothing'; it has t, px"):
         load_run(path, channels(tmp_path, NAMES + "v_x: nothing\n"))

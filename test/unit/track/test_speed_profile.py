@@ -147,7 +147,7 @@ def test_a_bend_tighter_than_the_car_can_steer_is_named():
     kappa = np.full(50, 0.1)
     kappa[20] = 2.5
     with pytest.raises(
-        ParameterError, match=r"s = 2\.00 m: the car cannot steer a radius of 0\.40"
+        ParameterError, match=r"s = 2\.00 m: the car cannot steer a radius of 0\.400 m"
     ):
         speed_profile(kappa, 0.1, **SPEED_DEPENDENT)
 

@@ -52,7 +52,9 @@ def finished(figure, top=1.0):
     """The figure laid out; `top` leaves room for a title above that share of the height."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")
-        figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
+        # Twice: axes of another size have other ticks, whose labels may need more room.
+        for _ in range(2):
+            figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
     return figure
 
 
