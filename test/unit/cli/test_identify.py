@@ -95,7 +95,7 @@ def test_corners_of_a_raceline(identified, capsys):
     assert main(["lookup", "check", table, "--raceline", "reference"]) == 0
     printed = capsys.readouterr().out
     assert printed.count("exceeds the table's limit at") == 5
-    assert "s = 11.6 m, left, radius 1.00 m: exceeds the table's limit at 2.1" in printed
+    assert "s = 11.6 m, left, radius 1.00 m: exceeds the table's limit at 2.2" in printed
     assert "the raceline can be driven at up to 7" in printed
     assert "nowhere" in refused(capsys, "lookup", "check", table, "--raceline", "nowhere")
 
