@@ -424,6 +424,7 @@ def _steering_gain(motions, setup, vehicle):
     fix = {}
     if abs(gain - 1.0) > max(0.05, 3.0 * gain_error) and gain_error < 0.1:
         fix["steering_gain"] = round(setup.steering_gain * gain, 4)
+        text += f", or {vehicle.l_wb:.3f} m is not the car's wheelbase"
     if abs(offset) > max(0.003, 3.0 * offset_error):
         scale = gain if "steering_gain" in fix else 1.0
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
