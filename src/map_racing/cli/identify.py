@@ -146,6 +146,9 @@ def run(arguments):
             print(f"{recorded.label}: {note}")
     print(report_text(found, holds))
 
+    if arguments.plots:
+        # Before the first output, so that none is left behind where it cannot be made.
+        make_folder(arguments.plots)
     print()
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
     save_vehicle(found.vehicle, output, provenance(found))

@@ -165,13 +165,14 @@ def _describe_corners(raceline, table):
     print(f"  corners of {raceline.name or 'the raceline'}, where they have the least to spare:")
     for corner in found:
         side = "left" if corner.curvature > 0.0 else "right"
-        limit = (
-            f"exceeds the table's limit at {corner.limit_speed:.2f} m/s"
-            if math.isfinite(corner.limit_speed)
-            else "does not reach the table's limit below 30 m/s"
-        )
+        if corner.limit_speed == 0.0:
+            limit = "tighter than the table can steer at any speed"
+        elif math.isfinite(corner.limit_speed):
+            limit = f"exceeds the table's limit at {corner.limit_speed:.2f} m/s"
+        else:
+            limit = "does not reach the table's limit below 30 m/s"
         own = ""
-        if math.isfinite(corner.speed) and math.isfinite(corner.limit_speed):
+        if math.isfinite(corner.speed) and 0.0 < corner.limit_speed < math.inf:
             own = f"; the raceline has {corner.speed:.2f} m/s, {corner.share:.0%} of that"
         print(
             f"    s = {corner.s:.1f} m, {side}, radius {1.0 / abs(corner.curvature):.2f} m: "

@@ -26,6 +26,8 @@ from .outputs import check_outputs, make_folder
 # What makes walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
+# Beyond these the search takes all day: positions in mm, or walls that stand for none.
+MOST_POINTS, WIDEST_M = 20000, 100.0
 
 
 def add_action(actions):
@@ -277,6 +279,18 @@ def load(arguments, vehicle):
         )
         told = course.findings
     print(f"{arguments.source}: {course.length:.2f} m")
+    if course.length / arguments.step > MOST_POINTS:
+        raise ParameterError(
+            f"{arguments.source}: expected at most {MOST_POINTS} points of {arguments.step:g} m, "
+            f"but it is {course.length:.0f} m long: is it in mm? Else take a larger --step"
+        )
+    if course.d_left is not None:
+        widest = max(float(course.d_left.max()), float(course.d_right.max()))
+        if widest > WIDEST_M:
+            raise ParameterError(
+                f"{arguments.source}: expected walls at most {WIDEST_M:g} m away, got "
+                f"{widest:.0f} m"
+            )
     for finding in told:
         print(f"  {finding}")
     return course

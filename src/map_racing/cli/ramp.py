@@ -75,6 +75,12 @@ def run(arguments):
         for speed in arguments.speed
     ]
     plant = load_plant_parameters(arguments.plant)
+    steers = plant.build_vehicle().delta_max
+    if arguments.limit_rad > steers:
+        raise ParameterError(
+            f"--limit must be at most {steers:g} rad, as far as the car steers, "
+            f"not {arguments.limit_rad:g}"
+        )
     rising = (arguments.limit_rad - arguments.start_rad) / arguments.rate_radps
     expected = len(ramps) * (1 if arguments.sides != "both" else 2) * (rising + 3.0)
     if expected > 3600.0:

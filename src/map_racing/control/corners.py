@@ -12,8 +12,9 @@ from ..errors import RacelineError
 __all__ = ["Corner", "corners"]
 
 FASTEST_MPS = 30.0
-# A bend counts as a corner where its curvature exceeds this share of the raceline's largest.
-SHARE = 0.25
+# A bend counts as a corner where its curvature exceeds this share of the raceline's largest, or
+# where the raceline is so near to the limit as this share of the place that is nearest.
+SHARE, NEAR = 0.25, 0.9
 
 
 class Corner(NamedTuple):
@@ -26,7 +27,8 @@ class Corner(NamedTuple):
     curvature : float
         Curvature there [1/m], positive to the left.
     limit_speed : float
-        Speed at which it takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s.
+        Speed at which it takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s,
+        and 0 where it is tighter than any angle of the table.
     speed : float
         The raceline's own speed there [m/s]; NaN where it has none.
     """
@@ -39,7 +41,7 @@ class Corner(NamedTuple):
     @property
     def share(self):
         """The raceline's speed as a share of the limit."""
-        return self.speed / self.limit_speed
+        return self.speed / self.limit_speed if self.limit_speed > 0.0 else math.inf
 
 
 def corners(raceline, table):
@@ -67,9 +69,16 @@ def corners(raceline, table):
         raise RacelineError(f"{raceline.name or 'raceline'}: expected corners, it has none")
     limit = _limit_speeds(table, np.abs(kappa))
     speed = raceline.speed if raceline.speed is not None else np.full(kappa.size, math.nan)
-    need = speed / limit if raceline.speed is not None else np.abs(kappa)
+    bent = np.abs(kappa) > SHARE * largest
+    need = np.abs(kappa)
+    if raceline.speed is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            need = np.where(limit > 0.0, speed / limit, math.inf)
+        # A fast bend may be nearer to the limit than a tight one.
+        steered = need[limit > 0.0]
+        bent |= need > NEAR * (steered.max() if steered.size else 0.0)
     found = []
-    for cells in _bends(kappa, SHARE * largest):
+    for cells in _bends(np.where(bent, np.sign(kappa), 0.0)):
         worst = cells[int(np.argmax(need[cells]))]
         found.append(
             Corner(*(float(column[worst]) for column in (raceline.s, kappa, limit, speed)))
@@ -82,16 +91,15 @@ def _limit_speeds(table, kappa):
     v = np.linspace(0.02, FASTEST_MPS, 3000)
     # What curvature can be driven at each speed; it falls with speed, or is made to.
     allowed = np.minimum.accumulate(table.max_lateral_acceleration(v) / (v * v))
-    limit = np.interp(-kappa, -allowed, v)
+    limit = np.where(kappa > allowed[0], 0.0, np.interp(-kappa, -allowed, v))
     return np.where(kappa < allowed[-1], math.inf, limit)
 
 
-def _bends(kappa, least):
-    """Cells of each bend: neighbors with curvature of one sign beyond `least`, around the lap."""
-    kind = np.where(np.abs(kappa) > least, np.sign(kappa), 0.0)
+def _bends(kind):
+    """Cells of each bend: neighbors of one kind, 1 or -1, around the lap."""
     changes = np.flatnonzero(kind != np.roll(kind, 1))
     if not changes.size:
-        return [np.arange(kappa.size)]
-    ends = np.append(changes[1:], changes[0] + kappa.size)
-    bends = [np.arange(begin, end) % kappa.size for begin, end in zip(changes, ends)]
+        return [np.arange(kind.size)]
+    ends = np.append(changes[1:], changes[0] + kind.size)
+    bends = [np.arange(begin, end) % kind.size for begin, end in zip(changes, ends)]
     return [cells for cells in bends if kind[cells[0]] != 0.0]

@@ -35,6 +35,8 @@ POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
 SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
 SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
 CLOCK_SEARCH_S = 1.5
+# No drive takes longer; a time in ms or with a jump does [s].
+LONGEST_DRIVE_S = 36000.0
 # The low-pass smears a step over so many periods of its cut-off.
 SMEARED = 0.4
 SLOWEST_MPS = 0.5
@@ -252,6 +254,14 @@ def _without_spikes(run):
         if name not in run.signals:
             what = "no drive command nor a servo's position" if name == "steering" else "no pose"
             raise IdentificationError(f"{run.name}: {what} in it ({name})")
+    own = run.setup.time_scale * run.signals["x"].t
+    apart = float(np.median(np.diff(own)))
+    if apart > LONGEST_GAP_S or own[-1] - own[0] > LONGEST_DRIVE_S:
+        raise IdentificationError(
+            f"{run.name}: expected poses at most {LONGEST_GAP_S:g} s apart over at most "
+            f"{LONGEST_DRIVE_S / 3600.0:g} h, got {apart:.3g} s and {own[-1] - own[0]:.3g} s: is "
+            "the time in ms, or does it jump?"
+        )
     signals, spikes = {}, {}
     for name, (t, value) in run.signals.items():
         if name not in (*POSE, "steering"):

@@ -22,6 +22,8 @@ __all__ = ["Finding", "check", "correct", "reason_to_refuse"]
 TURNING_RADPS = 0.3
 LEAST_USABLE_S = 2.0
 LEAST_STANDING_S = 0.4
+# Wheels turn less [rad].
+LARGEST_ANGLE = 1.0
 # Of the largest acceleration: below it, understeer is nearly proportional.
 LOW_SHARE = 0.45
 # Of the ratios between localization and sensors in one run, beyond which no constant explains them.
@@ -81,6 +83,11 @@ def reason_to_refuse(motion):
         return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
     if diverged(motion):
         return "localization diverged: its speed or heading has no constant relation to the car's"
+    if _astray(motion):
+        return (
+            "the poses do not move where their heading points, nor at a constant angle to it: "
+            "is an axis of the position turned around, or exchanged with the other?"
+        )
     driven = np.count_nonzero(motion.moving) / RATE_HZ
     steady = np.count_nonzero(motion.steady) / RATE_HZ
     usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
@@ -92,7 +99,11 @@ def reason_to_refuse(motion):
             f"localization and the car's sensors disagree in {lost:.1f} of {driven:.1f} s of "
             f"driving; {usable:.1f} s of steady driving are left"
         )
-    return f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
+    text = f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
+    angle = float(np.median(np.abs(motion.delta[motion.moving])))
+    if angle > LARGEST_ANGLE:
+        text += f"; steering of {angle:.1f} rad: is it in degrees, or a servo's position?"
+    return text
 
 
 def diverged(motion):
@@ -115,12 +126,19 @@ def diverged(motion):
     ratio = motion.path_speed[moving] / np.maximum(np.abs(motion.v_x[moving]), STANDSTILL_MPS)
     turning = moving & (np.abs(motion.r) > TURNING_RADPS)
     turns = motion.heading_rate[turning] / motion.r[turning]
-    direction = np.hypot(np.mean(np.cos(motion.beta[moving])), np.mean(np.sin(motion.beta[moving])))
     return bool(
         _spread(ratio) > LARGEST_SPREAD
         or (turns.size > RATE_HZ and _spread(turns) > LARGEST_SPREAD)
-        or direction < 0.8
+        or _astray(motion)
     )
+
+
+def _astray(motion):
+    """Whether the poses move in all directions as seen from their own heading."""
+    beta = motion.beta[motion.moving & (motion.path_speed > STANDSTILL_MPS)]
+    if beta.size < RATE_HZ:
+        return False
+    return bool(np.hypot(np.mean(np.cos(beta)), np.mean(np.sin(beta))) < 0.8)
 
 
 def check(motions, setup, vehicle):
@@ -139,7 +157,11 @@ def check(motions, setup, vehicle):
     list of Finding
         In the order in which repairs must be made.
     """
-    motions = [motion for motion in motions if motion.moving.any() and not diverged(motion)]
+    motions = [
+        motion
+        for motion in motions
+        if motion.moving.any() and not diverged(motion) and not _astray(motion)
+    ]
     if not motions:
         return []
     findings = []
@@ -217,7 +239,7 @@ def _rates(motions, setup, vehicle):
         what = "yaw rate" if abs(yaw) < 0.1 else "speed"
         text = (
             f"{what}: {min(abs(yaw), abs(speed)):.2f} times what the poses say: it measures "
-            "something else, and can be left out of the channel map"
+            "something else, and can be left out of the channel map, unless a unit is wrong"
         )
         return [Finding(what, text, grave=True)]
     if yaw < 0.0:
@@ -402,6 +424,7 @@ def _steering_gain(motions, setup, vehicle):
     fix = {}
     if abs(gain - 1.0) > max(0.05, 3.0 * gain_error) and gain_error < 0.1:
         fix["steering_gain"] = round(setup.steering_gain * gain, 4)
+        text += f", or {vehicle.l_wb:.3f} m is not the car's wheelbase"
     if abs(offset) > max(0.003, 3.0 * offset_error):
         scale = gain if "steering_gain" in fix else 1.0
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)

@@ -220,7 +220,8 @@ def identify(
     used = [motion for motion, good in motions if good]
     if grave:
         raise IdentificationError(
-            "; ".join(finding.text for finding in grave) + ("" if fix else " (--fix applies that)")
+            "; ".join(finding.text for finding in grave)
+            + (" (--fix applies that)" if not fix and grave[0].fix else "")
         )
     if not used:
         reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)

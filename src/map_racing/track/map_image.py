@@ -242,6 +242,9 @@ def _gray(path):
                     f"{path}: expected at most {_MOST_PIXELS} pixels, got {file.size[0]} x "
                     f"{file.size[1]}"
                 )
+            # Pillow clips what has more than 8 bits: nearly all would be white, so free.
+            if file.mode in ("F", "I") or file.mode.startswith("I;"):
+                return _of_16_bits(path, np.asarray(file))
             if file.mode not in ("L", "RGB"):
                 file = file.convert("RGB")
             gray = np.asarray(file)
@@ -249,6 +252,13 @@ def _gray(path):
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise FileFormatError(f"{path}: expected an image: {reason}") from None
     return gray if gray.ndim == 2 else gray.mean(axis=2)
+
+
+def _of_16_bits(path, gray):
+    """Gray values of an image of 16 bits in those of 8 bits, as map_server takes them."""
+    if gray.dtype.kind == "f" or gray.min() < 0 or gray.max() > 65535:
+        raise FileFormatError(f"{path}: expected gray values or colors of 8 or 16 bits")
+    return np.asarray(gray // 256, dtype=np.uint8)
 
 
 def _without_speckle(image, speckle):

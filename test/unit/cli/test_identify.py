@@ -222,3 +222,15 @@ def servo_bag(tmp_path):
 def text(definition):
     """The text of a message's definition, in whatever way rosbags carries it."""
     return getattr(definition, "data", definition)
+
+
+def test_a_ramp_beyond_the_cars_steering_is_refused(tmp_path, capsys):
+    arguments = ("ramp", "--limit", "3", "--output", tmp_path / "ramp.bag")
+    assert "0.4189 rad, as far as the car steers" in refused(capsys, *arguments)
+
+
+def test_nothing_is_written_where_figures_cannot_be(tmp_path, capsys):
+    (tmp_path / "figures").write_text("")
+    arguments = ("nuc4_ramps", "--vehicle", "nuc4", "--output", tmp_path / "car.yaml")
+    assert "figures" in refused(capsys, "identify", *arguments, "--plots", tmp_path / "figures")
+    assert [path.name for path in tmp_path.iterdir()] == ["figures"]

@@ -286,3 +286,16 @@ def test_the_car_is_faster_on_the_optimized_line_and_stays_on_the_track(tmp_path
     out, middle = tmp_path / "line.csv", tmp_path / "middle.csv"
     assert run(track, "--output", out, "--middle", middle) == 0
     assert race_lap(middle) > gain * race_lap(out)
+
+
+def _oval(path, unit, width):
+    phi = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    rows = np.stack((6.0 * np.cos(phi), 3.5 * np.sin(phi), 0.0 * phi + width, 0.0 * phi + width), 1)
+    np.savetxt(str(path), unit * rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
+    return str(path)
+
+
+@pytest.mark.parametrize("unit, width, text", [(1e3, 1.0, "in mm"), (1.0, 1e6, "1000000 m")])
+def test_what_would_take_all_day_is_refused(tmp_path, capsys, unit, width, text):
+    assert main(["raceline", "optimize", _oval(tmp_path / "line.csv", unit, width)]) == 1
+    assert text in capsys.readouterr().err

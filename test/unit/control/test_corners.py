@@ -58,3 +58,36 @@ def test_a_circle_is_one_corner_and_a_huge_one_none(table):
     assert corners(wide, table)[0].limit_speed == math.inf
     with pytest.raises(RacelineError, match="corners"):
         corners(Raceline(4e3 * np.cos(phi), 4e3 * np.sin(phi)), table)
+
+
+def _egg(radius):
+    """A wide arc of 5 m and a tight one, joined by straights: driven fast, and slowly."""
+    wide, between = 5.0, 12.0
+    turn = math.acos((wide - radius) / between)
+    far = np.linspace(turn, 2.0 * math.pi - turn, 400)
+    near = np.linspace(-turn, turn, 100)
+    arc = np.stack((wide * np.cos(far), wide * np.sin(far)), axis=1)
+    hairpin = np.stack((between + radius * np.cos(near), radius * np.sin(near)), axis=1)
+    part = np.linspace(0.0, 1.0, 100)[1:-1, None]
+    straights = [a + part * (b - a) for a, b in ((arc[-1], hairpin[0]), (hairpin[-1], arc[0]))]
+    points = np.concatenate((arc, straights[0], hairpin, straights[1]))
+    speed = np.where(np.arange(len(points)) < 400, math.sqrt(5.0 * 7.06) * 1.2, 0.5)
+    return Raceline(*points.T, vx_mps=speed)
+
+
+def test_a_fast_bend_beyond_the_limit_is_not_hidden_by_a_tight_one(table):
+    line = _egg(0.9)
+    worst = max(corners(line, table), key=lambda corner: corner.share)
+    assert 0.19 < abs(worst.curvature) < 0.3  # where an arc of radius 5 m begins, not of 0.9 m
+    v = line.speed / worst.share * (1.0 - 1e-3)
+    assert np.all(v * v * np.abs(line.kappa) < table.max_lateral_acceleration(v))
+
+
+def test_a_corner_that_no_angle_of_the_table_steers_has_no_speed(table):
+    found = corners(_egg(0.5), table)
+    tight = max(found, key=lambda corner: abs(corner.curvature))
+    assert tight.limit_speed == 0.0 and tight.share == math.inf
+    assert any(0.0 < corner.limit_speed < math.inf for corner in found)
+    line = _egg(0.5)
+    without_speeds = corners(Raceline(line.x, line.y), table)
+    assert max(without_speeds, key=lambda corner: abs(corner.curvature)).limit_speed == 0.0

@@ -181,3 +181,40 @@ def test_why_a_run_is_refused(ramps):
     motion = motion_of(dataclasses.replace(ramps.run, signals=signals), ramps.base)
     assert "localization diverged" in reason_to_refuse(motion)
     assert not findings_of(dataclasses.replace(ramps.run, signals=signals), ramps.base)
+
+
+def _with(run, **values):
+    signals = dict(run.signals)
+    signals.update((name, Signal(signals[name].t, value)) for name, value in values.items())
+    return dataclasses.replace(run, signals=signals)
+
+
+def test_a_mirrored_path_is_refused(ramps):
+    x, y = (ramps.run.signals[name].value for name in ("x", "y"))
+    for mirrored in (_with(ramps.run, y=-y), _with(ramps.run, x=y, y=x)):
+        with pytest.raises(IdentificationError, match="an axis of the position turned around"):
+            identify([mirrored], ramps.base)
+
+
+def test_milliseconds_and_a_clock_that_jumps_are_told(ramps):
+    signals = ramps.run.signals
+    slow = {name: Signal(1e3 * (s.t - s.t[0]), s.value) for name, s in signals.items()}
+    far = {
+        name: Signal(np.append(s.t[0] - 1.7e9, s.t), np.append(s.value[0], s.value))
+        for name, s in signals.items()
+    }
+    for changed in (slow, far):
+        with pytest.raises(IdentificationError, match="is the time in ms, or does it jump"):
+            identify([dataclasses.replace(ramps.run, signals=changed)], ramps.base)
+
+
+def test_degrees_of_steering_are_told(ramps):
+    steering = np.rad2deg(ramps.run.signals["steering"].value)
+    with pytest.raises(IdentificationError, match="is it in degrees"):
+        identify([_with(ramps.run, steering=steering)], ramps.base)
+
+
+def test_fix_is_only_offered_where_there_is_one(ramps):
+    x, y = (1e3 * ramps.run.signals[name].value for name in ("x", "y"))
+    with pytest.raises(IdentificationError, match="unless a unit is wrong$"):
+        identify([_with(ramps.run, x=x, y=y)], ramps.base)

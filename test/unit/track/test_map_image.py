@@ -132,6 +132,15 @@ def test_color_and_transparent_images(tmp_path):
     assert np.abs(deviations(course, bean())).max() < 0.05
 
 
+def test_16_bits_are_those_of_8(tmp_path):
+    gray = drawn(outside=UNKNOWN)
+    expected = read_map_image(written(tmp_path, gray)).free
+    deep = read_map_image(written(tmp_path, gray.astype(np.uint16) * 257))
+    assert np.array_equal(deep.free, expected)
+    with pytest.raises(FileFormatError, match="8 or 16 bits"):
+        read_map_image(written(tmp_path, gray.astype(np.float32) / 255.0, "tif"))
+
+
 def test_thin_walls_in_the_open_are_enough(tmp_path):
     course = course_of(tmp_path, drawn(outside=FREE))
     assert np.abs(deviations(course, bean())).max() < 0.05
