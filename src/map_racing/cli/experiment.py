@@ -60,8 +60,8 @@ def add_parser(commands):
     tires = kinds.add_parser(
         "tire-models",
         help="pure pursuit, MAP with linear and MAP with Pacejka tires at two speeds",
-        description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 %% and "
-        "80 %% of the raceline's speeds.",
+        description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 % and "
+        "80 % of the raceline's speeds.",
     )
     add_race_options(tires)
     tires.add_argument(

@@ -8,7 +8,8 @@ from ..evaluation.recordings import read_course, save_course
 from ..files import replacing
 from ..track.checks import examine, raceline_of
 from ..track.course_report import course_facts, facts_text, findings_count, findings_rows
-from ..track.findings import ERROR, NOTE, Finding
+from ..track.findings import ERROR, NOTE, Finding, worst_first
+from ..track.formats import split_source
 from ..track.repair import driven_columns, repaired, resampled, reversed_course
 from ..track.writers import FORMATS, choose_format, course_columns
 from . import raceline_optimize
@@ -87,7 +88,7 @@ def add_convert(actions):
 def run_check(arguments):
     """Report on a raceline."""
     alone = arguments.json == "-"
-    check_outputs([None if alone else arguments.json], [arguments.source.partition("#")[0]])
+    check_outputs([None if alone else arguments.json], [split_source(arguments.source)[0]])
     table = raceline = None
     try:
         table = read_course(arguments.source)
@@ -119,7 +120,7 @@ def run_check(arguments):
                 file.write(json.dumps(report, indent=2) + "\n")
             print(f"  report written to {arguments.json}")
     if arguments.plots and table is not None:
-        _, _, key = arguments.source.partition("#")
+        _, key = split_source(arguments.source)
         path = draw(arguments.plots, key, table, raceline, findings)
         if not alone:
             print(f"  figure: {path}")
@@ -129,7 +130,7 @@ def run_check(arguments):
 def run_convert(arguments):
     """Read, mend, write."""
     form = choose_format(arguments.output, arguments.format)
-    check_outputs([arguments.output], [arguments.source.partition("#")[0]])
+    check_outputs([arguments.output], [split_source(arguments.source)[0]])
     if arguments.spacing is not None and not 0.001 <= arguments.spacing <= 100.0:
         raise ParameterError(f"--spacing must be from 0.001 to 100 m, not {arguments.spacing:g}")
     table = read_course(arguments.source)
@@ -169,8 +170,7 @@ def run_convert(arguments):
 
 def print_findings(findings):
     """One line each, what is wrong first."""
-    order = ("error", "warning", "note")
-    for finding in sorted(findings, key=lambda finding: order.index(finding.severity)):
+    for finding in worst_first(findings):
         print(f"  {finding.severity}: {finding}")
 
 

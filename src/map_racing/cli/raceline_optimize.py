@@ -12,6 +12,7 @@ from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
 from ..evaluation.recordings import load_course, save_course
 from ..track.findings import NOTE
+from ..track.formats import split_source
 from ..track.map_image import course_from_map, read_map_image
 from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
 from ..track.raceline import Raceline
@@ -153,8 +154,8 @@ def add_action(actions):
 def run_optimize(arguments):
     """Optimize, compare, write."""
     outputs = [arguments.output, arguments.middle, arguments.sectors]
-    inputs = (arguments.source.partition("#")[0], arguments.compare, arguments.vehicle)
-    check_outputs(outputs, (*inputs, arguments.lookup_table))
+    courses = [split_source(course or "")[0] for course in (arguments.source, arguments.compare)]
+    check_outputs(outputs, [*courses, arguments.vehicle, arguments.lookup_table])
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = load_vehicle(arguments.vehicle)

@@ -35,7 +35,6 @@ __all__ = [
     "read_recording",
     "read_signals",
     "read_waypoint_table",
-    "read_waypoints",
 ]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
@@ -434,25 +433,7 @@ def read_signals(path, recording, topics):
         times, values = series.columns(recording.notes, topic, received=received)
         at = (times - recording.t0_ns) * 1e-9
         read[topic] = at, dict(zip(columns, values[-len(columns) :]))
-    signals = {name: read[topic] for name, topic in sources.items()}
-    return signals
-
-
-def read_waypoints(path, topic=None):
-    """Raceline that a bag carries, see `read_waypoint_table`.
-
-    Returns
-    -------
-    Raceline
-
-    Raises
-    ------
-    BagError
-        If the bag has no waypoints, or none on `topic`.
-    RacelineError
-        If the waypoints do not make a closed course.
-    """
-    return raceline_of(read_waypoint_table(path, topic))
+    return {name: read[topic] for name, topic in sources.items()}
 
 
 def read_waypoint_table(path, topic=None):

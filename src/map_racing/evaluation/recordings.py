@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 import zlib
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 
@@ -163,7 +164,6 @@ def save_course(path, course, form=None):
     return form
 
 
-
 def read_csv_recording(path, columns=None):
     """Driving from a CSV file.
 
@@ -196,17 +196,10 @@ def read_csv_recording(path, columns=None):
     unknown = sorted(set(columns) - set(_ALIASES))
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
-    _refuse_special(path)
-    try:
-        with _open_text(path) as file:
-            names, delimiter, rows = _split_header(path, file)
-            where = _locate(path, names, columns)
-            table, numbers, notes = _parse_rows(path, rows, delimiter, names, where)
-    except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected UTF-8 text (CSV) or a ROS 1 bag") from None
+    with _open_text(path) as file:
+        names, delimiter, rows = _split_header(path, file)
+        where = _locate(path, names, columns)
+        table, numbers, notes = _parse_rows(path, rows, delimiter, names, where)
     values = dict(zip(where, table.T))
     nan = np.full(len(table), math.nan)
     kept = np.flatnonzero(usable(values["t"], [values["x"], values["y"]]))
@@ -269,21 +262,10 @@ def read_table(path, columns):
     FileFormatError
         If there is no such column, or a cell is not a number; with file, line and column.
     """
-    _refuse_special(path)
-    try:
-        with _open_text(path) as file:
-            names, delimiter, rows = _split_header(path, file)
-            where = {}
-            for column in columns:
-                if column not in names:
-                    raise FileFormatError(f"{path}: no column {column!r}; it has {_some(names)}")
-                where[column] = names.index(column)
-            table, _, notes = _parse_rows(path, rows, delimiter, names, where, seconds=False)
-    except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected a text file (CSV) or a ROS 1 bag") from None
+    with _open_text(path) as file:
+        names, delimiter, rows = _split_header(path, file)
+        where = {column: _index(path, names, column) for column in columns}
+        table, _, notes = _parse_rows(path, rows, delimiter, names, where, seconds=False)
     return dict(zip(where, table.T)), notes
 
 
@@ -350,12 +332,21 @@ def _is_csv(path):
     return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
 
 
+@contextmanager
 def _open_text(path):
-    with open(path, "rb") as file:
-        zipped = file.read(2) == b"\x1f\x8b"
-    if zipped:
-        return gzip.open(str(path), "rt", encoding="utf-8-sig")
-    return open(path, encoding="utf-8-sig")
+    """Open a text file, also a gzipped one; what goes wrong while it is read names it, too."""
+    _refuse_special(path)
+    try:
+        with open(path, "rb") as file:
+            zipped = file.read(2) == b"\x1f\x8b"
+        open_as = gzip.open if zipped else open
+        with open_as(str(path), "rt", encoding="utf-8-sig") as file:
+            yield file
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path}: expected UTF-8 text (CSV) or a ROS 1 bag") from None
 
 
 def _split_header(path, file):
@@ -385,9 +376,7 @@ def _locate(path, names, columns):
     lowered = [name.lower() for name in names]
     for name, aliases in _ALIASES.items():
         if name in columns:
-            if columns[name] not in names:
-                raise FileFormatError(f"{path}: no column {columns[name]!r}; it has {_some(names)}")
-            where[name] = names.index(columns[name])
+            where[name] = _index(path, names, columns[name])
             continue
         found = next((alias for alias in aliases if alias in lowered), None)
         if found is not None:
@@ -397,6 +386,12 @@ def _locate(path, names, columns):
                 f"{path}: which column is {name}? It has {_some(names)}; say --columns {name}=NAME"
             )
     return where
+
+
+def _index(path, names, column):
+    if column not in names:
+        raise FileFormatError(f"{path}: no column {column!r}; it has {_some(names)}")
+    return names.index(column)
 
 
 def _some(names):

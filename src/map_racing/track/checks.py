@@ -15,6 +15,7 @@ from ..errors import RacelineError
 from .crossings import crossings
 from .findings import ERROR, NOTE, WARNING, Finding, Place, points
 from .raceline import FARTHEST, Raceline, distinct_points
+from .speed_profile import accelerations
 
 __all__ = [
     "Examination",
@@ -679,8 +680,7 @@ def _speeds(course):
     if line.speed is None:
         return
     v, kappa = columns["speed"], course.at.kappa
-    ds = np.diff(np.append(line.s_points, line.length))
-    a_x = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)
+    a_x = accelerations(v, np.diff(np.append(line.s_points, line.length)))
     stated = columns.get("ax")
     if stated is not None and _in_kmh(course, stated, a_x):
         return

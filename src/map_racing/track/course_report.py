@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from .findings import ERROR, NOTE, WARNING
+from .findings import ERROR, WARNING, worst_first
 from .speed_profile import lap_time
 
 __all__ = ["course_facts", "facts_text", "findings_count", "findings_rows"]
@@ -86,7 +86,6 @@ def findings_count(findings):
 
 def findings_rows(findings):
     """Findings as dictionaries ``code severity text places``, for JSON, what is wrong first."""
-    order = (ERROR, WARNING, NOTE)
     return [
         {
             "code": finding.code,
@@ -103,7 +102,7 @@ def findings_rows(findings):
                 for place in finding.places
             ],
         }
-        for finding in sorted(findings, key=lambda finding: order.index(finding.severity))
+        for finding in worst_first(findings)
     ]
 
 

@@ -1,7 +1,8 @@
 """Where polylines cross: in the plane, all places at once."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+
+from .tree import point_tree
 
 __all__ = ["crossings"]
 
@@ -31,16 +32,15 @@ def crossings(a, b=None):
     else:
         number_b, start_b, way_b = _pieces(b)
     reach = 0.5 * (_longest(way_a) + _longest(way_b)) * (1.0 + 1e-9)
-    tree = cKDTree(start_a + 0.5 * way_a)
+    tree = point_tree(start_a + 0.5 * way_a)
     if b is None:
         i, j = tree.query_pairs(reach, output_type="ndarray").T
         apart = np.abs(number_a[i] - number_a[j])
         far = (apart > 1) & (apart < len(a) - 1)
         i, j = i[far], j[far]
     else:
-        near = tree.sparse_distance_matrix(
-            cKDTree(start_b + 0.5 * way_b), reach, output_type="ndarray"
-        )
+        other = point_tree(start_b + 0.5 * way_b)
+        near = tree.sparse_distance_matrix(other, reach, output_type="ndarray")
         i, j = near["i"], near["j"]
     # Both ends of each segment lie on different sides of the other one.
     between = start_b[j] - start_a[i]

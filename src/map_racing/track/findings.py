@@ -2,7 +2,7 @@
 
 from typing import NamedTuple, Optional, Tuple
 
-__all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place", "points"]
+__all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place", "points", "worst_first"]
 
 NOTE = "note"
 """A convention recognized: nothing is wrong."""
@@ -53,6 +53,12 @@ class Finding(NamedTuple):
         if not self.places:
             return self.text
         return f"{self.text}, {'first ' if len(self.places) > 1 else ''}at {self.places[0]}"
+
+
+def worst_first(findings):
+    """Findings as a list, errors before warnings before notes, else in their order."""
+    order = (ERROR, WARNING, NOTE)
+    return sorted(findings, key=lambda finding: order.index(finding.severity))
 
 
 def points(count, adjective=""):

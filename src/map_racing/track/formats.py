@@ -31,7 +31,6 @@ __all__ = [
     "load_raceline",
     "raceline_from_columns",
     "read_course_file",
-    "read_raceline_file",
     "save_raceline",
     "split_source",
 ]
@@ -105,15 +104,18 @@ def load_raceline(source, key=None):
     Returns
     -------
     Raceline
+        Its `findings` tell what in the file was recomputed, dropped or guessed.
 
     Raises
     ------
     ParameterError
         If there is neither such a file nor such a track.
-    FileFormatError, RacelineError
-        If it is no raceline.
+    FileFormatError
+        If the file cannot be read; names line and column.
+    RacelineError
+        If its points make no closed course.
     """
-    return read_raceline_file(*find_course_file(source, key))
+    return raceline_of(read_course_file(*find_course_file(source, key)))
 
 
 def find_course_file(source, key=None):
@@ -140,24 +142,6 @@ def split_source(source):
     if not mark or Path(source).is_file():
         return str(source), ""
     return path, selector
-
-
-def read_raceline_file(path, key=None):
-    """Read a closed course that can be driven from a file, see `read_course_file`.
-
-    Returns
-    -------
-    Raceline
-        Its `findings` tell what in the file was recomputed, dropped or guessed.
-
-    Raises
-    ------
-    FileFormatError
-        If the file cannot be read; names line and column.
-    RacelineError
-        If its points make no closed course.
-    """
-    return raceline_of(read_course_file(path, key))
 
 
 def read_course_file(path, key=None):

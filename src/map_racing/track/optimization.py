@@ -20,12 +20,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.spatial import cKDTree
 
 from ..errors import ParameterError, RacelineError
 from .findings import NOTE, Finding
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
+from .tree import point_tree
 from .walls import Walls, smooth_between
 
 __all__ = [
@@ -335,7 +335,7 @@ def _check_single(course, clearance, name):
     spacing = min(course.ds, 0.5 * clearance)
     at = course.sample(np.linspace(0.0, course.length, int(course.length / spacing) + 1)[:-1])
     points = np.stack((at.x, at.y), axis=1)
-    pairs = cKDTree(points).query_pairs(clearance, output_type="ndarray")
+    pairs = point_tree(points).query_pairs(clearance, output_type="ndarray")
     apart = np.abs(at.s[pairs[:, 0]] - at.s[pairs[:, 1]])
     apart = np.minimum(apart, course.length - apart)
     # An arc comes back to half its way at a half turn.

@@ -18,9 +18,9 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
 
 from ..errors import ParameterError, RacelineError
+from .tree import point_tree
 
 __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceline"]
 
@@ -364,7 +364,7 @@ class Raceline:
             raise ParameterError(f"expected a finite position on earth, got ({x}, {y}){heading}")
         if psi is None:
             if self._tree is None:
-                self._tree = cKDTree(np.stack((self.x, self.y), axis=1))
+                self._tree = point_tree(np.stack((self.x, self.y), axis=1))
             distance, i = self._tree.query((x, y))
         else:
             along = np.cos(self.psi - psi) >= 0.0

@@ -160,8 +160,7 @@ def _sampled(table, raceline, s):
 def _drop_rows(table, codes):
     """Points without a position."""
     x, y = table.columns["x"], table.columns["y"]
-    bad = ~(np.abs(np.where(np.isfinite(x), x, np.inf)) < FARTHEST)
-    bad |= ~(np.abs(np.where(np.isfinite(y), y, np.inf)) < FARTHEST)
+    bad = _impossible(x) | _impossible(y)
     if bad.all():
         raceline_of(table)  # says what is wrong
     if not bad.any():
@@ -176,7 +175,7 @@ def _fill(table, codes):
         column = columns.get(key)
         if column is None:
             continue
-        bad = ~(np.abs(np.where(np.isfinite(column), column, np.inf)) < FARTHEST)
+        bad = _impossible(column)
         if bad.any() and not bad.all():
             place = np.arange(column.size)
             columns[key] = np.interp(place, place[~bad], column[~bad], period=column.size)
@@ -184,6 +183,10 @@ def _fill(table, codes):
     if not filled:
         return table, None
     return table._replace(columns=columns), f"{', '.join(filled)} filled in from their neighbors"
+
+
+def _impossible(column):
+    return ~(np.abs(np.where(np.isfinite(column), column, np.inf)) < FARTHEST)
 
 
 def _swap_xy(table, codes):

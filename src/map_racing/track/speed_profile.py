@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import ParameterError
 
-__all__ = ["lap_time", "raceline_speeds", "speed_profile"]
+__all__ = ["accelerations", "lap_time", "raceline_speeds", "speed_profile"]
 
 # Cells of a raceline's profile are at most so long [m]: four times shorter ones change the lap time
 # of the shipped tracks by less than 0.1 %.
@@ -222,9 +222,9 @@ def lap_time(speed, ds):
     Parameters
     ----------
     speed : array_like, shape (n,)
-        Speed at equal steps of arc length around the lap [m/s].
-    ds : float
-        The step [m].
+        Speed at points around the lap [m/s].
+    ds : float or ndarray, shape (n,)
+        Arc length from each of them to the next [m].
 
     Returns
     -------
@@ -233,4 +233,20 @@ def lap_time(speed, ds):
     """
     speed = np.asarray(speed, dtype=float)
     both = speed + np.roll(speed, -1)
-    return float(2.0 * ds * np.sum(1.0 / both)) if np.all(both > 0.0) else math.inf
+    return float(2.0 * np.sum(ds / both)) if np.all(both > 0.0) else math.inf
+
+
+def accelerations(speed, ds):
+    """Acceleration that is constant from each point to the next, ``v_2^2 = v_1^2 + 2 a ds``.
+
+    Parameters
+    ----------
+    speed, ds
+        As of `lap_time`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [m/s^2]
+    """
+    return (np.roll(speed, -1) ** 2 - speed**2) / (2.0 * ds)

@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..errors import RacelineError
 from .findings import NOTE, WARNING, Finding
+from .tree import point_tree
 
 __all__ = ["Walls", "march", "smooth_between"]
 
@@ -57,7 +57,7 @@ class Walls:
         line = np.stack((at.x, at.y), axis=1)
         left = line + at.d_left[:, None] * normal
         right = line - at.d_right[:, None] * normal
-        tree = cKDTree(line)
+        tree = point_tree(line)
         begins, ends, dropped, shared = [], [], [], 0
         for wall, width in ((left, at.d_left), (right, at.d_right)):
             deep, own = self._inside(wall, width, tree, line, normal, at, course.length)
@@ -100,7 +100,7 @@ class Walls:
         share = (np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / (
             parts[segment]
         )
-        self._tree = cKDTree(self._begin[segment] + share[:, None] * self._along[segment])
+        self._tree = point_tree(self._begin[segment] + share[:, None] * self._along[segment])
         self._segment = segment
 
     def distance(self, points):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..errors import ParameterError
+from .speed_profile import accelerations
 
 __all__ = ["WAYPOINT_COLUMNS", "scaled_speed", "waypoint_rows"]
 
@@ -46,7 +47,7 @@ def waypoint_rows(raceline, spacing=0.1, speed=None):
     v = zeros if curve.speed is None else curve.speed
     if speed is not None:
         v = speed(s)
-    a_x = (np.roll(v, -1) ** 2 - v**2) / (2.0 * raceline.length / count)
+    a_x = accelerations(v, raceline.length / count)
     right = zeros if curve.d_right is None else curve.d_right
     left = zeros if curve.d_left is None else curve.d_left
     return np.stack((s, zeros, curve.x, curve.y, right, left, curve.psi, curve.kappa, v, a_x), 1)

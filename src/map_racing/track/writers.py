@@ -16,6 +16,7 @@ from ..angles import wrap
 from ..errors import ParameterError, RacelineError
 from ..files import replacing
 from .raceline import Raceline, distinct_points
+from .speed_profile import accelerations, lap_time
 
 __all__ = [
     "FORMATS",
@@ -87,8 +88,7 @@ def course_columns(raceline, table=None):
         )
     a_x = None
     if speed is not None:
-        ds = np.diff(np.append(s, raceline.length))
-        a_x = (np.roll(speed, -1) ** 2 - speed**2) / (2.0 * ds)
+        a_x = accelerations(speed, np.diff(np.append(s, raceline.length)))
     return CourseColumns(
         raceline.name, raceline.length, s, x, y, at.psi, at.kappa, speed, a_x, d_left, d_right
     )
@@ -272,15 +272,14 @@ def _race_stack(course, path):
     line = _waypoints(course)
     center = course if course.d_left is None else _middle(course)
     speed = course.speed
-    lap_time, v_max = 0.0, 0.0
+    time, v_max = 0.0, 0.0
     if speed is not None:
         v_max = float(speed.max())
         ds = np.diff(np.append(course.s, course.length))
-        with np.errstate(divide="ignore"):
-            lap_time = float(np.sum(2.0 * ds / (speed + np.roll(speed, -1))))
-        lap_time = lap_time if math.isfinite(lap_time) else 0.0
+        time = lap_time(speed, ds)
+        time = time if math.isfinite(time) else 0.0
     told = "; ".join(
-        f"{name} estimated lap time: {lap_time:.4f}s; {name} maximum speed: {v_max:.4f}m/s"
+        f"{name} estimated lap time: {time:.4f}s; {name} maximum speed: {v_max:.4f}m/s"
         for name in ("IQP", "SP")
     )
     bounds = np.empty((0, 2))
@@ -291,7 +290,7 @@ def _race_stack(course, path):
         bounds = np.concatenate(walls)
     content = {
         "map_info_str": {"data": told + "; "},
-        "est_lap_time": {"data": lap_time},
+        "est_lap_time": {"data": time},
         "centerline_markers": _spheres(np.stack((center.x, center.y), axis=1), (0.0, 0.0, 1.0)),
         "centerline_waypoints": _waypoints(center),
         "global_traj_markers_iqp": _columns(course, v_max, (1.0, 0.0, 0.0)),

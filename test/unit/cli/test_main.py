@@ -389,7 +389,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        # A shell starts what runs in the background with interrupts ignored, as scripts/test does.
+        # A script may start the tests in the background, where interrupts are ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     process.stdout.readline()  # it races now

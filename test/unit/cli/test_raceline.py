@@ -174,3 +174,14 @@ def test_a_bag_is_not_lost_to_another_format(good, tmp_path, capsys):
     shutil.copy(str(tmp_path / "a.bag"), str(tmp_path / "a.csv"))
     code, _, err = run(capsys, "convert", good, tmp_path / "a.csv", "--format", "tum")
     assert code == 1 and "is a bag, which would be lost" in err
+
+
+def test_a_name_with_a_number_sign_is_a_file(good, capsys):
+    """It would be lost if what stands before the sign were taken for the input."""
+    odd = good.rename(good.with_name("lap#2.csv"))
+    before = odd.read_bytes()
+    for arguments in (("convert", odd, odd, "--format", "tum"), ("optimize", odd, "--output", odd)):
+        code, _, err = run(capsys, *arguments)
+        assert code == 1 and err.endswith("lap#2.csv: is also an input\n")
+    assert odd.read_bytes() == before
+    assert run(capsys, "check", odd)[0] == 0

@@ -9,7 +9,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from map_racing.errors import BagError
 from map_racing.evaluation import messages as msg
-from map_racing.evaluation.bags import DRIVE_TOPIC, BagWriter, read_recording, read_waypoints
+from map_racing.evaluation.bags import DRIVE_TOPIC, BagWriter, read_recording
+from map_racing.evaluation.recordings import load_course
 
 T0 = 1600000000.0
 TIMES = [T0 + 0.02 * i for i in range(50)]
@@ -94,7 +95,7 @@ def test_raceline_round_trip(race_bag, course):
     np.testing.assert_array_equal(line.speed, 5.0)
     np.testing.assert_allclose(line.d_left, 1.0)
     np.testing.assert_allclose(line.d_right, 1.0)
-    assert read_waypoints(race_bag()).length == line.length
+    assert load_course(race_bag()).length == line.length
 
 
 def test_acceleration_between_waypoints_follows_from_their_speeds(tmp_path, course):
@@ -420,15 +421,15 @@ def test_waypoint_topics(tmp_path, course):
     with BagWriter(path) as bag:
         bag.waypoints(T0, line, topic="/local_waypoints")
     with pytest.raises(BagError, match="no raceline"):
-        read_waypoints(path)
-    assert read_waypoints(path, "local_waypoints").length == pytest.approx(line.length, abs=1e-3)
+        load_course(path)
+    assert load_course(f"{path}#local_waypoints").length == pytest.approx(line.length, abs=1e-3)
 
     with BagWriter(path) as bag:
         bag.waypoints(T0, line, topic="/centerline_waypoints")
         bag.waypoints(T0, other, topic="/global_waypoints_scaled")
-    assert read_waypoints(path).speed[0] == 4.0
+    assert load_course(path).speed[0] == 4.0
     with pytest.raises(BagError, match="on /global_waypoints"):
-        read_waypoints(path, "/global_waypoints")
+        load_course(f"{path}#/global_waypoints")
 
 
 def test_empty_waypoint_arrays_are_passed_over(tmp_path, course):
@@ -440,7 +441,7 @@ def test_empty_waypoint_arrays_are_passed_over(tmp_path, course):
             )
             if i == 0:
                 bag.waypoints(T0 + 0.5, course.raceline())
-    assert read_waypoints(path).length == pytest.approx(course.length, abs=1e-3)
+    assert load_course(path).length == pytest.approx(course.length, abs=1e-3)
 
 
 def test_unusable_waypoints_do_not_hide_the_driving(tmp_path):
@@ -476,7 +477,7 @@ def test_waypoints_of_another_definition_are_read_by_it(tmp_path):
             "/global_waypoints", "f110_msgs/msg/WpntArray", msgdef=definition, md5sum="0" * 32
         )
         writer.write(line, 10**18, data)
-    raceline = read_waypoints(tmp_path / "a.bag")
+    raceline = load_course(tmp_path / "a.bag")
     assert raceline.length == pytest.approx(10.0 * math.pi, rel=1e-4)
     assert (raceline.speed[0], raceline.d_left[0], raceline.d_right[0]) == (3.0, 1.0, 2.0)
 
@@ -519,7 +520,7 @@ def test_other_real_recordings(shared_data):
     assert husky.t.size == 3952
     with pytest.raises(BagError, match=r"/sensors/core \(vesc_msgs/VescStateStamped\)"):
         read_recording(folder / "vesc_motor_servo.bag")
-    line = read_waypoints(folder / "hangar_global_waypoints.bag")
+    line = load_course(folder / "hangar_global_waypoints.bag")
     assert line.length == pytest.approx(21.2, abs=0.1)
     turtle = read_recording(shared_data / "bag_fixtures" / "example-bz2.bag", "/tf:turtle1")
     assert turtle.t.size > 1000
@@ -533,7 +534,7 @@ def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, course):
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
-    findings = "; ".join(map(str, read_waypoints(path).findings))
+    findings = "; ".join(map(str, load_course(path).findings))
     assert "+y (north)" in findings
     assert "every speed is 0" in findings
 

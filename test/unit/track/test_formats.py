@@ -11,7 +11,7 @@ from map_racing.errors import FileFormatError, MapRacingError, ParameterError, R
 from map_racing.track.formats import (
     load_raceline,
     raceline_from_columns,
-    read_raceline_file,
+    read_course_file,
     save_raceline,
 )
 from map_racing.track.raceline import Raceline
@@ -79,7 +79,7 @@ def assert_same_curve(course, other=COURSE, atol=1e-5):
     ],
 )
 def test_racelines(tmp_path, names, header, separator):
-    course = read_raceline_file(write(tmp_path / "ellipse.csv", names, header, separator))
+    course = load_raceline(write(tmp_path / "ellipse.csv", names, header, separator))
     at, expected = assert_same_curve(course)
     np.testing.assert_allclose(at.speed, expected.speed, atol=1e-4)
     if "d_left" in names:
@@ -94,7 +94,7 @@ def test_racelines(tmp_path, names, header, separator):
 )
 def test_centerline_with_walls(tmp_path, header):
     path = write(tmp_path / "center.csv", ["x_m", "y_m", "d_right", "d_left"], header)
-    course = read_raceline_file(path)
+    course = load_raceline(path)
     at, expected = assert_same_curve(course)
     np.testing.assert_allclose(at.d_left, expected.d_left, atol=1e-4)
     assert course.speed is None
@@ -103,11 +103,11 @@ def test_centerline_with_walls(tmp_path, header):
 
 def test_five_columns_end_with_the_height(tmp_path):
     path = write(tmp_path / "c.csv", ["x_m", "y_m", "d_right", "d_left", "ax_mps2"])
-    np.testing.assert_allclose(read_raceline_file(path).d_left, COURSE.d_left, atol=1e-4)
+    np.testing.assert_allclose(load_raceline(path).d_left, COURSE.d_left, atol=1e-4)
 
 
 def test_three_columns_are_the_total_width(tmp_path):
-    course = read_raceline_file(write(tmp_path / "c.csv", ["x_m", "y_m", "d_right"]))
+    course = load_raceline(write(tmp_path / "c.csv", ["x_m", "y_m", "d_right"]))
     np.testing.assert_allclose(course.d_left, 0.5 * COURSE.d_right, atol=1e-4)
     np.testing.assert_allclose(course.d_right, 0.5 * COURSE.d_right, atol=1e-4)
     assert [finding.code for finding in course.findings] == ["third-column", "total-width"]
@@ -116,7 +116,7 @@ def test_three_columns_are_the_total_width(tmp_path):
 def test_two_columns_and_windows_line_ends(tmp_path):
     path = write(tmp_path / "c.txt", ["x_m", "y_m"])
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n") + b"\r\n;;\r\n")
-    course = read_raceline_file(path)
+    course = load_raceline(path)
     assert_same_curve(course)
     assert course.name == "c"
 
@@ -124,7 +124,7 @@ def test_two_columns_and_windows_line_ends(tmp_path):
 def test_gzip(tmp_path):
     path = write(tmp_path / "c.csv", ["x_m", "y_m"])
     (tmp_path / "c.csv.gz").write_bytes(gzip.compress(path.read_bytes()))
-    course = read_raceline_file(tmp_path / "c.csv.gz")
+    course = load_raceline(tmp_path / "c.csv.gz")
     assert_same_curve(course)
     assert course.name == "c"
 
@@ -189,7 +189,7 @@ def test_arc_length_is_compared():
 
 
 def test_closure_and_repetitions(tmp_path):
-    course = read_raceline_file(write(tmp_path / "c.csv", TUM, closed=True))
+    course = load_raceline(write(tmp_path / "c.csv", TUM, closed=True))
     assert str(course.findings[0]) == "the last point repeats the first: dropped"
     assert_same_curve(course)
     repeated = np.repeat(np.arange(COURSE.n), np.arange(COURSE.n) % 50 // 49 + 1)
@@ -241,7 +241,7 @@ def test_malformed_files(tmp_path, text, message):
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(FileFormatError, match=r"bad\.csv: .*" + message) as caught:
-        read_raceline_file(path)
+        load_raceline(path)
     assert "\n" not in str(caught.value)
 
 
@@ -251,7 +251,7 @@ def test_files_that_are_no_text(tmp_path):
     (tmp_path / "bent.csv.gz").write_bytes(gzip.compress(b"1,2\n" * 99)[:10] + b"\xff" * 30)
     for name in ("binary.csv", "broken.csv.gz", "bent.csv.gz", "missing.csv", "."):
         with pytest.raises(FileFormatError, match="expected a raceline file"):
-            read_raceline_file(tmp_path / name)
+            read_course_file(tmp_path / name)
 
 
 def test_key_for_a_file_without_keys(tmp_path):
@@ -264,7 +264,7 @@ def test_too_few_points_name_the_file(tmp_path):
     path = tmp_path / "short.csv"
     path.write_text("0,0\n1,0\n1,1\n")
     with pytest.raises(RacelineError, match=r"short\.csv: expected at least 4 distinct points"):
-        read_raceline_file(path)
+        load_raceline(path)
 
 
 def test_unknown_names_list_the_shipped_ones():
@@ -278,7 +278,7 @@ def test_unknown_names_list_the_shipped_ones():
 def test_saved_is_read_as_the_same(tmp_path):
     path = tmp_path / "ellipse.csv"
     save_raceline(COURSE, path)
-    course = read_raceline_file(path)
+    course = load_raceline(path)
     at, expected = assert_same_curve(course, atol=2e-6)
     for name in ("speed", "d_left", "d_right"):
         np.testing.assert_allclose(getattr(at, name), getattr(expected, name), atol=2e-6)
@@ -292,7 +292,7 @@ def test_saved_is_read_as_the_same(tmp_path):
 
 def test_saved_without_speed_and_walls(tmp_path):
     save_raceline(Raceline(COURSE.x, COURSE.y), tmp_path / "plain.csv")
-    course = read_raceline_file(tmp_path / "plain.csv")
+    course = load_raceline(tmp_path / "plain.csv")
     assert_same_curve(course)
     assert course.speed is None and course.d_left is None
 

@@ -8,7 +8,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from map_racing.errors import FileFormatError, ParameterError, RacelineError
-from map_racing.track.formats import read_raceline_file
+from map_racing.track.formats import load_raceline
 from map_racing.track.map_image import course_from_map, read_map_image
 from map_racing.track.raceline import Raceline
 
@@ -270,7 +270,7 @@ def test_what_is_wrong_in_the_files_is_named(tmp_path, fields, text):
 @pytest.mark.parametrize("circuit", ["Spielberg", "Oschersleben"])
 def test_published_centerlines_are_found_in_their_maps(shared_data, circuit):
     folder = shared_data / "tracks" / circuit
-    published = read_raceline_file(folder / f"{circuit}_centerline.csv")
+    published = load_raceline(folder / f"{circuit}_centerline.csv")
     image = read_map_image(folder / f"{circuit}_map.yaml")
     psi = float(published.psi[0])
     course = course_from_map(image, published.position(0.0), psi, passage=0.5)
@@ -285,7 +285,7 @@ def test_published_centerlines_are_found_in_their_maps(shared_data, circuit):
 def test_a_real_hall(shared_data):
     """Posts stand on the track, and unknown cells look free by the file's threshold."""
     folder = shared_data / "laps" / "ipz20"
-    published = read_raceline_file(folder / "centerline.csv")
+    published = load_raceline(folder / "centerline.csv")
     image = read_map_image(folder / "IPZ20.yaml")
     course = course_from_map(image, published.position(0.0), float(published.psi[0]), passage=0.5)
     assert {"unknown-cells", "obstacle"} <= set(codes(course))

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from map_racing.errors import ParameterError, RacelineError
 from map_racing.track import optimization
-from map_racing.track.formats import load_raceline, read_raceline_file
+from map_racing.track.formats import load_raceline
 from map_racing.track.optimization import fastest_line, minimum_curvature, squared_curvature
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import raceline_speeds
@@ -222,8 +222,8 @@ def test_shipped_tracks_have_room_for_better(name):
 def test_no_worse_than_the_published_line(shared_data, circuit):
     """Within the clearance of the published line, by the limits of the shipped car."""
     folder = shared_data / "tracks" / circuit
-    course = read_raceline_file(folder / f"{circuit}_centerline.csv")
-    published = read_raceline_file(folder / f"{circuit}_raceline.csv")
+    course = load_raceline(folder / f"{circuit}_centerline.csv")
+    published = load_raceline(folder / f"{circuit}_raceline.csv")
     walls = Walls(course)
     at = published.sample(np.linspace(0.0, published.length, 4 * published.n, endpoint=False))
     clearance = float(walls.distance(np.stack((at.x, at.y), axis=1)).min())

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from map_racing.track.formats import read_raceline_file
+from map_racing.track.formats import load_raceline
 from map_racing.track.speed_profile import lap_time
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
 def shipped(name):
-    return read_raceline_file(ROOT / "config" / "tracks" / f"{name}.csv")
+    return load_raceline(ROOT / "config" / "tracks" / f"{name}.csv")
 
 
 def load_generator():

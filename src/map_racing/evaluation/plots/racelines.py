@@ -8,7 +8,7 @@ import textwrap
 import numpy as np
 from matplotlib.collections import LineCollection
 
-from ...track.findings import ERROR, WARNING
+from ...track.findings import ERROR, WARNING, worst_first
 from .style import COLORS, RACELINE, WALL, new_figure, size_for
 
 __all__ = ["plot_course"]
@@ -38,7 +38,7 @@ def plot_course(table, raceline, findings, title=None):
     good = np.isfinite(x) & np.isfinite(y)
     x, y = x[good], y[good]
     width, height = size_for(x, y) if x.size else (6.0, 5.0)
-    listed = _listed(findings)
+    listed = worst_first(findings)[:_MOST_LISTED]
     # Course, colorbar and list side by side; lengths in inches.
     between = 0.2 if raceline is None or raceline.speed is None else _BAR
     total, height = width + between + _LIST, max(height, 4.5)
@@ -65,11 +65,6 @@ def plot_course(table, raceline, findings, title=None):
     axes.legend(loc="best", fontsize="small")
     _list(figure, listed, (width + between) / total, low + tall)
     return figure
-
-
-def _listed(findings):
-    order = {ERROR: 0, WARNING: 1}
-    return sorted(findings, key=lambda finding: order.get(finding.severity, 2))[:_MOST_LISTED]
 
 
 def _draw_line(figure, axes, bar, line):
