@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import threading
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -119,11 +120,15 @@ def _begin_work():
 def _dask(address):
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise MapRacingError(
             "a scheduler needs the package distributed: pip install 'map_racing[cluster]'"
         ) from None
     try:
+        # A client that fails to connect is no longer needed, but stops its event loop when Python
+        # collects it, which can block the next one. So it is only made for who answers.
+        socket.create_connection(get_address_host_port(address), timeout=_PATIENCE).close()
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:  # a timeout is an OSError there
         raise MapRacingError(f"{address}: no Dask scheduler answers: {error}") from None

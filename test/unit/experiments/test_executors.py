@@ -110,7 +110,9 @@ def test_a_scheduler_that_does_not_answer(address, monkeypatch):
 def test_a_scheduler_without_workers():
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
+    with LocalCluster(
+        n_workers=0, processes=False, protocol="tcp://", dashboard_address=None
+    ) as cluster:
         where = open_executor(scheduler=cluster.scheduler_address)
         with pytest.raises(MapRacingError, match="has no workers"), where:
             pass
