@@ -180,6 +180,9 @@ def test_a_bag_in_a_loop_is_run_after_run(race_bag, launch, listen, tmp_path):
         assert_same(rows(table, run), expected)
         assert [r.lap for r in results if r.run == run] == [0, 1, 2, 3]
     replay.stop()
+    # The lap that the shutdown cuts off is published, written and summed up, too.
+    results.wait(lambda result: result.run == 3 and result.reason == "in-lap", 5.0)
+    assert [int(row["lap"]) for row in rows(table, 3)][-1] == results[-1].lap
     assert "run 1" in replay.output and "run 3" in replay.output
 
 

@@ -2,6 +2,7 @@
 
 import math
 import queue
+import threading
 import time
 
 import rospy
@@ -26,6 +27,7 @@ __all__ = ["LapEvaluatorNode", "main"]
 
 _STOP = object()
 _SILENCE_S = 5.0  # without any pose it is said that none come
+_LAST_WORDS_S = 5.0  # so long a shutdown waits for the sum
 _NAN = math.nan
 
 
@@ -69,7 +71,9 @@ class LapEvaluatorNode:
         self._markers = rospy.Publisher("lap_markers", MarkerArray, queue_size=10, latch=True)
         self._markers.publish(delete_all())
 
-        rospy.on_shutdown(lambda: self._queue.put((_STOP, None, 0, 0.0)))
+        self._idle = threading.Event()
+        self._idle.set()
+        rospy.on_shutdown(self._stop)
         if not source:
             self._raceline_topic = RacelineSubscriber(
                 "global_waypoints",
@@ -101,6 +105,23 @@ class LapEvaluatorNode:
 
     def run(self):
         """Evaluate until the node is shut down, then sum up."""
+        self._idle.clear()
+        try:
+            self._evaluate()
+            if self._no_poses:
+                rospy.logwarn("%s: nothing was evaluated", self._no_poses)
+            self._laps.finish()
+        finally:
+            if self._log is not None:
+                self._log.close()
+            self._idle.set()
+
+    def _stop(self):
+        """Let the last lap be published before rospy closes the topics."""
+        self._queue.put((_STOP, None, 0, 0.0))
+        self._idle.wait(_LAST_WORDS_S)
+
+    def _evaluate(self):
         while True:
             deadline = self._laps.deadline
             wait = None if deadline is None else max(deadline - time.monotonic(), 0.001)
@@ -109,7 +130,7 @@ class LapEvaluatorNode:
             try:
                 handle, message, received_ns, received = self._queue.get(timeout=wait)
                 if handle is _STOP:
-                    break
+                    return
                 handle(message, received_ns, received)
             except queue.Empty:
                 if self._no_poses:
@@ -117,11 +138,6 @@ class LapEvaluatorNode:
                     rospy.logwarn_throttle(30.0, f"{self._no_poses} yet ({why})")
             if self._queue.empty() or self._queue.qsize() % 256 == 0:
                 self._laps.advance(time.monotonic())
-        if self._no_poses:
-            rospy.logwarn("%s: nothing was evaluated", self._no_poses)
-        self._laps.finish()
-        if self._log is not None:
-            self._log.close()
 
     # -- in ------------------------------------------------------------------------------------
 

@@ -66,6 +66,7 @@ def run(name, make):
         # A node that was started with nohup outlives its terminal.
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _shut_down)
+    node = None
     try:
         rospy.init_node(name, disable_signals=True)
         threading.Thread(target=_watch_master, daemon=True).start()
@@ -75,9 +76,11 @@ def run(name, make):
     except MapRacingError as error:
         rospy.logfatal("%s", error)
         raise SystemExit(1) from None
-    except Exception:
-        # What fails because the node is shut down while it starts is no fault.
-        if not rospy.core.is_shutdown_requested():
+    except Exception as error:
+        # What fails because the node is shut down is no fault: anything while it starts, and what
+        # it publishes when the topics are closed.
+        expected = node is None or isinstance(error, rospy.ROSException)
+        if not (expected and rospy.core.is_shutdown_requested()):
             raise
 
 
