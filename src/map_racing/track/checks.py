@@ -33,6 +33,7 @@ COARSE = 0.8  # turn from one chord to the next [rad] that no spline can be trus
 BACK = 2.1  # turn that no course makes at one point [rad]
 # Steered by 0.42 rad, as far as a 1:10 car's servo goes, 0.33 m of wheelbase turn on 0.74 m.
 TIGHTEST = 1.4  # [1/m]
+SHORTEST, LONGEST = 3.0, 2000.0  # [m] of courses for 1:10 cars; others may be in another unit
 GRIP = 20.0  # [m/s^2], beyond any 1:10 car on any floor, lateral or longitudinal
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 KMH = 3.6  # [km/h] are 1 m/s
@@ -103,7 +104,7 @@ def examine(table):
         check(course)
     _build(course)
     if course.raceline is not None:
-        for check in (_arc_length, _heading_and_curvature, _wall_distances, _zero_speeds):
+        for check in (_size, _arc_length, _heading_and_curvature, _wall_distances, _zero_speeds):
             check(course)
         # Where the order of the points is wrong, so are bends and walls: nothing to learn there.
         if not course.fatal:
@@ -538,6 +539,16 @@ def _curvature(course):
         course.add("curvature", WARNING, text, [worst])
         return 0
     return 1
+
+
+def _size(course):
+    length = course.raceline.length
+    if not SHORTEST <= length <= LONGEST:
+        text = (
+            f"the course is {length:.3g} m long, those of 1:10 cars {SHORTEST:g} to {LONGEST:g} m: "
+            "is it in meters?"
+        )
+        course.add("size", WARNING, text)
 
 
 def _bends(course):

@@ -224,6 +224,13 @@ def test_bends_too_tight_for_a_car():
     assert codes(CourseTable(small))["tight-bend"].severity == WARNING
 
 
+def test_courses_in_another_unit():
+    for scale in (1000.0, 0.001):
+        found = codes(CourseTable({key: scale * GOOD[key] for key in ("x", "y")}))["size"]
+        assert found.severity == WARNING and "is it in meters?" in found.text
+    assert "size" not in codes(CourseTable({key: GOOD[key] for key in ("x", "y")}))
+
+
 def test_a_small_loop():
     # A limaçon with an inner loop.
     r = 0.8 + 1.0 * np.cos(T)
