@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
 from ..files import replacing
+from ..simulation.race import Outcome
 from .jobs import RaceResult, Stretch, plain
 
 __all__ = ["Store"]
@@ -115,6 +117,11 @@ def _result(record, path):
             for row in values["stretches"]
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
-        return RaceResult(values["outcome"], stretches, values["duration_s"], driven)
+        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven)
+        Outcome(result.outcome)
+        numbers = [value for row in stretches for value in row[:-1]]  # the last is a text
+        for value in chain([result.duration_s], numbers, *driven):
+            math.isnan(value)  # a TypeError for what is no number
+        return result
     except (KeyError, TypeError, ValueError):
         raise FileFormatError(f"{path}: expected the result of a race; delete it") from None

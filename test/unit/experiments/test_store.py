@@ -1,11 +1,12 @@
 """Results on disk: the same when they come back, and never half of one."""
 
+import json
 import math
 
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError
-from map_racing.experiments.jobs import execute
+from map_racing.experiments.jobs import Stretch, execute
 from map_racing.experiments.store import Store
 
 
@@ -68,5 +69,27 @@ def test_a_broken_file_is_named(tmp_path, crashed, content):
     store.keep(job, executed.result)
     path = tmp_path / "runs" / f"{job.fingerprint}.json"
     path.write_text(content)
+    with pytest.raises(FileFormatError, match=f"{job.fingerprint}.json: expected the result"):
+        store.find(job)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"outcome": 5},
+        {"outcome": "won"},
+        {"duration_s": "long"},
+        {"path": [["a", 1.0, 2.0]]},
+        {"stretches": [dict.fromkeys(Stretch._fields, "x")]},
+    ],
+)
+def test_a_file_with_impossible_values_is_named(tmp_path, crashed, change):
+    job, executed = crashed
+    store = Store(tmp_path)
+    store.keep(job, executed.result)
+    path = tmp_path / "runs" / f"{job.fingerprint}.json"
+    record = json.loads(path.read_text())
+    record["result"].update(change)
+    path.write_text(json.dumps(record))
     with pytest.raises(FileFormatError, match=f"{job.fingerprint}.json: expected the result"):
         store.find(job)
