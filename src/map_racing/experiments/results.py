@@ -163,6 +163,8 @@ def read_results(folder):
         for column in columns:
             if column != "controller":
                 table[column] = table[column].astype(float)
+        if not all(isinstance(name, str) for name in table["controller"]):
+            raise ValueError("controller")
         provenance["track"]["sha256"]
     except OSError as error:
         raise FileFormatError(

@@ -94,6 +94,16 @@ def test_other_files_are_refused(tmp_path, content):
         read_results(tmp_path)
 
 
+@pytest.mark.parametrize("name", [None, 5, ["MAP"]])
+def test_a_controller_without_name_is_refused(tmp_path, name):
+    write_results(tmp_path, results())
+    content = json.loads((tmp_path / "results.json").read_text())
+    content["rows"][0]["controller"] = name
+    (tmp_path / "results.json").write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="results.json: expected results of an experiment"):
+        read_results(tmp_path)
+
+
 def test_other_folders_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match="expected a result directory with results.json"):
         read_results(tmp_path)
