@@ -90,13 +90,22 @@ class Conditions:
         for seed in (*days, self.identification_seed):
             if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
                 raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
-        if len(set(days)) < len(days):
-            raise ParameterError("seeds and practice_seeds must differ: the same seed is one day")
+        for name in ("seeds", "practice_seeds"):
+            seeds = getattr(self, name)
+            for seed in seeds:
+                if seeds.count(seed) > 1:
+                    raise ParameterError(f"{name}: {seed} is given twice: a seed is one day")
+        both = [str(seed) for seed in self.seeds if seed in self.practice_seeds]
+        if both:
+            raise ParameterError(
+                f"seeds and practice_seeds must differ, but both have {', '.join(both)}: nobody "
+                "tunes on a day of the races"
+            )
         if not _is_number(self.tuning_scale) or not 0.0 < self.tuning_scale <= 2.0:
             raise ParameterError(f"tuning_scale must be 0 to 2, not {self.tuning_scale!r}")
         laps = self.tuning_laps
-        if isinstance(laps, bool) or not isinstance(laps, int) or laps < 1:
-            raise ParameterError(f"tuning_laps must be at least 1, not {laps!r}")
+        if isinstance(laps, bool) or not isinstance(laps, int) or not 1 <= laps <= 1000:
+            raise ParameterError(f"tuning_laps must be 1 to 1000, not {laps!r}")
 
 
 class Day(NamedTuple):
