@@ -60,6 +60,8 @@ def make_folder(path):
     MapRacingError
         If it cannot be made.
     """
+    if not str(path):  # such as that of a variable of the shell that is not set
+        raise MapRacingError(f"{path!r}: expected the name of a folder")
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)

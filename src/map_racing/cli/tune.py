@@ -1,5 +1,7 @@
 """``map-racing tune``: the lookahead with which a controller follows a track closest."""
 
+from pathlib import Path
+
 import pandas as pd
 
 from ..control.parameters import load_controller_parameters
@@ -41,7 +43,7 @@ def add_parser(commands):
 def run(arguments):
     """Tune."""
     names = list(dict.fromkeys(arguments.controller))
-    stems = [name.rpartition("/")[2].rpartition(".yaml")[0] or name for name in names]
+    stems = [Path(name).stem for name in names]
     if len(set(stems)) < len(stems):
         raise ParameterError("--controller: two files of one name would give one result")
     controllers = {

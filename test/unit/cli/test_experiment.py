@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from map_racing.cli import main
-from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
 from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.laps import evaluate
 from map_racing.experiments.race_bag import GROUND_TRUTH_TOPIC
@@ -173,6 +173,17 @@ def test_tuning_alone_finds_the_same(place, tires, capsys):
     assert table.controller.tolist() == ["map_paper"]
 
 
+@pytest.mark.parametrize("name", ["own", "own.yml"])
+def test_results_are_named_after_files_with_any_suffix(place, tires, tmp_path, capsys, name):
+    (tmp_path / "in").mkdir()
+    file, output = tmp_path / "in" / name, tmp_path / "out"
+    save_controller_parameters(load_controller_parameters("map_paper"), file)
+    options = ["--controller", file, "--vehicle", tires / "identified.yaml"]
+    run(place, "tune", *options, "--reuse", tires, "--output", output)
+    assert f"--controller {output / 'controllers' / 'own.yaml'} ..." in capsys.readouterr().out
+    assert (output / "controllers" / "own.yaml").is_file()
+
+
 def test_without_tuning_the_files_are_raced(place, tires, capsys):
     output = place / "shipped"
     options = ["--no-tuning", "--laps", 1, "--seeds", 1, "--output", output]
@@ -213,13 +224,14 @@ def test_a_vehicle_that_is_given_is_raced(place, tires, tmp_path, capsys):
     [
         (["--laps", "0"], "--laps must be 1 to 1000, not 0"),
         (["--jobs", "0"], "jobs: expected at least 1, got 0"),
-        (["--seeds", "1", "1"], "seeds and practice_seeds must differ"),
+        (["--seeds", "1", "1"], "seeds: 1 is given twice"),
         (["--seeds", "-1"], "a seed must be a whole number from 0, not -1"),
         (["--conditions", "rain"], "nor one of the shipped experiments (paper)"),
         (["--track", "nowhere"], "nor one of the shipped tracks"),
         (["--plant", "nothing"], "nor one of the shipped plants"),
         (["--vehicle", "nobody"], "nor one of the shipped vehicles"),
         (["--reuse", "nowhere"], "nowhere: expected a result directory with a folder runs"),
+        (["--output", ""], "expected the name of a folder"),
         (["--scheduler", "tcp://127.0.0.1:1"], "no Dask scheduler answers"),
     ],
 )
