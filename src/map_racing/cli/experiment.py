@@ -115,7 +115,7 @@ def run_scaling(arguments):
         for row in table.itertuples()
     }
     counted = laps[(laps.outcome == "completed") & laps.valid]
-    title = f"Velocity scaling: {work.where}, {arguments.laps} laps on each of {work.days}"
+    title = f"Velocity scaling: {work.where}, {_laps(arguments)} on each of {work.days}"
     save(plot_scaling(counted, ended, labels, title), work.figures / "velocity_scaling.png")
     work.report()
 
@@ -145,10 +145,15 @@ def run_tires(arguments):
             ]
             for scale in TIRE_SCALES
         ]
-        title = f"Tire models: {work.where}, race day {seed}, {arguments.laps} laps"
+        title = f"Tire models: {work.where}, race day {seed}, {_laps(arguments)}"
         figure = plot_trajectories(work.setting.raceline, rows, title)
         save(figure, work.figures / f"trajectories_seed{seed}.png")
     work.report()
+
+
+def _laps(arguments):
+    """How many laps, in words."""
+    return f"{arguments.laps} lap" + ("s" if arguments.laps != 1 else "")
 
 
 def check_laps(laps):

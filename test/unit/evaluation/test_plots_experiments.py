@@ -87,6 +87,16 @@ def test_scaling_boxes(tmp_path):
     assert is_png(tmp_path / "scaling.png")
 
 
+def test_a_box_of_one_lap_shows_whose_it_is():
+    labels = ["pure pursuit", "MAP"]
+    columns = ["speed_scale", "controller", "rms_lateral_error_m", "lap_time_s"]
+    laps = pd.DataFrame([(0.6, label, 0.1, 8.0) for label in labels], columns=columns)
+    for axes in plot_scaling(laps, {}, labels, "title").axes:
+        lines = [line for line in axes.get_lines() if np.size(line.get_xdata()) == 2]
+        medians = [line for line in lines if line.get_zorder() == 2.5]
+        assert [line.get_color() for line in medians] == list(COLORS[:2])
+
+
 # -- trajectories ----------------------------------------------------------------------------------
 
 

@@ -134,7 +134,7 @@ def plot_scaling(laps, ended, labels, title):
             axes.plot([], [], "s", color=color, label=label)
             if not driven:
                 continue
-            axes.boxplot(
+            boxes = axes.boxplot(
                 [own[own.speed_scale == scale][column].values for scale in driven],
                 positions=[places[scale] + shift for scale in driven],
                 widths=0.85 * width,
@@ -145,6 +145,9 @@ def plot_scaling(laps, ended, labels, title):
                 whiskerprops={"color": color},
                 capprops={"color": color},
             )
+            for scale, median in zip(driven, boxes["medians"]):
+                if (own.speed_scale == scale).sum() == 1:  # nothing else would be seen of the box
+                    median.set(color=color, linewidth=2.5, zorder=2.5)
         for place in range(len(scales) - 1):
             axes.axvline(place + 0.5, color="0.9", lw=0.8, zorder=0)
         if column == "rms_lateral_error_m":
