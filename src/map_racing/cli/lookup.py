@@ -5,6 +5,8 @@ import math
 import numpy as np
 
 from ..control.corners import corners
+from ..control.parameters import load_controller_parameters
+from ..control.speed_plan import SpeedPlan
 from ..errors import FileFormatError, ParameterError
 from ..evaluation.recordings import load_course
 from ..vehicle.lookup import default_grid, load_table
@@ -60,6 +62,12 @@ def add_parser(commands):
         help="list the speed at which each corner exceeds the table's limit: shipped track, "
         "raceline file or bag[#topic]",
     )
+    check.add_argument(
+        "--controller",
+        default="map",
+        help="whose grip_use, with --raceline, tells where it would drive slower than the raceline "
+        "at a speed scale of 1: shipped controller or YAML file (default: %(default)s)",
+    )
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run=run_check)
 
@@ -87,7 +95,9 @@ def run_check(arguments):
     table = load_table(arguments.table)
     _describe(arguments.table, table)
     if arguments.raceline:
-        _describe_corners(load_course(arguments.raceline), table)
+        raceline = load_course(arguments.raceline)
+        _describe_corners(raceline, table)
+        _describe_speeds(raceline, table, arguments.controller)
     _draw(arguments, table)
     if not arguments.vehicle:
         return
@@ -184,6 +194,16 @@ def _describe_corners(raceline, table):
             f"  the raceline can be driven at up to {1.0 / max(shares):.0%} of its speeds before a "
             "corner exceeds the limit"
         )
+
+
+def _describe_speeds(raceline, table, controller):
+    """Where a controller with this table would drive slower than the raceline."""
+    parameters = load_controller_parameters(controller).with_(speed_scale=1.0)
+    if parameters.grip_use:
+        plan = SpeedPlan(raceline, parameters, table)
+        print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")
+    else:
+        print(f"  {controller}, grip_use 0: drives the raceline's speeds, whatever the grip")
 
 
 def _draw(arguments, table):

@@ -59,7 +59,9 @@ def bearing(state, x, y):
         Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
     """
     # A car that rolls backwards is meant to drive on forwards, where its nose points.
-    v_x, v_y = max(state.v_x, 0.0), state.v_y
+    v_x, v_y = state.v_x, state.v_y
+    if v_x < 0.0:
+        v_x = 0.0
     square = v_x * v_x + v_y * v_y
     if square < CRAWL * CRAWL:
         trust = math.sqrt(square) / CRAWL
