@@ -68,8 +68,8 @@ def add_parser(commands):
     parser.add_argument(
         "--speed-scale",
         type=float,
-        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's; on the "
-        "shipped tracks nuc4 runs out of grip above about 0.8)",
+        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); its "
+        "grip_use bounds them further",
     )
     parser.add_argument("--seed", type=int, default=1, help="of the noise (default: %(default)s)")
     parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")

@@ -44,7 +44,8 @@ class GripGuard:
 
     def __init__(self, grip, v_max):
         # Cars slide at speeds beyond their plan's.
-        v = (np.arange(int(math.ceil(1.5 * v_max * _PER_MPS)) + 1) + 0.5) / _PER_MPS
+        count = int(math.ceil(1.5 * v_max * _PER_MPS)) + 1
+        v = np.maximum(np.arange(count), 0.5) / _PER_MPS
         self._radius = (v * v / np.asarray(grip.max_lateral_acceleration(v))).tolist()
         self._last = len(self._radius) - 1
         self.reset()
@@ -76,8 +77,8 @@ class GripGuard:
         float
             At most `planned`, and no less than walking pace for it [m/s].
         """
-        # Comparisons, and the entry below: a step is a few of these long.
-        i = int(v * _PER_MPS)
+        # Comparisons, and the nearest entry: interpolation would take as long as all of the rest.
+        i = int(v * _PER_MPS + 0.5)
         if i < 0:
             i = 0
         elif i > self._last:
