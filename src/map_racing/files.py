@@ -11,7 +11,7 @@ import yaml
 
 from .errors import FileFormatError, MapRacingError
 
-__all__ = ["read_yaml_mapping", "replacing"]
+__all__ = ["make_folder", "read_yaml_mapping", "refuse_special", "replacing"]
 
 
 def read_yaml_mapping(path):
@@ -110,3 +110,38 @@ def replacing(path, binary=False):
         if not special:
             with suppress(OSError):
                 temporary.unlink()
+
+
+def make_folder(path):
+    """Make a folder for results, with those above it, if it is not there.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    MapRacingError
+        If it cannot be made.
+    """
+    if not str(path):  # such as that of a variable of the shell that is not set
+        raise MapRacingError(f"{path!r}: expected the name of a folder")
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    return folder
+
+
+def refuse_special(path):
+    """Refuse pipes and devices, since reading one may never end, and no name at all."""
+    if not str(path):
+        raise FileFormatError("'': expected the name of a file")
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FileFormatError(f"{path}: expected a file, got a pipe or a device")

@@ -11,15 +11,16 @@ from harness import wait_for
 from map_racing.msg import LapResult
 from visualization_msgs.msg import MarkerArray
 
+from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.bags import DRIVE_TOPIC
 from map_racing.evaluation.laps import evaluate
-from map_racing.evaluation.recordings import load_course, load_recording
-from map_racing.experiments.race_bag import write_race_bag
+from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import race
+from map_racing.simulation.recorded import write_race_bag
+from map_racing.track.files.load import load_course
 from map_racing.vehicle.parameters import load_vehicle
 
 REMAPS = {"odom": "/car_state/odom", "pose": "/car_state/pose", "drive": DRIVE_TOPIC}
@@ -58,7 +59,9 @@ def rows(path, run=1):
 
 def offline(path, **options):
     recording = load_recording(path)
-    result = evaluate(recording, recording.raceline or load_course("reference"), **options)
+    carried = recording.waypoints is not None
+    raceline = recorded_raceline(recording) if carried else load_course("reference")
+    result = evaluate(recording, raceline, **options)
     return [lap.row() for lap in result.laps]
 
 

@@ -6,9 +6,9 @@ import rospy
 from nav_msgs.msg import Path
 from visualization_msgs.msg import Marker, MarkerArray
 
-from map_racing.evaluation.messages import MD5, WAYPOINTS
-from map_racing.evaluation.recordings import load_course
+from map_racing.bags.messages import MD5, WAYPOINTS
 from map_racing.nodes.waypoints import raceline_from_message
+from map_racing.track.files.load import load_course
 
 
 def test_waypoints_are_the_raceline_and_come_again(start, listen):

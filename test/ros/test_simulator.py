@@ -15,10 +15,10 @@ from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.state import CarState
 from map_racing.evaluation.laps import LapEvaluator
-from map_racing.evaluation.recordings import load_course
 from map_racing.nodes.conversions import plane_pose, set_plane_pose
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import START_S, race
+from map_racing.track.files.load import load_course
 from map_racing.vehicle.parameters import load_vehicle
 
 SECOND = 10**9

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..evaluation.report import aligned
 from ..experiments.results import compare, read_results
-from .outputs import make_folder
+from ..files import make_folder
 
 DIGITS = {"days_completed": 0, "m_m": 3, "q_s": 3, "rms_lateral_error_m": 4}
 
@@ -40,8 +40,8 @@ def run(arguments):
     else:
         print("No difference in provenance.")
     if arguments.plots:
-        from ..evaluation.plots.experiments import plot_comparison
-        from ..evaluation.plots.style import save
+        from ..plots.experiments import plot_comparison
+        from ..plots.style import save
 
         names = run_names(folders)
         figure = plot_comparison(comparison.table, comparison.values, names, comparison.kind)

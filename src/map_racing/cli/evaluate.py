@@ -9,12 +9,14 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..errors import BagError, EvaluationError, MapRacingError, ParameterError
+from ..errors import EvaluationError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
-from ..evaluation.recordings import load_course, load_recording
+from ..evaluation.recordings import load_recording, recorded_raceline
 from ..evaluation.report import lap_table, summary_table, write_csv, write_json
-from ..track.formats import split_source
-from .outputs import check_outputs, make_folder
+from ..files import make_folder
+from ..track.files.load import load_course
+from ..track.files.readers import split_source
+from .outputs import check_outputs
 
 
 def add_parser(commands):
@@ -121,12 +123,10 @@ def evaluate_one(source, course, arguments):
     """Laps of one recording on the course given or, without one, on its own."""
     recording = load_recording(source, arguments.pose_topic, arguments.columns)
     notes = recording.notes
-    if course is not None:
-        notes = [note for note in notes if not note.startswith("raceline:")]
-        notes.append("; ".join([f"raceline: {arguments.raceline}", *map(str, course.findings)]))
-    elif recording.raceline is None:
-        raise BagError(f"{source}: no raceline in it; give one with --raceline")
-    raceline = course or recording.raceline
+    raceline, origin = course, arguments.raceline
+    if course is None:
+        raceline, origin = recorded_raceline(recording), recording.waypoints.topic
+    notes = [*notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
     if arguments.reverse:
         raceline = raceline.reversed()
         notes = [*notes, "raceline reversed"]
@@ -154,8 +154,8 @@ def run_names(sources):
 def draw(folder, names, results):
     """All figures of all runs."""
     # matplotlib takes a second, and most calls draw nothing
-    from ..evaluation.plots import runs
-    from ..evaluation.plots.style import save
+    from ..plots import runs
+    from ..plots.style import save
 
     folder = make_folder(folder)
     figures = []

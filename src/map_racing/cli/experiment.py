@@ -18,7 +18,8 @@ from ..experiments.paper import (
     single_plan,
     tire_table,
 )
-from .work import Work, add_options
+from ..experiments.session import Session
+from .options import add_options
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
@@ -94,20 +95,20 @@ def run_scaling(arguments):
         raise ParameterError(f"--to must be {FIRST_SCALE:g} to 2, not {arguments.to}")
     count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
     scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
-    work = Work(arguments, "velocity-scaling")
-    races = work.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
+    session = Session(arguments, "velocity-scaling")
+    races = session.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
     table = scaling_table(per_race, laps)
     highest = highest_scales(per_race)
     against = pairs_frame(per_race)
     frames = {"races": per_race, "laps": laps, "highest_scales": highest, "pairs": against}
-    work.write(table, arguments.laps, **frames)
+    session.write(table, arguments.laps, **frames)
     print("\n".join(scaling_lines(table)), end="\n\n")
     print("\n".join(highest_lines(highest)), end="\n\n")
     print("\n".join(pairs_lines(against)))
 
-    from ..evaluation.plots.experiments import plot_scaling
-    from ..evaluation.plots.style import save
+    from ..plots.experiments import plot_scaling
+    from ..plots.style import save
 
     labels = [c.label for c in CONTENDERS]
     ended = {
@@ -115,28 +116,28 @@ def run_scaling(arguments):
         for row in table.itertuples()
     }
     counted = laps[(laps.outcome == "completed") & laps.valid]
-    title = f"Velocity scaling: {work.where}, {_laps(arguments)} on each of {work.days}"
-    save(plot_scaling(counted, ended, labels, title), work.figures / "velocity_scaling.png")
-    work.report()
+    title = f"Velocity scaling: {session.where}, {_laps(arguments)} on each of {session.days}"
+    save(plot_scaling(counted, ended, labels, title), session.figures / "velocity_scaling.png")
+    session.report()
 
 
 def run_tires(arguments):
     """Tire models."""
     check_laps(arguments.laps)
-    work = Work(arguments, "tire-models")
-    races = work.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
+    session = Session(arguments, "tire-models")
+    races = session.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)
     against = pairs_frame(per_race)
     frames = {"races": per_race, "laps": lap_frame(races), "pairs": against}
-    work.write(table, arguments.laps, **frames)
+    session.write(table, arguments.laps, **frames)
     print("\n".join(tire_lines(table)), end="\n\n")
     print("\n".join(pairs_lines(against)))
 
-    from ..evaluation.plots.experiments import plot_trajectories
-    from ..evaluation.plots.style import save
+    from ..plots.experiments import plot_trajectories
+    from ..plots.style import save
 
-    for seed in work.setting.conditions.seeds:
+    for seed in session.setting.conditions.seeds:
         rows = [
             [
                 (panel_title(race), timed_path(race.result), not race.result.completed)
@@ -145,10 +146,10 @@ def run_tires(arguments):
             ]
             for scale in TIRE_SCALES
         ]
-        title = f"Tire models: {work.where}, race day {seed}, {_laps(arguments)}"
-        figure = plot_trajectories(work.setting.raceline, rows, title)
-        save(figure, work.figures / f"trajectories_seed{seed}.png")
-    work.report()
+        title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
+        figure = plot_trajectories(session.setting.raceline, rows, title)
+        save(figure, session.figures / f"trajectories_seed{seed}.png")
+    session.report()
 
 
 def _laps(arguments):

@@ -9,16 +9,16 @@ from tqdm import tqdm
 
 from .. import __version__
 from ..errors import ParameterError
-from ..experiments.cornering import SteadyLimits
-from ..experiments.driving_data import Channel, ChannelMap, load_channel_map, load_run
-from ..experiments.identification import identify, leave_one_out
-from ..experiments.identification_report import report_data, report_text
-from ..files import replacing
+from ..files import make_folder, replacing
+from ..identification.cornering import SteadyLimits
+from ..identification.data import Channel, ChannelMap, load_channel_map, load_run
+from ..identification.identify import identify, leave_one_out
+from ..identification.report import report_data, report_text
 from ..resources import list_config
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import load_vehicle, parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
-from .outputs import check_outputs, make_folder
+from .outputs import check_outputs
 
 
 def add_parser(commands):
@@ -204,9 +204,9 @@ def provenance(found):
 def draw(folder, found, holds, table):
     """All figures."""
     # matplotlib takes a second, and most calls draw nothing
-    from ..evaluation.plots import identification as plots
-    from ..evaluation.plots.lookup import plot_lookup_curves, plot_lookup_surface
-    from ..evaluation.plots.style import save
+    from ..plots import identification as plots
+    from ..plots.lookup import plot_lookup_curves, plot_lookup_surface
+    from ..plots.style import save
 
     folder = make_folder(folder)
     axles = []

@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 
-from ..control.corners import corners
 from ..errors import FileFormatError, ParameterError
-from ..evaluation.recordings import load_course
+from ..files import make_folder
+from ..track.corners import corners
+from ..track.files.load import load_course
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
 from ..vehicle.steady_state import steady_state_table
-from .outputs import check_outputs, make_folder
+from .outputs import check_outputs
 
 # Lateral accelerations beyond this [m/s^2] are reached only by linear tires, which never slide, and
 # tables made by integration for a fixed time had not settled there.
@@ -190,8 +191,8 @@ def _draw(arguments, table):
     if not arguments.plots:
         return
     # matplotlib takes a second, and most calls draw nothing
-    from ..evaluation.plots import lookup
-    from ..evaluation.plots.style import save
+    from ..plots import lookup
+    from ..plots.style import save
 
     folder = make_folder(arguments.plots)
     grid = table.speeds, table.angles, table.a_lat

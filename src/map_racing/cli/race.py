@@ -8,13 +8,13 @@ from ..control.controller import Controller, build_steering_map
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..evaluation.recordings import load_course
-from ..experiments.race_bag import write_race_bag
 from ..resources import list_config
 from ..simulation.plant import Localization, Plant, load_plant_parameters
 from ..simulation.public_simulator import PublicSimulator
 from ..simulation.race import Outcome, race
-from ..track.formats import split_source
+from ..simulation.recorded import write_race_bag
+from ..track.files.load import load_course
+from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle, parameter_hash
 from .outputs import check_outputs

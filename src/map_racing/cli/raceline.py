@@ -4,16 +4,16 @@ import json
 import re
 
 from ..errors import MapRacingError, ParameterError
-from ..evaluation.recordings import read_course, save_course
-from ..files import replacing
-from ..track.checks import examine, raceline_of
-from ..track.course_report import course_facts, facts_text, findings_count, findings_rows
+from ..files import make_folder, replacing
+from ..track.files.checks import examine, raceline_of
+from ..track.files.load import read_course, save_course
+from ..track.files.readers import split_source
+from ..track.files.repair import driven_columns, repaired, resampled, reversed_course
+from ..track.files.report import course_facts, facts_text, findings_count, findings_rows
+from ..track.files.writers import FORMATS, choose_format, course_columns
 from ..track.findings import ERROR, NOTE, Finding, worst_first
-from ..track.formats import split_source
-from ..track.repair import driven_columns, repaired, resampled, reversed_course
-from ..track.writers import FORMATS, choose_format, course_columns
 from . import raceline_optimize
-from .outputs import check_outputs, make_folder
+from .outputs import check_outputs
 
 SOURCE = (
     "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
@@ -177,8 +177,8 @@ def print_findings(findings):
 def draw(folder, key, table, raceline, findings):
     """The figure of a checked course; its path."""
     # matplotlib takes a second, and most calls draw nothing
-    from ..evaluation.plots.racelines import plot_course
-    from ..evaluation.plots.style import save
+    from ..plots.racelines import plot_course
+    from ..plots.style import save
 
     name = "_".join(filter(None, (table.name or "course", re.sub(r"\W+", "_", key).strip("_"))))
     path = make_folder(folder) / f"{name}_check.png"

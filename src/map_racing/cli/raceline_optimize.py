@@ -10,19 +10,20 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
-from ..evaluation.recordings import load_course, save_course
+from ..files import make_folder
+from ..track.files.load import load_course, save_course
+from ..track.files.readers import split_source
+from ..track.files.writers import FORMATS, choose_format, course_columns
 from ..track.findings import NOTE
-from ..track.formats import split_source
 from ..track.map_image import course_from_map, read_map_image
 from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
 from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
 from ..track.walls import Walls
-from ..track.writers import FORMATS, choose_format, course_columns
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import load_vehicle
 from ..vehicle.steady_state import steady_state_table
-from .outputs import check_outputs, make_folder
+from .outputs import check_outputs
 
 # What makes walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
@@ -360,8 +361,8 @@ def print_table(lines, course, limits, scale):
 def draw(folder, optimized, middle, walls):
     """The figure of an optimized line; its path."""
     # matplotlib takes a second, and most calls draw nothing
-    from ..evaluation.plots.optimization import plot_optimized
-    from ..evaluation.plots.style import save
+    from ..plots.optimization import plot_optimized
+    from ..plots.style import save
 
     path = Path(make_folder(folder)) / f"{optimized.name or 'course'}_optimized.png"
     save(plot_optimized(optimized, middle, walls), path)

@@ -4,11 +4,12 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..control.steering_ramp import RampParameters
 from ..errors import ParameterError
-from ..experiments.ramp_drive import drive_ramps, write_ramp_bag
-from ..experiments.steering_ramp import RampParameters
 from ..resources import list_config
 from ..simulation.plant import load_plant_parameters
+from ..simulation.ramps import drive_ramps
+from ..simulation.recorded import write_ramp_bag
 from .outputs import check_outputs
 
 

@@ -6,8 +6,9 @@ import pandas as pd
 
 from ..control.parameters import load_controller_parameters
 from ..errors import ParameterError
+from ..experiments.session import Session
 from ..resources import list_config
-from .work import Work, add_options
+from .options import add_options
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
 
@@ -49,10 +50,10 @@ def run(arguments):
     controllers = {
         stem: (stem, load_controller_parameters(name)) for stem, name in zip(stems, names)
     }
-    work = Work(arguments, "tune")
-    tuned = work.tune(controllers)
-    work.controllers = {label: found.controller for label, found in tuned.items()}
-    conditions = work.setting.conditions
+    session = Session(arguments, "tune")
+    tuned = session.tune(controllers)
+    session.controllers = {label: found.controller for label, found in tuned.items()}
+    conditions = session.setting.conditions
     rows = [
         {
             "speed_scale": conditions.tuning_scale,
@@ -63,7 +64,7 @@ def run(arguments):
         }
         for label, found in tuned.items()
     ]
-    work.write(pd.DataFrame(rows), conditions.tuning_laps)
-    work.report()
+    session.write(pd.DataFrame(rows), conditions.tuning_laps)
+    session.report()
     for stem in stems:
-        print(f"  map-racing race --controller {work.folder / 'controllers' / stem}.yaml ...")
+        print(f"  map-racing race --controller {session.folder / 'controllers' / stem}.yaml ...")

@@ -8,7 +8,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from ..vehicle.tires import finite
+from ..validation import finite, read_parameters
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
@@ -179,25 +179,3 @@ def save_controller_parameters(parameters, path, limits=None):
             values = asdict(limits)
             del values["max_speed_mps"]
             yaml.safe_dump({"safety": values}, file, sort_keys=False)
-
-
-def read_parameters(path, kind, values=None):
-    """Read one dataclass from a YAML mapping of the same names, refusing all else by name.
-
-    With `values`, the mapping that was read already, `path` is only for the texts of errors.
-    """
-    if values is None:
-        values = read_yaml_mapping(path)
-    known = {field.name for field in fields(kind)}
-    unknown = sorted(str(name) for name in values if name not in known)
-    if unknown:
-        raise ParameterError(
-            f"{path}: unknown parameter {', '.join(unknown)} (known: {', '.join(sorted(known))})"
-        )
-    try:
-        return kind(**values)
-    except TypeError as error:  # a required argument is missing
-        missing = str(error).split(": ")[-1]
-        raise ParameterError(f"{path}: missing parameter {missing}") from error
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from error

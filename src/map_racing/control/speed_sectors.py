@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
-from ..vehicle.tires import finite
+from ..validation import finite
 
 __all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_speed_sectors"]
 

@@ -24,8 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import EvaluationError, ParameterError
-from ..track.raceline import FARTHEST, Raceline
+from ..track.raceline import Raceline
 from ..track.tracker import CourseTracker
+from ..validation import FARTHEST
 
 __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary", "evaluate"]
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FileFormatError, MapRacingError, ParameterError
-from ..track.raceline import FARTHEST
+from ..validation import FARTHEST
 from .laps import Lap, LapEvaluator, LapLimits, check_options
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]

@@ -26,11 +26,11 @@ from ..control.parameters import ControllerParameters
 from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
 from ..simulation.plant import PlantParameters
+from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
+from ..simulation.recorded import write_race_bag
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
-from .conditions import build_plant
-from .race_bag import write_race_bag
 
 __all__ = ["RaceJob", "RaceResult", "Stretch", "code_fingerprint", "execute"]
 

@@ -26,6 +26,7 @@ from tf2_msgs.msg import TFMessage
 from map_racing.cfg import ControllerConfig
 from map_racing.msg import Guidance
 
+from ..bags import messages
 from ..control.controller import Controller, Status, build_steering_map
 from ..control.parameters import (
     STEERING_MAPS,
@@ -37,9 +38,8 @@ from ..control.parameters import (
 from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
-from ..evaluation import messages
-from ..evaluation.recordings import load_course
 from ..files import read_yaml_mapping
+from ..track.files.load import load_course
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time

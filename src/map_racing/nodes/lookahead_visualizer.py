@@ -18,8 +18,8 @@ from map_racing.msg import Guidance
 
 from ..control.guidance import arc_to
 from ..errors import ParameterError
+from ..track.files.waypoints import waypoint_rows
 from ..track.tracker import CourseTracker
-from ..track.waypoints import waypoint_rows
 from ..vehicle.parameters import load_vehicle
 from .conversions import frame as plain_frame
 from .conversions import plane_pose, stamp_ns

@@ -7,8 +7,8 @@ from visualization_msgs.msg import MarkerArray
 
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..evaluation.recordings import load_course
-from ..track.waypoints import scaled_speed, waypoint_rows
+from ..track.files.load import load_course
+from ..track.files.waypoints import scaled_speed, waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
 from .node import get_parameter, run, sleep

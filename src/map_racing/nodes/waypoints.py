@@ -9,10 +9,10 @@ import rospy
 from genpy.dynamic import generate_dynamic
 from std_msgs.msg import Header
 
+from ..bags import messages
 from ..errors import MapRacingError, RacelineError
-from ..evaluation import messages
-from ..track.formats import raceline_from_columns
-from ..track.waypoints import WAYPOINT_COLUMNS
+from ..track.files.readers import raceline_from_columns
+from ..track.files.waypoints import WAYPOINT_COLUMNS
 from .node import get_parameter
 
 __all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]

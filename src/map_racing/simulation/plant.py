@@ -10,13 +10,13 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Union
 
-from ..control.parameters import read_parameters
 from ..control.state import CarState, moved
 from ..errors import ParameterError
 from ..resources import find_config
+from ..validation import finite, positive, read_parameters
 from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
-from ..vehicle.tires import PacejkaTire, finite, positive
+from ..vehicle.tires import PacejkaTire
 
 __all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters", "scaled_tires"]
 

@@ -20,13 +20,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..errors import ParameterError, RacelineError
+from ..validation import FARTHEST
 from .tree import point_tree
 
 __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceline"]
 
 # Points closer than this are one point written twice; the densest real courses have 2 mm.
 _SAME_POINT = 1e-4
-FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m]; damaged data may be.
 # Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
 # keeps memory linear in the number of points whatever their unit. Dense points get cells of 2 cm,
 # or a thousandth of the lap: finer ones would leave the processor's cache, and each step take 20 %

@@ -14,7 +14,7 @@ import yaml
 
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
-from .tires import positive
+from ..validation import positive
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table"]
 

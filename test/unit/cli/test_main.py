@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from map_racing.bags.reader import read_recording
 from map_racing.cli import main
 from map_racing.cli.evaluate import run_names
 from map_racing.cli.lookup import published_grid
-from map_racing.evaluation.bags import read_recording
 from map_racing.resources import find_config
 from map_racing.vehicle.lookup import load_table
 

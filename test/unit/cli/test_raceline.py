@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from map_racing.cli import main
-from map_racing.evaluation.recordings import load_course
-from map_racing.track.formats import save_raceline
+from map_racing.track.files.load import load_course
+from map_racing.track.files.readers import save_raceline
 from map_racing.track.raceline import Raceline
 
 T = np.arange(300) * 2.0 * math.pi / 300

@@ -11,10 +11,10 @@ from map_racing.cli import main
 from map_racing.control.controller import Controller, build_steering_map
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import load_speed_sectors
-from map_racing.evaluation.recordings import load_course
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import Outcome, race
-from map_racing.track.formats import load_raceline, save_raceline
+from map_racing.track.files.load import load_course
+from map_racing.track.files.readers import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 

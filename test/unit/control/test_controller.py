@@ -15,7 +15,7 @@ from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState, moved, predicted
 from map_racing.errors import ParameterError
 from map_racing.simulation.plant import Plant, PlantParameters
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.readers import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.single_track import single_track_derivatives

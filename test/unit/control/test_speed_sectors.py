@@ -12,7 +12,7 @@ from map_racing.control.speed_sectors import (
     save_speed_sectors,
 )
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.evaluation.recordings import load_course
+from map_racing.track.files.load import load_course
 from map_racing.track.raceline import Raceline
 
 FILE = """\

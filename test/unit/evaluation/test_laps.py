@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from map_racing.bags.reader import read_recording
+from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, ParameterError
-from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.laps import LapEvaluator, LapLimits, Summary, evaluate
-from map_racing.evaluation.recordings import load_course, load_recording
-from map_racing.evaluation.samples import Commands, Recording
+from map_racing.evaluation.recordings import load_recording, recorded_raceline
+from map_racing.track.files.load import load_course
 from map_racing.track.raceline import Raceline
 
 V = 6.0
@@ -534,7 +535,7 @@ def test_hangar_recording(shared_data):
     path = shared_data / "recordings" / "hangar_map_12laps.bag"
     driven = read_recording(path)
     for source in (driven, read_recording(path, "/car_state/pose")):
-        result = evaluate(source, driven.raceline)
+        result = evaluate(source, recorded_raceline(driven))
         valid = [lap for lap in result.laps if lap.valid]
         assert len(valid) == 11
         assert reasons(result) == ["out-lap"] + 11 * [""] + ["in-lap"]
@@ -549,7 +550,7 @@ def test_hangar_laps_agree_with_the_printout_of_its_own_tracker(shared_data):
     driven = read_recording(folder / "hangar_map_12laps.bag")
     text = (folder / "hangar_map_12laps.txt").read_text()
     printed = [float(time) for time in re.findall(r"Lap duration: ([0-9.]+)", text)]
-    summary = evaluate(driven, driven.raceline).summary
+    summary = evaluate(driven, recorded_raceline(driven)).summary
     assert summary.mean_lap_time_s - np.mean(printed[1:]) == pytest.approx(0.06, abs=0.01)
 
 

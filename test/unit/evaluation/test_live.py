@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.live import LapLog, LiveEvaluation
-from map_racing.evaluation.samples import Commands, Recording
 
 T0_NS = 1_600_000_000_123_456_789
 V = 6.0

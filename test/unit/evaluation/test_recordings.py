@@ -4,15 +4,16 @@ import os
 import numpy as np
 import pytest
 
+from map_racing.bags.reader import read_recording
 from map_racing.errors import BagError, FileFormatError, ParameterError
-from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.recordings import (
-    load_course,
     load_recording,
     parse_columns,
     read_csv_recording,
+    recorded_raceline,
 )
-from map_racing.track.formats import save_raceline
+from map_racing.track.files.load import load_course
+from map_racing.track.files.readers import save_raceline
 
 ROWS = "t,x,y,yaw,v\n0.0,1.0,2.0,0.1,3.0\n0.5,1.5,2.5,0.2,4.0\n1.0,2.0,3.0,0.3,5.0\n"
 
@@ -36,7 +37,7 @@ def test_usual_names_are_recognized(csv):
     assert np.isnan(recording.v_y).all()
     assert np.isnan(recording.yaw_rate).all()
     assert recording.commands is None
-    assert recording.raceline is None
+    assert recording.waypoints is None
     assert recording.notes == []
     assert recording.type == "CSV"
 
@@ -150,7 +151,7 @@ def test_bags_are_recognized_by_their_content(race_bag, tmp_path):
     assert load_recording(path, "/car_state/pose").topic == "/car_state/pose"
     with pytest.raises(ParameterError, match="a bag has no columns"):
         load_recording(path, columns="t=time")
-    assert load_course(path).length == pytest.approx(load_recording(path).raceline.length)
+    assert load_course(path).length == pytest.approx(recorded_raceline(load_recording(path)).length)
 
 
 def test_courses_from_files_and_bags(tmp_path, race_bag, course):

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from map_racing.bags.samples import Recording
 from map_racing.errors import MapRacingError
 from map_racing.evaluation import report
 from map_racing.evaluation.laps import evaluate
-from map_racing.evaluation.recordings import Recording
 
 BOUNDARY_COLUMNS = [
     "lap",

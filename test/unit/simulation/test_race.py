@@ -12,7 +12,6 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.errors import ParameterError
 from map_racing.evaluation.laps import LapEvaluator
-from map_racing.evaluation.recordings import load_course
 from map_racing.simulation.plant import (
     Localization,
     Plant,
@@ -21,7 +20,8 @@ from map_racing.simulation.plant import (
 )
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.simulation.race import Outcome, race
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.load import load_course
+from map_racing.track.files.readers import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 

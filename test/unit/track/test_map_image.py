@@ -8,7 +8,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from map_racing.errors import FileFormatError, ParameterError, RacelineError
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.readers import load_raceline
 from map_racing.track.map_image import course_from_map, read_map_image
 from map_racing.track.raceline import Raceline
 

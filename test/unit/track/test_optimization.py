@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from map_racing.errors import ParameterError, RacelineError
 from map_racing.track import optimization
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.readers import load_raceline
 from map_racing.track.optimization import fastest_line, minimum_curvature, squared_curvature
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import raceline_speeds

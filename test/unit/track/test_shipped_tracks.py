@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.readers import load_raceline
 from map_racing.track.speed_profile import lap_time
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import ParameterError
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.readers import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.track.tracker import CourseTracker
 
