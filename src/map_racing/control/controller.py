@@ -15,7 +15,7 @@ from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
-from .guidance import bearing, lateral_acceleration
+from .guidance import bearing, lateral_acceleration, missing_curvature
 from .state import CarState, predicted
 from .steering import AckermannSteering
 
@@ -76,9 +76,9 @@ class ControlResult(NamedTuple):
     lookahead_distance : float
         Its distance [m].
     eta : float
-        Angle from the velocity vector to it [rad].
+        Angle to it from the velocity vector, or from the heading where parameters say so [rad].
     a_lat : float
-        Lateral acceleration asked of the steering map [m/s^2].
+        Lateral acceleration asked of the steering map, feedforward included [m/s^2].
     """
 
     steering_angle: float
@@ -187,7 +187,7 @@ class Controller:
             state = predicted(state, parameters.delay_s)
 
         _, x, y, psi, _, _, _ = state
-        s, d, _, _ = self._tracker.update(x, y, psi)
+        s, d, path_psi, path_kappa = self._tracker.update(x, y, psi)
         speed = self._speed_command(s + parameters.speed_lookahead_s * v_x)
         law_speed = abs(v_x) if parameters.speed_source == "measured" else speed
         if law_speed < LOWEST_LAW_SPEED:
@@ -198,9 +198,18 @@ class Controller:
         if wanted < approach:
             wanted = approach
         _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
-        eta = bearing(state, point_x, point_y)
+        directed = state if parameters.eta_from == "velocity" else state._replace(v_y=0.0)
+        eta = bearing(directed, point_x, point_y)
         a_lat = lateral_acceleration(law_speed, max(distance, 1e-3), eta)
-        angle, saturated = self.steering_map.steering(law_speed, a_lat)
+        if parameters.curvature_feedforward:
+            lacking = missing_curvature(x, y, d, path_psi, path_kappa, point_x, point_y)
+            a_lat += parameters.curvature_feedforward * law_speed * law_speed * lacking
+        table_speed = law_speed
+        if law_speed > parameters.table_v_max_mps and parameters.steering_map != "ackermann":
+            table_speed = parameters.table_v_max_mps
+        angle, saturated = self.steering_map.steering(table_speed, a_lat)
+        if parameters.yaw_rate_gain_s:
+            angle += parameters.yaw_rate_gain_s * (a_lat / law_speed - state.r)
         angle = self._limited(angle, t)
         status = _SATURATED if saturated else _OK
         if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:

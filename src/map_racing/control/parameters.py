@@ -21,6 +21,7 @@ __all__ = [
 
 STEERING_MAPS = ("ackermann", "linear_table", "table")
 SPEED_SOURCES = ("measured", "command")
+ETA_FROM = ("velocity", "heading")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
@@ -36,6 +37,17 @@ class ControllerParameters:
         ``L_d = m + q v``: offset [m] and gain [s] (the paper's letters).
     lookahead_min_m, lookahead_max_m : float
         Bounds of the lookahead distance [m].
+    eta_from : {"velocity", "heading"}
+        Direction from which the angle to the lookahead point counts: that of the velocity, as L1
+        guidance has it, or, as in the authors' code, that of the car's nose.
+    table_v_max_mps : float
+        Beyond this speed a table is read as at it [m/s]; the authors' tables end at 7 m/s.
+    curvature_feedforward : float
+        Share, 0 to 1, of the curvature that the law lacks on the path itself which is added to it
+        (see `map_racing.control.guidance.missing_curvature`). 0 as in the paper.
+    yaw_rate_gain_s : float
+        Steering angle added for each rad/s by which the car turns slower than the demand,
+        ``a_lat / v - r`` [s]. 0 as in the paper.
     delay_s : float
         Delay compensation: from the time at which the pose holds to the time at which the steering
         acts on the car [s]. 0 as in the paper: no compensation.
@@ -63,6 +75,10 @@ class ControllerParameters:
     q_s: float
     lookahead_min_m: float = 0.3
     lookahead_max_m: float = 5.0
+    eta_from: str = "velocity"
+    table_v_max_mps: float = 100.0
+    curvature_feedforward: float = 0.0
+    yaw_rate_gain_s: float = 0.0
     delay_s: float = 0.0
     speed_source: str = "measured"
     speed_lookahead_s: float = 0.0
@@ -77,6 +93,7 @@ class ControllerParameters:
         for name, allowed in (
             ("steering_map", STEERING_MAPS),
             ("speed_source", SPEED_SOURCES),
+            ("eta_from", ETA_FROM),
             ("reference_point", REFERENCE_POINTS),
         ):
             if getattr(self, name) not in allowed:
@@ -90,8 +107,17 @@ class ControllerParameters:
         for name in ("delay_s", "speed_lookahead_s"):  # a larger one is meant in milliseconds
             if not 0 <= getattr(self, name) <= 1:
                 raise ParameterError(f"{name} must be 0 to 1 s, but is {getattr(self, name)}")
-        if self.v_max_mps <= 0:
-            raise ParameterError(f"v_max_mps must be positive, but is {self.v_max_mps}")
+        for name in ("v_max_mps", "table_v_max_mps"):
+            if getattr(self, name) <= 0:
+                raise ParameterError(f"{name} must be positive, but is {getattr(self, name)}")
+        if not 0 <= self.curvature_feedforward <= 1:
+            raise ParameterError(
+                f"curvature_feedforward must be 0 to 1, but is {self.curvature_feedforward:g}"
+            )
+        if not 0 <= self.yaw_rate_gain_s <= 0.5:
+            raise ParameterError(
+                f"yaw_rate_gain_s must be 0 to 0.5 s, but is {self.yaw_rate_gain_s:g}"
+            )
         if not 0 < self.lookahead_min_m <= self.lookahead_max_m:
             raise ParameterError(
                 "expected 0 < lookahead_min_m <= lookahead_max_m, but they are "
