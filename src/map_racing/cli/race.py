@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..control.controller import Controller, build_steering_map
+from ..control.controller import Controller, build_steering_maps
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
@@ -111,13 +111,17 @@ def run(arguments):
     if parameter_hash(vehicle) != parameter_hash(load_vehicle(plant_vehicle)):
         print(f"the controller knows {vehicle.name}, but the plant is {plant.vehicle.name}")
 
-    steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
+    steering_map, grip = build_steering_maps(parameters, vehicle)
     if arguments.lookup_table:
         steering_map = given_table(arguments.lookup_table, parameters, vehicle, steering_map)
+        if parameters.steering_map == "table":
+            grip = steering_map
     sectors = None
     if arguments.speed_sectors:
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)
-    controller = Controller(parameters, steering_map, vehicle, raceline, sectors)
+    controller = Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
+    if controller.plan is not None:
+        print(f"grip_use {parameters.grip_use:g}: {controller.plan}")
 
     bar_format = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} laps [{elapsed}]"
     with tqdm(

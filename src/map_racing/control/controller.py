@@ -9,17 +9,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
 from ..track.tracker import CourseTracker
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from .guidance import bearing, lateral_acceleration, missing_curvature
+from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, predicted
 from .steering import AckermannSteering
 
-__all__ = ["ControlResult", "Controller", "Status", "build_controller", "build_steering_map"]
+__all__ = [
+    "ControlResult",
+    "Controller",
+    "Status",
+    "build_controller",
+    "build_steering_map",
+    "build_steering_maps",
+]
 
 # Below this speed the law is evaluated as if at it: the demanded circle is the same, but the map
 # from acceleration to angle would become 0/0. So a standing car already points its wheels.
@@ -36,11 +43,6 @@ CREDIBLE = 1e8
 # A pose farther from the path than the lookahead distance has no lookahead point on its circle;
 # sqrt(2) of the lateral error makes the car approach the path at 45 degrees.
 APPROACH_FACTOR = math.sqrt(2.0)
-
-
-# Commanded where the car is off the course or the path lies behind it [m/s]: it shall find back at
-# walking pace.
-RECOVERY_SPEED = 1.0
 
 
 class Status(Enum):
@@ -111,23 +113,77 @@ class Controller:
         With None every step commands a stop, until :attr:`raceline` is set.
     sectors : SpeedSectors or None
         Speed scales by sector.
+    grip : object with ``max_lateral_acceleration(v)``, optional
+        What the tires can do, for speeds within ``grip_use``: the lookup table of the car's own
+        tires, whatever the steering map. The steering map if not given.
 
     Raises
     ------
     ParameterError
-        If the raceline has no speeds.
+        If the raceline has no speeds and ``grip_use`` is 0.
     """
 
-    def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None):
-        self.parameters = parameters
-        self.steering_map = steering_map
+    def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None, grip=None):
         self.vehicle = vehicle
-        self.sectors = sectors
         self._estimate_v_y = _SideslipEstimate(
             vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         )
-        self.raceline = raceline
+        self._setup = None
+        self.apply(
+            self._planned(_Setup(parameters, steering_map, grip, raceline, sectors, None, None))
+        )
         self.reset()
+
+    # -- what it drives with -------------------------------------------------------------------
+
+    def prepare(self, **changes):
+        """Work out what a change needs, with no effect on the steps until it is applied.
+
+        Another speed plan takes milliseconds. So a thread that must not delay the steps prepares
+        beside them, and applies between two.
+
+        Parameters
+        ----------
+        **changes
+            New ``parameters``, ``steering_map``, ``grip``, ``raceline`` or ``sectors``.
+
+        Returns
+        -------
+        object
+            For `apply`. It goes back to what is not in `changes`, should that change in between.
+
+        Raises
+        ------
+        ParameterError
+            If the raceline would have no speeds and ``grip_use`` is 0.
+        """
+        return self._planned(self._setup._replace(**changes))
+
+    def apply(self, setup):
+        """Drive with what `prepare` returned from the next step on.
+
+        Another raceline restarts tracking; the steering goes on from where it is.
+        """
+        self._setup = setup
+        self._parameters, self._steering_map = setup.parameters, setup.steering_map
+        self._sectors, self._plan = setup.sectors, setup.plan
+        self._raceline, self._tracker = setup.raceline, setup.tracker
+
+    def _planned(self, setup):
+        """A setup with the tracker and the speed plan that go with the rest of it."""
+        parameters, raceline, old = setup.parameters, setup.raceline, self._setup
+        if raceline is None:
+            return setup._replace(tracker=None, plan=None)
+        if old is None or raceline is not old.raceline:
+            setup = setup._replace(tracker=CourseTracker(raceline))
+        if not parameters.grip_use:
+            requested_speed(raceline, parameters)  # an error without speeds
+            return setup._replace(plan=None)
+        key = _plan_key(setup)
+        if old is not None and setup.plan is not None and key == _plan_key(old):
+            return setup
+        grip = setup.steering_map if setup.grip is None else setup.grip
+        return setup._replace(plan=SpeedPlan(raceline, parameters, grip, setup.sectors))
 
     @property
     def raceline(self):
@@ -139,10 +195,56 @@ class Controller:
 
     @raceline.setter
     def raceline(self, raceline):
-        if raceline is not None and raceline.speed is None:
-            raise ParameterError(f"{raceline.source or raceline.name}: the raceline has no speeds")
-        self._raceline = raceline
-        self._tracker = None if raceline is None else CourseTracker(raceline)
+        self.apply(self.prepare(raceline=raceline))
+
+    @property
+    def parameters(self):
+        """The controller's parameters."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, parameters):
+        self.apply(self.prepare(parameters=parameters))
+
+    @property
+    def steering_map(self):
+        """The steering map."""
+        return self._steering_map
+
+    @steering_map.setter
+    def steering_map(self, steering_map):
+        self.apply(self.prepare(steering_map=steering_map))
+
+    @property
+    def sectors(self):
+        """Speed scales by sector, or None."""
+        return self._sectors
+
+    @sectors.setter
+    def sectors(self, sectors):
+        self.apply(self.prepare(sectors=sectors))
+
+    @property
+    def plan(self):
+        """The SpeedPlan driven; None without raceline or with a ``grip_use`` of 0."""
+        return self._plan
+
+    def planned_speed(self, s):
+        """Speed that is driven where nothing is in the way.
+
+        Parameters
+        ----------
+        s : ndarray
+            Arc lengths on the raceline, which must be set [m].
+
+        Returns
+        -------
+        ndarray
+            [m/s]
+        """
+        if self._plan is None:
+            return requested_speed(self._raceline, self._parameters, self._sectors)(s)
+        return np.array([self._plan.speed_at(at) for at in np.asarray(s).tolist()])
 
     def reset(self):
         """Forget the past: the car was moved, or time jumped back."""
@@ -165,7 +267,7 @@ class Controller:
             With a state that is not finite or absurd, or without raceline: speed 0, the last
             steering angle.
         """
-        parameters = self.parameters
+        parameters = self._parameters
         t, x, y, psi, v_x, v_y, r = state
         # A NaN fails every comparison.
         if not (
@@ -207,15 +309,15 @@ class Controller:
         table_speed = law_speed
         if law_speed > parameters.table_v_max_mps and parameters.steering_map != "ackermann":
             table_speed = parameters.table_v_max_mps
-        angle, saturated = self.steering_map.steering(table_speed, a_lat)
+        angle, saturated = self._steering_map.steering(table_speed, a_lat)
         if parameters.yaw_rate_gain_s:
             angle += parameters.yaw_rate_gain_s * (a_lat / law_speed - state.r)
         angle = self._limited(angle, t)
         status = _SATURATED if saturated else _OK
         if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:
             status = _OFF_COURSE
-            if speed > RECOVERY_SPEED:
-                speed = RECOVERY_SPEED
+            if speed > WALKING_PACE:
+                speed = WALKING_PACE
         return ControlResult(
             angle,
             speed,
@@ -252,10 +354,12 @@ class Controller:
         return (found or self._raceline.project(state.x, state.y)).d
 
     def _speed_command(self, s):
-        parameters = self.parameters
+        if self._plan is not None:
+            return self._plan.speed_at(s)
+        parameters = self._parameters
         speed = self._raceline.speed_at(s) * parameters.speed_scale
-        if self.sectors is not None:
-            speed *= self.sectors.scale_at(s)
+        if self._sectors is not None:
+            speed *= self._sectors.scale_at(s)
         return speed if speed < parameters.v_max_mps else parameters.v_max_mps
 
     def _limited(self, angle, t):
@@ -281,6 +385,27 @@ class Controller:
         return ControlResult(
             self._last_angle, 0.0, status, state, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN
         )
+
+
+class _Setup(NamedTuple):
+    """All that may change while driving: what is given, and what is worked out from it."""
+
+    parameters: object
+    steering_map: object
+    grip: object
+    raceline: object
+    sectors: object
+    tracker: object
+    plan: object
+
+
+def _plan_key(setup):
+    """What a speed plan depends on; equal for equal plans."""
+    grip = setup.steering_map if setup.grip is None else setup.grip
+    return (
+        *(id(setup.raceline), id(setup.sectors), id(grip)),
+        *(getattr(setup.parameters, name) for name in SpeedPlan.DEPENDS_ON),
+    )
 
 
 class _SideslipEstimate:
@@ -345,5 +470,29 @@ def build_controller(parameters, vehicle, raceline=None, sectors=None):
     -------
     Controller
     """
-    steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
-    return Controller(parameters, steering_map, vehicle, raceline, sectors)
+    steering_map, grip = build_steering_maps(parameters, vehicle)
+    return Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
+
+
+def build_steering_maps(parameters, vehicle):
+    """Steering map that parameters name, and the table of the tires that limits the speeds.
+
+    What the tires hold does not depend on how the steering angle is found: also with linear tires
+    or none in the steering map it is the table of the vehicle's own.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    vehicle : Vehicle
+
+    Returns
+    -------
+    steering_map : AckermannSteering or LookupTable
+    grip : LookupTable
+        The same object where the steering map is that table.
+    """
+    kind, v_max = parameters.steering_map, parameters.v_max_mps
+    steering_map = build_steering_map(kind, vehicle, v_max)
+    if kind == "table":
+        return steering_map, steering_map
+    return steering_map, build_steering_map("table", vehicle, v_max)

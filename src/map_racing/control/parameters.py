@@ -60,6 +60,13 @@ class ControllerParameters:
         Scale of the raceline's speeds.
     v_max_mps : float
         Largest speed commanded, whatever the raceline asks [m/s].
+    grip_use : float
+        Share of the lateral acceleration that the tires reach, as the lookup table knows it, that
+        the speeds may use; slower than the raceline where it needs more. 0: speeds are the
+        raceline's, whatever the grip.
+    a_drive_max_mps2, a_brake_max_mps2 : float
+        Driving and braking that such speeds may ask for on a straight, and in a bend what the
+        friction ellipse leaves of it [m/s^2].
     reference_point : {"rear_axle", "center_of_gravity"}
         Point of the car whose pose the localization gives, and which follows the raceline. The
         rear axle is ``base_link``.
@@ -84,6 +91,9 @@ class ControllerParameters:
     speed_lookahead_s: float = 0.0
     speed_scale: float = 1.0
     v_max_mps: float = 12.0
+    grip_use: float = 0.0
+    a_drive_max_mps2: float = 7.0
+    a_brake_max_mps2: float = 6.0
     reference_point: str = "rear_axle"
 
     def __post_init__(self):
@@ -107,7 +117,11 @@ class ControllerParameters:
         for name in ("delay_s", "speed_lookahead_s"):  # a larger one is meant in milliseconds
             if not 0 <= getattr(self, name) <= 1:
                 raise ParameterError(f"{name} must be 0 to 1 s, but is {getattr(self, name)}")
-        for name in ("v_max_mps", "table_v_max_mps"):
+        if self.grip_use != 0 and not 0.1 <= self.grip_use <= 1.2:  # 90 is meant in percent
+            raise ParameterError(
+                f"grip_use must be 0 (off) or 0.1 to 1.2 (0.9 is 90 %), but is {self.grip_use:g}"
+            )
+        for name in ("v_max_mps", "table_v_max_mps", "a_drive_max_mps2", "a_brake_max_mps2"):
             if getattr(self, name) <= 0:
                 raise ParameterError(f"{name} must be positive, but is {getattr(self, name)}")
         if not 0 <= self.curvature_feedforward <= 1:

@@ -20,6 +20,9 @@ NUMBERS = [
     "speed_lookahead_s",
     "speed_scale",
     "v_max_mps",
+    "grip_use",
+    "a_drive_max_mps2",
+    "a_brake_max_mps2",
 ]
 
 
