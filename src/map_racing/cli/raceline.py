@@ -23,9 +23,8 @@ SOURCE = (
 WITHOUT = {"tum": "walls", "racetracks": "walls", "centerline": "speeds"}
 
 
-def add_parser(commands):
-    """Add the command to the parser; each action adds its own part."""
-    parser = commands.add_parser("raceline", help="check, convert and optimize racelines")
+def add_options(parser):
+    """Add the actions; each adds its own options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
     for add_action in (add_check, add_convert, raceline_optimize.add_action):
@@ -49,7 +48,7 @@ def add_check(actions):
     check.add_argument(
         "--plots", metavar="DIR", help="draw course, walls and the places of findings"
     )
-    check.set_defaults(run=run_check)
+    check.set_defaults(run="raceline.run_check")
 
 
 def add_convert(actions):
@@ -82,7 +81,7 @@ def add_convert(actions):
     convert.add_argument(
         "--spacing", type=float, metavar="M", help="resample to points this far apart [m]"
     )
-    convert.set_defaults(run=run_convert)
+    convert.set_defaults(run="raceline.run_convert")
 
 
 def run_check(arguments):

@@ -149,7 +149,7 @@ def add_action(actions):
     )
     # Else argparse takes -1.5,2 for an option.
     parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
-    parser.set_defaults(run=run_optimize)
+    parser.set_defaults(run="raceline_optimize.run_optimize")
 
 
 def run_optimize(arguments):
