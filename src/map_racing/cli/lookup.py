@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import FileFormatError, ParameterError
 from ..track.corners import corners
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
 from ..vehicle.lookup import default_grid, load_table, published_grid
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
@@ -40,7 +40,7 @@ def run_check(arguments):
     table = load_table(arguments.table)
     _describe(arguments.table, table)
     if arguments.raceline:
-        _describe_corners(load_course(arguments.raceline), table)
+        _describe_corners(load_raceline(arguments.raceline), table)
     _draw(arguments.plots, table)
     if not arguments.vehicle:
         return
