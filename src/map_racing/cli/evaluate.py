@@ -11,7 +11,8 @@ from tqdm import tqdm
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_recording, recorded_raceline
-from ..evaluation.report import lap_table, summary_table, write_csv, write_json
+from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
+from ..files import write_json
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .figures import draw_runs
@@ -49,7 +50,7 @@ def run(arguments):
         write_csv(arguments.csv, results)
         print(f"laps written to {arguments.csv}")
     if arguments.json:
-        write_json(arguments.json, results)
+        write_json(arguments.json, lap_data(results))
         print(f"laps and summaries written to {arguments.json}")
     if arguments.plots:
         draw_runs(arguments.plots, names, results)

@@ -6,6 +6,7 @@ Each function imports what it draws with: matplotlib takes a second, and most ca
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ from ..errors import EvaluationError
 from ..files import make_folder
 
 __all__ = [
+    "draw_check",
     "draw_comparison",
     "draw_identification",
+    "draw_optimized",
     "draw_runs",
     "draw_scaling",
     "draw_table",
@@ -130,6 +133,31 @@ def draw_identification(folder: str, found, holds, table) -> None:
 
 def _force(tire, load):
     return lambda slip: load * tire.normalized_force(slip)
+
+
+def draw_check(folder: str, key: str, table, raceline, findings) -> Path:
+    """Draw a checked raceline and the places of its findings; returns the path of the figure.
+
+    Parameters
+    ----------
+    folder, key : str
+        Folder of the figure, and the key of the source, see `split_source`.
+    table : RacelineTable
+    raceline : Raceline or None
+    findings : sequence of Finding
+    """
+    from ..plots.racelines import plot_raceline
+
+    name = "_".join(filter(None, (table.name or "track", re.sub(r"\W+", "_", key).strip("_"))))
+    return _save(folder, [(f"{name}_check.png", plot_raceline, (table, raceline, findings, name))])
+
+
+def draw_optimized(folder: str, optimized, middle, walls) -> Path:
+    """Draw an optimized raceline; returns the path of the figure."""
+    from ..plots.optimization import plot_optimized
+
+    name = f"{optimized.name or 'track'}_optimized.png"
+    return _save(folder, [(name, plot_optimized, (optimized, middle, walls))])
 
 
 def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) -> None:

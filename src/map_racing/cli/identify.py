@@ -1,14 +1,13 @@
 """``map-racing identify``: from recorded driving to a vehicle file and its lookup table."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 from tqdm import tqdm
 
 from .. import __version__
 from ..errors import ParameterError
-from ..files import make_folder, replacing
+from ..files import make_folder, write_json
 from ..identification.data import Channel, ChannelMap, load_channel_map, load_run
 from ..identification.identify import identify, leave_one_out
 from ..identification.limits import SteadyLimits
@@ -60,9 +59,7 @@ def run(arguments):
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
     if arguments.json:
-        with replacing(arguments.json) as file:
-            json.dump(report_data(found, holds), file, indent=1, allow_nan=False)
-            file.write("\n")
+        write_json(arguments.json, report_data(found, holds))
         print(f"report written to {arguments.json}")
     if arguments.plots:
         draw_identification(arguments.plots, found, holds, table)
