@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
@@ -175,7 +175,7 @@ class Controller:
         if raceline is None:
             return setup._replace(tracker=None, plan=None)
         if old is None or raceline is not old.raceline:
-            setup = setup._replace(tracker=CourseTracker(raceline))
+            setup = setup._replace(tracker=RacelineTracker(raceline))
         if not parameters.grip_use:
             requested_speed(raceline, parameters)  # an error without speeds
             return setup._replace(plan=None)
