@@ -224,13 +224,13 @@ def test_feedforward_makes_the_path_a_solution_of_the_law():
     missed = []
     for s in np.arange(0.0, REFERENCE.length, 0.5):
         own = 16.0 * REFERENCE.pose(s).kappa
-        assert full.step(on_course(REFERENCE, s)).a_lat == pytest.approx(own, abs=1e-3)
-        missed.append(bare.step(on_course(REFERENCE, s)).a_lat - own)
+        assert full.step(on_track(REFERENCE, s)).a_lat == pytest.approx(own, abs=1e-3)
+        missed.append(bare.step(on_track(REFERENCE, s)).a_lat - own)
     assert np.max(np.abs(missed)) > 2.0
 
 
 def test_half_of_the_feedforward_is_half_way():
-    state = on_course(REFERENCE, 7.0, d=0.2, turn=0.1)
+    state = on_track(REFERENCE, 7.0, d=0.2, turn=0.1)
     none, half, full = (
         controller(curvature_feedforward=share).step(state).a_lat for share in (0.0, 0.5, 1.0)
     )
@@ -240,7 +240,7 @@ def test_half_of_the_feedforward_is_half_way():
 def test_on_a_circle_nothing_is_missing():
     raceline = circle(3.0)
     for d in (0.0, 0.2, -0.2):
-        state = on_course(raceline, 2.0, d=d)
+        state = on_track(raceline, 2.0, d=d)
         with_it, without = (
             controller(raceline=raceline, curvature_feedforward=share).step(state).a_lat
             for share in (1.0, 0.0)
@@ -251,7 +251,7 @@ def test_on_a_circle_nothing_is_missing():
 @pytest.mark.parametrize("missing", [-0.5, 0.3])
 def test_a_yaw_rate_that_is_missing_is_steered_for(missing):
     raceline = circle(3.0)
-    turning = on_course(raceline, 2.0, r=4.0 / 3.0)
+    turning = on_track(raceline, 2.0, r=4.0 / 3.0)
     plain = controller(raceline=raceline).step(turning)
     fed = controller(raceline=raceline, yaw_rate_gain_s=0.05)
     assert fed.step(turning).steering_angle == pytest.approx(plain.steering_angle, abs=1e-5)
@@ -262,7 +262,7 @@ def test_a_yaw_rate_that_is_missing_is_steered_for(missing):
 
 
 def test_from_the_heading_sideslip_does_not_count():
-    state = on_course(REFERENCE, 7.0, d=0.1, turn=0.1, v_y=-0.3)
+    state = on_track(REFERENCE, 7.0, d=0.1, turn=0.1, v_y=-0.3)
     nose = controller(eta_from="heading").step(state)
     assert nose.eta == controller().step(state._replace(v_y=0.0)).eta
     assert nose.eta != controller().step(state).eta
@@ -271,12 +271,12 @@ def test_from_the_heading_sideslip_does_not_count():
 
 def test_beyond_its_end_the_table_is_read_as_at_it():
     """The demand is that of the speed driven; only the table's column is the last one."""
-    fast = on_course(REFERENCE, 7.0, v_x=9.0)
+    fast = on_track(REFERENCE, 7.0, v_x=9.0)
     open_end, ended = controller(), controller(table_v_max_mps=7.0)
     result = ended.step(fast)
     assert result.a_lat == open_end.step(fast).a_lat
     assert result.steering_angle == TABLE.steering(7.0, result.a_lat)[0]
-    slow = on_course(REFERENCE, 7.0, v_x=6.9)
+    slow = on_track(REFERENCE, 7.0, v_x=6.9)
     open_end.reset(), ended.reset()
     assert ended.step(slow) == open_end.step(slow)
 
