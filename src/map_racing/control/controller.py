@@ -299,7 +299,12 @@ class Controller:
         approach = APPROACH_FACTOR * abs(d)
         if wanted < approach:
             wanted = approach
-        _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
+        if parameters.lookahead_from == "car":
+            _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
+        else:
+            beside_x, beside_y = raceline.position(s)
+            _, point_x, point_y, _ = raceline.point_ahead(beside_x, beside_y, s, wanted)
+            distance = math.hypot(point_x - x, point_y - y)
         directed = state if parameters.eta_from == "velocity" else state._replace(v_y=0.0)
         eta = bearing(directed, point_x, point_y)
         a_lat = lateral_acceleration(law_speed, max(distance, 1e-3), eta)

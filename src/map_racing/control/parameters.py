@@ -22,6 +22,7 @@ __all__ = [
 STEERING_MAPS = ("ackermann", "linear_table", "table")
 SPEED_SOURCES = ("measured", "command")
 ETA_FROM = ("velocity", "heading")
+LOOKAHEAD_FROM = ("car", "path")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
@@ -40,6 +41,9 @@ class ControllerParameters:
     eta_from : {"velocity", "heading"}
         Direction from which the angle to the lookahead point counts: that of the velocity, as L1
         guidance has it, or, as in the authors' code, that of the car's nose.
+    lookahead_from : {"car", "path"}
+        Where the lookahead distance to the point begins: at the car, or, as in the authors' code,
+        at the point of the path beside it.
     table_v_max_mps : float
         Beyond this speed a table is read as at it [m/s]; the authors' tables end at 7 m/s.
     curvature_feedforward : float
@@ -83,6 +87,7 @@ class ControllerParameters:
     lookahead_min_m: float = 0.3
     lookahead_max_m: float = 5.0
     eta_from: str = "velocity"
+    lookahead_from: str = "car"
     table_v_max_mps: float = 100.0
     curvature_feedforward: float = 0.0
     yaw_rate_gain_s: float = 0.0
@@ -104,6 +109,7 @@ class ControllerParameters:
             ("steering_map", STEERING_MAPS),
             ("speed_source", SPEED_SOURCES),
             ("eta_from", ETA_FROM),
+            ("lookahead_from", LOOKAHEAD_FROM),
             ("reference_point", REFERENCE_POINTS),
         ):
             if getattr(self, name) not in allowed:

@@ -269,6 +269,16 @@ def test_from_the_heading_sideslip_does_not_count():
     assert nose.state == state
 
 
+def test_the_lookahead_distance_may_begin_on_the_path():
+    state = on_track(REFERENCE, 7.0, d=0.3)
+    result = controller(lookahead_from="path").step(state)
+    x, y = REFERENCE.position(result.s)
+    beside = math.hypot(result.lookahead_x - x, result.lookahead_y - y)
+    assert beside == pytest.approx(PLAIN.lookahead.distance(4.0), abs=1e-6)
+    apart = math.hypot(result.lookahead_x - state.x, result.lookahead_y - state.y)
+    assert result.lookahead_distance == apart != beside
+
+
 def test_beyond_its_end_the_table_is_read_as_at_it():
     """The demand is that of the speed driven; only the table's column is the last one."""
     fast = on_track(REFERENCE, 7.0, v_x=9.0)
@@ -291,9 +301,10 @@ def test_paper_mode_uses_the_commanded_speed_and_the_pose_as_it_is():
         result = build_controller(parameters, NUC4, REFERENCE).step(state)
         assert result.state == state
         assert result.speed == pytest.approx(0.7 * REFERENCE.speed_at(result.s), abs=1e-9)
-        assert result.lookahead_distance == pytest.approx(
-            parameters.lookahead.distance(result.speed)
-        )
+        begin = state if parameters.lookahead_from == "car" else REFERENCE.pose(result.s)
+        assert math.hypot(
+            result.lookahead_x - begin.x, result.lookahead_y - begin.y
+        ) == pytest.approx(parameters.lookahead.distance(result.speed), abs=1e-6)
         expected = 2.0 * result.speed**2 / result.lookahead_distance * math.sin(result.eta)
         assert result.a_lat == pytest.approx(expected, rel=1e-12)
 
