@@ -14,6 +14,7 @@ from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
+from .grip_guard import GripGuard
 from .guidance import bearing, lateral_acceleration, missing_curvature
 from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, predicted
@@ -128,10 +129,8 @@ class Controller:
         self._estimate_v_y = _SideslipEstimate(
             vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         )
-        self._setup = None
-        self.apply(
-            self._planned(_Setup(parameters, steering_map, grip, raceline, sectors, None, None))
-        )
+        self._setup = self._guard = None
+        self.apply(self._planned(_Setup(parameters, steering_map, grip, raceline, sectors)))
         self.reset()
 
     # -- what it drives with -------------------------------------------------------------------
@@ -164,26 +163,29 @@ class Controller:
 
         Another raceline restarts tracking; the steering goes on from where it is.
         """
+        if setup.guard is not None and self._guard is not None:
+            setup.guard.resume(self._guard)
         self._setup = setup
         self._parameters, self._steering_map = setup.parameters, setup.steering_map
-        self._sectors, self._plan = setup.sectors, setup.plan
+        self._sectors, self._plan, self._guard = setup.sectors, setup.plan, setup.guard
         self._raceline, self._tracker = setup.raceline, setup.tracker
 
     def _planned(self, setup):
         """A setup with the tracker and the speed plan that go with the rest of it."""
         parameters, raceline, old = setup.parameters, setup.raceline, self._setup
         if raceline is None:
-            return setup._replace(tracker=None, plan=None)
+            return setup._replace(tracker=None, plan=None, guard=None)
         if old is None or raceline is not old.raceline:
             setup = setup._replace(tracker=RacelineTracker(raceline))
         if not parameters.grip_use:
             requested_speed(raceline, parameters)  # an error without speeds
-            return setup._replace(plan=None)
-        key = _plan_key(setup)
-        if old is not None and setup.plan is not None and key == _plan_key(old):
-            return setup
-        grip = setup.steering_map if setup.grip is None else setup.grip
-        return setup._replace(plan=SpeedPlan(raceline, parameters, grip, setup.sectors))
+            return setup._replace(plan=None, guard=None)
+        if old is None or setup.plan is None or _plan_key(setup) != _plan_key(old):
+            setup = setup._replace(
+                plan=SpeedPlan(raceline, parameters, setup.limit, setup.sectors),
+                guard=GripGuard(setup.limit, parameters.v_max_mps),
+            )
+        return setup
 
     @property
     def raceline(self):
@@ -252,6 +254,8 @@ class Controller:
             self._tracker.reset()
         self._last_t = None
         self._last_angle = 0.0
+        if self._guard is not None:
+            self._guard.reset()
 
     def step(self, state):
         """Compute one command.
@@ -318,6 +322,8 @@ class Controller:
         if parameters.yaw_rate_gain_s:
             angle += parameters.yaw_rate_gain_s * (a_lat / law_speed - state.r)
         angle = self._limited(angle, t)
+        if self._guard is not None:
+            speed = self._guard.limited(t, v_x, a_lat / (law_speed * law_speed), speed)
         status = _SATURATED if saturated else _OK
         if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:
             status = _OFF_COURSE
@@ -400,15 +406,20 @@ class _Setup(NamedTuple):
     grip: object
     raceline: object
     sectors: object
-    tracker: object
-    plan: object
+    tracker: object = None
+    plan: object = None
+    guard: object = None
+
+    @property
+    def limit(self):
+        """What knows the grip."""
+        return self.steering_map if self.grip is None else self.grip
 
 
 def _plan_key(setup):
     """What a speed plan depends on; equal for equal plans."""
-    grip = setup.steering_map if setup.grip is None else setup.grip
     return (
-        *(id(setup.raceline), id(setup.sectors), id(grip)),
+        *(id(setup.raceline), id(setup.sectors), id(setup.limit)),
         *(getattr(setup.parameters, name) for name in SpeedPlan.DEPENDS_ON),
     )
 

@@ -36,16 +36,18 @@ from ..control.parameters import (
     save_controller_parameters,
 )
 from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
+from ..control.speed_plan import SpeedPlan
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
 from ..track.files.load import load_raceline
+from ..track.files.waypoints import waypoint_rows
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .node import FirstSender, SteadyClock, get_parameter, run, why_silent
 from .transforms import TransformListener
-from .waypoints import RacelineSubscriber
+from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messages
 
 __all__ = ["ControllerNode", "main"]
 
@@ -110,9 +112,16 @@ class ControllerNode:
             )
         }
         self._lookaheads[parameters.steering_map] = parameters.m_m, parameters.q_s
+        # What the tires hold is what the table of MAP says, whatever the steering map.
         self._controller = Controller(
-            parameters, self._steering_map(parameters.steering_map), vehicle
+            parameters,
+            self._steering_map(parameters.steering_map),
+            vehicle,
+            grip=self._steering_map("table"),
         )
+        self._told_plan = None
+        # Held by whoever changes what the controller drives with; the steps never wait for it.
+        self._changing = threading.Lock()
         self._supervisor = Supervisor(limits)
         self._reader = StateReader()
         self._clock = SteadyClock()
@@ -134,6 +143,7 @@ class ControllerNode:
             name: publisher(name, Float64)
             for name in ("lateral_error", "speed_error", "latency", "pose_age")
         }
+        self._driven = publisher("driven_waypoints", waypoint_array_class()[0], 1, latch=True)
         rospy.on_shutdown(self._end)
         if source:
             self._follow(load_raceline(source))
@@ -403,16 +413,36 @@ class ControllerNode:
 
     def _follow(self, raceline):
         sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-        if raceline.speed is None:
-            raise ParameterError(f"{raceline.source}: the raceline has no speeds")
         # What is costly about a first search is done here, not in the first control step.
         raceline.project(0.0, 0.0)
-        with self._lock:
-            self._controller.sectors = sectors
-            self._controller.raceline = raceline
-            self._supervisor.raceline_changed(True)
-            self._refused = ""
-        rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
+        with self._changing:
+            setup = self._controller.prepare(raceline=raceline, sectors=sectors)
+            with self._lock:
+                self._controller.apply(setup)
+                self._supervisor.raceline_changed(True)
+                self._refused = ""
+            rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
+            self._tell_speeds()
+
+    def _tell_speeds(self):
+        """Say where speeds are not the raceline's, and publish those that are driven."""
+        controller = self._controller
+        raceline, plan = controller.raceline, controller.plan
+        if raceline is None:
+            return
+        if plan is not self._told_plan:
+            self._told_plan = plan
+            use = controller.parameters.grip_use
+            told = plan or "speeds are the raceline's, whatever the grip"
+            rospy.loginfo("grip_use %g: %s", use, told)
+        message = waypoint_array_class()[0](
+            wpnts=waypoint_messages(
+                waypoint_rows(raceline, speed=controller.planned_speed).tolist()
+            )
+        )
+        message.header.stamp = rospy.Time.now()
+        message.header.frame_id = self._frames[0]
+        self._driven.publish(message)
 
     def _refuse_raceline(self, error):
         with self._lock:
@@ -496,11 +526,15 @@ class ControllerNode:
             **{f.name: config[f.name] for f in fields(SafetyLimits) if f.name in config},
         )
         steering_map = self._steering_map(kind)
-        with self._lock:
-            self._lookaheads = lookaheads
-            self._controller.parameters = parameters
-            self._controller.steering_map = steering_map
-            self._supervisor.limits = limits
+        with self._changing:
+            before = self._controller.parameters
+            setup = self._controller.prepare(parameters=parameters, steering_map=steering_map)
+            with self._lock:
+                self._lookaheads = lookaheads
+                self._controller.apply(setup)
+                self._supervisor.limits = limits
+            if any(getattr(before, n) != getattr(parameters, n) for n in SpeedPlan.DEPENDS_ON):
+                self._tell_speeds()
 
 
 _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)

@@ -12,15 +12,9 @@ from ..track.files.waypoints import scaled_speed, waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
 from .node import get_parameter, run, sleep
-from .waypoints import waypoint_array_class
+from .waypoints import waypoint_array_class, waypoint_messages
 
 __all__ = ["RacelinePublisherNode", "main"]
-
-
-FIELDS = (
-    *("s_m", "d_m", "x_m", "y_m", "d_right", "d_left"),
-    *("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
-)
 
 
 class RacelinePublisherNode:
@@ -50,11 +44,8 @@ class RacelinePublisherNode:
             *(len(self._rows), min(row[8] for row in self._rows)),
             max(row[8] for row in self._rows),
         )
-        self._array, waypoint = waypoint_array_class()
-        self._waypoints = [
-            waypoint(number, *(row[FIELDS.index(name)] for name in waypoint.__slots__[1:]))
-            for number, row in enumerate(self._rows)
-        ]
+        self._array = waypoint_array_class()[0]
+        self._waypoints = waypoint_messages(self._rows)
 
     def run(self):
         """Publish until the node is shut down."""

@@ -15,7 +15,18 @@ from ..track.files.readers import raceline_from_columns
 from ..track.files.waypoints import WAYPOINT_COLUMNS
 from .node import get_parameter
 
-__all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
+__all__ = [
+    "RacelineSubscriber",
+    "raceline_from_message",
+    "waypoint_array_class",
+    "waypoint_messages",
+]
+
+# Of `map_racing.track.waypoints.waypoint_rows`.
+_COLUMNS = (
+    *("s_m", "d_m", "x_m", "y_m", "d_right", "d_left"),
+    *("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
+)
 
 _LINE = "=" * 80 + "\n"
 _classes = {}
@@ -46,6 +57,23 @@ def waypoint_array_class():
     )
     kinds = _generated(messages.WAYPOINTS, messages.MD5[messages.WAYPOINTS], definition)
     return kinds[messages.WAYPOINTS], kinds["f110_msgs/Wpnt"]
+
+
+def waypoint_messages(rows):
+    """Waypoints as messages.
+
+    Parameters
+    ----------
+    rows : list of list of float
+        As of `map_racing.track.waypoints.waypoint_rows`.
+
+    Returns
+    -------
+    list of f110_msgs/Wpnt
+    """
+    waypoint = waypoint_array_class()[1]
+    order = [_COLUMNS.index(name) for name in waypoint.__slots__[1:]]
+    return [waypoint(number, *(row[i] for i in order)) for number, row in enumerate(rows)]
 
 
 def raceline_from_message(message, source):

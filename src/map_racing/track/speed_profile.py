@@ -79,6 +79,7 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
             f"{1.0 / kappa[k]:.3f} m at any speed; {limits.tightest:.3f} m is the least it can"
         )
     square = np.minimum(limits.fastest(point), np.square(v_max))
+    square[square < 1e-18] = 0.0  # a car that stands; its grip over v^2 would overflow
     # Nothing lowers the slowest point, since from there speed can only grow in both directions:
     # one pass each way around the lap, begun there, is the converged solution.
     start = int(np.argmin(square))

@@ -126,7 +126,9 @@ def test_an_empty_value_is_refused_by_name(tmp_path, name):
     assert f"{name}: expected a finite number, got None" in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["steering_map", "speed_source", "eta_from", "lookahead_from", "reference_point"])
+@pytest.mark.parametrize(
+    "name", ["steering_map", "speed_source", "eta_from", "lookahead_from", "reference_point"]
+)
 @pytest.mark.parametrize("value", ["Table", "", 1, ["table"], {"a": 1}])
 def test_choices_are_refused_with_what_there_is(tmp_path, name, value):
     message = refusal(written(tmp_path, **{name: value}))
