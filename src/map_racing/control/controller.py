@@ -5,6 +5,7 @@ One guidance law, one controller, three steering maps (see :mod:`map_racing.cont
 
 import math
 from enum import Enum
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -449,8 +450,9 @@ class _SideslipEstimate:
         return self._ahead * r - abs(v_x) * tangent
 
 
+@lru_cache(maxsize=16)
 def build_steering_map(kind, vehicle, v_max):
-    """Steering map of a vehicle.
+    """Steering map of a vehicle; the same object for the same arguments, as it never changes.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from ..vehicle.parameters import Vehicle, load_vehicle
 from .plant import Localization, Plant, load_plant_parameters
-from .public_simulator import PublicSimulator
+from .public_simulator import PublicSimulator, PublicSimulatorParameters
 
 __all__ = ["PUBLIC_SIMULATOR", "build_plant", "load_plant"]
 
@@ -37,7 +37,7 @@ def build_plant(plant, seed):
 
     Parameters
     ----------
-    plant : PlantParameters or Vehicle
+    plant : PlantParameters, PublicSimulatorParameters or Vehicle
         As from `load_plant`.
     seed : int
         Of the noise.
@@ -50,4 +50,6 @@ def build_plant(plant, seed):
     """
     if isinstance(plant, Vehicle):
         return PublicSimulator(plant), None
+    if isinstance(plant, PublicSimulatorParameters):
+        return plant.build(), None
     return Plant(plant), Localization(plant, seed)
