@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import FileFormatError, MapRacingError
 from ..files import replacing, write_json
 from ..simulation.race import Outcome
-from .jobs import RaceResult, Stretch, plain
+from .jobs import End, RaceResult, Stretch, plain
 
 __all__ = ["Store"]
 
@@ -86,6 +86,7 @@ class Store:
                 "duration_s": result.duration_s,
                 "stretches": [stretch._asdict() for stretch in result.stretches],
                 "path": result.path,
+                "end": result.end,
             },
         }
         write_json(self.folder / "runs" / f"{job.fingerprint}.json", record, indent=None)
@@ -108,10 +109,11 @@ def _result(record, path):
             for row in values["stretches"]
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
-        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven)
+        end = values["end"] and End(*values["end"])
+        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end)
         Outcome(result.outcome)
         numbers = [value for row in stretches for value in row[:-1]]  # the last is a text
-        for value in chain([result.duration_s], numbers, *driven):
+        for value in chain([result.duration_s], numbers, end or (), *driven):
             math.isnan(value)  # a TypeError for what is no number
         return result
     except (KeyError, TypeError, ValueError):
