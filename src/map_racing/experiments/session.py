@@ -4,6 +4,8 @@ import math
 from dataclasses import replace
 from time import monotonic
 
+import pandas as pd
+
 from ..control.parameters import load_controller_parameters, save_controller_parameters
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
@@ -15,14 +17,21 @@ from .executors import open_executor
 from .identification_day import identify_on
 from .paper import CONTENDERS, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
+from .robustness import (
+    Grid,
+    grid_plan,
+    grid_provenance,
+    load_robustness,
+    race_rows,
+)
 from .store import Store
 from .tuning import frame_of
 
-__all__ = ["Session"]
+__all__ = ["GridSession", "Session"]
 
 
-class Session:
-    """What the commands share: setting, tuned controllers, races, and where results go.
+class Races:
+    """Where results of many races go, and what drives the races.
 
     Parameters
     ----------
@@ -33,12 +42,6 @@ class Session:
 
     def __init__(self, arguments, kind):
         self.kind = kind
-        given = {
-            name: getattr(arguments, name, None)
-            for name in ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
-        }
-        given = {name: value for name, value in given.items() if value is not None}
-        conditions = replace(load_conditions(arguments.conditions), **given)
         self.folder = make_folder(arguments.output)
         if (self.folder / "results.json").exists():
             other = read_results(self.folder).kind
@@ -48,6 +51,86 @@ class Session:
         self.store = Store(self.folder, arguments.reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
         self._jobs, self._scheduler = arguments.jobs, arguments.scheduler
+
+    def carry_out(self, plans, title, **needs):
+        """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
+        with open_executor(self._jobs, self._scheduler) as (executor, capacity):
+            results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
+        self.effort += effort
+        return results
+
+    def report(self):
+        """What it took, and where it is."""
+        driven, found, cpu_s = self.effort
+        print(
+            f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
+            f"{monotonic() - self.began:.0f} s in all"
+        )
+        print(f"tables, figures and provenance are in {self.folder}")
+
+
+class GridSession(Races):
+    """Races on a grid of tracks and cars.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+    kind : str
+        Of the results.
+    """
+
+    def __init__(self, arguments, kind):
+        super().__init__(arguments, kind)
+        changes = {
+            "tracks": arguments.tracks,
+            "generated_seeds": arguments.generated,
+            "speed_scale": getattr(arguments, "speed_scale", None),
+            "laps": getattr(arguments, "laps", None),
+        }
+        changes = {name: value for name, value in changes.items() if value is not None}
+        self.grid = Grid(replace(load_robustness(arguments.grid), **changes))
+
+    def race(self, controllers):
+        """Race controllers over the grid.
+
+        Parameters
+        ----------
+        controllers : dict of str to ControllerParameters
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each race.
+        """
+        plans = [grid_plan(self.grid, label, given) for label, given in controllers.items()]
+        results = self.carry_out(plans, "races")
+        frames = [race_rows(self.grid, *each) for each in zip(controllers, results)]
+        return pd.concat(frames, ignore_index=True)
+
+    def write(self, table, controllers, **frames):
+        """Write tables and provenance."""
+        provenance = grid_provenance(self.grid, controllers)
+        write_results(self.folder, Results(self.kind, table, provenance), **frames)
+
+
+class Session(Races):
+    """What the commands share: setting, tuned controllers, races, and where results go.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+    kind : str
+        Of the results.
+    """
+
+    def __init__(self, arguments, kind):
+        given = {
+            name: getattr(arguments, name, None)
+            for name in ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
+        }
+        given = {name: value for name, value in given.items() if value is not None}
+        conditions = replace(load_conditions(arguments.conditions), **given)
+        super().__init__(arguments, kind)
         self._tuning = not getattr(arguments, "no_tuning", False)
         self.setting = Setting.load(
             conditions, lambda plant: self._car(plant, arguments.vehicle, conditions)
@@ -94,13 +177,6 @@ class Session:
             f"{found.largest_a_y:.1f} m/s^2, {self.folder / 'identified.yaml'}"
         )
         return found.vehicle, found.linear_vehicle
-
-    def carry_out(self, plans, title, **needs):
-        """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
-        with open_executor(self._jobs, self._scheduler) as (executor, capacity):
-            results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
-        self.effort += effort
-        return results
 
     def tune(self, controllers):
         """Tune controllers; write files, maps and tables.
@@ -172,12 +248,3 @@ class Session:
         """
         provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
-
-    def report(self):
-        """What it took, and where it is."""
-        driven, found, cpu_s = self.effort
-        print(
-            f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
-            f"{monotonic() - self.began:.0f} s in all"
-        )
-        print(f"tables, figures and provenance are in {self.folder}")

@@ -34,10 +34,10 @@ COARSE = 8
 GRID = range(0, 49, COARSE)
 # Moves of the search at each width; it needs a few.
 MOST_MOVES = 20
-# A candidate is given up whose error on the races so far is more than this times the best one's on
-# the same: after one race, and on the way to all. On days that differ as much as those of the
-# experiments, errors of neighboring candidates change alike.
-GIVE_UP, GIVE_UP_LATE = 1.3, 1.1
+# A candidate is given up whose mean error on the n races so far is more than 1 + GIVE_UP / sqrt(n)
+# times the best one's on the same races: as means of more races tell more. On days and cars that
+# differ as much as those of the experiments, errors of neighboring candidates change alike.
+GIVE_UP = 0.3
 # Steps of the robust search: m [m], q [s] and delay [s]; it begins with twice these.
 ROBUST_STEPS = (("m_m", 0.025), ("q_s", 0.0125), ("delay_s", 0.005))
 
@@ -207,8 +207,7 @@ def _compare(groups, reference):
         results = iter((yield [job for k in going for job in groups[k][begin:end]]))
         for k in going:
             found[k] += [next(results) for _ in range(begin, end)]
-        part = (end - 1) / max(total - 1, 1)
-        share = GIVE_UP + part * (GIVE_UP_LATE - GIVE_UP)
+        share = 1.0 + GIVE_UP / math.sqrt(end)
         errors = {k: lap_error(found[k]) for k in going}
         best = min([*errors.values(), lap_error(reference[:end]) if reference else math.inf])
         going = [k for k in going if math.isfinite(errors[k]) and errors[k] <= share * best]

@@ -38,7 +38,8 @@ BOTH_WAYS, SOME_BEND = 25.0, 0.15
 # Smoothing of the centerline and of the raceline, as shares of the tightest radius.
 CENTERLINE, RACELINE = 0.25, 0.55
 # Drawings thrown away, at most, before a shape is called impossible.
-MOST_TRIES = 2000
+# Bends to both sides are insisted on for a part of them.
+MOST_TRIES, INSISTENT_TRIES = 2000, 400
 # Between the walls of two stretches that run side by side [m].
 WALL = 0.1
 
@@ -58,7 +59,7 @@ class TrackShape:
     width : float
         From wall to wall [m].
     left : bool
-        Whether the lap goes round to the left; it bends both ways in any case.
+        Whether the lap goes round to the left; where there is room it bends both ways in any case.
     a_lat_max_mps2, a_drive_max_mps2, a_brake_max_mps2 : float
         Limits of the vehicle for which the speeds are made [m/s^2]: those of the friction ellipse.
     v_max_mps : float
@@ -125,9 +126,9 @@ def draw_track(seed, shape=None, name=""):
     """
     shape = shape or TrackShape()
     draw = random.Random(f"track {seed}").random
-    for _ in range(MOST_TRIES):
+    for attempt in range(MOST_TRIES):
         corners = _corners(draw, shape)
-        raceline = corners and _fitted(corners, shape)
+        raceline = corners and _fitted(corners, shape, attempt < INSISTENT_TRIES)
         if raceline:
             speed, _ = raceline_speeds(
                 raceline,
@@ -154,7 +155,8 @@ def _corners(draw, shape):
     """
     count = shape.straights + CORNERS[0] + int(draw() * (CORNERS[1] - CORNERS[0] + 1))
     count = max(3, min(count, int(shape.length / (ROOM * shape.tightest_radius))))
-    gaps = [(2.2 if k < shape.straights else 1.0) * (0.8 + 0.4 * draw()) for k in range(count)]
+    wide = 2.2 if count > 4 else 1.3  # of few corners none can be far from all others
+    gaps = [(wide if k < shape.straights else 1.0) * (0.8 + 0.4 * draw()) for k in range(count)]
     for k in range(count - 1, 0, -1):  # any order
         other = int(draw() * (k + 1))
         gaps[k], gaps[other] = gaps[other], gaps[k]
@@ -169,11 +171,11 @@ def _corners(draw, shape):
     return corners
 
 
-def _fitted(corners, shape):
+def _fitted(corners, shape, insist):
     """Raceline with walls of scaled corners, or None if they do not become one."""
-    size, shrink = shape.length / 5.5, 0.85
+    size, shrink = shape.length / 5.0, 0.85
     side = 1.0 if shape.left else -1.0
-    for _ in range(8):
+    for _ in range(12):
         drawn = _that_fit(
             [
                 (size * away * math.cos(angle), side * size * away * math.sin(angle), radius)
@@ -189,7 +191,7 @@ def _fitted(corners, shape):
         if abs(off_length - 1.0) < 0.018 and abs(off_radius - 1.0) < 0.045:
             both_ways = min(-kappa.min(), kappa.max()) * shape.tightest_radius > SOME_BEND
             has_room = shape.length > BOTH_WAYS * shape.tightest_radius
-            return _walled(path, shape) if both_ways or not has_room else None
+            return _walled(path, shape) if both_ways or not (has_room and insist) else None
         size *= off_length
         shrink = min(max(shrink * off_radius, 0.3), 1.05)
     return None
