@@ -202,8 +202,7 @@ def _compare(groups, reference):
     """
     found = [[] for _ in groups]
     going = list(range(len(groups)))
-    total = len(groups[0]) if groups else 0
-    for begin, end in zip(*_stages(total)):
+    for begin, end in zip(*_stages(len(groups[0]))) if groups else ():
         results = iter((yield [job for k in going for job in groups[k][begin:end]]))
         for k in going:
             found[k] += [next(results) for _ in range(begin, end)]
