@@ -19,16 +19,18 @@ from time import process_time
 import numpy as np
 from scipy.integrate import odeint
 
-from map_racing.cli.lookup import published_grid
+from map_racing.bags.writer import BagWriter
 from map_racing.control.controller import Controller, build_controller, build_steering_map
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.bags import BagWriter
 from map_racing.evaluation.laps import evaluate
-from map_racing.evaluation.recordings import load_course, load_recording
-from map_racing.experiments.race_bag import write_race_bag
+from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import race
+from map_racing.simulation.recorded import write_race_bag
+from map_racing.track.files.load import load_raceline
+from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
+from map_racing.vehicle.lookup import published_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -40,7 +42,7 @@ SPEED_SCALE = 0.7  # a pace at which the shipped controllers lap the reference t
 def main():
     """Run all comparisons and print one table."""
     rows, remarks = [], []
-    vehicle, raceline = load_vehicle("nuc4"), load_course("reference")
+    vehicle, raceline = load_vehicle("nuc4"), load_raceline("reference")
     with tempfile.TemporaryDirectory() as folder:
         for compare in (
             lambda: compare_table(vehicle),
@@ -285,7 +287,7 @@ def evaluate_bag(path):
 
     def work():
         recording = load_recording(path)
-        return recording, evaluate(recording, recording.raceline)
+        return recording, evaluate(recording, recorded_raceline(recording))
 
     seconds, (recording, result) = timed(work)
     figures = {
@@ -355,7 +357,7 @@ def compare_hour(raceline, folder):
     x, y = raceline.to_cartesian(s, 0.1 * np.sin(0.7 * s))
     psi = raceline.sample(s).psi
     with BagWriter(bag, compression="lz4") as writer:
-        writer.waypoints(1.0, raceline)
+        writer.waypoints(1.0, waypoint_rows(raceline))
         for row in zip((t + 1.0).tolist(), x.tolist(), y.tolist(), psi.tolist()):
             writer.odometry(*row, v, 0.0, 0.0)
     figures = run_evaluation(bag)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 from contextlib import contextmanager, suppress
@@ -11,7 +13,14 @@ import yaml
 
 from .errors import FileFormatError, MapRacingError
 
-__all__ = ["read_yaml_mapping", "replacing"]
+__all__ = [
+    "for_json",
+    "make_folder",
+    "read_yaml_mapping",
+    "refuse_special",
+    "replacing",
+    "write_json",
+]
 
 
 def read_yaml_mapping(path):
@@ -110,3 +119,69 @@ def replacing(path, binary=False):
         if not special:
             with suppress(OSError):
                 temporary.unlink()
+
+
+def write_json(path: str | Path, content: object, indent: int | None = 1) -> None:
+    """Write `for_json` of content; an existing file is replaced in one step.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    content : object
+    indent : int, optional
+        Spaces of indentation; None writes one line.
+
+    Raises
+    ------
+    MapRacingError
+        If the file cannot be written.
+    """
+    with replacing(path) as file:
+        json.dump(for_json(content), file, indent=indent, allow_nan=False)
+        file.write("\n")
+
+
+def for_json(content: object) -> object:
+    """Content as JSON can hold it: numpy scalars as Python's, NaN and infinity as None."""
+    if isinstance(content, dict):
+        return {key: for_json(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [for_json(value) for value in content]
+    if hasattr(content, "dtype"):
+        content = content.item()
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def make_folder(path):
+    """Make a folder for results, with those above it, if it is not there.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    MapRacingError
+        If it cannot be made.
+    """
+    if not str(path):  # such as that of a variable of the shell that is not set
+        raise MapRacingError(f"{path!r}: expected the name of a folder")
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    return folder
+
+
+def refuse_special(path):
+    """Refuse pipes and devices, since reading one may never end, and no name at all."""
+    if not str(path):
+        raise FileFormatError("'': expected the name of a file")
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FileFormatError(f"{path}: expected a file, got a pipe or a device")

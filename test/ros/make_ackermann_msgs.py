@@ -6,7 +6,7 @@ Debian and Ubuntu have no such package. On a car the real one is a dependency of
 import sys
 from pathlib import Path
 
-from map_racing.evaluation.messages import DEFINITIONS
+from map_racing.bags.messages import DEFINITIONS
 
 PACKAGE = """<?xml version="1.0"?>
 <package format="3">

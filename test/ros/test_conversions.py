@@ -12,8 +12,8 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from map_racing.bags import messages
 from map_racing.errors import RacelineError
-from map_racing.evaluation import messages
 from map_racing.nodes.conversions import (
     StateReader,
     frame,

@@ -1,10 +1,12 @@
 """``map-racing experiment``: the paper's experiments, each by one command."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from ..control.parameters import load_controller_parameters
 from ..errors import ParameterError
 from ..evaluation.report import aligned
 from ..experiments.paper import (
@@ -18,73 +20,15 @@ from ..experiments.paper import (
     single_plan,
     tire_table,
 )
-from .work import Work, add_options
+from ..experiments.robustness import grid_table
+from ..experiments.session import GridSession, Session
+from .figures import draw_robustness, draw_scaling, draw_trajectories
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
 # Who is compared with whom on the days that both completed.
 PAIRS = (("MAP Pacejka", "pure pursuit"), ("MAP Pacejka", "MAP linear"))
 PAIRS += (("MAP default", "MAP Pacejka"),)
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "experiment",
-        help="repeat an experiment of the paper",
-        description="Repeat an experiment of the paper: identify the tires of the plant, tune the "
-        "controllers, race them, and write tables, figures and provenance.",
-    )
-    kinds = parser.add_subparsers(dest="kind", metavar="EXPERIMENT")
-    kinds.required = True
-
-    scaling = kinds.add_parser(
-        "velocity-scaling",
-        help="laps at rising speeds until a crash",
-        description="Laps at rising scales of the raceline's speeds, for each controller and each "
-        "race day until they are not completed.",
-    )
-    add_race_options(scaling)
-    scaling.add_argument(
-        "--laps", type=int, default=10, help="timed laps of a race (default: %(default)s)"
-    )
-    scaling.add_argument(
-        "--to",
-        type=float,
-        default=1.5,
-        metavar="SCALE",
-        help="last scale, if there is no crash before (default: %(default)s)",
-    )
-    scaling.set_defaults(run=run_scaling)
-
-    tires = kinds.add_parser(
-        "tire-models",
-        help="pure pursuit, MAP with linear and MAP with Pacejka tires at two speeds",
-        description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 % and "
-        "80 % of the raceline's speeds.",
-    )
-    add_race_options(tires)
-    tires.add_argument(
-        "--laps", type=int, default=5, help="timed laps of a race (default: %(default)s)"
-    )
-    tires.set_defaults(run=run_tires)
-
-
-def add_race_options(parser):
-    """Options of both."""
-    add_options(parser)
-    parser.add_argument(
-        "--no-tuning",
-        action="store_true",
-        help="race all controllers as shipped; those as published then have the lookahead of the "
-        "authors' code",
-    )
-    parser.add_argument(
-        "--bags", action="store_true", help="keep the races of the tables as bags, too"
-    )
-
-
-# -- commands --------------------------------------------------------------------------------------
 
 
 def run_scaling(arguments):
@@ -94,20 +38,17 @@ def run_scaling(arguments):
         raise ParameterError(f"--to must be {FIRST_SCALE:g} to 2, not {arguments.to}")
     count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
     scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
-    work = Work(arguments, "velocity-scaling")
-    races = work.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
+    session = Session(arguments, "velocity-scaling")
+    races = session.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
     table = scaling_table(per_race, laps)
     highest = highest_scales(per_race)
     against = pairs_frame(per_race)
     frames = {"races": per_race, "laps": laps, "highest_scales": highest, "pairs": against}
-    work.write(table, arguments.laps, **frames)
+    session.write(table, arguments.laps, **frames)
     print("\n".join(scaling_lines(table)), end="\n\n")
     print("\n".join(highest_lines(highest)), end="\n\n")
     print("\n".join(pairs_lines(against)))
-
-    from ..evaluation.plots.experiments import plot_scaling
-    from ..evaluation.plots.style import save
 
     labels = [c.label for c in CONTENDERS]
     ended = {
@@ -115,28 +56,25 @@ def run_scaling(arguments):
         for row in table.itertuples()
     }
     counted = laps[(laps.outcome == "completed") & laps.valid]
-    title = f"Velocity scaling: {work.where}, {_laps(arguments)} on each of {work.days}"
-    save(plot_scaling(counted, ended, labels, title), work.figures / "velocity_scaling.png")
-    work.report()
+    title = f"Velocity scaling: {session.where}, {_laps(arguments)} on each of {session.days}"
+    draw_scaling(session.figures, counted, ended, labels, title)
+    session.report()
 
 
 def run_tires(arguments):
     """Tire models."""
     check_laps(arguments.laps)
-    work = Work(arguments, "tire-models")
-    races = work.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
+    session = Session(arguments, "tire-models")
+    races = session.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)
     against = pairs_frame(per_race)
     frames = {"races": per_race, "laps": lap_frame(races), "pairs": against}
-    work.write(table, arguments.laps, **frames)
+    session.write(table, arguments.laps, **frames)
     print("\n".join(tire_lines(table)), end="\n\n")
     print("\n".join(pairs_lines(against)))
 
-    from ..evaluation.plots.experiments import plot_trajectories
-    from ..evaluation.plots.style import save
-
-    for seed in work.setting.conditions.seeds:
+    for seed in session.setting.conditions.seeds:
         rows = [
             [
                 (panel_title(race), timed_path(race.result), not race.result.completed)
@@ -145,10 +83,38 @@ def run_tires(arguments):
             ]
             for scale in TIRE_SCALES
         ]
-        title = f"Tire models: {work.where}, race day {seed}, {_laps(arguments)}"
-        figure = plot_trajectories(work.setting.raceline, rows, title)
-        save(figure, work.figures / f"trajectories_seed{seed}.png")
-    work.report()
+        title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
+        draw_trajectories(session.figures, session.setting.raceline, rows, title, seed)
+    session.report()
+
+
+def run_robustness(arguments):
+    """Robustness."""
+    if arguments.laps is not None:
+        check_laps(arguments.laps)
+    controllers = named_controllers(arguments.controller)
+    session = GridSession(arguments, "robustness")
+    races = session.race(controllers)
+    scale = session.grid.conditions.speed_scale
+    table = grid_table(races, scale)
+    session.write(table, controllers, races=races)
+    print("\n".join(robustness_lines(races)), end="\n\n")
+    print("\n".join(not_completed_lines(races)))
+    print("\n".join(grid_lines(table)))
+    title = f"Robustness: {scale:.0%} speed, {session.grid.conditions.laps} timed laps"
+    for label in controllers:
+        own = races[races.controller == label]
+        draw_robustness(session.figures, own, f"{title}, {label}", Path(label).stem)
+    session.report()
+
+
+def named_controllers(names):
+    """Controllers of files or shipped names, by the stems of these."""
+    names = list(dict.fromkeys(names))
+    stems = [Path(name).stem for name in names]
+    if len(set(stems)) < len(stems):
+        raise ParameterError("--controller: two files of one name would give one result")
+    return {stem: load_controller_parameters(name) for stem, name in zip(stems, names)}
 
 
 def _laps(arguments):
@@ -209,6 +175,46 @@ def completion(row):
 def not_completed(row):
     """N.C. with the laps after which it ended."""
     return f"N.C. after {row.laps_until_end.replace(' ', ', ')} laps"
+
+
+def robustness_lines(races):
+    """A row for each controller and track: how many cars completed it, and how close."""
+    titles = ["controller", "track", "completed", "lap [s]", "RMS error [m]", "worst", "max error"]
+    rows = [titles]
+    for (label, track), group in races.groupby(["controller", "track"], sort=False):
+        done = group[group.outcome == "completed"]
+        rows.append([label, track, f"{len(done)} of {len(group)}"])
+        if len(done):
+            rows[-1] += [
+                f"{done.lap_time_s.median():.3f}",
+                f"{done.rms_lateral_error_m.mean():.3f}",
+                f"{done.rms_lateral_error_m.max():.3f}",
+                f"{done.max_abs_lateral_error_m.max():.3f}",
+            ]
+        else:
+            rows[-1] += ["", "", "", ""]
+    return aligned(rows, left=2)
+
+
+def not_completed_lines(races):
+    """Each race that was not completed, with place and cause."""
+    rows = [
+        [
+            f"N.C. {row.controller} on {row.track}, {row.car}:",
+            f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
+        ]
+        for row in races[races.outcome != "completed"].itertuples()
+    ]
+    return [*aligned(rows, left=2), ""] if rows else []
+
+
+def grid_lines(table):
+    """How many races each controller completed, and how close."""
+    return [
+        f"{row.controller}: {row.races_completed} of {row.races} completed, RMS error "
+        f"{row.mean_rms_lateral_error_m:.4f} m, worst race {row.worst_rms_lateral_error_m:.4f} m"
+        for row in table.itertuples()
+    ]
 
 
 def highest_lines(highest):

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from ..errors import MapRacingError, ParameterError
+from ..errors import ParameterError
 
-__all__ = ["check_outputs", "make_folder"]
+__all__ = ["check_outputs"]
 
 BAG_MAGIC = b"#ROSBAG V2"
 
@@ -42,32 +42,6 @@ def check_outputs(outputs, inputs=()):
             with open(path, "rb") as file:
                 if file.read(len(BAG_MAGIC)) == BAG_MAGIC:
                     raise ParameterError(f"{path}: is a bag, which would be lost")
-
-
-def make_folder(path):
-    """Make a folder for results, with those above it, if it is not there.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-
-    Returns
-    -------
-    pathlib.Path
-
-    Raises
-    ------
-    MapRacingError
-        If it cannot be made.
-    """
-    if not str(path):  # such as that of a variable of the shell that is not set
-        raise MapRacingError(f"{path!r}: expected the name of a folder")
-    folder = Path(path)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MapRacingError(f"{folder}: cannot make the folder: {error.strerror}") from None
-    return folder
 
 
 def _identity(path):

@@ -1,7 +1,6 @@
-"""``map-racing raceline optimize``: the fastest line between the walls of a course or a map."""
+"""``map-racing raceline optimize``: the fastest line between the walls of a track or a map."""
 
 import math
-import re
 import time
 from pathlib import Path
 
@@ -10,19 +9,20 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
-from ..evaluation.recordings import load_course, save_course
+from ..track.files.formats import choose_format
+from ..track.files.load import load_raceline, save_raceline
+from ..track.files.readers import split_source
 from ..track.findings import NOTE
-from ..track.formats import split_source
-from ..track.map_image import course_from_map, read_map_image
+from ..track.map_image import read_map_image, track_from_map
 from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
 from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
 from ..track.walls import Walls
-from ..track.writers import FORMATS, choose_format, course_columns
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import load_vehicle
 from ..vehicle.steady_state import steady_state_table
-from .outputs import check_outputs, make_folder
+from .figures import draw_optimized
+from .outputs import check_outputs
 
 # What makes walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
@@ -31,158 +31,38 @@ MAPS = (".yaml", ".yml")
 MOST_POINTS, WIDEST_M = 20000, 100.0
 
 
-def add_action(actions):
-    """Add ``raceline optimize``."""
-    parser = actions.add_parser(
-        "optimize",
-        help="the fastest line between the walls, from a centerline, a raceline or a map",
-        description="Find the path of least squared curvature between the walls, half the car's "
-        "width and a margin away from them, shortened as far as that makes the lap faster; and the "
-        "highest speeds on it within the vehicle's limits: lateral acceleration as its lookup "
-        "table can steer it, shared with driving and braking in a friction ellipse. Print length, "
-        "squared curvature and estimated lap time before and after.",
-    )
-    parser.add_argument(
-        "source",
-        metavar="IN",
-        help="course with distances to the walls: shipped track, raceline file or bag; or the YAML "
-        "file of a map of map_server, with --start",
-    )
-    parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
-    parser.add_argument(
-        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
-    )
-    parser.add_argument(
-        "--middle",
-        metavar="FILE",
-        help="also write the smooth middle line between the walls, with speeds made alike if the "
-        "car can follow it",
-    )
-    parser.add_argument(
-        "--sectors",
-        metavar="YAML",
-        help="also write speed_scaling.yaml of the public stack: a sector for each corner and "
-        "straight of the output, with scale 1",
-    )
-    parser.add_argument("--plots", metavar="DIR", help="draw line, curvature and speed")
-
-    line = parser.add_argument_group("line")
-    line.add_argument(
-        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
-    )
-    line.add_argument(
-        "--margin",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="between the car's side and the walls [m] (default: %(default)s)",
-    )
-    line.add_argument(
-        "--compare",
-        metavar="FILE",
-        help="raceline to compare with; the car may come as close to the walls as on that line, "
-        "whatever --margin says",
-    )
-    line.add_argument(
-        "--curvature-only",
-        action="store_true",
-        help="least squared curvature, even where a shorter line is faster",
-    )
-    line.add_argument(
-        "--step",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="distance of the points that are moved [m] (default: %(default)s)",
-    )
-
-    speed = parser.add_argument_group("speed")
-    speed.add_argument(
-        "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
-    )
-    speed.add_argument(
-        "--lateral-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of the lateral acceleration to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--longitudinal-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of driving and braking to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--speed-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="scale of the speeds that result (default: %(default)s)",
-    )
-    speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
-    speed.add_argument(
-        "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
-    )
-
-    image = parser.add_argument_group("map")
-    image.add_argument(
-        "--start",
-        nargs="+",
-        metavar="X,Y,PSI",
-        help="start on the map [m] and direction of travel there [rad]; counter-clockwise without",
-    )
-    image.add_argument(
-        "--passage",
-        type=float,
-        metavar="M",
-        help="close what is narrower than this, such as gaps in walls [m] (default: the car and "
-        "its margins)",
-    )
-    image.add_argument(
-        "--speckle",
-        type=float,
-        metavar="M2",
-        help="remove walls of less area than this [m^2] (default: two cells)",
-    )
-    # Else argparse takes -1.5,2 for an option.
-    parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
-    parser.set_defaults(run=run_optimize)
-
-
 def run_optimize(arguments):
     """Optimize, compare, write."""
     outputs = [arguments.output, arguments.middle, arguments.sectors]
-    courses = [split_source(course or "")[0] for course in (arguments.source, arguments.compare)]
-    check_outputs(outputs, [*courses, arguments.vehicle, arguments.lookup_table])
+    tracks = [split_source(track or "")[0] for track in (arguments.source, arguments.compare)]
+    check_outputs(outputs, [*tracks, arguments.vehicle, arguments.lookup_table])
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = load_vehicle(arguments.vehicle)
     limits = limits_of(arguments, vehicle)
-    course = load(arguments, vehicle)
-    lines = [(course.name or "input", course)]
+    track = load(arguments, vehicle)
+    lines = [(track.name or "input", track)]
     clearance = 0.5 * vehicle.width + arguments.margin
     if arguments.compare:
-        other = load_course(arguments.compare)
+        other = load_raceline(arguments.compare)
         # A millimeter more, so that rounding does not favor our line.
-        clearance = float(np.min(clearances(course, other))) + 1e-3
+        clearance = float(np.min(clearances(track, other))) + 1e-3
         lines.append((other.name or "compared", other))
 
     began = time.perf_counter()
     with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
         options = {"step": arguments.step, "progress": lambda count: bar.update(count - bar.n)}
         if arguments.curvature_only:
-            found = minimum_curvature(course, clearance, **options)
+            found = minimum_curvature(track, clearance, **options)
         else:
-            found = fastest_line(course, clearance, limits, **options)
+            found = fastest_line(track, clearance, limits, **options)
     for finding in found.findings:
         print(f"  {finding}")
     optimized = driven(found.raceline, limits, arguments.speed_scale)
     count = int(round(found.raceline.length / arguments.step))
     print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
-    print_table(lines, course, limits, arguments.speed_scale)
+    print_table(lines, track, limits, arguments.speed_scale)
 
     try:
         middle = driven(found.reference, limits, arguments.speed_scale)
@@ -190,7 +70,7 @@ def run_optimize(arguments):
         middle = found.reference
     for path, form, line in zip(outputs, forms, (optimized, middle)):
         if path:
-            save_course(path, course_columns(line), form)
+            save_raceline(line, path, form)
             told = "" if line.speed is not None else ", without speeds"
             print(f"{path}: format {form}, {line.n} points{told}")
     if arguments.sectors:
@@ -198,7 +78,7 @@ def run_optimize(arguments):
         save_speed_sectors(arguments.sectors, sectors)
         print(f"{arguments.sectors}: {len(sectors)} sectors")
     if arguments.plots:
-        print(f"  figure: {draw(arguments.plots, optimized, middle, found.walls)}")
+        print(f"  figure: {draw_optimized(arguments.plots, optimized, middle, found.walls)}")
 
 
 def form_of(path, wanted):
@@ -254,13 +134,13 @@ def limits_of(arguments, vehicle):
 
 
 def load(arguments, vehicle):
-    """The course of a file, or of a map."""
+    """The track of a file, or of a map."""
     if Path(arguments.source).suffix.lower() not in MAPS:
         for option in ("start", "passage", "speckle"):
             if getattr(arguments, option) is not None:
-                raise ParameterError(f"--{option} is for maps: {arguments.source} is a course")
-        course = load_course(arguments.source)
-        told = [finding for finding in course.findings if finding.severity != NOTE]
+                raise ParameterError(f"--{option} is for maps: {arguments.source} is a track")
+        track = load_raceline(arguments.source)
+        told = [finding for finding in track.findings if finding.severity != NOTE]
         wrong = [finding for finding in told if finding.code in WRONG_WALLS]
         if wrong:
             raise ParameterError(
@@ -272,21 +152,21 @@ def load(arguments, vehicle):
         passage = arguments.passage
         if passage is None:
             passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
-        course = course_from_map(
+        track = track_from_map(
             read_map_image(arguments.source),
             *start_of(arguments.start),
             passage=passage,
             speckle=arguments.speckle,
         )
-        told = course.findings
-    print(f"{arguments.source}: {course.length:.2f} m")
-    if course.length / arguments.step > MOST_POINTS:
+        told = track.findings
+    print(f"{arguments.source}: {track.length:.2f} m")
+    if track.length / arguments.step > MOST_POINTS:
         raise ParameterError(
             f"{arguments.source}: expected at most {MOST_POINTS} points of {arguments.step:g} m, "
-            f"but it is {course.length:.0f} m long: is it in mm? Else take a larger --step"
+            f"but it is {track.length:.0f} m long: is it in mm? Else take a larger --step"
         )
-    if course.d_left is not None:
-        widest = max(float(course.d_left.max()), float(course.d_right.max()))
+    if track.d_left is not None:
+        widest = max(float(track.d_left.max()), float(track.d_right.max()))
         if widest > WIDEST_M:
             raise ParameterError(
                 f"{arguments.source}: expected walls at most {WIDEST_M:g} m away, got "
@@ -294,7 +174,7 @@ def load(arguments, vehicle):
             )
     for finding in told:
         print(f"  {finding}")
-    return course
+    return track
 
 
 def start_of(words):
@@ -308,18 +188,18 @@ def start_of(words):
     return tuple(numbers[:2]), (numbers[2] if len(numbers) == 3 else None)
 
 
-def clearances(course, line):
-    """Distances from a line to the walls of a course; an error where it is beyond one."""
+def clearances(track, line):
+    """Distances from a line to the walls of a track; an error where it is beyond one."""
     at = line.sample(np.linspace(0.0, line.length, 4 * line.n, endpoint=False))
     for x, y in zip(at.x.tolist(), at.y.tolist()):
-        foot = course.project(x, y)
-        left, right = course.widths_at(foot.s)
+        foot = track.project(x, y)
+        left, right = track.widths_at(foot.s)
         if not -right < foot.d < left:
             raise ParameterError(
-                f"{line.source}: expected a line between the walls of {course.source}, but "
+                f"{line.source}: expected a line between the walls of {track.source}, but "
                 f"({x:.2f}, {y:.2f}) is beyond one"
             )
-    return Walls(course).distance(np.stack((at.x, at.y), axis=1))
+    return Walls(track).distance(np.stack((at.x, at.y), axis=1))
 
 
 def driven(line, limits, scale):
@@ -334,7 +214,7 @@ def driven(line, limits, scale):
     )
 
 
-def print_table(lines, course, limits, scale):
+def print_table(lines, track, limits, scale):
     """Figures of each line, all computed alike."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'clearance':>10s} "
@@ -348,21 +228,10 @@ def print_table(lines, course, limits, scale):
         except ParameterError as error:
             lap = "-"
             undrivable.append(f"  {name}: no lap time: {error}")
-        least = float(np.min(clearances(course, line)))
+        least = float(np.min(clearances(track, line)))
         print(
             f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
             f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {lap:>9s}"
         )
     for told in undrivable:
         print(told)
-
-
-def draw(folder, optimized, middle, walls):
-    """The figure of an optimized line; its path."""
-    # matplotlib takes a second, and most calls draw nothing
-    from ..evaluation.plots.optimization import plot_optimized
-    from ..evaluation.plots.style import save
-
-    path = Path(make_folder(folder)) / f"{optimized.name or 'course'}_optimized.png"
-    save(plot_optimized(optimized, middle, walls), path)
-    return path

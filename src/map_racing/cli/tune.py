@@ -1,58 +1,34 @@
-"""``map-racing tune``: the lookahead with which a controller follows a track closest."""
+"""``map-racing tune``: the parameters with which a controller follows its tracks closest."""
 
-from pathlib import Path
-
+import numpy as np
 import pandas as pd
 
-from ..control.parameters import load_controller_parameters
+from ..control.parameters import save_controller_parameters
 from ..errors import ParameterError
-from ..resources import list_config
-from .work import Work, add_options
+from ..experiments.campaign import Plan
+from ..experiments.robustness import grid_table
+from ..experiments.session import GridSession, Session
+from ..experiments.tuning import tune_robust
+from ..files import make_folder
+from .experiment import grid_lines, named_controllers
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
 
 
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "tune",
-        help="find the lookahead with which a controller follows a track closest",
-        description="Find m and q of the lookahead distance L_d = m + q v with the smallest RMS "
-        "lateral error of the true path, as mean over the laps of races on practice days; each "
-        "controller by itself. Writes a controller file for --controller, a map of the error and "
-        "all pairs as CSV.",
-    )
-    parser.add_argument(
-        "--controller",
-        nargs="+",
-        default=list(DEFAULTS),
-        metavar="NAME",
-        help=f"YAML files, or shipped: {', '.join(list_config('controllers'))} (default: the three "
-        "as published)",
-    )
-    parser.add_argument(
-        "--speed-scale",
-        dest="tuning_scale",
-        type=float,
-        help="scale of the raceline's speeds (default: that of the conditions, 0.6)",
-    )
-    add_options(parser, "practice_seeds")
-    parser.set_defaults(run=run)
-
-
 def run(arguments):
     """Tune."""
-    names = list(dict.fromkeys(arguments.controller))
-    stems = [Path(name).stem for name in names]
-    if len(set(stems)) < len(stems):
-        raise ParameterError("--controller: two files of one name would give one result")
-    controllers = {
-        stem: (stem, load_controller_parameters(name)) for stem, name in zip(stems, names)
-    }
-    work = Work(arguments, "tune")
-    tuned = work.tune(controllers)
-    work.controllers = {label: found.controller for label, found in tuned.items()}
-    conditions = work.setting.conditions
+    given = named_controllers(arguments.controller)
+    if arguments.robust:
+        return run_robust(arguments, given)
+    for option in ("tracks", "generated", "grip_use"):
+        if getattr(arguments, option) is not None:
+            raise ParameterError(f"--{option.replace('_', '-')} belongs to --robust")
+    stems = list(given)
+    controllers = {stem: (stem, parameters) for stem, parameters in given.items()}
+    session = Session(arguments, "tune")
+    tuned = session.tune(controllers)
+    session.controllers = {label: found.controller for label, found in tuned.items()}
+    conditions = session.setting.conditions
     rows = [
         {
             "speed_scale": conditions.tuning_scale,
@@ -63,7 +39,60 @@ def run(arguments):
         }
         for label, found in tuned.items()
     ]
-    work.write(pd.DataFrame(rows), conditions.tuning_laps)
-    work.report()
+    session.write(pd.DataFrame(rows), conditions.tuning_laps)
+    session.report()
     for stem in stems:
-        print(f"  map-racing race --controller {work.folder / 'controllers' / stem}.yaml ...")
+        print(f"  map-racing race --controller {session.folder / 'controllers' / stem}.yaml ...")
+
+
+def run_robust(arguments, controllers):
+    """Tune over a grid of tracks and cars."""
+    session = GridSession(arguments, "tune-robust")
+    grid = session.grid
+
+    def steps(label, controller):
+        def jobs_for(candidate):
+            return grid.jobs(label, candidate)
+
+        candidates = yield from tune_robust(jobs_for, controller)
+        return candidates
+
+    plans = [Plan(steps(*each), 6 * len(grid.names)) for each in controllers.items()]
+    found = dict(zip(controllers, session.carry_out(plans, "tuning")))
+    tried, rows = [], []
+    folder = make_folder(session.folder / "controllers")
+    for label, candidates in found.items():
+        best = candidates[0]
+        shares = dict.fromkeys(arguments.grip_use or ())
+        with_shares = {
+            f"{label}, grip_use {share:g}": best.controller.with_(grip_use=share)
+            for share in shares
+        }
+        table = grid_table(session.race(with_shares), grid.conditions.speed_scale) if shares else ()
+        save_controller_parameters(best.controller, folder / f"{label}.yaml")
+        for candidate in candidates:
+            tried.append({"controller": label, **_values(candidate.controller)})
+            tried[-1].update(
+                mean_rms_lateral_error_m=candidate.error,
+                worst_rms_lateral_error_m=candidate.worst,
+                races=candidate.races,
+            )
+        rows.append({"speed_scale": grid.conditions.speed_scale, **tried[-len(candidates)]})
+        values = best.controller
+        print(
+            f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, delay "
+            f"{values.delay_s:g} s; all {best.races} races completed, RMS error {best.error:.4f} m,"
+            f" worst race {best.worst:.4f} m; {len(candidates)} candidates"
+        )
+        if shares:
+            print("\n".join(grid_lines(table)))
+    frame = pd.DataFrame(tried)
+    for name in ("mean_rms_lateral_error_m", "worst_rms_lateral_error_m"):
+        frame[name] = frame[name].where(np.isfinite(frame[name]))
+    controllers = {label: candidates[0].controller for label, candidates in found.items()}
+    session.write(pd.DataFrame(rows), controllers, candidates=frame)
+    session.report()
+
+
+def _values(controller):
+    return {name: getattr(controller, name) for name in ("m_m", "q_s", "delay_s", "grip_use")}

@@ -5,17 +5,18 @@ One guidance law, one controller, three steering maps (see :mod:`map_racing.cont
 
 import math
 from enum import Enum
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from .grip_guard import GripGuard
-from .guidance import bearing, lateral_acceleration
+from .guidance import bearing, lateral_acceleration, missing_curvature
 from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, predicted
 from .steering import AckermannSteering
@@ -79,9 +80,9 @@ class ControlResult(NamedTuple):
     lookahead_distance : float
         Its distance [m].
     eta : float
-        Angle from the velocity vector to it [rad].
+        Angle to it from the velocity vector, or from the heading where parameters say so [rad].
     a_lat : float
-        Lateral acceleration asked of the steering map [m/s^2].
+        Lateral acceleration asked of the steering map, feedforward included [m/s^2].
     """
 
     steering_angle: float
@@ -179,7 +180,7 @@ class Controller:
         if raceline is None:
             return setup._replace(tracker=None, plan=None, guard=None)
         if old is None or raceline is not old.raceline:
-            setup = setup._replace(tracker=CourseTracker(raceline))
+            setup = setup._replace(tracker=RacelineTracker(raceline))
         if not parameters.grip_use:
             requested_speed(raceline, parameters)  # an error without speeds
             return setup._replace(plan=None, guard=None)
@@ -296,7 +297,7 @@ class Controller:
             state = predicted(state, parameters.delay_s)
 
         _, x, y, psi, _, _, _ = state
-        s, d, _, _ = self._tracker.update(x, y, psi)
+        s, d, path_psi, path_kappa = self._tracker.update(x, y, psi)
         speed = self._speed_at(s + parameters.speed_lookahead_s * v_x)
         law_speed = v_x if parameters.speed_source == "measured" else speed
         if law_speed < 0.0:
@@ -308,10 +309,24 @@ class Controller:
         approach = APPROACH_FACTOR * (d if d > 0.0 else -d)
         if wanted < approach:
             wanted = approach
-        _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
-        eta = bearing(state, point_x, point_y)
+        if parameters.lookahead_from == "car":
+            _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
+        else:
+            beside_x, beside_y = raceline.position(s)
+            _, point_x, point_y, _ = raceline.point_ahead(beside_x, beside_y, s, wanted)
+            distance = math.hypot(point_x - x, point_y - y)
+        directed = state if parameters.eta_from == "velocity" else state._replace(v_y=0.0)
+        eta = bearing(directed, point_x, point_y)
         a_lat = lateral_acceleration(law_speed, distance if distance > 1e-3 else 1e-3, eta)
-        angle, saturated = self._steering_map.steering(law_speed, a_lat)
+        if parameters.curvature_feedforward:
+            lacking = missing_curvature(x, y, d, path_psi, path_kappa, point_x, point_y)
+            a_lat += parameters.curvature_feedforward * law_speed * law_speed * lacking
+        table_speed = law_speed
+        if law_speed > parameters.table_v_max_mps and parameters.steering_map != "ackermann":
+            table_speed = parameters.table_v_max_mps
+        angle, saturated = self._steering_map.steering(table_speed, a_lat)
+        if parameters.yaw_rate_gain_s:
+            angle += parameters.yaw_rate_gain_s * (a_lat / law_speed - state.r)
         angle = self._limited(angle, t)
         if self._guard is not None:
             speed = self._guard.limited(t, v_x, a_lat / (law_speed * law_speed), speed)
@@ -428,8 +443,9 @@ class _SideslipEstimate:
         return self._ahead * r - abs(v_x) * tangent
 
 
+@lru_cache(maxsize=16)
 def build_steering_map(kind, vehicle, v_max):
-    """Steering map of a vehicle.
+    """Steering map of a vehicle; the same object for the same arguments, as it never changes.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ after Park, Deyst, How, "A New Nonlinear Guidance Logic for Trajectory Tracking"
 import math
 from typing import NamedTuple
 
-__all__ = ["LookaheadLaw", "arc_to", "bearing", "lateral_acceleration"]
+__all__ = ["LookaheadLaw", "arc_to", "bearing", "lateral_acceleration", "missing_curvature"]
 
 # Below this speed [m/s] the measured velocity loses its direction to noise, and the steering of a
 # standing car would swing from lock to lock after it.
@@ -94,6 +94,37 @@ def lateral_acceleration(speed, distance, eta):
     """
     sine = math.sin(eta) if -0.5 * math.pi < eta < 0.5 * math.pi else math.copysign(1.0, eta)
     return 2.0 * speed * speed / distance * sine
+
+
+def missing_curvature(x, y, d, psi, kappa, point_x, point_y):
+    """Curvature that the L1 law lacks for a car that is on the path already.
+
+    Such a car would be led along the circle tangent to the path that passes through the lookahead
+    point, of curvature ``2 sin(eta) / L_d``. Where the curvature of the path changes that is not
+    the path's own: the law turns in early and opens early, and cuts the bend. Adding the difference
+    makes the path itself a solution of the law.
+
+    Parameters
+    ----------
+    x, y : float
+        The car [m].
+    d, psi, kappa : float
+        Its lateral deviation [m], and heading [rad] and curvature [1/m] of the path beside it.
+    point_x, point_y : float
+        Lookahead point on the path [m].
+
+    Returns
+    -------
+    float
+        Path's curvature less that of the law's circle, positive to the left [1/m]; 0 where the
+        lookahead point is beside the car.
+    """
+    dx, dy = point_x - x, point_y - y
+    cosine, sine = math.cos(psi), math.sin(psi)
+    # The point as seen from the foot on the path, along the path and to the left of it.
+    along, aside = cosine * dx + sine * dy, cosine * dy - sine * dx + d
+    square = along * along + aside * aside
+    return kappa - 2.0 * aside / square if square > 1e-6 else 0.0
 
 
 def arc_to(x, y, point_x, point_y, eta, count=20):

@@ -8,7 +8,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from ..vehicle.tires import finite
+from ..validation import finite, read_parameters
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
@@ -21,6 +21,8 @@ __all__ = [
 
 STEERING_MAPS = ("ackermann", "linear_table", "table")
 SPEED_SOURCES = ("measured", "command")
+ETA_FROM = ("velocity", "heading")
+LOOKAHEAD_FROM = ("car", "path")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
@@ -36,6 +38,20 @@ class ControllerParameters:
         ``L_d = m + q v``: offset [m] and gain [s] (the paper's letters).
     lookahead_min_m, lookahead_max_m : float
         Bounds of the lookahead distance [m].
+    eta_from : {"velocity", "heading"}
+        Direction from which the angle to the lookahead point counts: that of the velocity, as L1
+        guidance has it, or, as in the authors' code, that of the car's nose.
+    lookahead_from : {"car", "path"}
+        Where the lookahead distance to the point begins: at the car, or, as in the authors' code,
+        at the point of the path beside it.
+    table_v_max_mps : float
+        Beyond this speed a table is read as at it [m/s]; the authors' tables end at 7 m/s.
+    curvature_feedforward : float
+        Share, 0 to 1, of the curvature that the law lacks on the path itself which is added to it
+        (see `map_racing.control.guidance.missing_curvature`). 0 as in the paper.
+    yaw_rate_gain_s : float
+        Steering angle added for each rad/s by which the car turns slower than the demand,
+        ``a_lat / v - r`` [s]. 0 as in the paper.
     delay_s : float
         Delay compensation: from the time at which the pose holds to the time at which the steering
         acts on the car [s]. 0 as in the paper: no compensation.
@@ -70,6 +86,11 @@ class ControllerParameters:
     q_s: float
     lookahead_min_m: float = 0.3
     lookahead_max_m: float = 5.0
+    eta_from: str = "velocity"
+    lookahead_from: str = "car"
+    table_v_max_mps: float = 100.0
+    curvature_feedforward: float = 0.0
+    yaw_rate_gain_s: float = 0.0
     delay_s: float = 0.0
     speed_source: str = "measured"
     speed_lookahead_s: float = 0.0
@@ -87,6 +108,8 @@ class ControllerParameters:
         for name, allowed in (
             ("steering_map", STEERING_MAPS),
             ("speed_source", SPEED_SOURCES),
+            ("eta_from", ETA_FROM),
+            ("lookahead_from", LOOKAHEAD_FROM),
             ("reference_point", REFERENCE_POINTS),
         ):
             if getattr(self, name) not in allowed:
@@ -104,9 +127,17 @@ class ControllerParameters:
             raise ParameterError(
                 f"grip_use must be 0 (off) or 0.1 to 1.2 (0.9 is 90 %), but is {self.grip_use:g}"
             )
-        for name in ("v_max_mps", "a_drive_max_mps2", "a_brake_max_mps2"):
+        for name in ("v_max_mps", "table_v_max_mps", "a_drive_max_mps2", "a_brake_max_mps2"):
             if getattr(self, name) <= 0:
                 raise ParameterError(f"{name} must be positive, but is {getattr(self, name)}")
+        if not 0 <= self.curvature_feedforward <= 1:
+            raise ParameterError(
+                f"curvature_feedforward must be 0 to 1, but is {self.curvature_feedforward:g}"
+            )
+        if not 0 <= self.yaw_rate_gain_s <= 0.5:
+            raise ParameterError(
+                f"yaw_rate_gain_s must be 0 to 0.5 s, but is {self.yaw_rate_gain_s:g}"
+            )
         if not 0 < self.lookahead_min_m <= self.lookahead_max_m:
             raise ParameterError(
                 "expected 0 < lookahead_min_m <= lookahead_max_m, but they are "
@@ -194,25 +225,3 @@ def save_controller_parameters(parameters, path, limits=None):
             values = asdict(limits)
             del values["max_speed_mps"]
             yaml.safe_dump({"safety": values}, file, sort_keys=False)
-
-
-def read_parameters(path, kind, values=None):
-    """Read one dataclass from a YAML mapping of the same names, refusing all else by name.
-
-    With `values`, the mapping that was read already, `path` is only for the texts of errors.
-    """
-    if values is None:
-        values = read_yaml_mapping(path)
-    known = {field.name for field in fields(kind)}
-    unknown = sorted(str(name) for name in values if name not in known)
-    if unknown:
-        raise ParameterError(
-            f"{path}: unknown parameter {', '.join(unknown)} (known: {', '.join(sorted(known))})"
-        )
-    try:
-        return kind(**values)
-    except TypeError as error:  # a required argument is missing
-        missing = str(error).split(": ")[-1]
-        raise ParameterError(f"{path}: missing parameter {missing}") from error
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from error

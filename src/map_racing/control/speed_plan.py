@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from ..errors import ParameterError
+from ..track.files.waypoints import scaled_speed
 from ..track.speed_profile import lap_time, speed_profile
-from ..track.waypoints import scaled_speed
 
 __all__ = ["WALKING_PACE", "SpeedPlan", "requested_speed"]
 

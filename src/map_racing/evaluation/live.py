@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FileFormatError, MapRacingError, ParameterError
-from ..track.raceline import FARTHEST
+from ..validation import FARTHEST
 from .laps import Lap, LapEvaluator, LapLimits, check_options
+from .report import csv_cells
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 
@@ -322,7 +323,7 @@ class LapLog:
     def add(self, live_lap):
         """Append a `LiveLap`."""
         row = {"run": live_lap.run, **live_lap.lap.row()}
-        self._append([_cell(row[name]) for name in self._names])
+        self._append(csv_cells(row[name] for name in self._names))
 
     def close(self):
         """Close the file."""
@@ -340,13 +341,8 @@ class LapLog:
             raise MapRacingError(f"{self.path}: cannot write: {error.strerror}") from None
 
 
-def _cell(value):
-    """As pandas writes it: nothing for NaN."""
-    return "" if isinstance(value, float) and math.isnan(value) else value
-
-
 def _same(one, other):
-    """Whether two racelines are the same course, to the last bit."""
+    """Whether two racelines are the same track, to the last bit."""
     return all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for name in ("x", "y", "speed", "d_left", "d_right")

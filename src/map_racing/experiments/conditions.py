@@ -12,24 +12,13 @@ import random
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from ..control.parameters import read_parameters
 from ..errors import ParameterError
 from ..resources import find_config
-from ..simulation.plant import Localization, Plant, load_plant_parameters, scaled_tires
-from ..simulation.public_simulator import PublicSimulator
-from ..vehicle.parameters import Vehicle, load_vehicle
+from ..simulation.plant import scaled_tires
+from ..validation import read_parameters
+from ..vehicle.parameters import Vehicle
 
-__all__ = [
-    "PUBLIC_SIMULATOR",
-    "Conditions",
-    "Day",
-    "build_plant",
-    "day_of",
-    "load_conditions",
-    "load_plant",
-]
-
-PUBLIC_SIMULATOR = "public_simulator"
+__all__ = ["Conditions", "Day", "day_of", "load_conditions"]
 
 
 @dataclass(frozen=True)
@@ -136,46 +125,6 @@ def load_conditions(source):
         If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
     return read_parameters(find_config("experiments", source, (".yaml",)), Conditions)
-
-
-def load_plant(source):
-    """A plant with all that it is made of, so that a run depends on no file.
-
-    Parameters
-    ----------
-    source : str
-        Shipped plant, plant file, or ``public_simulator``.
-
-    Returns
-    -------
-    PlantParameters or Vehicle
-        The latter for the public simulator, whose only parameters are those of its car.
-    """
-    if source == PUBLIC_SIMULATOR:
-        return load_vehicle("sim")
-    parameters = load_plant_parameters(source)
-    return replace(parameters, vehicle=load_vehicle(parameters.vehicle))
-
-
-def build_plant(plant, seed):
-    """A car that can be driven.
-
-    Parameters
-    ----------
-    plant : PlantParameters or Vehicle
-        As from `load_plant`.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    plant : Plant or PublicSimulator
-    localization : Localization or None
-        The public simulator has none: its poses are true.
-    """
-    if isinstance(plant, Vehicle):
-        return PublicSimulator(plant), None
-    return Plant(plant), Localization(plant, seed)
 
 
 def day_of(plant, conditions, seed):

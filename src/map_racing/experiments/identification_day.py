@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from ..control.steering_ramp import RampParameters
+from ..identification.data import ChannelMap, SensorSetup, load_run
+from ..identification.identify import identify
+from ..identification.limits import SteadyLimits
 from ..simulation.plant import PlantParameters
-from .cornering import SteadyLimits
-from .driving_data import ChannelMap, SensorSetup, load_run
-from .identification import identify
-from .ramp_drive import drive_ramps, write_ramp_bag
-from .steering_ramp import RampParameters
+from ..simulation.ramps import drive_ramps
+from ..simulation.recorded import write_ramp_bag
 
 __all__ = ["RAMPS", "STEADY", "identify_on"]
 

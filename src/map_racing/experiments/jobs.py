@@ -26,13 +26,14 @@ from ..control.parameters import ControllerParameters
 from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
 from ..simulation.plant import PlantParameters
+from ..simulation.plants import build_plant
+from ..simulation.public_simulator import PublicSimulatorParameters
 from ..simulation.race import Outcome, race
+from ..simulation.recorded import write_race_bag
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
-from .conditions import build_plant
-from .race_bag import write_race_bag
 
-__all__ = ["RaceJob", "RaceResult", "Stretch", "code_fingerprint", "execute"]
+__all__ = ["End", "RaceJob", "RaceResult", "Stretch", "code_fingerprint", "execute"]
 
 # The rooms, and modules of other rooms, that decide how a race goes and what is measured of it.
 _DECISIVE = (
@@ -53,8 +54,8 @@ class RaceJob:
         With the scale of the speeds.
     vehicle : Vehicle
         The car as the controller knows it.
-    plant : PlantParameters or Vehicle
-        The car as it is; a Vehicle is driven as the public simulator's.
+    plant : PlantParameters, PublicSimulatorParameters or Vehicle
+        The car as it is; a Vehicle is driven as the public simulator's, with poses at 40 Hz.
     raceline : Raceline
     laps : int
         Timed laps after an out-lap.
@@ -65,7 +66,7 @@ class RaceJob:
     name: str = field(compare=False)
     controller: ControllerParameters
     vehicle: Vehicle
-    plant: PlantParameters | Vehicle
+    plant: PlantParameters | PublicSimulatorParameters | Vehicle
     raceline: Raceline
     laps: int
     seed: int
@@ -104,6 +105,20 @@ class Stretch(NamedTuple):
     reason: str
 
 
+class End(NamedTuple):
+    """Where and how a race ended, at its last control step.
+
+    Arc length [m], lateral deviation [m], curvature of the raceline there [1/m], speed [m/s], and
+    angle from heading to velocity [rad].
+    """
+
+    s: float
+    d: float
+    kappa: float
+    speed: float
+    sideslip: float
+
+
 class RaceResult(NamedTuple):
     """What a race gave.
 
@@ -118,12 +133,15 @@ class RaceResult(NamedTuple):
         Simulated time [s].
     path : tuple of (float, float, float)
         Time [s] and true position [m] at each control step; empty if it was not asked for.
+    end : End or None
+        None if it was over before the first control step.
     """
 
     outcome: str
     stretches: tuple
     duration_s: float
     path: tuple = ()
+    end: End | None = None
 
     @property
     def completed(self):
@@ -161,7 +179,8 @@ def execute(job, path=False, bag=False):
     begin = process_time()
     plant, localization = build_plant(job.plant, job.seed)
     controller = build_controller(job.controller, job.vehicle, job.raceline)
-    log = race(plant, controller, job.raceline, localization, laps=job.laps)
+    rate = getattr(job.plant, "localization_rate_hz", 40.0)
+    log = race(plant, controller, job.raceline, localization, rate=rate, laps=job.laps)
     states = log.true_path() if log.samples else np.empty((0, 7))
     evaluator = LapEvaluator(job.raceline, car_width=plant.vehicle.width)
     t, x, y, _, v_x, v_y, _ = states.T
@@ -169,9 +188,18 @@ def execute(job, path=False, bag=False):
     laps = evaluator.finish().laps
     stretches = tuple(Stretch(*(getattr(lap, name) for name in Stretch._fields)) for lap in laps)
     driven = tuple(zip(t.tolist(), x.tolist(), y.tolist())) if path else ()
-    result = RaceResult(log.outcome.value, stretches, log.duration, driven)
+    end = _end_of(log, job.raceline)
+    result = RaceResult(log.outcome.value, stretches, log.duration, driven, end)
     recorded = _bag_of(log, job.raceline) if bag else None
     return Executed(result, recorded, process_time() - begin, code_fingerprint())
+
+
+def _end_of(log, raceline):
+    if not log.samples:
+        return None
+    _, x, y, _, v_x, v_y, _ = log.samples[-1].true
+    s, d, _, kappa = raceline.project(x, y)
+    return End(s, d, kappa, math.hypot(v_x, v_y), math.atan2(v_y, v_x))
 
 
 def _bag_of(log, raceline):

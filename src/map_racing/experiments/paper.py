@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ..evaluation.recordings import load_course
+from ..simulation.plants import PUBLIC_SIMULATOR, load_plant
+from ..track.files.load import load_raceline
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 from .campaign import Plan
-from .conditions import PUBLIC_SIMULATOR, Conditions, day_of, load_plant
+from .conditions import Conditions, day_of
 from .jobs import RaceJob
 from .tuning import tune
 
@@ -99,7 +100,7 @@ class Setting:
         -------
         Setting
         """
-        raceline, plant = load_course(conditions.track), load_plant(conditions.plant)
+        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
         return cls(conditions, raceline, plant, *identified(plant))
 
     def day(self, seed):

@@ -9,9 +9,9 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
-from ..files import replacing
+from ..files import replacing, write_json
 from ..simulation.race import Outcome
-from .jobs import RaceResult, Stretch, plain
+from .jobs import End, RaceResult, Stretch, plain
 
 __all__ = ["Store"]
 
@@ -84,20 +84,12 @@ class Store:
             "result": {
                 "outcome": result.outcome,
                 "duration_s": result.duration_s,
-                "stretches": [_row(stretch) for stretch in result.stretches],
+                "stretches": [stretch._asdict() for stretch in result.stretches],
                 "path": result.path,
+                "end": result.end,
             },
         }
-        with replacing(self.folder / "runs" / f"{job.fingerprint}.json") as file:
-            json.dump(record, file, allow_nan=False)
-            file.write("\n")
-
-
-def _row(stretch):
-    return {
-        name: None if isinstance(value, float) and math.isnan(value) else value
-        for name, value in stretch._asdict().items()
-    }
+        write_json(self.folder / "runs" / f"{job.fingerprint}.json", record, indent=None)
 
 
 def _read(path):
@@ -117,10 +109,11 @@ def _result(record, path):
             for row in values["stretches"]
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
-        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven)
+        end = values["end"] and End(*values["end"])
+        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end)
         Outcome(result.outcome)
         numbers = [value for row in stretches for value in row[:-1]]  # the last is a text
-        for value in chain([result.duration_s], numbers, *driven):
+        for value in chain([result.duration_s], numbers, end or (), *driven):
             math.isnan(value)  # a TypeError for what is no number
         return result
     except (KeyError, TypeError, ValueError):

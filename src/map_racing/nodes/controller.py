@@ -26,6 +26,7 @@ from tf2_msgs.msg import TFMessage
 from map_racing.cfg import ControllerConfig
 from map_racing.msg import Guidance
 
+from ..bags import messages
 from ..control.controller import Controller, Status, build_steering_map
 from ..control.parameters import (
     STEERING_MAPS,
@@ -38,10 +39,9 @@ from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
 from ..control.speed_plan import SpeedPlan
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
-from ..evaluation import messages
-from ..evaluation.recordings import load_course
 from ..files import read_yaml_mapping
-from ..track.waypoints import waypoint_rows
+from ..track.files.load import load_raceline
+from ..track.files.waypoints import waypoint_rows
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
@@ -146,7 +146,7 @@ class ControllerNode:
         self._driven = publisher("driven_waypoints", waypoint_array_class()[0], 1, latch=True)
         rospy.on_shutdown(self._end)
         if source:
-            self._follow(load_course(source))
+            self._follow(load_raceline(source))
         else:
             self._topic = RacelineSubscriber(
                 "global_waypoints", self._set_raceline, self._refuse_raceline

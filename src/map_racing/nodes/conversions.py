@@ -7,7 +7,7 @@ import genpy
 from ..angles import yaw_from_quaternion
 from ..control.motion import MotionEstimate
 from ..control.state import CarState
-from ..evaluation.samples import FARTHEST
+from ..validation import FARTHEST
 
 __all__ = [
     *("StateReader", "frame", "heading", "plane_pose", "set_plane_pose", "stamp_ns", "to_time"),

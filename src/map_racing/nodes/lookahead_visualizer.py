@@ -21,8 +21,8 @@ from map_racing.msg import Guidance
 
 from ..control.guidance import arc_to
 from ..errors import ParameterError
-from ..track.tracker import CourseTracker
-from ..track.waypoints import waypoint_rows
+from ..track.files.waypoints import waypoint_rows
+from ..track.tracker import RacelineTracker
 from ..vehicle.parameters import load_vehicle
 from .conversions import frame as plain_frame
 from .conversions import plane_pose, stamp_ns
@@ -90,7 +90,7 @@ class LookaheadVisualizer:
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
         self._course = rospy.Publisher("course_markers", MarkerArray, queue_size=2, latch=True)
         self._raceline = RacelineSubscriber(
-            "global_waypoints", self._draw_course, lambda error: rospy.logwarn("%s", error)
+            "global_waypoints", self._draw_raceline, lambda error: rospy.logwarn("%s", error)
         )
         rospy.Subscriber(
             "driven_waypoints", waypoint_array_class()[0], self._receive_driven, queue_size=1
@@ -151,8 +151,8 @@ class LookaheadVisualizer:
             markers.append(self._drawn_trail(frame))
         self._markers.publish(MarkerArray(markers))
 
-    def _draw_course(self, raceline):
-        self._tracker = CourseTracker(raceline)
+    def _draw_raceline(self, raceline):
+        self._tracker = RacelineTracker(raceline)
         self._shown = raceline
         self._color_course()
 

@@ -50,7 +50,7 @@ def raceline_markers(raceline, rows, frame):
     ----------
     raceline : Raceline
     rows : list of list of float
-        Its waypoints, as of `map_racing.track.waypoints.waypoint_rows`.
+        Its waypoints, as of `map_racing.track.files.waypoints.waypoint_rows`.
     frame : str
 
     Returns

@@ -11,8 +11,8 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
 from ..control.safety import PoseMotion
+from ..control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
 from ..errors import ParameterError
-from ..experiments.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
 from .conversions import plane_pose, stamp_ns
 from .node import FirstSender, get_parameter, run, sleep
 

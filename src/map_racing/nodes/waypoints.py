@@ -9,10 +9,10 @@ import rospy
 from genpy.dynamic import generate_dynamic
 from std_msgs.msg import Header
 
+from ..bags import messages
 from ..errors import MapRacingError, RacelineError
-from ..evaluation import messages
-from ..track.formats import raceline_from_columns
-from ..track.waypoints import WAYPOINT_COLUMNS
+from ..track.files.readers import raceline_from_columns
+from ..track.files.waypoints import WAYPOINT_COLUMNS
 from .node import get_parameter
 
 __all__ = [
@@ -92,7 +92,7 @@ def raceline_from_message(message, source):
     Raises
     ------
     RacelineError
-        If it is no such message, or its waypoints make no closed course.
+        If it is no such message, or its waypoints make no closed track.
     """
     connection = message._connection_header
     kind = connection["type"]

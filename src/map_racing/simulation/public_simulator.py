@@ -8,11 +8,50 @@ Model and figures as published with that simulator; a recording of it obeys them
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 from ..control.state import CarState
+from ..errors import ParameterError
+from ..validation import finite
+from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 
-__all__ = ["PublicSimulator"]
+__all__ = ["PublicSimulator", "PublicSimulatorParameters"]
+
+
+@dataclass(frozen=True)
+class PublicSimulatorParameters:
+    """The public simulator's plant with what may differ from how the authors run it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        As of `PublicSimulator`.
+    steering_delay_s : float
+        Delay of the steering commands [s], in steps of 10 ms.
+    localization_rate_hz : float
+        Poses per second; the simulator sends 100.
+    """
+
+    vehicle: Vehicle
+    steering_delay_s: float = 0.05
+    localization_rate_hz: float = 100.0
+
+    def __post_init__(self):
+        if not 0.0 <= finite("steering_delay_s", self.steering_delay_s) <= 1.0:
+            raise ParameterError(
+                f"steering_delay_s: expected 0 to 1 s, got {self.steering_delay_s:g}"
+            )
+        if not 1.0 <= finite("localization_rate_hz", self.localization_rate_hz) <= 100.0:
+            raise ParameterError(
+                f"localization_rate_hz: expected 1 to 100 Hz, got {self.localization_rate_hz:g}"
+            )
+
+    def build(self):
+        """The plant."""
+        return PublicSimulator(
+            self.vehicle, round(self.steering_delay_s / PublicSimulator.time_step)
+        )
 
 
 class PublicSimulator:
@@ -26,6 +65,8 @@ class PublicSimulator:
     vehicle : Vehicle
         A car with linear tires; the figures of the simulator are those of the shipped ``sim``, but
         for `h_cg`.
+    steering_delay_steps : int, optional
+        Steps of 10 ms by which steering commands are late.
 
     Attributes
     ----------
@@ -40,13 +81,13 @@ class PublicSimulator:
 
     h_cg = 0.074
     time_step = 0.01
-    steering_delay_steps = 5
     steering_dead_band = 1e-4
     dynamic_above = 0.53  # m/s, entering the dynamic model ...
     kinematic_below = 0.50  # ... and leaving it
 
-    def __init__(self, vehicle):
+    def __init__(self, vehicle, steering_delay_steps=5):
         self.vehicle = vehicle
+        self.steering_delay_steps = steering_delay_steps
         self.reset(0.0, 0.0, 0.0)
 
     def reset(self, x, y, psi, speed=0.0):

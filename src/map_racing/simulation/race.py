@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from .car import SimulatedCar, hits_wall
 
 __all__ = ["Outcome", "RaceLog", "Sample", "race"]
@@ -17,8 +17,11 @@ __all__ = ["Outcome", "RaceLog", "Sample", "race"]
 # The race begins and ends so far past the line [m] that noise does not take the car back over it.
 START_S = 0.3
 
-# A car that does not get HEADWAY [m] farther along the course within PATIENCE [s] has stalled.
+# A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
 HEADWAY, PATIENCE = 0.5, 10.0
+
+# Time is looked at at least this often [s].
+LOOK = 0.1
 
 
 class Outcome(Enum):
@@ -118,12 +121,13 @@ def race(
     car = SimulatedCar(plant, localization, rate)
     car.put(start.x, start.y, start.psi)
     controller.reset()
-    tracker = CourseTracker(raceline)
+    tracker = RacelineTracker(raceline)
     steering, speed = 0.0, 0.0
     samples = []
     driven, last_s = START_S, None
     headway, headway_at = driven, 0.0
     poses = 0
+    longest = round(LOOK / plant.time_step)
     while True:
         taken, arrived = car.observe()
         if taken is not None:
@@ -156,5 +160,8 @@ def race(
                     result,
                 )
             )
-        car.advance(steering, speed)
+        # On to the next pose; time is looked at in between, should there be none.
+        stride = min(car.next_event, car.tick + longest) - car.tick
+        for _ in range(max(stride, 1)):
+            car.advance(steering, speed)
     return RaceLog(outcome, max(int(driven / raceline.length) - 1, 0), car.now, samples)

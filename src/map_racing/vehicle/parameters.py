@@ -14,8 +14,9 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
+from ..validation import finite, positive
 from .single_track import GRAVITY
-from .tires import LinearTire, PacejkaTire, finite, positive
+from .tires import LinearTire, PacejkaTire
 
 __all__ = [
     "Tire",

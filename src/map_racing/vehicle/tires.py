@@ -12,17 +12,13 @@ so that in a left turn both slip angles are negative and both forces positive.
 from __future__ import annotations
 
 import math
-import numbers
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..errors import ParameterError
+from ..validation import finite, positive
 
-__all__ = ["LinearTire", "PacejkaTire", "finite", "positive"]
-
-# Beyond these a parameter is a slip of the pen, and would overflow somewhere.
-_SMALLEST, _LARGEST = 1e-9, 1e9
+__all__ = ["LinearTire", "PacejkaTire"]
 
 
 @dataclass(frozen=True)
@@ -202,42 +198,6 @@ class LinearTire:
             return C_S * alpha
 
         return force
-
-
-def finite(name, value):
-    """The value as a float, if it is a number of a credible size.
-
-    Parameters
-    ----------
-    name : str
-        What it is, for the error.
-    value : object
-        Anything, such as a value read from a file.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ParameterError
-        If it is something else, such as a text or a truth value, or beyond 1e9.
-    """
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    # Integers of any length compare with infinity.
-    if not number or not -math.inf < value < math.inf:
-        raise ParameterError(f"{name}: expected a finite number, got {value!r}")
-    if not -_LARGEST <= value <= _LARGEST:
-        raise ParameterError(f"{name}: expected a number of at most {_LARGEST:g} in magnitude")
-    return float(value)
-
-
-def positive(name, value):
-    """The same, if it is not negative, zero or below 1e-9."""
-    value = finite(name, value)
-    if value < _SMALLEST:
-        raise ParameterError(f"{name}: expected a positive number, got {value:g}")
-    return value
 
 
 def _check(tire):

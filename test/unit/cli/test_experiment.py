@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from map_racing.bags.reader import read_recording
 from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
-from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.laps import evaluate
-from map_racing.experiments.race_bag import GROUND_TRUTH_TOPIC
-from map_racing.track.formats import save_raceline
+from map_racing.evaluation.recordings import recorded_raceline
+from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
+from map_racing.track.files.load import save_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -94,7 +95,7 @@ def test_the_bags_hold_the_races_of_the_table(tires):
     row = races[(races.controller == "MAP Pacejka") & (races.seed == 2)].iloc[0]
     (bag,) = [path for path in bags if f"_{row.fingerprint[:6]}.bag" in path.name]
     recording = read_recording(bag, GROUND_TRUTH_TOPIC)
-    summary = evaluate(recording, recording.raceline).summary
+    summary = evaluate(recording, recorded_raceline(recording)).summary
     assert summary.mean_lap_time_s == pytest.approx(row.mean_lap_time_s, abs=1e-5)
     assert summary.max_abs_lateral_error_m == pytest.approx(row.max_abs_lateral_error_m, abs=1e-5)
 

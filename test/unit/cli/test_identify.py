@@ -8,9 +8,10 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from map_racing.bags.messages import decode_drive
+from map_racing.bags.reader import read_recording, read_signals
+from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.cli import main
-from map_racing.evaluation.bags import DRIVE_TOPIC, read_recording, read_signals
-from map_racing.evaluation.messages import decode_drive
 from map_racing.resources import config_directory
 from map_racing.vehicle.lookup import load_table
 from map_racing.vehicle.parameters import load_vehicle, parameter_hash

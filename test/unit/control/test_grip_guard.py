@@ -15,8 +15,8 @@ from map_racing.control.state import CarState
 from map_racing.simulation.car import SimulatedCar, hits_wall
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import Outcome, race
-from map_racing.track.formats import load_raceline
-from map_racing.track.tracker import CourseTracker
+from map_racing.track.files.load import load_raceline
+from map_racing.track.tracker import RacelineTracker
 from map_racing.vehicle.parameters import load_vehicle
 
 NUC4 = load_vehicle("nuc4")
@@ -139,7 +139,7 @@ def survives(controller, line, seed, times, offset):
     speed = times * controller.plan.speed_at(s)
     plant.reset(x, y, line.pose(s).psi, speed)
     controller.reset()
-    tracker, angle, driven = CourseTracker(line), 0.0, 0.0
+    tracker, angle, driven = RacelineTracker(line), 0.0, 0.0
     while driven < 10.0 and car.now < 20.0:
         taken, arrived = car.observe()
         if taken is not None:

@@ -13,7 +13,7 @@ from map_racing.control.speed_plan import WALKING_PACE, SpeedPlan
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState
 from map_racing.errors import ParameterError
-from map_racing.track.formats import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import lap_time
 from map_racing.vehicle.lookup import LookupTable

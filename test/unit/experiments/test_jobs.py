@@ -7,12 +7,12 @@ import pickle
 import numpy as np
 import pytest
 
+from map_racing.bags.reader import read_recording
 from map_racing.errors import MapRacingError
-from map_racing.evaluation.bags import read_recording
 from map_racing.evaluation.laps import evaluate
-from map_racing.experiments.conditions import load_plant
 from map_racing.experiments.jobs import code_fingerprint, execute, fingerprint
-from map_racing.experiments.race_bag import GROUND_TRUTH_TOPIC
+from map_racing.simulation.plants import load_plant
+from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
 from map_racing.track.raceline import Raceline
 
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.evaluation.bags import read_recording
+from map_racing.bags.reader import read_recording
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.vehicle.parameters import load_vehicle
 

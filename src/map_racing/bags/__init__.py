@@ -1,0 +1,1 @@
+"""ROS 1 bags: records, messages, topics, recorded driving."""

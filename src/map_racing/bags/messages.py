@@ -1,0 +1,362 @@
+"""Byte layouts of the ROS 1 messages that carry a race.
+
+The layouts are fixed (a message's md5 sum is a hash of its definition), so messages are packed by
+`struct` and unpacked by numpy, many at once: an Odometry takes 0.5 us, against 22 us by a general
+deserializer. Only plane motion is kept.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+from ..angles import yaw_from_quaternion
+
+__all__ = [
+    "ACKERMANN",
+    "DEFINITIONS",
+    "FLOAT64",
+    "IMU",
+    "MD5",
+    "ODOMETRY",
+    "PATH",
+    "POSE",
+    "POSE_COVARIANCE",
+    "TF",
+    "WAYPOINTS",
+    "WAYPOINT_FIELDS",
+    "Transform",
+    "decode_drive",
+    "decode_float64",
+    "decode_header",
+    "decode_imu",
+    "decode_odometry",
+    "decode_path",
+    "decode_pose",
+    "decode_transforms",
+    "decode_waypoints",
+    "encode_drive",
+    "encode_imu",
+    "encode_odometry",
+    "encode_pose",
+    "encode_transform",
+    "encode_waypoints",
+]
+
+ODOMETRY = "nav_msgs/Odometry"
+POSE = "geometry_msgs/PoseStamped"
+POSE_COVARIANCE = "geometry_msgs/PoseWithCovarianceStamped"
+ACKERMANN = "ackermann_msgs/AckermannDriveStamped"
+IMU = "sensor_msgs/Imu"
+PATH = "nav_msgs/Path"
+FLOAT64 = "std_msgs/Float64"
+TF = "tf2_msgs/TFMessage"
+WAYPOINTS = "f110_msgs/WpntArray"
+# Fields of f110_msgs/Wpnt after its number.
+WAYPOINT_FIELDS = (
+    "s_m",
+    "d_m",
+    "x_m",
+    "y_m",
+    "d_right",
+    "d_left",
+    "psi_rad",
+    "kappa_radpm",
+    "vx_mps",
+    "ax_mps2",
+)
+
+MD5 = {
+    ODOMETRY: "cd5e73d190d741a2f92e81eda573aca7",
+    POSE: "d3812c3cbc69362b77dc0b19b345f8f5",
+    POSE_COVARIANCE: "953b798c0f514ff060a53a3498ce6246",
+    ACKERMANN: "1fd5d7f58889cefd44d29f6653240d0c",
+    IMU: "6a62c6daae103f4ff57a132d6f95cec2",
+    PATH: "6227e2b7e9cce15051f669a5e197bbf7",
+    FLOAT64: "fdb28210bfa9d7c91146260178d9a584",
+    TF: "94810edda583a504dfda3829e70d7eec",
+    WAYPOINTS: "f862195689eef47cf0c81faffd1f380d",
+}
+
+DEFINITIONS = {
+    "f110_msgs/msg/Wpnt": (
+        "int32 id\nfloat64 s_m\nfloat64 d_m\nfloat64 x_m\nfloat64 y_m\nfloat64 d_right\n"
+        "float64 d_left\nfloat64 psi_rad\nfloat64 kappa_radpm\nfloat64 vx_mps\nfloat64 ax_mps2\n"
+    ),
+    "f110_msgs/msg/WpntArray": "std_msgs/Header header\nf110_msgs/Wpnt[] wpnts\n",
+    "ackermann_msgs/msg/AckermannDrive": (
+        "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\n"
+        "float32 acceleration\nfloat32 jerk\n"
+    ),
+    "ackermann_msgs/msg/AckermannDriveStamped": (
+        "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
+    ),
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+}
+"""Definitions of the message types that are not among ROS's common ones."""
+
+_HEADER = struct.Struct("<IIII")
+_U32 = struct.Struct("<I")
+_F64 = struct.Struct("<d")
+_POSE = struct.Struct("<7d")
+_PLANE_POSE = struct.Struct("<2d8x4d")
+_ODOMETRY_OUT = struct.Struct("<7d288x6d288x")
+_IMU_OUT = struct.Struct("<4d9d3d9d3d9d")
+_DRIVE = struct.Struct("<5f")
+_WAYPOINT = struct.Struct("<i10d")
+_WAYPOINTS = np.dtype([("id", "<i4")] + [(name, "<f8") for name in WAYPOINT_FIELDS])
+# Offsets from the beginning of the body, behind the header and the child's frame.
+_POSE_FIELDS = {
+    name: ("<f8", offset)
+    for name, offset in (("x", 0), ("y", 8), ("qx", 24), ("qy", 32), ("qz", 40), ("qw", 48))
+}
+_TWIST = 56 + 288
+_ODOMETRY_FIELDS = {
+    **_POSE_FIELDS,
+    "v_x": ("<f8", _TWIST),
+    "v_y": ("<f8", _TWIST + 8),
+    "yaw_rate": ("<f8", _TWIST + 40),
+}
+_ODOMETRY_BODY = _TWIST + 48 + 288
+_DRIVE_FIELDS = {"steering_angle": ("<f4", 0), "speed": ("<f4", 8)}
+# Behind orientation, angular velocity and linear acceleration follow a covariance each.
+_RATES, _ACCELERATIONS = 13 * 8, 25 * 8
+_IMU_FIELDS = {
+    "yaw_rate": ("<f8", _RATES + 16),
+    **{name: ("<f8", _ACCELERATIONS + 8 * i) for i, name in enumerate(("a_x", "a_y", "a_z"))},
+}
+_NAN = math.nan
+
+
+class Transform(NamedTuple):
+    """A transform of tf in the plane: the pose of ``child`` in ``parent``."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    x: float
+    y: float
+    psi: float
+
+
+def decode_header(data, at=0):
+    """Stamp [ns], frame (without its leading slash) and end of the header that begins at ``at``."""
+    _, sec, nsec, length = _HEADER.unpack_from(data, at)
+    at += 16
+    frame = data[at : at + length].decode("utf-8", "replace").lstrip("/")
+    return sec * 1000000000 + nsec, frame, at + length
+
+
+def decode_odometry(batch):
+    """Decode ``nav_msgs/Odometry``.
+
+    Parameters
+    ----------
+    batch : list of bytes, length n
+
+    Returns
+    -------
+    stamps : ndarray of int64, shape (n,)
+        Stamps [ns].
+    values : ndarray, shape (n, 6)
+        ``x y psi v_x v_y yaw_rate`` [m, m, rad, m/s, m/s, rad/s].
+    good : ndarray of bool, shape (n,)
+        False for messages that are not laid out as their type is.
+    """
+    return _decode(batch, _ODOMETRY_BODY, _ODOMETRY_FIELDS, has_child=True)
+
+
+def decode_pose(batch):
+    """The same of ``PoseStamped`` or ``PoseWithCovarianceStamped``: velocities are NaN."""
+    return _decode(batch, _POSE.size, _POSE_FIELDS)
+
+
+def decode_drive(batch):
+    """The same of ``AckermannDriveStamped``, with values ``steering_angle speed`` [rad, m/s]."""
+    return _table(batch, _DRIVE.size, _DRIVE_FIELDS)
+
+
+def decode_imu(batch):
+    """The same of ``Imu``, with values ``yaw_rate a_x a_y a_z`` [rad/s, m/s^2] in its own axes."""
+    return _table(batch, _IMU_OUT.size, _IMU_FIELDS)
+
+
+def decode_float64(batch):
+    """The same of ``Float64``, one value each; it has no stamp, so all are 0."""
+    good = np.array([len(data) == 8 for data in batch], dtype=bool)
+    values = np.array([_F64.unpack(data)[0] if len(data) == 8 else _NAN for data in batch])
+    return np.zeros(len(batch), dtype=np.int64), values.reshape(-1, 1), good
+
+
+def _decode(batch, body, fields, has_child=False):
+    stamps, columns, good = _table(batch, body, fields, has_child)
+    x, y, q_x, q_y, q_z, q_w, *twist = columns.T
+    # Damaged messages hold any numbers.
+    with np.errstate(all="ignore"):
+        psi = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z))
+    twist = twist or [np.full(x.size, _NAN)] * 3
+    return stamps, np.stack([x, y, psi, *twist], axis=1), good
+
+
+def _table(batch, body, fields, has_child=False):
+    """Stamps and fields of messages: a header, a ``child_frame_id`` or none, and the body.
+
+    Messages of one length whose frames are of one length are laid out alike, so all of them are
+    decoded at once; in practice that is every message of a topic.
+    """
+    alike = {}
+    for index, data in enumerate(batch):
+        alike.setdefault((len(data), data[12:16]), []).append(index)
+    stamps = np.zeros(len(batch), dtype=np.int64)
+    columns = np.full((len(batch), len(fields)), _NAN)
+    good = np.zeros(len(batch), dtype=bool)
+    for (size, frame), indices in alike.items():
+        # A slice costs half of what a list of all indices costs.
+        where = indices if len(alike) > 1 else slice(None)
+        at = 16 + int.from_bytes(frame, "little")
+        start = size - body if has_child else at
+        if size < 16 or start < at + 4 * has_child or start + body > size:
+            continue
+        layout = {"sec": ("<u4", 4), "nsec": ("<u4", 8)}
+        layout.update((name, (kind, start + offset)) for name, (kind, offset) in fields.items())
+        if has_child:
+            layout["child"] = ("<u4", at)
+        formats, offsets = zip(*layout.values())
+        kind = np.dtype(
+            {"names": list(layout), "formats": formats, "offsets": offsets, "itemsize": size}
+        )
+        table = np.frombuffer(b"".join([batch[index] for index in indices]), kind)
+        stamps[where] = table["sec"].astype(np.int64) * 1000000000 + table["nsec"]
+        for column, name in enumerate(fields):
+            columns[where, column] = table[name]
+        good[where] = table["child"] == start - at - 4 if has_child else True
+    return stamps, columns, good
+
+
+def decode_transforms(data):
+    """List of the `Transform` in a ``TFMessage``."""
+    (count,) = _U32.unpack_from(data)
+    at = 4
+    transforms = []
+    for _ in range(count):
+        stamp_ns, parent, at = decode_header(data, at)
+        (length,) = _U32.unpack_from(data, at)
+        child = data[at + 4 : at + 4 + length].decode("utf-8", "replace").lstrip("/")
+        at += 4 + length
+        x, y, q_x, q_y, q_z, q_w = _PLANE_POSE.unpack_from(data, at)
+        at += _POSE.size
+        psi = yaw_from_quaternion(q_x, q_y, q_z, q_w)
+        transforms.append(Transform(stamp_ns, parent, child, x, y, psi))
+    return transforms
+
+
+def decode_waypoints(data):
+    """Columns of a ``WpntArray``: names of the fields of ``Wpnt`` to arrays."""
+    at = decode_header(data)[2]
+    (count,) = _U32.unpack_from(data, at)
+    if at + 4 + count * _WAYPOINTS.itemsize > len(data):
+        raise struct.error("the message is too short for its waypoints")
+    table = np.frombuffer(data, _WAYPOINTS, count, at + 4)
+    return {name: table[name].astype(float) for name in _WAYPOINTS.names}
+
+
+def decode_path(data):
+    """Columns ``x_m y_m psi_rad`` of a ``nav_msgs/Path``; no ``psi_rad`` if no pose is turned."""
+    at = decode_header(data)[2]
+    (count,) = _U32.unpack_from(data, at)
+    at += 4
+    if count > (len(data) - at) // (16 + _POSE.size):
+        raise struct.error("the message is too short for its poses")
+    poses = np.empty((count, 6))
+    for row in range(count):
+        (length,) = _U32.unpack_from(data, at + 12)
+        at += 16 + length
+        poses[row] = _PLANE_POSE.unpack_from(data, at)
+        at += _POSE.size
+    x, y, q_x, q_y, q_z, q_w = poses.T
+    columns = {"x_m": x, "y_m": y}
+    # Planners often leave all orientations at their defaults: 0 0 0 1, or 0 0 0 0.
+    if np.any(q_z):
+        columns["psi_rad"] = np.arctan2(
+            2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z)
+        )
+    return columns
+
+
+def _string(text):
+    data = text.encode()
+    return _U32.pack(len(data)) + data
+
+
+def _header(seq, stamp_ns, frame):
+    sec, nsec = divmod(stamp_ns, 1000000000)
+    data = frame.encode()
+    return _HEADER.pack(seq, sec, nsec, len(data)) + data
+
+
+def encode_odometry(seq, stamp_ns, frame, child, x, y, psi, v_x, v_y, yaw_rate):
+    """``nav_msgs/Odometry`` without covariances."""
+    return b"".join(
+        (
+            _header(seq, stamp_ns, frame),
+            _string(child),
+            _ODOMETRY_OUT.pack(
+                *(x, y, 0.0, 0.0, 0.0, math.sin(0.5 * psi), math.cos(0.5 * psi)),
+                *(v_x, v_y, 0.0, 0.0, 0.0, yaw_rate),
+            ),
+        )
+    )
+
+
+def encode_pose(seq, stamp_ns, frame, x, y, psi):
+    """``geometry_msgs/PoseStamped``."""
+    z, w = math.sin(0.5 * psi), math.cos(0.5 * psi)
+    return _header(seq, stamp_ns, frame) + _POSE.pack(x, y, 0.0, 0.0, 0.0, z, w)
+
+
+def encode_drive(
+    seq, stamp_ns, frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk
+):
+    """``ackermann_msgs/AckermannDriveStamped``."""
+    return _header(seq, stamp_ns, frame) + _DRIVE.pack(
+        steering_angle, steering_angle_velocity, speed, acceleration, jerk
+    )
+
+
+_NO_ORIENTATION = (0.0, 0.0, 0.0, 1.0, -1.0) + (0.0,) * 8
+_ZEROS = (0.0,) * 9
+
+
+def encode_imu(seq, stamp_ns, frame, a_x, a_y, a_z, yaw_rate):
+    """``sensor_msgs/Imu`` without orientation (its first covariance is -1) and covariances."""
+    return _header(seq, stamp_ns, frame) + _IMU_OUT.pack(
+        *_NO_ORIENTATION, 0.0, 0.0, yaw_rate, *_ZEROS, a_x, a_y, a_z, *_ZEROS
+    )
+
+
+def encode_transform(seq, stamp_ns, parent, child, x, y, psi):
+    """``tf2_msgs/TFMessage`` with one transform."""
+    z, w = math.sin(0.5 * psi), math.cos(0.5 * psi)
+    return b"".join(
+        (
+            _U32.pack(1),
+            _header(seq, stamp_ns, parent),
+            _string(child),
+            _POSE.pack(x, y, 0.0, 0.0, 0.0, z, w),
+        )
+    )
+
+
+def encode_waypoints(seq, stamp_ns, frame, rows):
+    """``f110_msgs/WpntArray``.
+
+    Parameters
+    ----------
+    rows : iterable of sequences of 10 floats
+        `WAYPOINT_FIELDS` of each waypoint.
+    """
+    waypoints = [_WAYPOINT.pack(number, *row) for number, row in enumerate(rows)]
+    return b"".join((_header(seq, stamp_ns, frame), _U32.pack(len(waypoints)), *waypoints))

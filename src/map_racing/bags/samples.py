@@ -1,0 +1,178 @@
+"""What a recording holds, whatever kind of file it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ..validation import FARTHEST
+
+__all__ = ["Commands", "Recording", "Waypoints", "in_order", "jump_back", "usable"]
+
+# Steps back in time shorter than this [s] come from transport and threads; longer ones mean that a
+# clock was set back or that another run begins.
+_JITTER = 1.0
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Drive commands over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (k,)
+        Time on the clock of the recording [s]; may begin before 0.
+    steering_angle : ndarray, shape (k,)
+        Steering angle, positive to the left [rad]; NaN where unknown.
+    speed : ndarray, shape (k,)
+        Speed [m/s]; NaN where unknown.
+    topic : str
+        Topic or columns it came from.
+    """
+
+    t: np.ndarray
+    steering_angle: np.ndarray
+    speed: np.ndarray
+    topic: str = ""
+
+
+class Waypoints(NamedTuple):
+    """Waypoints as a message has them.
+
+    Attributes
+    ----------
+    topic, type : str
+        Where they come from; the type without its package.
+    columns : dict of str to ndarray, shape (n,)
+        Fields of ``f110_msgs/Wpnt``, at least ``x_m`` and ``y_m``.
+    """
+
+    topic: str
+    type: str
+    columns: dict
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Poses of a car over time, strictly increasing in time, without NaN in ``t``, ``x``, ``y``.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Time since the first pose [s].
+    x, y : ndarray, shape (n,)
+        Position in ``frame`` [m].
+    psi : ndarray, shape (n,)
+        Heading [rad]; NaN where unknown.
+    v_x, v_y, yaw_rate : ndarray, shape (n,)
+        Velocity in the body frame [m/s, m/s, rad/s]; NaN where unknown.
+    t0_ns : int
+        Time stamp of the first pose [ns]; 0 for a file without absolute time.
+    source : str
+        File.
+    topic, type, frame : str
+        Where in the file the pose comes from.
+    commands : Commands, optional
+        Drive commands of the same recording.
+    waypoints : Waypoints, optional
+        Raceline that the recording itself carries, as it was sent.
+    receive_time : bool
+        Whether the times are those of receipt, because the header's were of no use.
+    notes : list of str
+        What was chosen, repaired or left out while reading, one line each.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    psi: np.ndarray
+    v_x: np.ndarray
+    v_y: np.ndarray
+    yaw_rate: np.ndarray
+    t0_ns: int = 0
+    source: str = ""
+    topic: str = ""
+    type: str = ""
+    frame: str = ""
+    commands: Commands | None = None
+    waypoints: Waypoints | None = None
+    receive_time: bool = False
+    notes: list[str] = field(default_factory=list)
+
+
+def usable(times, columns):
+    """Which samples have a finite time and values within `FARTHEST`.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    columns : sequence of ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    keep = np.isfinite(times)
+    for column in columns:
+        with np.errstate(invalid="ignore"):
+            keep &= np.abs(column) < FARTHEST
+    return keep
+
+
+def jump_back(times, second=1):
+    """First place where time falls back by so much that the samples are not of one run.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        In the order of recording.
+    second : int, optional
+        One second in the unit of ``times``.
+
+    Returns
+    -------
+    tuple of (int, float) or None
+        Index of the sample, and how far behind the latest earlier one it is [s].
+    """
+    back = np.maximum.accumulate(times) - times
+    far = np.flatnonzero(back >= _JITTER * second)
+    return (int(far[0]), float(back[far[0]] / second)) if far.size else None
+
+
+def in_order(times, columns, notes, what, required=0):
+    """Bring samples of one run (see `jump_back`) into strictly increasing order of time.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    columns : sequence of ndarray, shape (n,)
+    notes : list of str
+        Gets a line for each kind of repair.
+    what : str
+        What to call the samples in the notes.
+    required : int, optional
+        So many first columns are coordinates [m]: samples in which the time or one of them is not
+        finite, or farther than `FARTHEST`, are left out.
+
+    Returns
+    -------
+    times : ndarray
+    columns : list of ndarray
+    """
+    keep = usable(times, columns[:required])
+    if not keep.all():
+        missing = np.count_nonzero(~keep)
+        notes.append(f"{what}: {missing} of {keep.size} without a finite pose left out")
+        times, columns = times[keep], [column[keep] for column in columns]
+    backwards = np.count_nonzero(np.diff(times) < 0)
+    if backwards:
+        notes.append(f"{what}: {backwards} steps back in time: sorted")
+        order = np.argsort(times, kind="mergesort")
+        times, columns = times[order], [column[order] for column in columns]
+    first = np.append(True, np.diff(times) > 0)[: times.size]
+    if not first.all():
+        notes.append(f"{what}: {np.count_nonzero(~first)} repeated time stamps left out")
+        times, columns = times[first], [column[first] for column in columns]
+    return times, list(columns)

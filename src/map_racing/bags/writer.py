@@ -1,0 +1,213 @@
+"""Write a ROS 1 bag."""
+
+from __future__ import annotations
+
+import os
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import lz4.frame
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ..errors import BagError
+from . import messages as msg
+from .topics import DRIVE_TOPIC
+
+__all__ = ["BagWriter"]
+
+
+class BagWriter:
+    """Write a race as a ROS 1 bag that ``rosbag info`` and ``rosbag play`` accept.
+
+    Use it as a context manager. The bag appears under its name only when it is complete: it is
+    written under a temporary name beside it and renamed at the end; after an exception nothing is
+    left behind. An existing file of that name is replaced.
+
+    All methods take a ``stamp``: seconds as a float, or nanoseconds as an int. It is the header's
+    time stamp and, unless ``received`` gives another, the time at which the message was recorded.
+    ROS reads the stamp 0 as "unknown" and has no time 0, so clocks must begin later.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    compression : {None, "lz4", "bz2"}, optional
+
+    Raises
+    ------
+    BagError
+        If the file cannot be written, `path` is a directory, a pipe or a device, the compression is
+        unknown, or a message cannot be packed.
+
+    Notes
+    -----
+    Six topics at 40 Hz for 60 s (14,400 messages) take about 0.1 s.
+    """
+
+    def __init__(self, path, compression=None):
+        self.path = Path(path)
+        if compression not in (None, "lz4", "bz2"):
+            raise BagError(f"{path}: expected compression lz4 or bz2, got {compression!r}")
+        self._compression = compression
+        if not self.path.name or self.path.is_dir():
+            raise BagError(f"{path}: cannot write the bag: expected a file, got a directory")
+        if self.path.exists() and not self.path.is_file():
+            raise BagError(f"{path}: cannot write the bag: expected a file, got a pipe or a device")
+        # A link stays one: what it points to is replaced.
+        self._target = Path(os.path.realpath(str(path)))
+        self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
+        self._topics: dict[str, list] = {}
+
+    def __enter__(self):
+        # First what takes long, so that an interrupt meets no file yet.
+        self._types = get_typestore(Stores.ROS1_NOETIC)
+        for name, definition in msg.DEFINITIONS.items():
+            self._types.register(get_types_from_msg(definition, name))
+        self._writer = Writer(self._temporary)
+        if self._compression:
+            self._writer.set_compression(Writer.CompressionFormat[self._compression.upper()])
+        if self._compression == "lz4":
+            self._writer.compressor = _compress_for_ros
+        try:
+            self._writer.open()
+        except OSError as error:
+            raise BagError(f"{self.path}: cannot write the bag: {error.strerror}") from None
+        return self
+
+    def __exit__(self, exception_type, exception, traceback):
+        try:
+            self._writer.close()
+            if exception_type is None:
+                os.replace(self._temporary, self._target)
+        except OSError as error:
+            raise BagError(f"{self.path}: cannot write the bag: {error.strerror}") from None
+        finally:
+            with suppress(OSError):
+                self._temporary.unlink()
+
+    def odometry(
+        self,
+        stamp,
+        x,
+        y,
+        psi,
+        v_x,
+        v_y,
+        yaw_rate,
+        *,
+        topic="/car_state/odom",
+        frame="map",
+        child_frame="base_link",
+        received=None,
+    ):
+        """Pose in ``frame`` [m, rad] with velocity in the body frame [m/s, rad/s]."""
+        self._write(
+            *(topic, msg.ODOMETRY, stamp, received, msg.encode_odometry),
+            *(frame, child_frame, x, y, psi, v_x, v_y, yaw_rate),
+        )
+
+    def pose(self, stamp, x, y, psi, *, topic="/car_state/pose", frame="map", received=None):
+        """Pose in ``frame`` [m, rad]."""
+        self._write(topic, msg.POSE, stamp, received, msg.encode_pose, frame, x, y, psi)
+
+    def drive(
+        self,
+        stamp,
+        steering_angle,
+        speed,
+        *,
+        steering_angle_velocity=0.0,
+        acceleration=0.0,
+        jerk=0.0,
+        topic=DRIVE_TOPIC,
+        frame="base_link",
+        received=None,
+    ):
+        """Drive command: steering angle [rad], speed [m/s]."""
+        self._write(
+            *(topic, msg.ACKERMANN, stamp, received, msg.encode_drive),
+            *(frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk),
+        )
+
+    def imu(
+        self,
+        stamp,
+        a_x,
+        a_y,
+        yaw_rate,
+        *,
+        a_z=9.81,
+        topic="/vesc/sensors/imu/raw",
+        frame="base_link",
+        received=None,
+    ):
+        """Specific force [m/s^2] and yaw rate [rad/s] in the axes of ``frame`` (REP-103)."""
+        self._write(
+            *(topic, msg.IMU, stamp, received, msg.encode_imu, frame, a_x, a_y, a_z, yaw_rate)
+        )
+
+    def transform(
+        self, stamp, x, y, psi, *, parent="map", child="base_link", static=False, received=None
+    ):
+        """Pose of the frame ``child`` in ``parent`` [m, rad], on ``/tf`` or ``/tf_static``."""
+        self._write(
+            *("/tf_static" if static else "/tf", msg.TF, stamp, received, msg.encode_transform),
+            *(parent, child, x, y, psi),
+            latched=static,
+        )
+
+    def waypoints(
+        self,
+        stamp,
+        rows,
+        *,
+        topic="/global_waypoints",
+        frame="map",
+        latched=True,
+        received=None,
+    ):
+        """Raceline as ``f110_msgs/WpntArray``; `rows` are `messages.WAYPOINT_FIELDS`, (n, 10)."""
+        self._write(
+            *(topic, msg.WAYPOINTS, stamp, received, msg.encode_waypoints, frame, rows.tolist()),
+            latched=latched,
+        )
+
+    def _write(self, topic, kind, stamp, received, encode, *values, latched=False):
+        entry = self._topics.get(topic)
+        if entry is None:
+            entry = self._topics[topic] = [kind, 0, self._connect(topic, kind, latched)]
+        if entry[0] != kind:
+            raise BagError(f"{self.path}: {topic} carries {entry[0]}, not {kind}")
+        try:
+            stamp_ns = _nanoseconds(stamp)
+            time_ns = stamp_ns if received is None else _nanoseconds(received)
+            data = encode(entry[1], stamp_ns, *values)
+            if time_ns <= 0:
+                raise ValueError("no time at or before 0 can be recorded")
+        except (TypeError, ValueError, OverflowError, struct.error) as error:
+            raise BagError(f"{self.path}: {topic}: cannot write the message: {error}") from None
+        entry[1] += 1
+        self._writer.write(entry[2], time_ns, data)
+
+    def _connect(self, topic, kind, latched):
+        package, name = kind.split("/")
+        name = f"{package}/msg/{name}"
+        definition, md5sum = self._types.generate_msgdef(name)
+        return self._writer.add_connection(
+            topic,
+            name,
+            msgdef=definition,
+            md5sum=md5sum,
+            callerid="/map_racing",
+            latching=int(latched),
+        )
+
+
+def _compress_for_ros(data):
+    """Lz4 frame as ROS reads it: it refuses the usual form, which rosbags writes."""
+    return lz4.frame.compress(data, block_linked=False, store_size=False, content_checksum=True)
+
+
+def _nanoseconds(stamp):
+    return stamp if isinstance(stamp, int) else int(round(stamp * 1e9))

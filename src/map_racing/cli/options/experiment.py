@@ -1,0 +1,88 @@
+"""Options of ``map-racing experiment``."""
+
+import argparse
+
+from .shared import add_effort_options, add_grid_options, add_shared_options
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Repeat an experiment of the paper: identify the tires of the plant, tune the controllers, "
+        "race them, and write tables, figures and provenance."
+    )
+    kinds = parser.add_subparsers(dest="kind", metavar="EXPERIMENT")
+    kinds.required = True
+
+    scaling = kinds.add_parser(
+        "velocity-scaling",
+        help="laps at rising speeds until a crash",
+        description="Laps at rising scales of the raceline's speeds, for each controller and each "
+        "race day until they are not completed.",
+    )
+    add_race_options(scaling)
+    scaling.add_argument(
+        "--laps", type=int, default=10, help="timed laps of a race (default: %(default)s)"
+    )
+    scaling.add_argument(
+        "--to",
+        type=float,
+        default=1.5,
+        metavar="SCALE",
+        help="last scale, unless all crash before (default: %(default)s)",
+    )
+    scaling.set_defaults(run="experiment.run_scaling")
+
+    tires = kinds.add_parser(
+        "tire-models",
+        help="pure pursuit, MAP with linear and MAP with Pacejka tires at two speeds",
+        description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 % and "
+        "80 % of the raceline's speeds.",
+    )
+    add_race_options(tires)
+    tires.add_argument(
+        "--laps", type=int, default=5, help="timed laps of a race (default: %(default)s)"
+    )
+    tires.set_defaults(run="experiment.run_tires")
+
+    robustness = kinds.add_parser(
+        "robustness",
+        help="whether controllers complete every track with every car",
+        description="Race controllers on a grid of tracks, shipped and generated, and cars that "
+        "differ from what the controllers believe. Says how many races were completed and how "
+        "close, and of the others where they ended and why.",
+    )
+    robustness.add_argument(
+        "--controller",
+        nargs="+",
+        default=["map"],
+        metavar="NAME",
+        help="YAML files, or shipped controllers (default: map)",
+    )
+    robustness.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="result directory; an existing one is continued where it stopped",
+    )
+    add_grid_options(robustness)
+    robustness.add_argument(
+        "--speed-scale", type=float, help="scale of the raceline's speeds, instead of the grid's"
+    )
+    robustness.add_argument("--laps", type=int, help="timed laps, instead of the grid's")
+    add_effort_options(robustness)
+    robustness.set_defaults(run="experiment.run_robustness")
+
+
+def add_race_options(parser):
+    """Options of both experiments."""
+    add_shared_options(parser)
+    parser.add_argument(
+        "--no-tuning",
+        action="store_true",
+        help="race all controllers as shipped; those as published then have the lookahead of the "
+        "authors' code",
+    )
+    parser.add_argument(
+        "--bags", action="store_true", help="also keep the races of the tables as bags"
+    )

@@ -1,0 +1,93 @@
+"""Options of all commands that run many races."""
+
+import argparse
+
+from ...resources import list_config
+
+__all__ = ["add_effort_options", "add_grid_options", "add_shared_options"]
+
+
+def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> None:
+    """Add the options.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+    days : {"seeds", "practice_seeds"}
+        Which days of the conditions ``--seeds`` replaces.
+    """
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="result directory; an existing one is continued where it stopped",
+    )
+    parser.add_argument(
+        "--conditions",
+        default="paper",
+        help="track, plant, race days and tuning: YAML file, or shipped: "
+        f"{', '.join(list_config('experiments'))} (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--track", help="instead of the track of the conditions, as in map-racing race"
+    )
+    parser.add_argument(
+        "--plant",
+        help="instead of the plant of the conditions, as in map-racing race",
+    )
+    parser.add_argument(
+        "--vehicle",
+        help="the controllers' model of the car: shipped vehicle or YAML file (default: identified "
+        "from steering ramps on the plant)",
+    )
+    parser.add_argument(
+        "--seeds",
+        dest=days,
+        type=int,
+        nargs="+",
+        metavar="N",
+        help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days, instead of the "
+        "conditions' seeds",
+    )
+    add_effort_options(parser)
+
+
+def add_effort_options(parser: argparse.ArgumentParser) -> None:
+    """Where the races are driven, and which are known already."""
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="race on the workers of this Dask scheduler (pip install 'map_racing[cluster]')",
+    )
+    parser.add_argument(
+        "--reuse",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="take the races that this result directory already has from there; may be repeated",
+    )
+
+
+def add_grid_options(parser: argparse.ArgumentParser) -> None:
+    """Options of what races on a grid of tracks and cars."""
+    parser.add_argument(
+        "--grid",
+        default="robustness",
+        help="tracks and cars: YAML file, or shipped: robustness (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--tracks",
+        nargs="*",
+        metavar="TRACK",
+        help="instead of the grid's tracks: shipped tracks, raceline files or bag[#topic]",
+    )
+    parser.add_argument(
+        "--generated",
+        type=int,
+        nargs="*",
+        metavar="SEED",
+        help="seeds of generated tracks, instead of the grid's",
+    )

@@ -1,0 +1,1 @@
+"""Tires of a car from driving data."""

@@ -1,0 +1,451 @@
+"""From signals on their own times to steady cornering on one clock.
+
+All signals go to one clock and through one low-pass, a Butterworth filter run forwards and
+backwards, so that nothing is delayed against anything else. The velocity at the pose's point comes
+from the differences of poses, turned into the car's axes before they are filtered: there they are
+constant on a circle. Stretches of constant speed, yaw rate and steering are what tires are
+identified from, be they holds or slow ramps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.signal import butter, savgol_filter, sosfiltfilt
+
+from ..angles import wrap
+from ..errors import IdentificationError, ParameterError
+from .data import POSE, Run, Signal
+from .limits import RATE_HZ, SteadyLimits
+
+__all__ = ["Motion", "low_passed", "motion_of"]
+
+# A signal is known between samples this far apart [s]; a command holds until the next one.
+LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
+# Localization is lost where its speed or yaw rate differs by more from that of the car's sensors.
+COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
+# A spike is farther from the median around it than so many times what is usual there, and than
+# a least distance.
+SPIKE_WINDOW_S, SPIKE_FACTOR = 1.2, 6.5
+POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
+SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
+SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
+CLOCK_SEARCH_S = 1.5
+# No drive takes longer; a time in ms or with a jump does [s].
+LONGEST_DRIVE_S = 36000.0
+# The low-pass smears a step over so many periods of its cut-off.
+SMEARED = 0.4
+SLOWEST_MPS = 0.5
+STANDSTILL_MPS = 0.05
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One drive on one clock, low-passed; all arrays have shape (n,).
+
+    Parameters
+    ----------
+    run : Run
+    t : ndarray
+        Time [s].
+    v_x, r : ndarray
+        Forward speed [m/s] and yaw rate [rad/s] as the car's own sensors have them.
+    beta : ndarray
+        Direction of motion of the pose's point from the car's axis [rad], from poses alone.
+    delta : ndarray
+        Steering angle [rad].
+    a_y : ndarray
+        Lateral acceleration of the center of gravity [m/s^2].
+    acceleration : {"imu", "yaw_rate"}
+        Where it comes from.
+    axes : dict of str to ndarray
+        What the IMU gave, by axis.
+    path_speed, heading_rate : ndarray
+        Speed along the path [m/s] and turning of the heading [rad/s], from poses alone.
+    v_y_odometry : ndarray or None
+        Lateral velocity that the odometry reported at the pose's point [m/s].
+    moving, coherent, steady : ndarray of bool
+        Whether the car moves; whether localization and sensors agree; whether it is steady.
+    beta_noise, a_y_noise : float
+        Standard deviations of what the low-pass left of their noise.
+    clock_offset_s : float
+        By which the pose's clock was shifted against the others.
+    spikes : dict of str to float
+        Share of each signal that was left out as spikes.
+    limits : SteadyLimits
+    """
+
+    run: Run
+    t: np.ndarray
+    v_x: np.ndarray
+    r: np.ndarray
+    beta: np.ndarray
+    delta: np.ndarray
+    a_y: np.ndarray
+    acceleration: str
+    axes: dict
+    path_speed: np.ndarray
+    heading_rate: np.ndarray
+    v_y_odometry: np.ndarray | None
+    moving: np.ndarray
+    coherent: np.ndarray
+    steady: np.ndarray
+    beta_noise: float
+    a_y_noise: float
+    clock_offset_s: float
+    spikes: dict
+    limits: SteadyLimits
+
+    @property
+    def usable(self):
+        """Steady driving that localization saw."""
+        return self.steady & self.coherent
+
+    def v_y(self, l_r):
+        """Lateral velocity of the center of gravity [m/s], `l_r` ahead of the rear axle."""
+        return self.v_x * np.tan(self.beta) + self.r * (l_r - self.run.setup.pose_x_m)
+
+    def segments(self):
+        """Stretches of usable driving, as slices, without what the low-pass smears into them."""
+        margin = round(SMEARED / self.limits.cutoff_hz * RATE_HZ)
+        shortest = round(self.limits.shortest_s * RATE_HZ)
+        return [
+            slice(cut.start + margin, cut.stop - margin)
+            for cut in _stretches(self.usable)
+            if cut.stop - cut.start >= shortest + 2 * margin
+        ]
+
+
+def motion_of(run, vehicle, limits=None, acceleration="imu"):
+    """Bring a run to one clock.
+
+    Parameters
+    ----------
+    run : Run
+        Its setup is applied.
+    vehicle : Vehicle
+        Its geometry says where the center of gravity is.
+    limits : SteadyLimits, optional
+    acceleration : {"imu", "yaw_rate"}
+        Where the lateral acceleration comes from: the IMU, or speed times yaw rate, which it is in
+        steady state.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    IdentificationError
+        If signals are missing, or no second of all of them exists.
+    """
+    limits = limits or SteadyLimits()
+    setup = run.setup
+    signals, spikes = _without_spikes(run)
+    pose_t, *poses = _poses(run, signals, spikes)
+    middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
+    offset = 0.0
+    if "yaw_rate" in signals and run.pose_clock:
+        rate = setup.yaw_rate_scale * signals["yaw_rate"].value
+        offset = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
+        middle, pose_t = middle + offset, pose_t + offset
+    t, known = _common_clock(run, signals, pose_t)
+    columns = dict(
+        zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
+    )
+    columns.update(_sampled(signals, setup, t))
+    columns.setdefault("v_x", columns["along"])
+    columns.setdefault("r", columns["heading_rate"])
+    smooth, known = _filtered(columns, known, limits.cutoff_hz)
+    if not known.any():
+        raise IdentificationError(f"{run.name}: expected signals without gaps for a second")
+
+    axes = {name[-1]: smooth[name] for name in ("a_x", "a_y", "a_z") if name in smooth}
+    v_x, r, turning = smooth["v_x"], smooth["r"], smooth["heading_rate"]
+    path_speed = np.hypot(smooth["along"], smooth["sideways"])
+    beta = np.where(path_speed > 0.3, np.arctan2(smooth["sideways"], smooth["along"]), 0.0)
+    motion = Motion(
+        run=run,
+        t=t,
+        v_x=v_x,
+        r=r,
+        beta=beta,
+        delta=smooth["delta"],
+        a_y=_lateral_acceleration(run, vehicle, smooth, axes, acceleration),
+        acceleration=acceleration,
+        axes=axes,
+        path_speed=path_speed,
+        heading_rate=turning,
+        v_y_odometry=smooth.get("v_y"),
+        moving=known & (np.abs(v_x) > SLOWEST_MPS),
+        coherent=known & ~_lost(known, path_speed, v_x, turning, r),
+        steady=known & (v_x > SLOWEST_MPS) & _steady(v_x, r, smooth["delta"], limits),
+        beta_noise=0.0,
+        a_y_noise=0.0,
+        clock_offset_s=offset,
+        spikes={name: share for name, share in spikes.items() if share > 0.0},
+        limits=limits,
+    )
+    cuts = motion.segments()
+    return replace(motion, beta_noise=_noise(motion.beta, cuts), a_y_noise=_noise(motion.a_y, cuts))
+
+
+def low_passed(values, rate_hz, cutoff_hz):
+    """Zero-phase Butterworth low-pass, at half of the power at the cut-off.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+    rate_hz, cutoff_hz : float
+        Of sampling, and of the filter [Hz].
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+    """
+    # Twice through a filter of second order: each pass may take a quarter of the power.
+    once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
+    padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
+    return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
+
+
+@lru_cache(maxsize=16)
+def _sections(cutoff):
+    return butter(2, cutoff, output="sos")
+
+
+def _without_spikes(run):
+    """Signals without spikes and on the true time, and the share of spikes of each."""
+    for name in (*POSE, "steering"):
+        if name not in run.signals:
+            what = "no drive command nor a servo's position" if name == "steering" else "no pose"
+            raise IdentificationError(f"{run.name}: {what} in it ({name})")
+    own = run.setup.time_scale * run.signals["x"].t
+    apart = float(np.median(np.diff(own)))
+    if apart > LONGEST_GAP_S or own[-1] - own[0] > LONGEST_DRIVE_S:
+        raise IdentificationError(
+            f"{run.name}: expected poses at most {LONGEST_GAP_S:g} s apart over at most "
+            f"{LONGEST_DRIVE_S / 3600.0:g} h, got {apart:.3g} s and {own[-1] - own[0]:.3g} s: is "
+            "the time in ms, or does it jump?"
+        )
+    signals, spikes = {}, {}
+    for name, (t, value) in run.signals.items():
+        if name not in (*POSE, "steering"):
+            good = ~_spikes(t, value, SPIKES[name])
+            t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
+        signals[name] = Signal(run.setup.time_scale * t, value)
+    return signals, spikes
+
+
+def _common_clock(run, signals, pose_t):
+    """Even times at which all signals exist, and whether each is between samples of all."""
+    others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
+    commands = signals["steering"].t
+    begin = max(commands[0], *(own[0] for own in others))
+    end = min(own[-1] for own in others)  # the last command holds
+    if end - begin < 1.0:
+        raise IdentificationError(
+            f"{run.name}: expected a second in which all signals exist, got "
+            f"{max(end - begin, 0.0):.1f} s"
+        )
+    t = np.arange(begin, end, 1.0 / RATE_HZ)
+    known = _near(t, commands, LONGEST_HOLD_S)
+    for own in others:
+        known &= _near(t, own, LONGEST_GAP_S)
+    return t, known
+
+
+def _sampled(signals, setup, t):
+    """Signals beside the pose at even times, with the setup applied but for the acceleration."""
+    columns = {}
+    for name, key, scale in (
+        *(("v_x", "v_x", setup.speed_scale), ("yaw_rate", "r", setup.yaw_rate_scale)),
+        *((name, name, 1.0) for name in ("v_y", "a_x", "a_y", "a_z")),
+    ):
+        if name in signals:
+            columns[key] = scale * np.interp(t, *signals[name])
+    commands = signals["steering"]
+    last = np.searchsorted(commands.t + setup.steering_delay_s, t, side="right") - 1
+    held = commands.value[np.maximum(last, 0)]
+    columns["delta"] = setup.steering_gain * held + setup.steering_offset_rad
+    return columns
+
+
+def _filtered(columns, known, cutoff_hz):
+    """Low-passed columns, 0 where they are not known, and where they are."""
+    raw = np.stack(list(columns.values()))
+    passed, filtered = np.zeros(raw.shape), np.zeros(known.size, dtype=bool)
+    for cut in _stretches(known):
+        if cut.stop - cut.start > RATE_HZ:
+            passed[:, cut] = low_passed(raw[:, cut], RATE_HZ, cutoff_hz)
+            filtered[cut] = True
+    return dict(zip(columns, passed)), filtered
+
+
+def _lost(known, path_speed, v_x, turning, r):
+    """Where localization contradicts the car's own sensors, and what is smeared over the edges."""
+    lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
+    lost |= np.abs(turning - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
+    margin = 2 * round(0.3 * RATE_HZ) + 1
+    return maximum_filter1d((lost & known).astype(np.int8), margin).astype(bool)
+
+
+def _steady(v_x, r, delta, limits):
+    """Where nothing changes fast."""
+    steady = np.ones(v_x.size, dtype=bool)
+    for column, limit in (
+        (v_x, limits.dv_mps2),
+        (r, limits.dr_radps2),
+        (delta, limits.ddelta_radps),
+    ):
+        steady &= np.abs(np.gradient(column, 1.0 / RATE_HZ)) < limit
+    return steady
+
+
+def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
+    """Which samples are spikes: far from the median of their neighborhood."""
+    return _far(t, np.abs(value - _median(t, value, window_s)), least, window_s)
+
+
+def _far(t, distance, least, window_s):
+    """Which distances are large for their neighborhood, and not for long."""
+    far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
+    for cut in _stretches(far):
+        # What lasts is no spike but a step: the car brakes, or localization moved.
+        if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
+            far[cut] = False
+    return far
+
+
+def _median(t, value, window_s):
+    """Running median; of too few samples each is its own."""
+    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
+    return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
+
+
+def _poses(run, signals, spikes):
+    """Poses at even times, without spikes.
+
+    A driving car has no place to return to, so what is judged, and interpolated, is how far the
+    pose is from dead reckoning with the car's own sensors, which changes slowly.
+
+    Returns
+    -------
+    pose_t : ndarray
+        Times of the poses that were no spikes.
+    t, x, y, psi : ndarray
+        Even times and the poses there.
+    """
+    own, x = signals["x"]
+    y = np.interp(own, *signals["y"])
+    t = np.arange(own[0], own[-1], 1.0 / RATE_HZ)
+    psi_t, psi = signals["psi"]
+    turned, turned_even = np.zeros(psi.size), np.zeros(t.size)
+    if "yaw_rate" in signals:
+        rate_t, rate = signals["yaw_rate"]
+        rate = run.setup.yaw_rate_scale * rate
+        integral = _integrated(rate_t, rate)
+        turned, turned_even = np.interp(psi_t, rate_t, integral), np.interp(t, rate_t, integral)
+    drift = psi - turned
+    # Without yaw rate the heading itself turns in the window.
+    window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
+    middle = np.arctan2(*(_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
+    distance = np.abs(wrap(drift - middle))
+    good = ~_far(psi_t, distance, SPIKES["psi"], window)
+    spikes["psi"] = 1.0 - float(np.mean(good))
+    psi = turned_even + np.interp(t, psi_t[good], np.unwrap(drift[good]))
+
+    good = np.ones(own.size, dtype=bool)
+    reckoned = [np.zeros(t.size)] * 2
+    if "v_x" in signals:
+        v = run.setup.speed_scale * np.interp(t, *signals["v_x"])
+        reckoned = [_integrated(t, v * np.cos(psi)), _integrated(t, v * np.sin(psi))]
+    drifts = [p - np.interp(own, t, path) for p, path in zip((x, y), reckoned)]
+    if "v_x" in signals:
+        for drift in drifts:
+            good &= ~_spikes(own, drift, SPIKES["x"], POSE_SPIKE_WINDOW_S)
+    spikes["position"] = 1.0 - float(np.mean(good))
+    x, y = (path + np.interp(t, own[good], drift[good]) for path, drift in zip(reckoned, drifts))
+    return own[good], t, x, y, psi
+
+
+def _integrated(t, values):
+    return np.append(0.0, np.cumsum(0.5 * np.diff(t) * (values[1:] + values[:-1])))
+
+
+def _velocities(t, x, y, psi, heading_offset):
+    """Velocity along the car's axes and yaw rate between poses, and their times."""
+    dt = np.diff(t)
+    heading = 0.5 * (psi[1:] + psi[:-1]) + heading_offset
+    dx, dy = np.diff(x) / dt, np.diff(y) / dt
+    cos, sin = np.cos(heading), np.sin(heading)
+    return 0.5 * (t[1:] + t[:-1]), cos * dx + sin * dy, cos * dy - sin * dx, np.diff(psi) / dt
+
+
+def _clock_offset(middle, turning, t, rate):
+    """What to add to the pose's clock so that both yaw rates agree [s]."""
+    step = 1.0 / RATE_HZ
+    grid = np.arange(max(middle[0], t[0]), min(middle[-1], t[-1]), step)
+    if grid.size < 4 * RATE_HZ:
+        return 0.0
+    own = low_passed(np.interp(grid, t, rate), RATE_HZ, 2.0)
+    if np.std(own) < 0.1:
+        return 0.0
+    other = low_passed(np.interp(grid, middle, turning), RATE_HZ, 2.0)
+    most = min(round(CLOCK_SEARCH_S * RATE_HZ), grid.size // 4)
+    inner = slice(most, grid.size - most)
+    # Squares of the differences at each shift but for the part that all have in common. The sign of
+    # the yaw rate is checked later; here only times count.
+    squares = np.append(0.0, np.cumsum(other**2))
+    size = grid.size - 2 * most
+    alike = np.abs(np.correlate(other, own[inner], "valid"))
+    errors = squares[size:] - squares[:-size] - 2.0 * alike
+    return float(step * (most - int(np.argmin(errors))))
+
+
+def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
+    """Lateral acceleration of the center of gravity."""
+    setup = run.setup
+    if acceleration == "yaw_rate":
+        return smooth["v_x"] * smooth["r"]
+    if acceleration != "imu":
+        raise ParameterError(f"acceleration: expected imu or yaw_rate, got {acceleration!r}")
+    if setup.lateral_axis not in axes:
+        raise IdentificationError(
+            f"{run.name}: no lateral acceleration (a_{setup.lateral_axis}): without an IMU it can "
+            "be taken from speed and yaw rate (--acceleration yaw_rate)"
+        )
+    a_y = setup.lateral_scale * axes[setup.lateral_axis] + setup.lateral_offset_mps2
+    ahead = 0.0 if setup.imu_x_m is None else setup.imu_x_m - vehicle.l_r
+    r = smooth["r"]
+    return a_y - np.gradient(r, 1.0 / RATE_HZ) * ahead + r * r * setup.imu_y_m
+
+
+def _near(t, samples, longest):
+    """Whether there are samples within `longest` [s] before and after, or at, each time."""
+    after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
+    return (samples[after] - samples[after - 1] <= longest) | (t > samples[-1])
+
+
+def _noise(values, cuts, window_s=2.0):
+    """Standard deviation from a local parabola, in the stretches that are long enough."""
+    half = int(0.5 * window_s * RATE_HZ)
+    parts = []
+    for cut in cuts:
+        if cut.stop - cut.start > 3 * half:
+            parabola = savgol_filter(values[cut], 2 * half + 1, 2, mode="constant")
+            parts.append((values[cut] - parabola)[half:-half])
+    if not parts:
+        return 0.0
+    # A parabola through so little takes a part of the noise with it.
+    return 1.2 * float(np.std(np.concatenate(parts)))
+
+
+def _stretches(mask):
+    """Slices in which a mask is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return [slice(begin, end) for begin, end in zip(edges[::2], edges[1::2])]

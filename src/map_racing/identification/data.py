@@ -1,0 +1,397 @@
+"""Recorded driving as signals: from bags, and from CSV files by a map of their channels.
+
+A run is what sensors said of one drive, each on its own times, in SI units. What a sensor means
+(its sign, its axis, where it sits) is its setup, which a channel map can state and
+`map_racing.identification.sensor_checks` can find out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..bags.reader import read_recording, read_signals
+from ..bags.records import is_bag
+from ..bags.samples import in_order, jump_back, usable
+from ..errors import FileFormatError, ParameterError
+from ..files import read_yaml_mapping
+from ..resources import find_config
+from ..tables import read_table
+from ..validation import finite
+
+__all__ = [
+    "Channel",
+    "ChannelMap",
+    "Run",
+    "SensorSetup",
+    "Signal",
+    "load_channel_map",
+    "load_run",
+]
+
+POSE = ("x", "y", "psi")
+INERTIAL = ("yaw_rate", "a_x", "a_y", "a_z")
+CHANNELS = (*POSE, "v_x", "v_y", *INERTIAL, "steering")
+UNITS = {
+    **dict.fromkeys(("m", "rad", "m/s", "rad/s", "m/s^2", "s"), 1.0),
+    **{"cm": 0.01, "mm": 0.001, "deg": math.pi / 180.0, "deg/s": math.pi / 180.0},
+    **{"km/h": 1.0 / 3.6, "g": 9.80665, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+
+
+class Signal(NamedTuple):
+    """One quantity over time: times [s], strictly increasing, and values [SI]."""
+
+    t: np.ndarray
+    value: np.ndarray
+
+
+@dataclass(frozen=True)
+class SensorSetup:
+    """What the signals mean, beyond their names. A channel map may state it under ``setup``.
+
+    Parameters
+    ----------
+    time_scale : float
+        True seconds per second of the recording.
+    speed_scale, yaw_rate_scale : float
+        True value per value of the signal; -1 turns a sign around.
+    lateral_axis : {"x", "y", "z"}
+        Axis of the IMU that points to the car's side.
+    lateral_scale, lateral_offset_mps2 : float
+        ``a_y = scale * signal + offset``. A scale beside +-1 is that of a sensor that rolls with
+        the body, and feels gravity.
+    steering_gain, steering_offset_rad : float
+        Angle of the wheels from the signal, ``delta = gain * signal + offset``.
+    steering_delay_s : float
+        From the signal to the wheels.
+    heading_offset_rad : float
+        Added to the pose's heading gives that of the car.
+    pose_x_m : float
+        How far ahead of the rear axle the pose's point is; ``l_r`` for the center of gravity. It is
+        also the point of the odometry's lateral velocity.
+    imu_x_m, imu_y_m : float
+        Place of the IMU, ahead of the rear axle and to its left.
+    """
+
+    time_scale: float = 1.0
+    speed_scale: float = 1.0
+    yaw_rate_scale: float = 1.0
+    lateral_axis: str = "y"
+    lateral_scale: float = 1.0
+    lateral_offset_mps2: float = 0.0
+    steering_gain: float = 1.0
+    steering_offset_rad: float = 0.0
+    steering_delay_s: float = 0.0
+    heading_offset_rad: float = 0.0
+    pose_x_m: float = 0.0
+    imu_x_m: float | None = None
+    imu_y_m: float = 0.0
+
+    def __post_init__(self):
+        if self.lateral_axis not in ("x", "y", "z"):
+            raise ParameterError(f"lateral_axis: expected x, y or z, got {self.lateral_axis!r}")
+        for name, value in vars(self).items():
+            if name == "lateral_axis" or (name == "imu_x_m" and value is None):
+                continue
+            object.__setattr__(self, name, finite(name, value))
+            if name.endswith(("scale", "gain")) and getattr(self, name) == 0.0:
+                raise ParameterError(f"{name}: expected a number other than 0")
+        for name in ("time_scale", "steering_delay_s"):
+            if getattr(self, name) < 0.0:
+                raise ParameterError(f"{name}: expected a positive number")
+
+    def changes(self):
+        """What differs from the default, as a dictionary."""
+        return {
+            field_.name: getattr(self, field_.name)
+            for field_ in dataclasses.fields(self)
+            if getattr(self, field_.name) != field_.default
+        }
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where a quantity is, and what takes it to SI: ``scale * unit * raw + offset``.
+
+    Parameters
+    ----------
+    source : str
+        Column of a CSV file or topic of a bag.
+    field : str
+        What to take of a topic's messages, where they have more than one value.
+    unit : str
+        Unit of the recording.
+    scale, offset : float
+        The offset is in SI units.
+    """
+
+    source: str
+    field: str = ""
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self):
+        if self.unit and self.unit not in UNITS:
+            raise ParameterError(f"unit: expected {', '.join(UNITS)}, got {self.unit!r}")
+        for name in ("scale", "offset"):
+            object.__setattr__(self, name, finite(name, getattr(self, name)))
+
+    def to_si(self, raw):
+        """The values in SI units."""
+        return raw * (self.scale * UNITS.get(self.unit, 1.0)) + self.offset
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """Which channel of a recording holds what.
+
+    Parameters
+    ----------
+    channels : dict of str to Channel
+        Keys are `CHANNELS`, ``time`` and ``pose_time`` (a clock of its own of x, y and psi).
+    pose_topic : str, optional
+        Topic of the pose in a bag.
+    setup : SensorSetup
+    """
+
+    channels: dict = field(default_factory=dict)
+    pose_topic: str | None = None
+    setup: SensorSetup = SensorSetup()
+
+
+@dataclass(frozen=True)
+class Run:
+    """Signals of one drive.
+
+    Parameters
+    ----------
+    name : str
+        Where it comes from.
+    signals : dict of str to Signal
+        Keys are those of `CHANNELS` that the recording has.
+    setup : SensorSetup
+    pose_clock : bool
+        Whether the pose has a clock of its own, whose beginning is not known exactly.
+    notes : list of str
+        What was chosen, repaired or left out while reading.
+    """
+
+    name: str
+    signals: dict
+    setup: SensorSetup = SensorSetup()
+    pose_clock: bool = False
+    notes: list = field(default_factory=list)
+
+    @property
+    def label(self):
+        """Short name: the file with its folder."""
+        path = Path(self.name)
+        return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
+
+
+def load_channel_map(source):
+    """Read a channel map.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        Name of a shipped one, or YAML file; ``config/channels/circles_log.yaml`` explains the keys.
+
+    Returns
+    -------
+    ChannelMap
+
+    Raises
+    ------
+    ParameterError
+        If a key is unknown or a value impossible; the message names file and key.
+    FileFormatError
+        If the file is not a YAML mapping.
+    """
+    path = find_config("channels", source, (".yaml",))
+    values = read_yaml_mapping(path)
+    try:
+        setup = _dataclass(SensorSetup, "setup", values.pop("setup", {}))
+        pose_topic = values.pop("pose_topic", None)
+        if not isinstance(pose_topic, (str, type(None))):
+            raise ParameterError(f"pose_topic: expected a topic, got {pose_topic!r}")
+        known = (*CHANNELS, "time", "pose_time")
+        channels = {}
+        for name, entry in values.items():
+            if name not in known:
+                raise ParameterError(
+                    f"{name}: unknown; known are {', '.join(known)}, pose_topic, setup"
+                )
+            channels[name] = _channel(name, entry)
+        return ChannelMap(channels, pose_topic, setup)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+
+
+def load_run(path, channels=None):
+    """Read a drive.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        A ROS 1 bag, the name of a shipped one (``config/recordings``), or a CSV file (also
+        ``.gz``), which needs a channel map.
+    channels : ChannelMap, optional
+        For a bag only what is not where it usually is: pose and twist from its odometry (see
+        `map_racing.bags.reader.read_recording`), acceleration and yaw rate from its Imu,
+        steering from its AckermannDriveStamped.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError
+        If the file cannot be read as what it is.
+    """
+    channels = channels or ChannelMap()
+    path = find_config("recordings", path, (".bag",))
+    if is_bag(path):
+        return _load_bag(path, channels)
+    if not channels.channels:
+        raise ParameterError(
+            f"{path}: a CSV file needs a channel map, which says what is in it (--channels)"
+        )
+    return _load_csv(path, channels)
+
+
+def _load_bag(path, channel_map):
+    """Signals of a bag: what is usual, then what the map says."""
+    for name in ("time", "pose_time", *POSE):
+        if name in channel_map.channels:
+            raise ParameterError(f"{path}: {name}: is for CSV files; a bag has a pose_topic")
+    recording = read_recording(path, channel_map.pose_topic)
+    topics = {"imu": ""}
+    for name, channel in channel_map.channels.items():
+        topics[name] = channel.source
+    extra = read_signals(path, recording, topics)
+    signals = {name: (recording.t, getattr(recording, name)) for name in (*POSE, "v_x", "v_y")}
+    signals["yaw_rate"] = recording.t, recording.yaw_rate
+    if "imu" in extra:
+        t, columns = extra.pop("imu")
+        signals.update((name, (t, columns[name])) for name in INERTIAL)
+    if recording.commands is not None:
+        signals["steering"] = recording.commands.t, recording.commands.steering_angle
+    for name, (t, columns) in extra.items():
+        channel = channel_map.channels[name]
+        wanted = channel.field or (name if name in columns else next(iter(columns)))
+        if wanted not in columns:
+            raise ParameterError(
+                f"{path}: {name}: {channel.source} has {', '.join(columns)}, not {wanted!r}"
+            )
+        signals[name] = t, channel.to_si(columns[wanted])
+    return _run(path, signals, channel_map.setup, recording.notes)
+
+
+def _load_csv(path, channel_map):
+    """Signals of a CSV file."""
+    channels = dict(channel_map.channels)
+    for name in ("time", *POSE, "steering"):
+        if name not in channels:
+            raise ParameterError(f"{path}: {name}: missing in the channel map of a CSV file")
+    clocks = {"time": channels.pop("time"), "pose_time": channels.pop("pose_time", None)}
+    wanted = [channel.source for channel in (*clocks.values(), *channels.values()) if channel]
+    table, notes = read_table(path, dict.fromkeys(wanted))
+    t = clocks["time"].to_si(table[clocks["time"].source])
+    values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}
+    _blank_before_first(values, table, channels, POSE, "pose", notes)
+    _blank_before_first(values, table, channels, INERTIAL, "inertial", notes)
+    back = jump_back(t[np.isfinite(t)])
+    if back:
+        raise FileFormatError(f"{path}: time jumps back by {back[1]:.1f} s: two runs in one file?")
+    signals = {name: (t, value) for name, value in values.items()}
+    if clocks["pose_time"] is not None:
+        pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
+        known = np.isfinite(pose_t + values["x"])
+        if known.any():
+            # Any epoch will do: the checks bring both clocks together by the yaw rates.
+            pose_t = pose_t + float(np.median((t - pose_t)[known]))
+        signals.update((name, (pose_t, values[name])) for name in POSE if name in values)
+    return _run(path, signals, channel_map.setup, notes, clocks["pose_time"] is not None)
+
+
+def _blank_before_first(values, table, channels, names, what, notes):
+    """Rows where all channels of a sensor are exactly 0 were written before its first message."""
+    columns = [table[channels[name].source] for name in names if name in channels]
+    if len(columns) < 2:
+        return
+    blank = np.all([column == 0.0 for column in columns], axis=0)
+    if blank.any():
+        count = int(blank.sum())
+        rows = "row" if count == 1 else "rows"
+        notes.append(f"{count} {rows} without {what} (all of it exactly 0) left out")
+        for name in names:
+            if name in values:
+                values[name] = np.where(blank, math.nan, values[name])
+
+
+def _run(path, signals, setup, notes, pose_clock=False):
+    """A run from raw signals: in order, without NaN."""
+    clean = {}
+    for name, (t, value) in signals.items():
+        keep = usable(t, [value])
+        if np.count_nonzero(keep) < 2:
+            continue
+        at, (value,) = in_order(t[keep], [value[keep]], [], name)
+        if at.size >= 2:
+            clean[name] = Signal(at, value)
+    _drop_silent(clean, notes)
+    return Run(str(path), clean, setup, pose_clock, list(notes))
+
+
+def _drop_silent(signals, notes):
+    """Leave out velocities that are 0 throughout: fields that nobody fills."""
+    for name in ("v_x", "v_y", "yaw_rate"):
+        if name not in signals or signals[name].value.any():
+            continue
+        # A car that did not move says so with a speed of 0.
+        extent = max((np.ptp(signals[p].value) for p in ("x", "y") if p in signals), default=0.0)
+        if name != "v_x" or extent > 1.0:
+            del signals[name]
+            notes.append(f"{name} is 0 throughout: left out")
+
+
+def _channel(name, entry):
+    if isinstance(entry, str):
+        return Channel(entry)
+    if not isinstance(entry, dict):
+        raise ParameterError(f"{name}: expected a column or topic, or a mapping, got {entry!r}")
+    entry = dict(entry)
+    sources = [entry.pop(key) for key in ("column", "topic") if key in entry]
+    if len(sources) != 1 or not isinstance(sources[0], str):
+        raise ParameterError(f"{name}: expected column or topic")
+    servo = [entry.pop(key, None) for key in ("servo_gain", "servo_offset")]
+    if servo != [None, None]:
+        gain, offset = (finite(f"{name}: servo_gain, servo_offset", value) for value in servo)
+        if gain == 0.0 or "scale" in entry or "offset" in entry:
+            raise ParameterError(f"{name}: servo_gain: expected not 0, and no scale beside it")
+        # The servo's position is gain * angle + offset, as the public VESC driver has it.
+        entry.update(scale=1.0 / gain, offset=-offset / gain)
+    return _dataclass(Channel, name, {"source": sources[0], **entry})
+
+
+def _dataclass(kind, name, values):
+    if not isinstance(values, dict):
+        raise ParameterError(f"{name}: expected keys and values, got {values!r}")
+    known = {field_.name for field_ in dataclasses.fields(kind)}
+    unknown = [str(key) for key in values if key not in known]
+    if unknown:
+        keys = ", ".join(sorted(known - {"source"}))
+        raise ParameterError(f"{name}: {unknown[0]}: unknown; known are {keys}")
+    try:
+        return kind(**values)
+    except (ParameterError, TypeError) as error:
+        raise ParameterError(f"{name}: {error}") from None

@@ -1,0 +1,292 @@
+"""What an identification found, as text for the terminal and as plain data for JSON."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..vehicle.steady_state import steady_state_table
+from .limits import RATE_HZ
+
+__all__ = ["prediction_errors", "report_data", "report_text"]
+
+SPEEDS_MPS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+SHARES = (0.3, 0.6, 0.9)
+
+
+def prediction_errors(holds):
+    """Mean relative errors of predicted holds, below the limit and at it.
+
+    Parameters
+    ----------
+    holds : iterable of Hold
+
+    Returns
+    -------
+    dict
+        ``below_limit`` and ``at_limit``, each with ``holds``, ``yaw_rate`` and
+        ``lateral_acceleration`` (mean absolute relative errors; None without holds).
+    """
+    holds = [hold for hold in holds if math.isfinite(hold.a_y_predicted)]
+    result = {}
+    for name, at_limit in (("below_limit", False), ("at_limit", True)):
+        own = [hold for hold in holds if hold.at_limit == at_limit]
+        result[name] = {
+            "holds": len(own),
+            "yaw_rate": _mean(abs(h.r_predicted / h.r - 1.0) for h in own),
+            "lateral_acceleration": _mean(abs(h.a_y_predicted / h.a_y - 1.0) for h in own),
+        }
+    return result
+
+
+def report_data(identification, holds=None):
+    """All that was found, as plain dictionaries, lists and numbers.
+
+    Parameters
+    ----------
+    identification : Identification
+    holds : list of Hold, optional
+        Of `map_racing.identification.identify.leave_one_out`.
+
+    Returns
+    -------
+    dict
+        Values that do not exist are None.
+    """
+    found = identification
+    axles = {}
+    for name in ("front", "rear"):
+        fit, linear = getattr(found, name), getattr(found, name + "_linear")
+        axles[name] = {
+            "points": int(fit.inlier.size),
+            "rejected_share": fit.rejected_share,
+            "mean_residual_n": fit.mean_residual_n,
+            "static_load_n": getattr(found, name + "_points").load,
+            "covered_slip_rad": fit.covered_slip,
+            "rise_at_covered_slip": fit.rise,
+            "peak_reached": bool(fit.saturated),
+            "parameters": {key: value._asdict() for key, value in fit.parameters.items()},
+            "linear": {
+                "C_S": linear.tire.C_S,
+                "stiffness_n_per_rad": linear.stiffness_n_per_rad._asdict(),
+                "mean_residual_n": linear.mean_residual_n,
+            },
+        }
+    return {
+        "vehicle": found.vehicle.name,
+        "base": found.base.name,
+        "runs_used": [motion.run.name for motion in found.motions],
+        "runs_refused": [{"run": run, "reason": reason} for run, reason in found.refused],
+        "front_force": found.front_force,
+        "lateral_acceleration_from": found.acceleration,
+        "cutoff_hz": found.motions[0].limits.cutoff_hz,
+        "setup": dict(found.setup.changes()),
+        "corrections": [_finding(finding) for finding in found.corrections],
+        "findings": [_finding(finding) for finding in found.findings],
+        "axles": axles,
+        "largest_lateral_acceleration_mps2": found.largest_a_y,
+        "friction": found.friction,
+        "understeer_gradient_rad_s2_per_m": found.understeer_gradient,
+        "fit_errors": prediction_errors(found.holds()),
+        "leave_one_out": prediction_errors(holds) if holds is not None else None,
+        "tables": _tables(found),
+    }
+
+
+def report_text(identification, holds=None):
+    """The same as text, some forty lines.
+
+    Parameters
+    ----------
+    identification, holds
+        As of `report_data`.
+
+    Returns
+    -------
+    str
+    """
+    found, lines = identification, []
+    for motion in found.motions:
+        seconds = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
+        driven = np.count_nonzero(motion.moving) / RATE_HZ
+        lines.append(
+            f"{motion.run.label}: {seconds:.1f} s of steady driving in {driven:.1f} s, "
+            f"{len(motion.segments())} stretches"
+        )
+    lines += [f"{run}: left out: {reason}" for run, reason in found.refused]
+    lines += [f"corrected: {finding.text}" for finding in found.corrections]
+    lines += [
+        f"check: {finding.text}"
+        + (f"; --fix would set {_setup(finding.fix)}" if finding.fix else "")
+        for finding in found.findings
+    ]
+    if found.setup.changes():
+        lines += ["setup of the sensors, as for a channel map:", "  setup:"]
+        lines += [f"    {name}: {value}" for name, value in found.setup.changes().items()]
+    lines.append("")
+    for name in ("front", "rear"):
+        lines += _axle(found, name)
+    lines += _summary(found)
+    lines += _predictions("the data fitted to", found.holds())
+    if holds is not None:
+        lines += _predictions("runs left out, by the others", holds)
+        for run in dict.fromkeys(hold.run for hold in holds):
+            own = [hold for hold in holds if hold.run == run]
+            lines += [f"  {line}" for line in _predictions(run, own)]
+    lines += _comparison(found)
+    return "\n".join(lines)
+
+
+def _axle(found, name):
+    fit, linear = getattr(found, name), getattr(found, name + "_linear")
+    points = getattr(found, name + "_points")
+    p = fit.parameters
+    reach = (
+        "the peak was reached"
+        if fit.saturated
+        else f"not saturated: there the curve still rises with {fit.rise:.0%} of its first slope"
+    )
+    lines = [
+        f"{name} axle: {fit.inlier.size} points, {fit.rejected_share:.1%} rejected, mean residual "
+        f"{fit.mean_residual_n:.2f} N at {points.load:.1f} N of load",
+        f"  covered to {fit.covered_slip:.3f} rad of slip; {reach}",
+    ]
+    for key, label, unit in (
+        ("stiffness_n_per_rad", "cornering stiffness", "N/rad"),
+        ("peak_n", "peak", "N"),
+    ):
+        if p[key].determined:
+            text = f"{p[key].value:.1f} {unit} (95 %: {p[key].low:.1f} to {p[key].high:.1f})"
+        else:
+            text = f"not determined by these data ({p[key].value:.1f} {unit} is extrapolated)"
+        lines.append(f"  {label}: {text}")
+    known = [
+        f"{key} = {p[key].value:.3f} ({p[key].low:.3f} to {p[key].high:.3f})"
+        for key in "BCDE"
+        if p[key].determined
+    ]
+    unknown = [f"{key} = {p[key].value:.3f}" for key in "BCDE" if not p[key].determined]
+    if known:
+        lines.append(f"  Pacejka, measured: {', '.join(known)}")
+    if unknown:
+        lines.append(
+            f"  Pacejka, not determined alone (held near {found.base.name}'s, and within the "
+            f"bounds): {', '.join(unknown)}"
+        )
+    lines.append(
+        f"  linear tire: C_S = {linear.tire.C_S:.2f} 1/rad, mean residual "
+        f"{linear.mean_residual_n:.2f} N"
+    )
+    return lines
+
+
+def _summary(found):
+    delta = np.concatenate([m.delta[cut] for m in found.motions for cut in m.segments()])
+    widest = float(np.max(np.abs(delta)))
+    share = 1.0 / math.cos(widest) - 1.0
+    force = (
+        "front force without the cosine of the steering angle, as the model of the table has it; "
+        f"with it (--front-force paper) it would be up to {share:.1%} larger"
+        if found.front_force == "model"
+        else "front force divided by the cosine of the steering angle, as in the paper: the table, "
+        f"whose model has no such cosine, promises up to {share:.1%} more than was measured"
+    )
+    understeer = found.understeer_gradient
+    kind = "understeers" if understeer > 0.0 else "oversteers"
+    return [
+        f"largest lateral acceleration held: {found.largest_a_y:.2f} m/s^2, friction "
+        f"{found.friction:.3f}",
+        f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
+        f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, forwards and backwards",
+        f"steering, as used: wheels turn {found.setup.steering_gain:.3f} times the signal "
+        f"{found.setup.steering_offset_rad:+.4f} rad; up to {widest:.3f} rad in the data",
+        force,
+    ]
+
+
+def _predictions(what, holds):
+    lines = []
+    for name, errors in prediction_errors(holds).items():
+        if errors["holds"]:
+            lines.append(
+                f"{what}, {name.replace('_', ' ')}: yaw rate {errors['yaw_rate']:.1%}, lateral "
+                f"acceleration {errors['lateral_acceleration']:.1%} mean error in "
+                f"{errors['holds']} {'hold' if errors['holds'] == 1 else 'holds'}"
+            )
+    return lines
+
+
+def _comparison(found):
+    lines = [
+        "",
+        f"table of {found.base.name} (before) and of {found.vehicle.name} (after): largest lateral "
+        "acceleration, and steering angle for shares of the smaller one",
+    ]
+    rows = _tables(found)
+    for row in rows:
+        before, after = (_number(row[f"limit_{which}_mps2"], "5.2f") for which in _WHICH)
+        angles = ", ".join(
+            f"{share:.0%}: {_number(a, '.3f')} -> {_number(b, '.3f')}"
+            for share, a, b in zip(SHARES, row["steering_before_rad"], row["steering_after_rad"])
+        )
+        lines.append(f"  {row['speed_mps']:.0f} m/s: {before} -> {after} m/s^2; {angles} rad")
+    limits = [row["limit_after_mps2"] for row in rows]
+    beyond = max((limit for limit in limits if limit is not None), default=0.0)
+    if beyond > 1.05 * found.largest_a_y:
+        lines.append(
+            f"  beyond the {found.largest_a_y:.2f} m/s^2 that were held, the new table is "
+            "extrapolated: drive faster, or steer farther, to measure it"
+        )
+    return lines
+
+
+_WHICH = ("before", "after")
+
+
+def _tables(found):
+    """Both tables at some speeds."""
+    tables = {}
+    for which, vehicle in zip(_WHICH, (found.base, found.vehicle)):
+        for v in SPEEDS_MPS:
+            try:
+                angles = np.linspace(0.0, vehicle.delta_max, 257)
+                tables[which, v] = steady_state_table(vehicle, [v], angles)
+            except ParameterError:  # no stable steady state at that speed
+                tables[which, v] = None
+    rows = []
+    for v in SPEEDS_MPS:
+        own = [tables[which, v] for which in _WHICH]
+        limits = [table.max_lateral_acceleration(v) if table else None for table in own]
+        least = min((limit for limit in limits if limit is not None), default=None)
+        row = {"speed_mps": v, "shares": list(SHARES)}
+        for which, table, limit in zip(_WHICH, own, limits):
+            row[f"limit_{which}_mps2"] = limit
+            row[f"steering_{which}_rad"] = [
+                table.steering(v, share * least)[0] if table else None for share in SHARES
+            ]
+        rows.append(row)
+    return rows
+
+
+def _finding(finding):
+    return {
+        "check": finding.check,
+        "text": finding.text,
+        "fix": dict(finding.fix),
+        "grave": bool(finding.grave),
+    }
+
+
+def _setup(fix):
+    return ", ".join(f"{name}: {value}" for name, value in fix.items())
+
+
+def _mean(values):
+    values = list(values)
+    return float(np.mean(values)) if values else None
+
+
+def _number(value, form):
+    return "-" if value is None else format(value, form)

@@ -1,0 +1,404 @@
+"""Tires from steady-state cornering: axle forces, slip angles and the curves through them.
+
+At constant speed and yaw rate the forces of both axles follow from the lateral acceleration alone,
+the slip angles from the velocity of the center of gravity, the yaw rate and the steering angle
+(Becker et al., ICRA 2023, section on the identification of the tires; Voser et al., 2010). A curve
+through these points is the tire of the axle.
+
+Two things are done differently from the paper, each for a reason that its tests show:
+
+- The paper divides the front force by the cosine of the steering angle, but neither its equations
+  of motion nor ours know that cosine (`single_track`). A tire identified with it and used without
+  it promises ``1 / cos(delta)`` more acceleration than was measured, 8 % at 0.4 rad. So the default
+  is the force that those equations need; ``front_force="paper"`` gives the other.
+- Slip angles carry noise, too, and for a stiff axle it is larger than the slip itself. Least
+  squares on the force then gives a curve that is too soft, however many data there are. So the
+  residual is the distance to the curve that both noises make likely (to first order, Sampson
+  1982), in newtons; without noise of the slip angle it is the paper's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..errors import IdentificationError, ParameterError
+from ..vehicle.single_track import GRAVITY, axle_loads, slip_angles
+from ..vehicle.tires import LinearTire, PacejkaTire
+
+__all__ = [
+    "AxlePoints",
+    "LinearFit",
+    "Parameter",
+    "PacejkaFit",
+    "axle_points",
+    "fit_linear",
+    "fit_pacejka",
+]
+
+# Bounds of B, C, D, E. The paper's limits of C and E keep the curve from turning back to zero.
+LOWER = np.array([0.3, 1.0, 0.05, -5.0])
+UPPER = np.array([150.0, 1.5, 4.0, 1.1])
+# How far the data may lead C, ln D and E from where they start before they count as evidence: the
+# standard deviations of a prior, which is worth no more than one measurement.
+PRIOR_SPREAD = np.array([0.15, 0.3, 0.5])
+# A parameter whose spread the data did not bring below this share of the prior's is not measured.
+UNDETERMINED = 0.5
+# The peak counts as seen where the curve, at the largest slip, rises with less than this share of
+# its slope at zero.
+SATURATED = 0.25
+FEWEST_POINTS = 20
+FEW_POINTS = 300  # are enough for the first fit
+CONFIDENCE = 1.96  # of a normal distribution: 95 %
+
+
+class AxlePoints(NamedTuple):
+    """Measured points of one axle.
+
+    Parameters
+    ----------
+    slip : ndarray, shape (n,)
+        Slip angle [rad], signs as in `single_track`: negative in a left turn.
+    force : ndarray, shape (n,)
+        Lateral force [N], positive to the left.
+    load : float
+        Static vertical load [N].
+    slip_noise, force_noise : float
+        Standard deviations of their errors [rad], [N]; only their ratio matters, and 0 for the
+        first means that all error is in the force.
+    """
+
+    slip: np.ndarray
+    force: np.ndarray
+    load: float
+    slip_noise: float = 0.0
+    force_noise: float = 0.0
+
+
+class Parameter(NamedTuple):
+    """A value with its 95 % confidence interval, and whether the data determine it."""
+
+    value: float
+    low: float
+    high: float
+    determined: bool
+
+
+@dataclass(frozen=True)
+class PacejkaFit:
+    """Magic Formula through the points of an axle.
+
+    Parameters
+    ----------
+    tire : PacejkaTire
+        Normalized by the static load, ``mu = 1``.
+    inlier : ndarray of bool, shape (n,)
+        Points that the last step kept.
+    error : ndarray, shape (n,)
+        Distance of each point from the curve in the metric of both noises [N].
+    residual : ndarray, shape (n,)
+        Force of each point less that of the curve at its slip angle [N].
+    parameters : dict of str to Parameter
+        ``B C D E``, ``stiffness_n_per_rad`` and ``peak_n``.
+    covered_slip : float
+        Largest slip angle that the kept points reach [rad] (their 98th percentile).
+    rise : float
+        Slope of the curve there, as a share of its slope at zero: 0 at the peak, 1 in the linear
+        range.
+    """
+
+    tire: PacejkaTire
+    inlier: np.ndarray
+    error: np.ndarray
+    residual: np.ndarray
+    parameters: dict
+    covered_slip: float
+    rise: float
+
+    @property
+    def rejected_share(self):
+        """Share of the points that were rejected."""
+        return 1.0 - float(np.mean(self.inlier))
+
+    @property
+    def mean_residual_n(self):
+        """Mean absolute residual of the kept points [N], the paper's figure."""
+        return float(np.mean(np.abs(self.residual[self.inlier])))
+
+    @property
+    def saturated(self):
+        """Whether the data reach so far that the peak is measured, not extrapolated."""
+        return self.rise < SATURATED
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """Linear tire through the points of an axle.
+
+    Parameters
+    ----------
+    tire : LinearTire
+        Normalized by the static load, ``mu = 1``.
+    stiffness_n_per_rad : Parameter
+    mean_residual_n : float
+        Mean absolute error [N].
+    """
+
+    tire: LinearTire
+    stiffness_n_per_rad: Parameter
+    mean_residual_n: float
+
+
+def axle_points(vehicle, v_x, v_y, r, delta, a_y, front_force="model"):
+    """Slip angles and forces of both axles from steady-state cornering.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Mass and geometry; its tires do not matter.
+    v_x, v_y : ndarray, shape (n,)
+        Velocity of the center of gravity along the car's axes [m/s].
+    r : ndarray, shape (n,)
+        Yaw rate [rad/s].
+    delta : ndarray, shape (n,)
+        Steering angle of the front wheels [rad].
+    a_y : ndarray, shape (n,)
+        Lateral acceleration of the center of gravity [m/s^2].
+    front_force : {"model", "paper"}
+        ``F_yf = m l_r a_y / (l_r + l_f)`` as the equations of `single_track` have it, or the
+        paper's, which divides by ``cos(delta)``. ``F_yr = m l_f a_y / (l_r + l_f)`` in both.
+
+    Returns
+    -------
+    front, rear : AxlePoints
+        Without noise levels.
+    """
+    if front_force not in ("model", "paper"):
+        raise ParameterError(f"front_force: expected model or paper, got {front_force!r}")
+    alpha_f, alpha_r = slip_angles(vehicle, v_x, v_y, r, delta, v_eps=1e-3)
+    load_f, load_r = axle_loads(vehicle, 0.0)
+    F_yf, F_yr = load_f / GRAVITY * a_y, load_r / GRAVITY * a_y
+    if front_force == "paper":
+        F_yf = F_yf / np.cos(delta)
+    return AxlePoints(alpha_f, F_yf, load_f), AxlePoints(alpha_r, F_yr, load_r)
+
+
+def fit_pacejka(points, start=None, threshold=10.0, oversampling=1.0):
+    """Fit the Magic Formula in the paper's steps of fitting and rejecting.
+
+    The first fit is a robust one; then, for k = 1, 2, 3, points with an error below
+    ``threshold / 2^k`` are kept, out of all, and the curve is fitted to them by bounded least
+    squares of the errors, with C at most 1.5 and E at most 1.1.
+
+    Parameters
+    ----------
+    points : AxlePoints
+    start : PacejkaTire, optional
+        Where parameters stay that the data do not determine. Its B does not matter.
+    threshold : float
+        See above [N].
+    oversampling : float
+        Points per independent measurement: neighbors in time are not independent after a low-pass,
+        and confidence intervals must not shrink with the rate of sampling.
+
+    Returns
+    -------
+    PacejkaFit
+
+    Raises
+    ------
+    IdentificationError
+        If there are fewer than 20 points, or fewer than half of them are near any curve.
+    """
+    slip, force = -points.slip, points.force
+    if slip.size < FEWEST_POINTS:
+        raise IdentificationError(
+            f"expected at least {FEWEST_POINTS} points of steady cornering, got {slip.size}"
+        )
+    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+    prior = _prior(start)
+    first = _robust(slip, force, points.load, ratio, prior)
+    error = _errors(first, slip, force, points.load, ratio)
+    inlier = np.ones(slip.size, dtype=bool)
+    theta = first
+    for k in (1, 2, 3):
+        inlier = np.abs(error) < threshold / 2.0**k
+        if np.count_nonzero(inlier) < max(FEWEST_POINTS // 2, 0.5 * slip.size):
+            raise IdentificationError(
+                f"only {np.mean(inlier):.0%} of {slip.size} points lie within "
+                f"{threshold / 2.0**k:.2f} N of any tire curve: not the steady cornering of one car"
+            )
+        kept = slip[inlier], force[inlier], points.load, ratio
+        noise = math.sqrt(oversampling * np.mean(error[inlier] ** 2))
+        theta, jacobian = _least_squares(theta, *kept, prior, noise)
+        error = _errors(theta, slip, force, points.load, ratio)
+    noise = math.sqrt(oversampling * np.mean(error[inlier] ** 2))
+    covered = _covered(theta, slip[inlier], force[inlier], points.load, ratio)
+    tire = PacejkaTire(*theta)
+    rise = float(tire.slope(covered)) / tire.stiffness
+    parameters = _intervals(theta, jacobian, noise, points.load, rise < SATURATED)
+    residual = force - points.load * tire.normalized_force(slip)
+    return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise)
+
+
+def fit_linear(points, inlier=None, oversampling=1.0):
+    """Linear tire by regression through the origin, on the same points.
+
+    Parameters
+    ----------
+    points : AxlePoints
+    inlier : ndarray of bool, shape (n,), optional
+        Points to use.
+    oversampling : float
+        As of `fit_pacejka`.
+
+    Returns
+    -------
+    LinearFit
+    """
+    keep = slice(None) if inlier is None else inlier
+    slip, force = -points.slip[keep], points.force[keep]
+    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+
+    def residuals(stiffness):
+        return (force - stiffness[0] * slip) / math.hypot(1.0, ratio * stiffness[0])
+
+    begin = max(float(force @ slip / max(slip @ slip, 1e-12)), 0.1 * points.load)
+    solution = least_squares(residuals, [begin], bounds=([1e-6], [np.inf]), x_scale=[begin])
+    stiffness = float(solution.x[0])
+    variance = oversampling * float(np.mean(solution.fun**2))
+    spread = CONFIDENCE * math.sqrt(variance / max(float(np.sum(solution.jac**2)), 1e-300))
+    return LinearFit(
+        LinearTire(stiffness / points.load),
+        Parameter(stiffness, stiffness - spread, stiffness + spread, spread < 0.5 * stiffness),
+        float(np.mean(np.abs(force - stiffness * slip))),
+    )
+
+
+def _prior(start):
+    """C, ln D and E at which to stay."""
+    if not isinstance(start, PacejkaTire):
+        return np.array([1.3, 0.0, 0.0])
+    _, C, D, E = np.clip([start.B, start.C, start.D, start.E], LOWER, UPPER)
+    return np.array([C, math.log(D), E])
+
+
+def _curve(theta, slip):
+    """Normalized force and its slope over slip, for any parameters within the bounds."""
+    B, C, D, E = theta
+    x = B * slip
+    y = x - E * (x - np.arctan(x))
+    phase = C * np.arctan(y)
+    slope = D * np.cos(phase) * C / (1.0 + y * y) * (1.0 - E * x * x / (1.0 + x * x)) * B
+    return D * np.sin(phase), slope
+
+
+def _errors(theta, slip, force, load, ratio):
+    """Distance of the points from the curve [N], in the metric of both noises."""
+    normalized, slope = _curve(theta, slip)
+    return (force - load * normalized) / np.hypot(1.0, ratio * load * slope)
+
+
+def _covered(theta, slip, force, load, ratio):
+    """Largest slip that the points reach, each taken to the nearest place of the curve: the 98th
+    percentile. Noise alone reaches farther."""
+    normalized, slope = _curve(theta, slip)
+    gain = ratio * ratio * load * slope / (1.0 + (ratio * load * slope) ** 2)
+    return float(np.percentile(np.abs(slip + gain * (force - load * normalized)), 98.0))
+
+
+def _robust(slip, force, load, ratio, prior):
+    """First fit, which a quarter of gross outliers does not bend: the best of several starts."""
+    scale = max(0.02 * load, 0.1)
+    some = slice(None, None, max(slip.size // FEW_POINTS, 1))
+    slip, force = slip[some], force[some]
+    best = None
+    for stiffness in _stiffnesses(slip, force, load):
+        for C, D, E in ((1.3, 1.0, 0.0), (1.5, math.exp(prior[1]), 0.9)):
+            begin = np.clip([stiffness / (C * D), C, D, E], LOWER * 1.001, UPPER * 0.999)
+            begin[3] = min(max(begin[3], LOWER[3]), UPPER[3] * 0.999)
+            solution = least_squares(
+                _errors,
+                begin,
+                bounds=(LOWER, UPPER),
+                x_scale=(10.0, 0.3, 0.5, 1.0),
+                loss="cauchy",
+                f_scale=scale,
+                args=(slip, force, load, ratio),
+                max_nfev=60,
+                ftol=1e-6,
+            )
+            if best is None or solution.cost < best.cost:
+                best = solution
+    return best.x
+
+
+def _stiffnesses(slip, force, load):
+    """Guesses of the normalized slope at zero: chords of points with less than half the force."""
+    small = (np.abs(force) < 0.5 * np.percentile(np.abs(force), 95)) & (np.abs(slip) > 1e-4)
+    chords = force[small] / (load * slip[small]) if small.any() else np.array([10.0])
+    middle = float(np.clip(np.median(chords), 1.0, 150.0))
+    return (middle, min(3.0 * middle, 150.0))
+
+
+def _least_squares(begin, slip, force, load, ratio, prior, noise):
+    """Parameters within the bounds and the Jacobian of the points' errors there."""
+
+    def residuals(theta):
+        stay = noise * (np.array([theta[1], math.log(theta[2]), theta[3]]) - prior) / PRIOR_SPREAD
+        return np.append(_errors(theta, slip, force, load, ratio), stay)
+
+    inside = np.clip(begin, LOWER + 1e-6, UPPER - 1e-6)
+    solution = least_squares(
+        residuals, inside, bounds=(LOWER, UPPER), x_scale=(10.0, 0.3, 0.5, 1.0), max_nfev=200
+    )
+    return solution.x, solution.jac[: slip.size]
+
+
+def _intervals(theta, jacobian, noise, load, saturated):
+    """95 % intervals from the covariance, and what the data determine.
+
+    A parameter is determined where the data brought its spread well below that of the prior; the
+    peak besides needs data that reach it.
+    """
+    information = jacobian.T @ jacobian / max(noise, 1e-9) ** 2
+    spread = np.array(
+        [0.5 * theta[0], PRIOR_SPREAD[0], PRIOR_SPREAD[1] * theta[2], PRIOR_SPREAD[2]]
+    )
+    precision = np.diag(spread**-2)
+    precision[0, 0] *= 1e-4
+    covariance = np.linalg.inv(information + precision)
+    deviation = np.sqrt(np.diag(covariance))
+    parameters = {}
+    for i, name in enumerate("BCDE"):
+        known = deviation[i] < UNDETERMINED * spread[i]
+        # A parameter at its bound was put there, not measured.
+        known &= LOWER[i] + 1e-3 < theta[i] < UPPER[i] - 1e-3
+        known &= saturated or name in "B"
+        low, high = theta[i] - CONFIDENCE * deviation[i], theta[i] + CONFIDENCE * deviation[i]
+        low, high = max(low, LOWER[i]), min(high, UPPER[i])
+        parameters[name] = Parameter(float(theta[i]), float(low), float(high), bool(known))
+    for name, function, known in (
+        ("stiffness_n_per_rad", lambda p: load * p[0] * p[1] * p[2], True),
+        ("peak_n", lambda p: load * PacejkaTire(*p).peak, saturated),
+    ):
+        value = function(theta)
+        steps = np.maximum(1e-4 * np.abs(theta), 1e-5)
+        gradient = np.zeros(4)
+        for i, step in enumerate(steps):
+            moved = np.array(theta)
+            moved[i] += step if theta[i] + step < UPPER[i] else -step
+            gradient[i] = (function(moved) - value) / (moved[i] - theta[i])
+        deviation = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
+        known = known and CONFIDENCE * deviation < 0.5 * value
+        parameters[name] = Parameter(
+            float(value),
+            float(max(value - CONFIDENCE * deviation, 0.0)),
+            float(value + CONFIDENCE * deviation),
+            bool(known),
+        )
+    return parameters

@@ -1,0 +1,143 @@
+"""Figures of racelines: the line, its walls, and what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+
+import numpy as np
+from matplotlib.collections import LineCollection
+
+from ..track.findings import ERROR, WARNING, worst_first
+from .style import COLORS, RACELINE, WALL, new_figure, size_for
+
+__all__ = ["plot_raceline"]
+
+_COLORS = {ERROR: COLORS[1], WARNING: COLORS[4]}
+_MOST_LISTED = 14
+_BAR, _LIST = 1.1, 4.6  # widths of colorbar and list [in]
+
+
+def plot_raceline(table, raceline, findings, title=None):
+    """A track as it was given, with walls, speeds, and numbered marks where findings stand.
+
+    Parameters
+    ----------
+    table : RacelineTable
+    raceline : Raceline or None
+        Without it only the points are drawn.
+    findings : iterable of Finding
+        Errors and warnings are marked and listed; notes are only listed.
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    x, y = table.columns["x"], table.columns["y"]
+    good = np.isfinite(x) & np.isfinite(y)
+    x, y = x[good], y[good]
+    width, height = size_for(x, y) if x.size else (6.0, 5.0)
+    listed = worst_first(findings)[:_MOST_LISTED]
+    # Track, colorbar and list side by side; lengths in inches.
+    between = 0.2 if raceline is None or raceline.speed is None else _BAR
+    total, height = width + between + _LIST, max(height, 4.5)
+    figure = new_figure(total, height)
+    low, tall = 0.65 / height, 1.0 - 1.15 / height
+    axes = figure.add_axes([0.8 / total, low, (width - 0.9) / total, tall])
+    bar = [(width + 0.1) / total, low, 0.18 / total, tall]
+    if raceline is None:
+        axes.plot(x, y, ".-", color=RACELINE, ms=3, lw=0.8, label="points")
+    else:
+        _draw_line(figure, axes, bar, raceline)
+    if x.size:
+        axes.plot(
+            x[0], y[0], "s", ms=9, mfc="none", mec=COLORS[2], mew=2, label="first point", zorder=4
+        )
+    for number, finding in enumerate(listed, 1):
+        _mark(axes, number, finding)
+    axes.set_aspect("equal", anchor="E")
+    axes.margins(0.06)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_title(title or table.name or "track")
+    axes.grid(alpha=0.25)
+    axes.legend(loc="best", fontsize="small")
+    _list(figure, listed, (width + between) / total, low + tall)
+    return figure
+
+
+def _draw_line(figure, axes, bar, line):
+    s = np.append(line.s, line.length)
+    curve = line.sample(s)
+    if line.d_left is not None:
+        axes.plot(*line.to_cartesian(s, curve.d_left), color=WALL, lw=1.0, label="walls")
+        axes.plot(*line.to_cartesian(s, -curve.d_right), color=WALL, lw=1.0)
+    if curve.speed is None:
+        axes.plot(curve.x, curve.y, color=RACELINE, lw=1.4, label="track")
+    else:
+        points = np.stack((curve.x, curve.y), axis=1)
+        pieces = LineCollection(
+            np.stack((points[:-1], points[1:]), axis=1), cmap="viridis", linewidths=2.2, zorder=3
+        )
+        pieces.set_array(0.5 * (curve.speed[1:] + curve.speed[:-1]))
+        axes.add_collection(pieces)
+        figure.colorbar(pieces, cax=figure.add_axes(bar), label="speed [m/s]")
+    # The direction of travel, at the start and at three places more.
+    for at in np.arange(4) * 0.25 * line.length:
+        tail = line.pose(at)
+        reach = 0.02 * line.length
+        head = tail.x + reach * math.cos(tail.psi), tail.y + reach * math.sin(tail.psi)
+        axes.annotate(
+            "",
+            xy=head,
+            xytext=tail[:2],
+            arrowprops={"arrowstyle": "-|>", "color": "k", "lw": 1.4, "shrinkA": 0},
+            zorder=4,
+        )
+
+
+def _mark(axes, number, finding):
+    """Circles at the places of a finding that is wrong, with its number at the first."""
+    color = _COLORS.get(finding.severity)
+    places = [p for p in finding.places if np.isfinite(p.x) and np.isfinite(p.y)]
+    if color is None or not places:
+        return
+    axes.plot(
+        [p.x for p in places],
+        [p.y for p in places],
+        "o",
+        ms=9,
+        mfc="none",
+        mec=color,
+        mew=1.6,
+        zorder=5,
+    )
+    axes.annotate(
+        str(number),
+        xy=(places[0].x, places[0].y),
+        xytext=(9, 9 + 3 * (number % 4)),
+        textcoords="offset points",
+        color="white",
+        fontsize="small",
+        weight="bold",
+        bbox={"boxstyle": "circle,pad=0.25", "fc": color, "ec": "none"},
+        zorder=6,
+    )
+
+
+def _list(figure, listed, left, top):
+    """The findings as text beside the track, numbered as their marks."""
+    line = 0.16 / figure.get_figheight()
+    indent = 0.3 / figure.get_figwidth()
+    if not listed:
+        figure.text(left, top, "nothing noticed", fontsize=8, va="top")
+    for number, finding in enumerate(listed, 1):
+        text = textwrap.wrap(f"{finding.severity}: {finding}", 54)
+        color = _COLORS.get(finding.severity, "0.6")
+        circle = {"boxstyle": "circle,pad=0.2", "fc": color, "ec": "none"}
+        figure.text(
+            left, top, str(number), fontsize=7, va="top", color="white", weight="bold", bbox=circle
+        )
+        figure.text(left + indent, top, "\n".join(text), fontsize=8, va="top", linespacing=1.25)
+        top -= line * (len(text) + 0.8)

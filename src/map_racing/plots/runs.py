@@ -1,0 +1,290 @@
+"""Figures of evaluated runs: driven paths, laps over the distance, boxes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.collections import LineCollection
+
+from ..errors import EvaluationError, ParameterError
+from .style import COLORS, DEVIATION, RACELINE, WALL, finished, new_figure, size_for
+
+__all__ = ["draw_track", "plot_boxes", "plot_differences", "plot_laps", "plot_path"]
+
+
+def plot_path(result, color_by="speed", title=None):
+    """Driven path over the raceline and its walls.
+
+    Parameters
+    ----------
+    result : RunResult
+        With traces.
+    color_by : {"speed", "error"}, optional
+        Color of the path: speed [m/s], or lateral deviation [m].
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    EvaluationError
+        If the result has no traces.
+    """
+    if color_by not in ("speed", "error"):
+        raise ParameterError(f"expected color_by speed or error, got {color_by!r}")
+    traces = [lap.trace for lap in _traced(result)]
+    line = result.raceline
+    pieces = [np.stack((t.x[:-1], t.y[:-1], t.x[1:], t.y[1:]), axis=1) for t in traces]
+    signals = [t.v if color_by == "speed" else t.d for t in traces]
+    values = np.concatenate([0.5 * (signal[1:] + signal[:-1]) for signal in signals])
+    if color_by == "speed":
+        colors, label = "viridis", "speed [m/s]"
+        low, high = float(values.min()), float(values.max())
+    else:
+        colors, label = DEVIATION, "lateral deviation, left positive [m]"
+        # A single excursion would leave no color for the rest.
+        high = float(np.percentile(np.abs(values), 99.5))
+        low = -high
+
+    figure = new_figure(*size_for(line.x, line.y))
+    axes = figure.add_subplot(1, 1, 1)
+    draw_track(axes, line, result.start_s)
+    path = LineCollection(
+        np.concatenate(pieces).reshape(-1, 2, 2), cmap=colors, linewidths=1.6, zorder=3
+    )
+    path.set_array(values)
+    path.set_clim(low, high if high > low else low + 1.0)
+    axes.add_collection(path)
+    axes.autoscale_view()
+    axes.set_title(title or _name(result))
+    axes.legend(loc="best", fontsize="small")
+    figure.colorbar(path, ax=axes, label=label, fraction=0.04, pad=0.03)
+    return finished(figure)
+
+
+def plot_laps(result, title=None):
+    """Lateral deviation and speed of each lap over the distance from the start line.
+
+    Stretches that do not count are left out, unless there is nothing else.
+
+    Parameters
+    ----------
+    result : RunResult
+        With traces.
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    EvaluationError
+        If the result has no traces.
+    """
+    laps = _traced(result)
+    laps = [lap for lap in laps if lap.valid] or laps
+    line = result.raceline
+    figure = new_figure(9.5, 6.0)
+    top = figure.add_subplot(2, 1, 1)
+    bottom = figure.add_subplot(2, 1, 2, sharex=top)
+    for lap in laps:
+        trace = lap.trace
+        # With many laps only their bundle matters; the best one stands out.
+        style = {"color": COLORS[5], "lw": 0.9, "alpha": max(0.25, 1.0 / len(laps) ** 0.5)}
+        top.plot(trace.s, trace.d, **style)
+        bottom.plot(trace.s, trace.v, **style)
+    complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
+    if complete:
+        best = min(complete, key=lambda lap: lap.lap_time_s)
+        label = f"best lap, {best.lap_time_s:.3f} s"
+        top.plot(best.trace.s, best.trace.d, color=COLORS[0], lw=1.5, label=label)
+        bottom.plot(best.trace.s, best.trace.v, color=COLORS[0], lw=1.5, label=label)
+    top.axhline(0.0, color=RACELINE, lw=0.8)
+    if line.speed is not None:
+        s = np.linspace(0.0, line.length, 2 * line.n)
+        reference = line.sample(s + result.start_s).speed
+        bottom.plot(s, reference, color=COLORS[1], lw=1.2, ls="--", label="raceline")
+    top.set_ylabel("lateral deviation,\nleft positive [m]")
+    bottom.set_ylabel("speed [m/s]")
+    bottom.set_xlabel("distance from the start line [m]")
+    bottom.set_xlim(0.0, line.length)
+    bottom.set_ylim(bottom=0.0)
+    for axes in (top, bottom):
+        axes.grid(alpha=0.25)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="best", fontsize="small")
+    counted = f"{len(laps)} lap" + ("s" if len(laps) != 1 else "")
+    top.set_title(title or f"{_name(result)}: {counted}")
+    return finished(figure)
+
+
+def plot_boxes(named_results, title=None):
+    """Lap times and RMS lateral errors of several runs, side by side.
+
+    Boxes span the quartiles, with the median as line; each valid lap is a dot.
+
+    Parameters
+    ----------
+    named_results : iterable of (str, RunResult)
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    named = list(named_results)
+    figure = new_figure(min(4.0 + 1.6 * len(named), 14.0), 4.5)
+    columns = (("lap_time_s", "lap time [s]"), ("rms_lateral_error_m", "RMS lateral error [m]"))
+    for place, (column, label) in enumerate(columns, 1):
+        axes = figure.add_subplot(1, 2, place)
+        for position, (_, result) in enumerate(named, 1):
+            values = np.array([getattr(lap, column) for lap in result.laps if lap.valid])
+            color = COLORS[(position - 1) % len(COLORS)]
+            if not values.size:
+                axes.text(position, 0.5, "N.C.", ha="center", transform=axes.get_xaxis_transform())
+                continue
+            axes.boxplot(
+                values,
+                positions=[position],
+                widths=0.5,
+                showfliers=False,
+                medianprops={"color": "k", "lw": 1.5},
+                boxprops={"color": color, "lw": 1.5},
+                whiskerprops={"color": color},
+                capprops={"color": color},
+            )
+            # Spread sideways so that equal laps do not hide each other.
+            shift = np.linspace(-0.12, 0.12, values.size) if values.size > 1 else np.zeros(1)
+            axes.plot(position + shift, values, "o", ms=4, color=color, alpha=0.7, zorder=3)
+        axes.set_xlim(0.4, len(named) + 0.6)
+        axes.set_xticks(range(1, len(named) + 1))
+        axes.set_xticklabels([name for name, _ in named], rotation=20, ha="right")
+        axes.set_ylabel(label)
+        axes.grid(axis="y", alpha=0.25)
+    if title:
+        figure.suptitle(title)
+    return finished(figure, top=0.94 if title else 1.0)
+
+
+def plot_differences(named_results, title=None):
+    """Lateral deviation of several runs over the distance, and by how much their errors differ.
+
+    The error of a run at a place is the RMS of the deviation of its valid laps there. Above, the
+    mean deviation of each run and the band in which its laps are; below, the errors of all other
+    runs less that of the first: above zero a run is worse there.
+
+    Parameters
+    ----------
+    named_results : iterable of (str, RunResult)
+        At least two, with traces, on the same raceline from the same start line.
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    EvaluationError
+        If there are fewer than two with valid laps, or their racelines or start lines differ.
+    """
+    named = [(name, result, _over_distance(result)) for name, result in named_results]
+    named = [entry for entry in named if entry[2] is not None]
+    if len(named) < 2:
+        raise EvaluationError("expected at least two runs with valid laps to compare over distance")
+    first_name, first, (s, _, first_error) = named[0]
+    for name, result, _ in named[1:]:
+        if not _same_raceline(first, result):
+            raise EvaluationError(f"{name}: expected the raceline and start line of {first_name}")
+    figure = new_figure(10.0, 6.5)
+    top = figure.add_subplot(2, 1, 1)
+    bottom = figure.add_subplot(2, 1, 2, sharex=top)
+    for place, (name, _, (_, deviation, error)) in enumerate(named):
+        color = COLORS[place % len(COLORS)]
+        top.fill_between(s, deviation.min(axis=0), deviation.max(axis=0), color=color, alpha=0.2)
+        rms = math.sqrt(float(np.mean(error**2)))
+        label = f"{name}: {len(deviation)} laps, RMS over distance {rms:.3f} m"
+        top.plot(s, deviation.mean(axis=0), color=color, lw=1.3, label=label)
+        if place:
+            bottom.plot(s, error - first_error, color=color, lw=1.3, label=f"{name} − {first_name}")
+            if len(named) == 2:
+                bottom.fill_between(s, 0.0, error - first_error, color=color, alpha=0.2)
+    for axes in (top, bottom):
+        axes.axhline(0.0, color=RACELINE, lw=0.8)
+        axes.grid(alpha=0.25)
+        axes.legend(loc="best", fontsize="small")
+    top.set_ylabel("lateral deviation,\nleft positive [m]")
+    bottom.set_ylabel("difference of\nRMS error [m]")
+    bottom.set_xlabel("distance from the start line [m]")
+    bottom.set_xlim(0.0, first.raceline.length)
+    top.set_title(title or "Deviation over the distance, and difference of errors")
+    return finished(figure)
+
+
+def _over_distance(result):
+    """Distances [m], the deviation of each valid lap there, and their RMS; None without laps."""
+    laps = [lap for lap in result.laps if lap.valid and lap.trace is not None]
+    if not laps:
+        return None
+    s = np.linspace(0.0, result.raceline.length, 2 * result.raceline.n)
+    deviation = np.array(
+        [np.interp(s, np.maximum.accumulate(lap.trace.s), lap.trace.d) for lap in laps]
+    )
+    return s, deviation, np.sqrt(np.mean(deviation**2, axis=0))
+
+
+def _same_raceline(a, b):
+    """Whether two results have the same raceline, to a centimeter, from the same start line."""
+    one, other = a.raceline, b.raceline
+    if abs(one.length - other.length) > 0.01 or abs(a.start_s - b.start_s) > 1e-6:
+        return False
+    s = np.linspace(0.0, one.length, 200)
+    (x1, y1), (x2, y2) = (line.to_cartesian(s, np.zeros_like(s)) for line in (one, other))
+    return float(np.max(np.hypot(x1 - x2, y1 - y2))) < 0.01
+
+
+def draw_track(axes, line, start_s=0.0):
+    """Walls, raceline and start line of a track, to scale.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    line : Raceline
+    start_s : float
+        Arc length of the start line [m].
+    """
+    every = np.append(line.s, line.length)
+    curve = line.sample(every)
+    if curve.d_left is not None:
+        axes.plot(*line.to_cartesian(every, curve.d_left), color=WALL, lw=1.0, label="walls")
+        axes.plot(*line.to_cartesian(every, -curve.d_right), color=WALL, lw=1.0)
+    axes.plot(curve.x, curve.y, color=RACELINE, lw=0.8, ls="--", label="raceline", zorder=4)
+    reach = (0.5, 0.5) if curve.d_left is None else line.widths_at(start_s)
+    axes.plot(
+        *line.to_cartesian(np.full(2, start_s), np.array([reach[0], -reach[1]])),
+        color=COLORS[1],
+        lw=2.5,
+        label="start line",
+        zorder=5,
+    )
+    axes.set_aspect("equal")
+    axes.margins(0.04)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.25)
+
+
+def _traced(result):
+    laps = [lap for lap in result.laps if lap.trace is not None]
+    if not laps:
+        raise EvaluationError(f"{_name(result)}: expected a result with traces to plot")
+    return laps
+
+
+def _name(result):
+    return Path(result.source).name if result.source else "run"

@@ -1,0 +1,65 @@
+"""What all figures share: colors, and how a figure is made, finished and saved.
+
+Every function that draws returns a `matplotlib.figure.Figure` that belongs to no window and no
+global state; `save` writes it. The colors can be told apart with any color vision (Okabe-Ito,
+viridis).
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from ..errors import MapRacingError
+
+__all__ = ["COLORS", "DEVIATION", "RACELINE", "WALL", "finished", "new_figure", "save", "size_for"]
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+WALL, RACELINE = "0.5", "0.1"
+# Gray in the middle: the white of the usual diverging maps would hide a path without error.
+DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#D55E00", "0.75", "#0072B2"])
+
+
+def save(figure, path):
+    """Write a figure; the suffix of the path is its format.
+
+    Raises
+    ------
+    MapRacingError
+        If the file cannot be written.
+    """
+    try:
+        with warnings.catch_warnings():
+            # A letter that the font lacks is drawn as a box.
+            warnings.filterwarnings("ignore", "Glyph")
+            figure.savefig(str(path), dpi=130)
+    except (OSError, ValueError) as error:
+        raise MapRacingError(f"{path}: cannot write the figure: {error}") from None
+
+
+def new_figure(width, height):
+    """An empty figure of a size [in]."""
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def finished(figure, top=1.0):
+    """The figure laid out; `top` leaves room for a title above that share of the height."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")
+        # Twice: axes of another size have other ticks, whose labels may need more room.
+        for _ in range(2):
+            figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
+    return figure
+
+
+def size_for(x, y):
+    """Figure size [in] of the shape of a track, within what fits a screen."""
+    width, height = float(np.ptp(x)) + 1.0, float(np.ptp(y)) + 1.0
+    scale = min(9.0 / width, 8.5 / height)
+    return max(width * scale, 3.5) + 2.0, max(height * scale, 3.0) + 1.0

@@ -1,0 +1,1 @@
+"""Racelines in files: readers, writers, checks, repair."""

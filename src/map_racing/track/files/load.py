@@ -1,0 +1,118 @@
+"""Racelines from and to whatever file holds them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...bags.reader import read_waypoints
+from ...bags.records import is_bag
+from ...bags.writer import BagWriter
+from ...files import refuse_special
+from .checks import raceline_of
+from .readers import find_raceline_file, read_raceline_file, split_source
+from .table import RacelineTable
+from .waypoints import WAYPOINT_COLUMNS
+from .writers import closed_rows, raceline_columns, write_raceline_file
+
+__all__ = ["load_raceline", "read_raceline", "save_raceline", "table_of_waypoints"]
+
+
+def load_raceline(source):
+    """Raceline from wherever it is: what every command and node reads one with.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        See `read_raceline`.
+
+    Returns
+    -------
+    Raceline
+        With what was noticed as `findings`.
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError
+        If it cannot be read.
+    RacelineError
+        If something is wrong with it beyond use.
+    """
+    return raceline_of(read_raceline(source))
+
+
+def read_raceline(source):
+    """What a file says of a track, wherever it is, before anything of it is believed.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        Name of a shipped track, a raceline file (see `map_racing.track.files.readers`), or a bag
+        with ``f110_msgs/WpntArray`` or ``nav_msgs/Path``. ``FILE#KEY`` names the topic of a bag,
+        the waypoint array of a JSON file, or the columns of a CSV file, as ``line.csv#x,y,speed``.
+
+    Returns
+    -------
+    RacelineTable
+
+    Raises
+    ------
+    BagError, FileFormatError, ParameterError
+        If it cannot be read.
+    """
+    path, topic = split_source(source)
+    refuse_special(path)
+    if is_bag(path):
+        return table_of_waypoints(path, read_waypoints(path, topic or None))
+    return read_raceline_file(*find_raceline_file(source))
+
+
+def save_raceline(raceline, path, form="map_racing", table=None):
+    """Write a raceline in any of the `map_racing.track.files.formats.FORMATS`.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    path : str or pathlib.Path
+        Replaced in one step if it exists: a reader never meets half a file.
+    form : str, optional
+        The format, see `map_racing.track.files.formats.choose_format`.
+    table : RacelineTable, optional
+        The points that the raceline was made of: then those are written, exactly, instead of the
+        cells of its internal form.
+
+    Raises
+    ------
+    RacelineError
+        If the raceline lacks what the format needs.
+    MapRacingError
+        If the file cannot be written.
+    """
+    columns = raceline_columns(raceline, table)
+    if form == "bag":
+        with BagWriter(path) as bag:
+            # ROS has no time 0; 1 s after it is as good as any, and always the same.
+            bag.waypoints(1.0, closed_rows(columns))
+    else:
+        write_raceline_file(path, columns, form)
+
+
+def table_of_waypoints(source, waypoints):
+    """What a bag says of a track.
+
+    Parameters
+    ----------
+    source : str or pathlib.Path
+        The bag.
+    waypoints : Waypoints
+
+    Returns
+    -------
+    RacelineTable
+    """
+    topic, kind, fields = waypoints
+    columns = {
+        column: fields[field] for field, column in WAYPOINT_COLUMNS.items() if field in fields
+    }
+    return RacelineTable(
+        columns, name=Path(source).stem, source=f"{source}: {topic}", layout=f"{kind} on {topic}"
+    )

@@ -1,0 +1,41 @@
+"""Racelines as files and messages state them, nothing verified yet."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..findings import Finding
+
+__all__ = ["RacelineTable"]
+
+
+class RacelineTable(NamedTuple):
+    """A raceline as a file or a message states it, point by point, nothing verified yet.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, shape (n_points,)
+        By the names in `map_racing.track.files.readers.ALIASES`, at least ``x`` and ``y``.
+    name, source : str
+        See `Raceline`.
+    layout : str
+        How it was read, for reports.
+    lines : ndarray of int, shape (n_points,), or None
+        Line of each point in the file.
+    findings : tuple of Finding
+        What was noticed while reading.
+    """
+
+    columns: dict[str, np.ndarray]
+    name: str = ""
+    source: str = ""
+    layout: str = ""
+    lines: np.ndarray | None = None
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def xy(self) -> np.ndarray:
+        """Points, shape (n_points, 2) [m]."""
+        return np.stack((self.columns["x"], self.columns["y"]), axis=1)

@@ -1,0 +1,664 @@
+import math
+import os
+import struct
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Reader, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from map_racing.bags import messages as msg
+from map_racing.bags.reader import read_recording
+from map_racing.bags.topics import DRIVE_TOPIC
+from map_racing.bags.writer import BagWriter
+from map_racing.errors import BagError, RacelineError
+from map_racing.evaluation.recordings import recorded_raceline
+from map_racing.track.files.load import load_raceline
+from map_racing.track.files.waypoints import waypoint_rows
+
+T0 = 1600000000.0
+TIMES = [T0 + 0.02 * i for i in range(50)]
+
+
+def write(path, fill):
+    with BagWriter(path) as bag:
+        for i, t in enumerate(TIMES):
+            fill(bag, i, t)
+    return path
+
+
+# -- writing -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", [None, "lz4", "bz2"])
+def test_bag_is_what_ros_expects(race_bag, compression):
+    with Reader(race_bag(compression)) as reader:
+        lines = {line.topic: line for line in reader.connections}
+        count = reader.topics["/car_state/odom"].msgcount
+        assert {topic: line.digest for topic, line in lines.items()} == {
+            "/car_state/odom": msg.MD5[msg.ODOMETRY],
+            "/car_state/pose": msg.MD5[msg.POSE],
+            "/global_waypoints": msg.MD5[msg.WAYPOINTS],
+            "/tf": msg.MD5[msg.TF],
+            "/vesc/sensors/imu/raw": msg.MD5[msg.IMU],
+            DRIVE_TOPIC: msg.MD5[msg.ACKERMANN],
+        }
+        assert all(
+            info.msgcount == count for name, info in reader.topics.items() if "way" not in name
+        )
+        assert lines["/global_waypoints"].ext.latching == 1
+        assert lines["/tf"].ext.latching == 0
+        assert reader.start_time == int(T0 * 1e9)
+
+
+def test_lz4_frames_have_the_form_that_ros_reads(race_bag):
+    """ROS's own lz4 reader wants independent blocks, a content checksum and no content size."""
+    data = race_bag("lz4").read_bytes()
+    frame = data.index(struct.pack("<I", 0x184D2204))
+    assert data[frame + 4] == 0b01100100
+
+
+def test_headers_count_up(race_bag):
+    types = get_typestore(Stores.ROS1_NOETIC)
+    with Reader(race_bag()) as reader:
+        lines = [line for line in reader.connections if line.topic == "/car_state/pose"]
+        headers = [
+            types.deserialize_ros1(data, "geometry_msgs/msg/PoseStamped").header
+            for _, _, data in reader.messages(lines)
+        ]
+    assert [header.seq for header in headers] == list(range(len(headers)))
+    assert headers[0].frame_id == "map"
+
+
+def test_round_trip(race_bag, track):
+    recording = read_recording(race_bag())
+    t = np.arange(recording.t.size) * 0.025
+    x, y, psi = track.place(5.0 * t - 3.0, 0.1)
+    # Stamps in float seconds since 1970 are exact to 0.2 us.
+    np.testing.assert_allclose(recording.t, t, atol=5e-7)
+    np.testing.assert_allclose(recording.x, x, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(recording.y, y, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(np.cos(recording.psi - psi), 1.0, atol=1e-12)
+    assert set(recording.v_x) == {5.0}
+    assert set(recording.v_y) == {0.1}
+    assert set(recording.yaw_rate) == {0.2}
+    assert recording.t0_ns == int(T0 * 1e9)
+    assert (recording.topic, recording.type) == ("/car_state/odom", "nav_msgs/Odometry")
+    assert recording.frame == "map"
+    np.testing.assert_allclose(recording.commands.t, t, atol=5e-7)
+    assert set(recording.commands.speed) == {5.0}
+    np.testing.assert_allclose(recording.commands.steering_angle, 0.05, rtol=1e-6)
+    assert recording.commands.topic == DRIVE_TOPIC
+
+
+def test_raceline_round_trip(race_bag, track):
+    line = recorded_raceline(read_recording(race_bag()))
+    assert line.length == pytest.approx(track.length, abs=1e-4)
+    x, y, _ = track.place(line.s)
+    assert np.hypot(line.x - x, line.y - y).max() < 2e-4
+    np.testing.assert_array_equal(line.speed, 5.0)
+    np.testing.assert_allclose(line.d_left, 1.0)
+    np.testing.assert_allclose(line.d_right, 1.0)
+    assert load_raceline(race_bag()).length == line.length
+
+
+def test_acceleration_between_waypoints_follows_from_their_speeds(tmp_path, track):
+    line = track.raceline(walls=1.0)
+    speed = 5.0 + np.sin(2.0 * np.pi * line.s / line.length)
+    line = type(line)(line.x, line.y, vx_mps=speed)
+    with BagWriter(tmp_path / "a.bag") as bag:
+        bag.waypoints(T0, waypoint_rows(line, spacing=0.2))
+    with Reader(tmp_path / "a.bag") as reader:
+        _, _, data = next(reader.messages())
+    rows = np.frombuffer(
+        bytes(data)[-84 * int(round(line.length / 0.2)) :],
+        dtype=[("id", "<i4"), ("values", "<f8", (10,))],
+    )["values"]
+    s, v, a = rows[:, 0], rows[:, 8], rows[:, 9]
+    np.testing.assert_allclose(v[:-1] ** 2 + 2.0 * a[:-1] * np.diff(s), v[1:] ** 2, rtol=1e-12)
+
+
+def test_integer_stamps_are_nanoseconds_and_receipt_may_differ(tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        for i in range(3):
+            bag.pose(10**18 + i, 0.0, 0.0, 0.0, received=2 * 10**18 + i)
+    assert read_recording(path).t0_ns == 10**18
+    with Reader(path) as reader:
+        assert reader.start_time == 2 * 10**18
+
+
+def test_nothing_is_left_after_an_exception(tmp_path):
+    path = tmp_path / "race.bag"
+    with pytest.raises(RuntimeError, match="crash"), BagWriter(path) as bag:
+        bag.pose(T0, 0.0, 0.0, 0.0)
+        raise RuntimeError("crash")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_old_bag_stays_until_the_new_one_is_whole(tmp_path):
+    path = tmp_path / "race.bag"
+    path.write_bytes(b"old")
+    with BagWriter(path) as bag:
+        bag.pose(T0, 0.0, 0.0, 0.0)
+        bag.pose(T0 + 1.0, 0.0, 0.0, 0.0)
+        assert path.read_bytes() == b"old"
+    assert read_recording(path).t.size == 2
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("fill", "expected"),
+    [
+        (lambda bag: bag.pose(0.0, 0.0, 0.0, 0.0), "at or before 0"),
+        (lambda bag: bag.pose(math.nan, 0.0, 0.0, 0.0), "/car_state/pose"),
+        (lambda bag: bag.pose(T0, "a", 0.0, 0.0), "/car_state/pose"),
+        (lambda bag: bag.pose(1e12, 0.0, 0.0, 0.0), "/car_state/pose"),
+        (
+            lambda bag: (bag.pose(T0, 0.0, 0.0, 0.0), bag.drive(T0, 0, 0, topic="/car_state/pose")),
+            "carries geometry_msgs/PoseStamped",
+        ),
+    ],
+)
+def test_messages_that_cannot_be_written(tmp_path, fill, expected):
+    path = tmp_path / "a.bag"
+    with pytest.raises(BagError, match=expected), BagWriter(path) as bag:
+        fill(bag)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_places_where_no_bag_can_be(tmp_path):
+    with pytest.raises(BagError, match="cannot write"), BagWriter(tmp_path / "no" / "a.bag"):
+        pass
+    with pytest.raises(BagError, match="expected compression"):
+        BagWriter(tmp_path / "a.bag", "zip")
+    for path in (".", "", "/", tmp_path, tmp_path / ".."):
+        with pytest.raises(BagError, match="expected a file, got a directory"):
+            BagWriter(path)
+    os.mkfifo(tmp_path / "pipe.bag")
+    with pytest.raises(BagError, match="pipe.bag: .*expected a file, got a pipe"):
+        BagWriter(tmp_path / "pipe.bag")
+
+
+def test_a_link_is_written_through(tmp_path):
+    (tmp_path / "store").mkdir()
+    for name, old in (("a.bag", b"old"), ("new.bag", None)):
+        target, link = tmp_path / "store" / name, tmp_path / name
+        if old is not None:
+            target.write_bytes(old)
+        link.symlink_to(target)
+        write(link, pose("/car_state/pose"))
+        assert link.is_symlink()
+        assert read_recording(target).t.size == len(TIMES)
+    assert sorted(path.name for path in (tmp_path / "store").iterdir()) == ["a.bag", "new.bag"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bag", "new.bag", "store"]
+
+
+def test_an_interrupt_at_the_start_leaves_nothing(tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("map_racing.bags.writer.get_typestore", interrupt)
+    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "a.bag"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- choice of the pose --------------------------------------------------------------------------
+
+
+def odometry(topic, frame="map"):
+    return lambda bag, i, t: bag.odometry(t, i, 0, 0, 1, 0, 0, topic=topic, frame=frame)
+
+
+def pose(topic, frame="map"):
+    return lambda bag, i, t: bag.pose(t, i, 0, 0, topic=topic, frame=frame)
+
+
+def transform(parent="map", child="base_link"):
+    return lambda bag, i, t: bag.transform(t, i, 0, 0, parent=parent, child=child)
+
+
+def once(fill):
+    return lambda bag, i, t: fill(bag, i, t) if i == 0 else None
+
+
+@pytest.mark.parametrize(
+    ("sources", "expected"),
+    [
+        ([odometry("/vesc/odom", "odom"), pose("/car_state/pose")], "/car_state/pose"),
+        ([pose("/car_state/pose"), odometry("/b/odom")], "/b/odom"),
+        ([odometry("/a/odom"), odometry("/car_state/odom")], "/car_state/odom"),
+        ([odometry("/odom"), odometry("/pf/pose/odom")], "/pf/pose/odom"),
+        ([odometry("/ground_truth/odom"), odometry("/vesc/odom", "odom")], "/vesc/odom"),
+        ([odometry("/ground_truth/odom")], "/ground_truth/odom"),
+        ([odometry("/car_state/odom_frenet"), odometry("/vesc/odom", "odom")], "/vesc/odom"),
+        ([once(pose("/move_base_simple/goal")), odometry("/odom", "odom")], "/odom"),
+        ([odometry("/odom", "odom"), transform()], "/tf"),
+        ([odometry("/odom", "/map"), transform()], "/odom"),
+        ([odometry("/odom", "odom"), transform("odom", "base_link")], "/odom"),
+        ([transform(), transform(child="laser")], "/tf"),
+        ([transform(child="ego_racecar/base_link")], "/tf:ego_racecar/base_link"),
+    ],
+)
+@pytest.mark.parametrize("reverse", [False, True])
+def test_pose_is_chosen(tmp_path, sources, expected, reverse):
+    def fill(bag, i, t):
+        for source in reversed(sources) if reverse else sources:
+            source(bag, i, t)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.topic == expected
+    assert recording.notes[0].startswith(f"pose: {expected} (")
+    assert recording.t.size == len(TIMES)
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+
+
+def write_raw(path, kind, messages, publishers=1):
+    """A bag of serialized messages of one type on /amcl_pose, from publishers in turn."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    name = kind.replace("/", "/msg/")
+    definition, md5sum = types.generate_msgdef(name)
+    with Writer(path) as writer:
+        lines = [
+            writer.add_connection(
+                *("/amcl_pose", name), msgdef=definition, md5sum=md5sum, callerid=f"/{i}"
+            )
+            for i in range(publishers)
+        ]
+        for i, (t, data) in enumerate(zip(TIMES, messages)):
+            writer.write(lines[i % publishers], int(t * 1e9), data)
+    return path
+
+
+def test_pose_with_covariance_is_a_pose(tmp_path):
+    messages = [
+        msg.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) + struct.pack("<36d", *range(36))
+        for i, t in enumerate(TIMES)
+    ]
+    recording = read_recording(write_raw(tmp_path / "a.bag", msg.POSE_COVARIANCE, messages))
+    assert (recording.topic, recording.type) == ("/amcl_pose", msg.POSE_COVARIANCE)
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+    np.testing.assert_allclose(recording.psi, 0.5, atol=1e-12)
+    assert np.isnan(recording.v_x).all()
+
+
+def test_a_topic_of_several_publishers_is_one_topic(tmp_path):
+    """A node that was started again is another connection."""
+    messages = [msg.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) for i, t in enumerate(TIMES)]
+    recording = read_recording(write_raw(tmp_path / "a.bag", msg.POSE, messages, publishers=3))
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+
+
+def test_pose_topic_overrides_the_choice(tmp_path):
+    def fill(bag, i, t):
+        odometry("/car_state/odom")(bag, i, t)
+        bag.pose(t, -i, 0, 0, topic="/other")
+        bag.transform(t, 0.0, i, 0.0)
+        bag.transform(t, 0.0, 10.0, 0.0, parent="base_link", child="laser")
+
+    path = write(tmp_path / "a.bag", fill)
+    for topic in ("/other", "other"):
+        assert read_recording(path, topic).x[-1] == -(len(TIMES) - 1)
+    for topic in ("/tf", "/tf:base_link", "tf:/base_link"):
+        assert read_recording(path, topic).y[-1] == len(TIMES) - 1
+    assert read_recording(path, "/tf:laser").y[-1] == len(TIMES) + 9
+    with pytest.raises(BagError, match=r"no pose on /nothing: expected one of .*/other"):
+        read_recording(path, "/nothing")
+
+
+def test_bag_without_a_pose_says_what_it_has(tmp_path):
+    path = write(tmp_path / "a.bag", lambda bag, i, t: bag.imu(t, 0.0, 0.0, 0.0))
+    with pytest.raises(BagError, match=r"no topic with the pose .*/vesc/sensors/imu/raw \(sensor"):
+        read_recording(path)
+    path = write(tmp_path / "b.bag", odometry("/car_state/odom_frenet"))
+    with pytest.raises(BagError, match="--pose-topic can take /car_state/odom_frenet"):
+        read_recording(path)
+    path = write(tmp_path / "c.bag", lambda bag, i, t: None)
+    with pytest.raises(BagError, match="has no messages"):
+        read_recording(path)
+    with pytest.raises(BagError, match="the bag has no pose at all"):
+        read_recording(path, "/odom")
+    path = write(tmp_path / "d.bag", once(odometry("/odom")))
+    with pytest.raises(BagError, match="at least two poses, got 1"):
+        read_recording(path)
+
+
+def test_tf_is_chained_over_static_and_slow_transforms(tmp_path):
+    """map -> odom (slow, drifting) -> base (fast) -> base_link (static), composed in the plane."""
+
+    def fill(bag, i, t):
+        if i == 0:
+            bag.transform(t, 0.3, 0.1, 0.2, parent="base", child="base_link", static=True)
+        if i % 7 == 0:
+            bag.transform(t, 1.0 + 0.1 * i, 2.0, 0.5, parent="/map", child="odom")
+        bag.transform(t, 0.2 * i, 0.0, 0.01 * i, parent="odom", child="base")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    i = np.arange(len(TIMES))
+    x, y, psi = 0.2 * i, np.zeros(i.size), 0.01 * i
+    x, y = x + 0.3 * np.cos(psi) - 0.1 * np.sin(psi), y + 0.3 * np.sin(psi) + 0.1 * np.cos(psi)
+    x, y = np.cos(0.5) * x - np.sin(0.5) * y, np.sin(0.5) * x + np.cos(0.5) * y
+    np.testing.assert_allclose(recording.x, 1.0 + 0.1 * np.minimum(i, 49) + x, atol=1e-6)
+    np.testing.assert_allclose(recording.y, 2.0 + y, atol=1e-6)
+    np.testing.assert_allclose(recording.psi, 0.5 + psi + 0.2, atol=1e-9)
+    assert np.isnan(recording.v_x).all()
+    assert recording.frame == "map"
+
+
+def test_headings_of_tf_are_joined_across_the_half_turn(tmp_path):
+    """The slow transform turns from 3.0 over pi to -3.08 rad while the fast one goes on."""
+
+    def fill(bag, i, t):
+        if i % 10 == 0:
+            bag.transform(t, 0.0, 0.0, 3.0 + 0.005 * i, parent="map", child="odom")
+        bag.transform(t, 1.0, 0.0, 0.0, parent="odom", child="base_link")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    i = np.minimum(np.arange(len(TIMES)), 40)
+    np.testing.assert_allclose(recording.x, np.cos(3.0 + 0.005 * i), atol=1e-6)
+    np.testing.assert_allclose(np.cos(recording.psi), np.cos(3.0 + 0.005 * i), atol=1e-6)
+
+
+def test_a_static_transform_sent_with_an_older_stamp_sets_no_clock_back(tmp_path):
+    def fill(bag, i, t):
+        if i % 20 == 0:
+            stamp = 100.0 - i
+            bag.transform(stamp, 0.3, 0.0, 0.0, parent="base", child="base_link", static=True)
+        bag.transform(t, i, 0.0, 0.0, parent="map", child="base")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    np.testing.assert_allclose(recording.x, np.arange(len(TIMES)) + 0.3, atol=1e-6)
+    assert not any("jump back" in note for note in recording.notes)
+
+
+# -- samples -------------------------------------------------------------------------------------
+
+
+def test_stamp_zero_falls_back_to_the_time_of_receipt(tmp_path):
+    path = write(tmp_path / "a.bag", lambda bag, i, t: bag.pose(0, i, 0, 0, received=t + 1.0))
+    recording = read_recording(path)
+    assert recording.t0_ns == int((T0 + 1.0) * 1e9)
+    np.testing.assert_allclose(recording.t, np.array(TIMES) - T0, atol=5e-7)
+    assert any("50 of 50 stamps are 0" in note for note in recording.notes)
+
+
+def test_samples_are_put_in_order(tmp_path):
+    def fill(bag, i, t):
+        swapped = {10: 11, 11: 10}.get(i, i)
+        stamp = TIMES[20] if i == 21 else TIMES[swapped]
+        bag.pose(stamp, math.nan if i in (30, 31) else swapped, 0.0, 0.0, received=t)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.x.tolist() == [i for i in range(50) if i not in (21, 30, 31)]
+    text = "; ".join(recording.notes)
+    assert "2 of 50 without a finite pose left out" in text
+    assert "1 steps back in time: sorted" in text
+    assert "1 repeated time stamps left out" in text
+
+
+def test_drive_command_of_the_car_is_preferred(tmp_path):
+    def fill(bag, i, t):
+        bag.pose(t, i, 0.0, 0.0)
+        bag.drive(t - 1.0, 0.1, 1.0, topic="/drive")
+        bag.drive(t, 0.2, 2.0)
+
+    commands = read_recording(write(tmp_path / "a.bag", fill)).commands
+    assert commands.topic == DRIVE_TOPIC
+    assert set(commands.speed) == {2.0}
+
+    def without(bag, i, t):
+        bag.pose(t, i, 0.0, 0.0)
+        bag.drive(t - 1.0, 0.1, 1.0, topic="/drive")
+
+    commands = read_recording(write(tmp_path / "b.bag", without)).commands
+    assert commands.topic == "/drive"
+    assert commands.t[0] == pytest.approx(-1.0)
+
+
+# -- waypoints -----------------------------------------------------------------------------------
+
+
+def test_waypoint_topics(tmp_path, track):
+    line, other = track.raceline(speed=3.0), track.raceline(speed=4.0)
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        bag.waypoints(T0, waypoint_rows(line), topic="/local_waypoints")
+    with pytest.raises(BagError, match="no raceline"):
+        load_raceline(path)
+    assert load_raceline(f"{path}#local_waypoints").length == pytest.approx(line.length, abs=1e-3)
+
+    with BagWriter(path) as bag:
+        bag.waypoints(T0, waypoint_rows(line), topic="/centerline_waypoints")
+        bag.waypoints(T0, waypoint_rows(other), topic="/global_waypoints_scaled")
+    assert load_raceline(path).speed[0] == 4.0
+    with pytest.raises(BagError, match="on /global_waypoints"):
+        load_raceline(f"{path}#/global_waypoints")
+
+
+def test_empty_waypoint_arrays_are_passed_over(tmp_path, track):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        for i, rows in enumerate(([], [[0.0] * 10])):
+            bag._write(
+                "/global_waypoints", msg.WAYPOINTS, T0 + i, None, msg.encode_waypoints, "", rows
+            )
+            if i == 0:
+                bag.waypoints(T0 + 0.5, waypoint_rows(track.raceline()))
+    assert load_raceline(path).length == pytest.approx(track.length, abs=1e-3)
+
+
+def test_unusable_waypoints_do_not_hide_the_driving(tmp_path):
+    def fill(bag, i, t):
+        bag.pose(t, i, 0.0, 0.0)
+        if i == 0:
+            rows = [[0.0] * 10, [1.0] * 10]
+            bag._write("/global_waypoints", msg.WAYPOINTS, t, None, msg.encode_waypoints, "", rows)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    with pytest.raises(RacelineError, match="a.bag: /global_waypoints"):
+        recorded_raceline(recording)
+
+
+def test_waypoints_of_another_definition_are_read_by_it(tmp_path):
+    """Other versions of the message have other fields, in another order."""
+    fields = ("vx_mps", "extra", "d_left", "d_right", "psi_rad", "y_m", "x_m")
+    definition = (
+        "f110_msgs/Wpnt[] wpnts\n" + "=" * 80 + "\nMSG: f110_msgs/Wpnt\n"
+        "float64 vx_mps\nint32 extra\nfloat64 d_left\nfloat64 d_right\nfloat64 psi_rad\n"
+        "float64 y_m\nfloat64 x_m\n"
+    )
+    angle = np.arange(20) * 2.0 * np.pi / 20
+    rows = [
+        dict(zip(fields, (3.0, 7, 1.0, 2.0, 0.0, 5.0 * math.sin(a), 5.0 * math.cos(a))))
+        for a in angle
+    ]
+    data = struct.pack("<I", len(rows)) + b"".join(
+        struct.pack("<di5d", *(row[field] for field in fields)) for row in rows
+    )
+    with Writer(tmp_path / "a.bag") as writer:
+        line = writer.add_connection(
+            "/global_waypoints", "f110_msgs/msg/WpntArray", msgdef=definition, md5sum="0" * 32
+        )
+        writer.write(line, 10**18, data)
+    raceline = load_raceline(tmp_path / "a.bag")
+    assert raceline.length == pytest.approx(10.0 * math.pi, rel=1e-4)
+    assert (raceline.speed[0], raceline.d_left[0], raceline.d_right[0]) == (3.0, 1.0, 2.0)
+
+
+# -- damage and real recordings --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", [None, "lz4"])
+def test_damaged_bag_gives_its_first_laps_and_says_so(tmp_path, race_bag, compression):
+    data = race_bag(compression).read_bytes()
+    path = tmp_path / "cut.bag"
+    path.write_bytes(data[: len(data) * 6 // 10])
+    whole, part = read_recording(race_bag(compression)), read_recording(path)
+    assert 100 < part.t.size < whole.t.size
+    np.testing.assert_array_equal(part.x, whole.x[: part.t.size])
+    assert any(note.startswith("damaged bag") for note in part.notes)
+
+
+def test_hangar_recording(shared_data):
+    recording = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
+    assert recording.topic == "/car_state/odom"
+    assert recording.frame == "map"
+    assert recording.t.size == 6339
+    assert recording.t[-1] == pytest.approx(63.38, abs=0.01)
+    assert recorded_raceline(recording).length == pytest.approx(21.2, abs=0.1)
+    assert recording.commands.t.size == 2535
+    pose = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag", "/car_state/pose")
+    assert pose.frame == "map"
+    assert any("6339 of 6339 stamps are 0" in note for note in pose.notes)
+    tf = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag", "/tf")
+    for other in (pose, tf):
+        np.testing.assert_allclose(other.x, recording.x, atol=1e-9)
+        np.testing.assert_allclose(np.cos(other.psi - recording.psi), 1.0, atol=1e-12)
+
+
+def test_other_real_recordings(shared_data):
+    folder = shared_data / "recordings"
+    husky = read_recording(folder / "husky_odom_imu.bag")
+    assert (husky.topic, husky.frame) == ("/husky_velocity_controller/odom", "odom")
+    assert husky.t.size == 3952
+    with pytest.raises(BagError, match=r"/sensors/core \(vesc_msgs/VescStateStamped\)"):
+        read_recording(folder / "vesc_motor_servo.bag")
+    line = load_raceline(folder / "hangar_global_waypoints.bag")
+    assert line.length == pytest.approx(21.2, abs=0.1)
+    turtle = read_recording(shared_data / "bag_fixtures" / "example-bz2.bag", "/tf:turtle1")
+    assert turtle.t.size > 1000
+
+
+def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, track):
+    s = np.arange(0.0, track.length, 0.2)
+    x, y, psi = track.place(s)
+    rows = np.zeros((s.size, 10))
+    rows[:, 2], rows[:, 3], rows[:, 6] = x, y, psi - math.pi / 2
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
+    findings = "; ".join(map(str, load_raceline(path).findings))
+    assert "+y (north)" in findings
+    assert "every speed is 0" in findings
+
+
+# -- clocks --------------------------------------------------------------------------------------
+
+HOUR = 3600.0
+
+
+def two_runs(fill, receipt_restarts=False):
+    """Stamps begin anew after 30 of 50 messages, as in the first run; receipts may, too."""
+
+    def stamped(bag, i, t):
+        stamp = TIMES[0] + 0.1 * (i % 30)
+        fill(bag, i, stamp, stamp if receipt_restarts else HOUR + T0 + 0.1 * i)
+
+    return stamped
+
+
+def fill_odometry(bag, i, stamp, received):
+    bag.odometry(stamp, i, 0.0, 0.0, 1.0, 0.0, 0.0, received=received)
+    bag.drive(stamp, 0.001 * i, 1.0, received=received)
+
+
+def fill_transforms(bag, i, stamp, received):
+    if i == 0:
+        bag.transform(1.0, 0.0, 0.0, 0.0, parent="base", child="base_link", static=True)
+    bag.transform(stamp, i, 0.0, 0.0, parent="map", child="base", received=received)
+
+
+@pytest.mark.parametrize("fill", [fill_odometry, fill_transforms])
+def test_two_runs_whose_stamps_begin_anew_are_not_interleaved(tmp_path, fill):
+    recording = read_recording(write(tmp_path / "a.bag", two_runs(fill)))
+    np.testing.assert_array_equal(recording.x, np.arange(len(TIMES)))
+    np.testing.assert_allclose(recording.t, 0.1 * np.arange(len(TIMES)), atol=5e-7)
+    assert "header stamps jump back by 2.9 s: time of receipt used instead" in recording.notes
+    if fill is fill_odometry:
+        np.testing.assert_array_equal(recording.commands.t, recording.t)
+        np.testing.assert_allclose(recording.commands.steering_angle, 0.001 * recording.x)
+
+
+@pytest.mark.parametrize("fill", [fill_odometry, fill_transforms])
+def test_two_runs_that_no_clock_tells_apart_are_refused(tmp_path, fill):
+    path = write(tmp_path / "a.bag", two_runs(fill, receipt_restarts=True))
+    with pytest.raises(BagError, match=r"a.bag: time jumps back by 2.9 s: two runs in one bag\?"):
+        read_recording(path)
+
+
+def test_commands_whose_clock_is_set_back_bring_the_pose_to_the_time_of_receipt(tmp_path):
+    def fill(bag, i, t):
+        bag.pose(t, i, 0.0, 0.0, received=t + HOUR)
+        bag.drive(t - (5.0 if i > 30 else 0.0), 0.0, 1.0, received=t + HOUR)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.t0_ns == int((T0 + HOUR) * 1e9)
+    np.testing.assert_array_equal(recording.commands.t, recording.t)
+    assert any("jump back by 5.0 s" in note for note in recording.notes)
+
+
+def test_a_late_message_is_no_jump(tmp_path):
+    """Out of order by less than a second is what transport does."""
+
+    def fill(bag, i, t):
+        bag.pose(TIMES[0] + 0.1 * (i if i != 20 else 11.5), i, 0.0, 0.0, received=t + HOUR)
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.t0_ns == int(T0 * 1e9)
+    assert recording.x[12] == 20.0
+    assert any("1 steps back in time: sorted" in note for note in recording.notes)
+
+
+# -- damage --------------------------------------------------------------------------------------
+
+
+def test_damage_is_reported_when_the_pose_comes_from_tf(tmp_path):
+    def fill(bag, i, t):
+        bag.transform(t, math.nan if i == 40 else i, 0.0, 0.0)
+        bag.drive(t, 0.1, 1.0)
+
+    path = write(tmp_path / "a.bag", fill)
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<d", 20.0))
+    data[at - 300 : at + 300] = bytes(600)
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert 40 < recording.t.size < 49
+    notes = "; ".join(recording.notes)
+    assert "damaged bag: " in notes
+    assert f"of {2 * len(TIMES)} messages read; damage at byte" in notes
+    assert "/tf: map to base_link: 1 of" in notes
+
+
+def test_messages_of_tf_that_cannot_be_decoded_are_counted(tmp_path):
+    path = write(tmp_path / "a.bag", transform())
+    data = bytearray(path.read_bytes())
+    at = data.index(b"base_link", data.index(struct.pack("<d", 19.0)))
+    data[at - 4 : at] = b"\xff\xff\xff\x7f"
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert recording.t.size == len(TIMES) - 1
+    assert "/tf: 1 messages that are not of their type left out" in recording.notes
+
+
+def test_a_sound_bag_without_a_pose_does_not_look_damaged(tmp_path, shared_data):
+    path = write(tmp_path / "a.bag", lambda bag, i, t: bag.imu(t, 0.0, 0.0, 0.0))
+    for sound in (path, shared_data / "recordings" / "vesc_motor_servo.bag"):
+        with pytest.raises(BagError, match="no topic with the pose") as error:
+            read_recording(sound)
+        assert "messages read" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("fill", "expected"),
+    [
+        (lambda bag, i, t: bag.pose(t, math.nan, 0, 0), "50 of 50 without a finite pose left out"),
+        (lambda bag, i, t: bag.pose(T0, i, 0, 0), "49 repeated time stamps left out"),
+        (lambda bag, i, t: bag.transform(t, 0, math.nan, 0), "50 of 50 without a finite pose"),
+    ],
+)
+def test_too_few_poses_are_explained(tmp_path, fill, expected):
+    path = write(tmp_path / "a.bag", fill)
+    with pytest.raises(BagError, match=rf"expected at least two poses, got \d \(.*{expected}"):
+        read_recording(path)

@@ -1,0 +1,141 @@
+"""Steering ramps: known angles at known times, the area, the button, and a simulated car."""
+
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from map_racing.errors import ParameterError
+from map_racing.simulation.plant import Plant, PlantParameters
+from map_racing.vehicle.steady_state import steady_state_table
+
+WIDE = Circle(0.0, 0.0, 100.0)
+STEP = 0.025
+
+
+def drive(ramp, seconds, t=0.0, x=0.0, v=None, enabled=True):
+    """Commands of a car that does what it is told at once."""
+    commands = []
+    speed = 0.0
+    for _ in range(round(seconds / STEP)):
+        command = ramp.update(t, x, 0.0, speed if v is None else v, enabled)
+        speed = command.speed
+        commands.append((t, command))
+        t += STEP
+    return commands
+
+
+def test_the_angle_rises_at_the_stated_rate_to_either_side():
+    parameters = RampParameters(speed_mps=2.0, rate_radps=0.02, start_rad=0.1, limit_rad=0.3)
+    ramp = SteeringRamp(parameters, WIDE)
+    commands = drive(ramp, 30.0)
+    assert commands[-1][1] == (0.0, 0.0, Phase.DONE) and ramp.completed == 2
+    ramping = [(t, c) for t, c in commands if c.phase is Phase.RAMPING]
+    assert all(c.speed == 2.0 for _, c in ramping)
+    for sign in (1.0, -1.0):
+        t, angle = np.array(
+            [(t, c.steering_angle) for t, c in ramping if c.steering_angle * sign > 0.0]
+        ).T
+        assert np.diff(angle) / np.diff(t) == pytest.approx(sign * 0.02, abs=1e-9)
+        assert abs(angle[0]) < 0.102 and abs(angle[-1]) == pytest.approx(0.3, abs=0.001)
+        # 0.2 rad at 0.02 rad/s.
+        assert t[-1] - t[0] == pytest.approx(10.0, abs=2 * STEP)
+
+
+def test_it_settles_at_speed_before_the_ramp():
+    parameters = RampParameters(speed_mps=3.0, settle_s=2.0, acceleration_mps2=1.5)
+    commands = drive(SteeringRamp(parameters, WIDE), 6.0)
+    first = next(t for t, c in commands if c.phase is Phase.RAMPING)
+    # 2 s to reach the speed, 2 s to settle.
+    assert first == pytest.approx(4.0, abs=3 * STEP)
+    speeds = np.array([c.speed for _, c in commands])
+    assert np.all(np.diff(speeds) <= 1.5 * STEP + 1e-12) and speeds.max() == 3.0
+
+
+@pytest.mark.parametrize(("sides", "sign"), [("left", 1.0), ("right", -1.0)])
+def test_one_side(sides, sign):
+    ramp = SteeringRamp(RampParameters(sides=sides, limit_rad=0.15), WIDE)
+    commands = drive(ramp, 10.0)
+    assert ramp.completed == 1 and commands[-1][1].phase is Phase.DONE
+    assert all(sign * c.steering_angle >= 0.0 for _, c in commands)
+
+
+def test_nothing_moves_without_the_button():
+    commands = drive(SteeringRamp(RampParameters(), WIDE), 2.0, enabled=False)
+    assert {c for _, c in commands} == {(0.0, 0.0, Phase.WAITING)}
+
+
+@pytest.mark.parametrize(
+    ("cause", "phase"),
+    [
+        ({"enabled": False}, Phase.WAITING),
+        ({"x": 200.0}, Phase.OUTSIDE),
+        ({"x": math.nan}, Phase.OUTSIDE),
+        ({"v": math.nan}, Phase.WAITING),
+    ],
+)
+def test_a_ramp_cut_short_stops_and_begins_anew(cause, phase):
+    ramp = SteeringRamp(RampParameters(), WIDE)
+    before = drive(ramp, 6.0)[-1][1]
+    assert before.phase is Phase.RAMPING and before.steering_angle > 0.1
+    stopped = drive(ramp, 1.0, t=6.0, **cause)
+    # At once, and with the wheels as they were.
+    assert {c for _, c in stopped} == {(before.steering_angle, 0.0, phase)}
+    # In order again, but rolling still.
+    rolling = drive(ramp, 1.0, t=7.0, v=0.5)
+    assert {c.speed for _, c in rolling} == {0.0}
+    again = [c for _, c in drive(ramp, 6.0, t=8.0)]
+    assert again[0].phase is Phase.STARTING and again[0].steering_angle == 0.1
+    assert again[-1].phase is Phase.RAMPING and ramp.completed == 0
+
+
+def test_a_pause_of_the_poses_is_no_leap_of_the_steering():
+    ramp = SteeringRamp(RampParameters(), WIDE)
+    before = drive(ramp, 5.0)[-1][1].steering_angle
+    after = ramp.update(60.0, 0.0, 0.0, 2.0, True).steering_angle
+    assert after - before <= 0.02 * 0.1 + 1e-12
+
+
+def test_areas():
+    box, circle = Box(-1.0, 2.0, 0.0, 3.0), Circle(1.0, 1.0, 2.0)
+    assert box.contains(2.0, 3.0) and not box.contains(2.01, 1.0)
+    assert circle.contains(3.0, 1.0) and not circle.contains(3.0, 1.1)
+    assert not box.contains(math.nan, 1.0) and not circle.contains(0.0, math.nan)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: RampParameters(speed_mps=0.0), "speed_mps: expected more than 0"),
+        (lambda: RampParameters(rate_radps=math.nan), "rate_radps"),
+        (lambda: RampParameters(start_rad=0.5), "start_rad: expected 0 to less than limit_rad"),
+        (lambda: RampParameters(settle_s=-1.0), "settle_s"),
+        (lambda: RampParameters(sides="up"), "sides: expected both, left, right, got 'up'"),
+        (lambda: Box(1.0, 1.0, 0.0, 1.0), "area: expected a box"),
+        (lambda: Circle(0.0, 0.0, 0.0), "area: expected a circle"),
+    ],
+)
+def test_refusals(make, words):
+    with pytest.raises(ParameterError, match=words):
+        make()
+
+
+def test_the_simulated_car_is_taken_through_its_steady_states():
+    """At each instant the car is where the steady-state table says that it ends up."""
+    plant = Plant(PlantParameters("nuc4"))
+    plant.reset(0.0, 0.0, 0.0)
+    ramp = SteeringRamp(RampParameters(sides="left", limit_rad=0.35), Circle(0.0, 3.0, 6.0))
+    command, turned = None, []
+    for tick in range(round(30.0 / plant.time_step)):
+        if tick % 10 == 0:
+            state = plant.reference_state()
+            command = ramp.update(state.t, state.x, state.y, state.v_x, True)
+            if command.phase is Phase.RAMPING:
+                turned.append((plant.steering_angle, state.r * state.v_x))
+        plant.advance(command.steering_angle, command.speed)
+    assert command.phase is Phase.DONE and ramp.completed == 1
+    angle, a_lat = np.array(turned[10:]).T
+    table = steady_state_table(plant.vehicle, np.array([1.5, 2.0, 2.5]), np.linspace(0.0, 0.4, 161))
+    expected = [table.acceleration(2.0, at) for at in angle.tolist()]
+    assert a_lat == pytest.approx(expected, rel=0.01)

@@ -1,0 +1,220 @@
+"""Every sensor that can be wrong is found out, and what would repair it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from map_racing.errors import IdentificationError
+from map_racing.identification.cornering import motion_of
+from map_racing.identification.data import SensorSetup, Signal
+from map_racing.identification.identify import identify
+from map_racing.identification.sensor_checks import check, reason_to_refuse
+
+# What is done to the recording, the check that must see it, and the setup that repairs it.
+FAULTS = {
+    "yaw rate turned around": ({"yaw_rate": (-1.0, 0.0)}, "yaw_rate_scale", -1.0),
+    "yaw rate in other units": ({"yaw_rate": (57.3, 0.0)}, "yaw_rate_scale", 1.0 / 57.3),
+    "speed in km/h": ({"v_x": (3.6, 0.0)}, "speed_scale", 1.0 / 3.6),
+    "speed backwards": ({"v_x": (-1.0, 0.0)}, "speed_scale", -1.0),
+    "acceleration turned around": ({"a_y": (-1.0, 0.0)}, "lateral_scale", -1.0),
+    "acceleration in g": ({"a_y": (1.0 / 9.80665, 0.0)}, "lateral_scale", 9.80665),
+    "acceleration with an offset": ({"a_y": (1.0, 0.4)}, "lateral_offset_mps2", -0.4),
+    "acceleration of a rolling body": ({"a_y": (1.08, 0.0)}, "lateral_scale", 1.0 / 1.08),
+    "steering turned around": ({"steering": (-1.0, 0.0)}, "steering_gain", -1.0),
+    "steering off center": ({"steering": (1.0, 0.02)}, "steering_offset_rad", -0.02),
+    "steering too weak": ({"steering": (0.8, 0.0)}, "steering_gain", 1.25),
+    "heading off the axis": ({"psi": (1.0, 0.03)}, "heading_offset_rad", -0.03),
+    "heading backwards": ({"psi": (1.0, np.pi)}, "heading_offset_rad", np.pi),
+}
+
+
+def spoiled(run, faults):
+    signals = dict(run.signals)
+    for name, (scale, offset) in faults.items():
+        t, value = signals[name]
+        signals[name] = Signal(t, scale * value + offset)
+    return dataclasses.replace(run, signals=signals)
+
+
+def findings_of(run, vehicle):
+    return check([motion_of(run, vehicle)], run.setup, vehicle)
+
+
+def test_a_run_in_order_has_nothing_to_repair(ramps):
+    findings = findings_of(ramps.run, ramps.base)
+    assert not any(finding.contradiction for finding in findings)
+    assert {"yaw rate", "speed", "lateral acceleration", "pose", "heading", "steering"} <= {
+        finding.check for finding in findings
+    }
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_found_and_repaired(ramps, curve_error, fault):
+    faults, name, expected = FAULTS[fault]
+    run = spoiled(ramps.run, faults)
+    findings = findings_of(run, ramps.base)
+    assert any(name in finding.fix for finding in findings), [f.text for f in findings]
+    found = identify([run], ramps.base, fix=True)
+    wrong = abs(getattr(found.setup, name)) - abs(expected)
+    scale = name.endswith(("scale", "gain"))
+    assert abs(wrong) < (0.02 * abs(expected) if scale else 0.02 if "lateral" in name else 0.003)
+    assert np.sign(getattr(found.setup, name)) == np.sign(expected) or fault == "heading backwards"
+    assert any(name in correction.fix for correction in found.corrections)
+    for axle in ("front", "rear"):
+        assert curve_error(found, ramps.true, axle) < 0.05
+    assert not any(finding.contradiction for finding in found.findings)
+
+
+@pytest.mark.parametrize("fault", [name for name in FAULTS if "turned" in name or "wards" in name])
+def test_a_wrong_sign_is_an_error_without_fix(ramps, fault):
+    with pytest.raises(IdentificationError, match="--fix applies that") as error:
+        identify([spoiled(ramps.run, FAULTS[fault][0])], ramps.base)
+    assert "\n" not in str(error.value)
+
+
+def test_axes_that_are_swapped(ramps, curve_error):
+    signals = dict(ramps.run.signals)
+    signals["a_x"], signals["a_y"] = signals["a_y"], signals["a_x"]
+    t, value = signals["a_x"]
+    signals["a_x"] = Signal(t, -value)
+    run = dataclasses.replace(ramps.run, signals=signals)
+    found = identify([run], ramps.base, fix=True)
+    assert found.setup.lateral_axis == "x" and found.setup.lateral_scale == -1.0
+    assert curve_error(found, ramps.true, "front") < 0.03
+
+
+def test_gravity_on_the_lateral_axis(ramps):
+    signals = dict(ramps.run.signals)
+    signals["a_z"], signals["a_y"] = signals["a_y"], signals["a_z"]
+    run = dataclasses.replace(ramps.run, signals=signals)
+    texts = [f.text for f in findings_of(run, ramps.base) if f.grave]
+    assert any("gravity is on its y axis" in text for text in texts), texts
+    assert identify([run], ramps.base, fix=True).setup.lateral_axis == "z"
+
+
+def test_an_imu_that_measures_nothing_can_be_done_without(ramps, curve_error):
+    signals = dict(ramps.run.signals)
+    rng = np.random.default_rng(1)
+    for name in ("a_x", "a_y", "a_z"):
+        t, value = signals[name]
+        signals[name] = Signal(t, rng.normal(0.0, 0.1, value.size))
+    run = dataclasses.replace(ramps.run, signals=signals)
+    with pytest.raises(IdentificationError, match="--acceleration yaw_rate"):
+        identify([run], ramps.base)
+    found = identify([run], ramps.base, acceleration="yaw_rate")
+    assert curve_error(found, ramps.true, "front") < 0.03
+
+
+def test_an_imu_that_is_not_used_is_not_judged(ramps):
+    run = spoiled(ramps.run, {"a_y": (-3.0, 1.0)})
+    found = identify([run], ramps.base, acceleration="yaw_rate")
+    assert not any(finding.check == "lateral acceleration" for finding in found.findings)
+
+
+def test_a_clock_that_runs_at_another_rate(ramps, curve_error):
+    slow = {name: Signal(1.15 * s.t, s.value) for name, s in ramps.run.signals.items()}
+    run = dataclasses.replace(ramps.run, signals=slow)
+    with pytest.raises(IdentificationError, match="time: .* a second of the recording lasts 0.87"):
+        identify([run], ramps.base)
+    found = identify([run], ramps.base, fix=True)
+    assert found.setup.time_scale == pytest.approx(1.0 / 1.15, rel=0.01)
+    assert curve_error(found, ramps.true, "front") < 0.03
+
+
+def test_the_point_of_the_pose(ramps):
+    """Poses of the center of gravity that are taken for those of the rear axle."""
+    signals, l_r = dict(ramps.run.signals), ramps.base.l_r
+    psi = signals["psi"].value
+    signals["x"] = Signal(signals["x"].t, signals["x"].value + l_r * np.cos(psi))
+    signals["y"] = Signal(signals["y"].t, signals["y"].value + l_r * np.sin(psi))
+    run = dataclasses.replace(ramps.run, signals=signals)
+    with pytest.raises(IdentificationError, match=r"pose: its point is 0.14.* m ahead"):
+        identify([run], ramps.base)
+    assert identify([run], ramps.base, fix=True).setup.pose_x_m == pytest.approx(l_r, abs=1e-3)
+    stated = dataclasses.replace(run, setup=SensorSetup(pose_x_m=l_r))
+    assert not any(f.contradiction for f in findings_of(stated, ramps.base))
+
+
+def test_several_faults_at_once(ramps, curve_error):
+    faults = {"yaw_rate": (-1.0, 0.0), "a_y": (-1.05, 0.3), "steering": (-0.9, 0.01)}
+    found = identify([spoiled(ramps.run, faults)], ramps.base, fix=True)
+    assert len(found.corrections) >= 4
+    for axle in ("front", "rear"):
+        assert curve_error(found, ramps.true, axle) < 0.05
+
+
+def test_one_side_says_what_it_cannot_say(ramps):
+    half = {
+        name: Signal(s.t[s.t < 17.0], s.value[s.t < 17.0]) for name, s in ramps.run.signals.items()
+    }
+    findings = findings_of(dataclasses.replace(ramps.run, signals=half), ramps.base)
+    texts = " ".join(finding.text for finding in findings)
+    assert "driven to the left only" in texts and "cannot be told apart" in texts
+    assert not any(finding.fix for finding in findings)
+
+
+def test_wheels_that_turn_more_than_the_signal_on_one_side(ramps):
+    t_end = 17.0
+    half = {
+        name: Signal(s.t[s.t < t_end], s.value[s.t < t_end])
+        for name, s in ramps.run.signals.items()
+    }
+    t, value = half["steering"]
+    half["steering"] = Signal(t, 0.6 * value)
+    run = dataclasses.replace(ramps.run, signals=half)
+    with pytest.raises(IdentificationError, match="the wheels turn more than it says"):
+        identify([run], ramps.base)
+
+
+def test_why_a_run_is_refused(ramps):
+    standing = {name: Signal(s.t[:80], 0.0 * s.value[:80]) for name, s in ramps.run.signals.items()}
+    motion = motion_of(dataclasses.replace(ramps.run, signals=standing), ramps.base)
+    assert "never drove" in reason_to_refuse(motion)
+
+    rng = np.random.default_rng(3)
+    signals = dict(ramps.run.signals)
+    for name in ("x", "y"):
+        t, value = signals[name]
+        wander = np.cumsum(np.cumsum(rng.normal(0.0, 0.02, t.size)) * 0.02)
+        signals[name] = Signal(t, value + 3.0 * wander)
+    motion = motion_of(dataclasses.replace(ramps.run, signals=signals), ramps.base)
+    assert "localization diverged" in reason_to_refuse(motion)
+    assert not findings_of(dataclasses.replace(ramps.run, signals=signals), ramps.base)
+
+
+def _with(run, **values):
+    signals = dict(run.signals)
+    signals.update((name, Signal(signals[name].t, value)) for name, value in values.items())
+    return dataclasses.replace(run, signals=signals)
+
+
+def test_a_mirrored_path_is_refused(ramps):
+    x, y = (ramps.run.signals[name].value for name in ("x", "y"))
+    for mirrored in (_with(ramps.run, y=-y), _with(ramps.run, x=y, y=x)):
+        with pytest.raises(IdentificationError, match="an axis of the position turned around"):
+            identify([mirrored], ramps.base)
+
+
+def test_milliseconds_and_a_clock_that_jumps_are_told(ramps):
+    signals = ramps.run.signals
+    slow = {name: Signal(1e3 * (s.t - s.t[0]), s.value) for name, s in signals.items()}
+    far = {
+        name: Signal(np.append(s.t[0] - 1.7e9, s.t), np.append(s.value[0], s.value))
+        for name, s in signals.items()
+    }
+    for changed in (slow, far):
+        with pytest.raises(IdentificationError, match="is the time in ms, or does it jump"):
+            identify([dataclasses.replace(ramps.run, signals=changed)], ramps.base)
+
+
+def test_degrees_of_steering_are_told(ramps):
+    steering = np.rad2deg(ramps.run.signals["steering"].value)
+    with pytest.raises(IdentificationError, match="is it in degrees"):
+        identify([_with(ramps.run, steering=steering)], ramps.base)
+
+
+def test_fix_is_only_offered_where_there_is_one(ramps):
+    x, y = (1e3 * ramps.run.signals[name].value for name in ("x", "y"))
+    with pytest.raises(IdentificationError, match="unless a unit is wrong$"):
+        identify([_with(ramps.run, x=x, y=y)], ramps.base)

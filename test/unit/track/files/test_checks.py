@@ -1,0 +1,327 @@
+"""What is wrong in a track is found, where it is, and only that."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_racing.errors import RacelineError
+from map_racing.track.files.checks import examine, raceline_of
+from map_racing.track.files.load import load_raceline
+from map_racing.track.files.table import RacelineTable
+from map_racing.track.findings import ERROR, NOTE, WARNING
+from map_racing.track.raceline import Raceline
+
+# A track with bends both ways, driven counter-clockwise; walls and speeds as a racing line has
+# them: close to the inner wall and slow in bends.
+T = np.arange(400) * 2.0 * math.pi / 400
+R = 6.0 + 1.5 * np.cos(3.0 * T)
+LINE = Raceline(R * np.cos(T), R * np.sin(T))
+KAPPA = LINE.kappa
+GOOD = {
+    "s": LINE.s,
+    "x": LINE.x,
+    "y": LINE.y,
+    "psi": LINE.psi,
+    "kappa": KAPPA,
+    "speed": 5.0 - 3.0 * np.abs(KAPPA),
+    "d_left": 1.0 - 0.5 * KAPPA,
+    "d_right": 1.0 + 0.5 * KAPPA,
+}
+GOOD["ax"] = (np.roll(GOOD["speed"], -1) ** 2 - GOOD["speed"] ** 2) / (2.0 * LINE.ds)
+N = LINE.n
+
+
+def table(rows=None, without=(), **changed):
+    columns = {k: np.array(v, dtype=float) for k, v in {**GOOD, **changed}.items()}
+    rows = np.arange(N) if rows is None else rows
+    columns = {k: column[rows] for k, column in columns.items() if k not in without}
+    return RacelineTable(columns, "track", "c.csv", lines=np.arange(len(rows)) + 4)
+
+
+def codes(table):
+    return {f.code: f for f in examine(table).findings if f.severity != NOTE}
+
+
+def set_at(column, places, value):
+    column = GOOD[column].copy()
+    column[places] = value
+    return column
+
+
+def test_nothing_is_wrong_with_a_good_track():
+    examination = examine(table())
+    assert [finding.code for finding in examination.findings] == ["heading-x"]
+    assert raceline_of(table()).findings == examination.findings
+
+
+def test_a_finding_names_its_point():
+    finding = codes(table(d_left=set_at("d_left", 30, -0.2)))["beyond-wall"]
+    (place,) = finding.places
+    assert (place.index, place.line) == (30, 34)
+    assert place.s == pytest.approx(LINE.s[30], abs=1e-3)
+    assert (place.x, place.y) == (LINE.x[30], LINE.y[30])
+    text = f"1 point beyond the left wall, at point 30 (line 34): s = {LINE.s[30]:.2f} m, x = "
+    assert str(finding).startswith(text)
+
+
+@pytest.mark.parametrize("key", ["x", "speed", "d_right"])
+def test_what_is_not_finite_is_refused_where_it_is_needed(key):
+    bad = table(**{key: set_at(key, [7, 9], math.nan)})
+    finding = codes(bad)["not-finite"]
+    assert finding.severity == ERROR
+    assert [place.line for place in finding.places] == [11, 13]
+    with pytest.raises(RacelineError, match=rf"c\.csv: expected a finite {key}, .*\(line 11\)"):
+        raceline_of(bad)
+
+
+@pytest.mark.parametrize("key", ["s", "psi", "kappa", "ax"])
+def test_what_is_recomputed_need_not_be_finite(key):
+    assert list(codes(table(**{key: set_at(key, 7, math.inf)}))) == ["not-finite-unused"]
+
+
+def test_impossible_numbers():
+    assert codes(table(y=set_at("y", 5, 1e12)))["impossible"].places[0].index == 5
+    assert codes(table(speed=set_at("speed", 5, -1.0)))["negative-speed"].places[0].index == 5
+    assert "few-points" in codes(table(rows=[0, 1, 2]))
+
+
+def test_repetitions():
+    found = codes(table(rows=np.sort(np.append(np.arange(N), [50, 50, 90]))))
+    assert list(found) == ["repeated-points"]
+    assert [place.index for place in found["repeated-points"].places] == [51, 52, 93]
+
+
+def test_two_laps_of_the_same_track():
+    found = codes(table(rows=np.tile(np.arange(N), 2), without=("s",)))
+    assert found["two-loops"].severity == ERROR
+    assert found["two-loops"].places[0].index == N
+    # As driven: the laps differ by 10 cm, and one is cut short.
+    rows = np.append(np.arange(N), np.arange(N - 20))
+    width = 0.1 * np.sin(np.arange(rows.size) / 70.0)
+    x, y = LINE.to_cartesian(LINE.s[rows], width)
+    found = codes(RacelineTable({"x": x, "y": y}))
+    assert abs(found["two-loops"].places[0].index - N) < 3
+    # Any more than one lap.
+    for laps in (1.2, 1.5, 3.0, 7.0):
+        rows = np.arange(int(laps * N)) % N
+        finding = codes(table(rows=rows, without=("s",)))["two-loops"]
+        assert f"make {max(2, int(round(laps)))};" in finding.text
+        assert finding.places[0].index == N
+
+
+def test_two_loops_one_after_the_other():
+    walls = [LINE.to_cartesian(LINE.s, d) for d in (1.0, -1.0)]
+    columns = {key: np.concatenate([wall[k] for wall in walls]) for k, key in enumerate("xy")}
+    found = codes(RacelineTable(columns))
+    assert found["two-loops"].severity == ERROR
+    assert found["two-loops"].places[0].index == N
+
+
+def test_neither_hairpins_nor_crossings_are_two_loops():
+    eight = {"x": 8.0 * np.sin(T), "y": 4.0 * np.sin(2.0 * T)}
+    examination = examine(RacelineTable(eight))
+    assert [finding.code for finding in examination.findings] == ["self-crossing"]
+    assert examination.findings[0].severity == NOTE
+    assert np.hypot(*examination.findings[0].places[0][3:]) < 0.2
+    # Out and back 1 m beside each other.
+    long = {"x": 20.0 * np.cos(T), "y": 0.5 * np.sign(np.sin(T)) * np.abs(np.sin(T)) ** 0.4}
+    assert "two-loops" not in codes(RacelineTable(long))
+
+
+def test_an_end_that_overlaps_the_start():
+    found = codes(table(rows=np.arange(N + 9) % N, without=("s", "ax")))
+    assert list(found) == ["overlap"] and found["overlap"].severity == ERROR
+    assert [place.index for place in found["overlap"].places] == list(range(N, N + 9))
+
+
+def test_points_that_turn_back():
+    rows = np.arange(N)
+    rows[[100, 102]] = rows[[102, 100]]
+    found = codes(table(rows=rows, without=("s", "ax", "psi", "kappa")))
+    assert found["turns-back"].severity == ERROR
+    assert {place.index for place in found["turns-back"].places} <= {100, 101, 102}
+
+
+def test_a_wrong_order_is_not_a_second_loop():
+    rows = np.arange(0, N, 8)
+    rows[[6, 12]] = rows[[12, 6]]
+    found = codes(table(rows=rows, without=("s", "ax", "psi", "kappa")))
+    assert [f.code for f in found.values() if f.severity == ERROR] == ["turns-back"]
+
+
+def test_gaps():
+    found = codes(table(rows=np.arange(N - 9)))
+    assert list(found) == ["gap"] and found["gap"].places[0].index == N - 10
+    found = codes(table(rows=np.append(np.arange(100), np.arange(110, N)), without=("ax",)))
+    assert list(found) == ["spacing"] and found["spacing"].places[0].index == 99
+    found = codes(table(rows=np.arange(N // 2)))
+    assert found["open"].severity == ERROR
+    assert "expected a closed track, but the last point is" in found["open"].text
+
+
+def test_an_open_track_whose_column_only_rises_is_asked_about():
+    found = codes(RacelineTable({"x": GOOD["s"], "y": GOOD["x"]}))
+    assert "x only increases: is it really the x column?" in found["open"].text
+
+
+def test_too_few_points_for_the_bends():
+    angles = np.arange(7) * 2.0 * math.pi / 7
+    found = codes(RacelineTable({"x": 6.0 * np.cos(angles), "y": 6.0 * np.sin(angles)}))
+    assert list(found) == ["coarse"] and found["coarse"].severity == WARNING
+
+
+def test_arc_length():
+    assert list(codes(table(s=1.1 * LINE.s))) == ["arc-length"]
+    assert list(codes(table(s=LINE.s[::-1]))) == ["reversed-arc-length"]
+    assert "arc-length-order" in codes(table(s=set_at("s", 20, 0.0)))
+    assert codes(table(s=0.0 * LINE.s)) == {}
+
+
+PSI = GOOD["psi"]
+
+
+@pytest.mark.parametrize(
+    "psi, code",
+    [
+        (PSI - 0.5 * math.pi, "heading-north"),
+        (PSI + 2.0 * math.pi, "heading-x"),
+        (PSI + math.pi, "heading-against"),
+        (0.5 * math.pi - PSI, "heading-compass"),
+        (-PSI, "heading-clockwise"),
+        (np.degrees(PSI), "heading-degrees"),
+        (np.degrees(PSI) - 90.0, "heading-degrees-north"),
+        (PSI + 0.8, "heading"),
+    ],
+)
+def test_headings(psi, code):
+    found = [f.code for f in examine(table(psi=psi)).findings]
+    assert found == [code]
+
+
+def test_one_wrong_heading():
+    found = codes(table(psi=set_at("psi", 44, PSI[44] + 1.0)))
+    assert list(found) == ["heading-point"] and found["heading-point"].places[0].index == 44
+
+
+def test_curvature():
+    assert list(codes(table(kappa=-KAPPA))) == ["curvature-sign"]
+    assert list(codes(table(kappa=2.0 * KAPPA))) == ["curvature"]
+
+
+def test_exchanged_axes():
+    found = codes(table(x=GOOD["y"], y=GOOD["x"], without=("d_left", "d_right")))
+    assert set(found) == {"curvature-sign", "swapped-xy"}
+
+
+def test_bends_too_tight_for_a_car():
+    small = {key: 0.3 * GOOD[key] for key in ("x", "y")}
+    assert examine(RacelineTable(small)).findings[0].code == "tight-bend"
+    assert examine(RacelineTable(small)).findings[0].severity == NOTE
+    small["speed"] = 1.0 + 0.0 * LINE.s
+    assert codes(RacelineTable(small))["tight-bend"].severity == WARNING
+
+
+def test_tracks_in_another_unit():
+    for scale in (1000.0, 0.001):
+        found = codes(RacelineTable({key: scale * GOOD[key] for key in ("x", "y")}))["size"]
+        assert found.severity == WARNING and "is it in meters?" in found.text
+    assert "size" not in codes(RacelineTable({key: GOOD[key] for key in ("x", "y")}))
+
+
+def test_a_small_loop():
+    # A limaçon with an inner loop.
+    r = 0.8 + 1.0 * np.cos(T)
+    x, y = 3.0 * r * np.cos(T), 3.0 * r * np.sin(T)
+    assert codes(RacelineTable({"x": x, "y": y}))["loop"].severity == WARNING
+
+
+def test_walls():
+    found = codes(table(d_left=set_at("d_left", [3, 4], -2.0)))
+    assert {"beyond-wall", "no-width"} <= set(found)
+    assert "walls-cross" in codes(table(d_left=GOOD["d_left"] + 9.0))
+    # A waist of 1 m between walls that are said to be 0.8 m away on either side.
+    peanut = {"x": 12.0 * np.cos(T), "y": (0.5 + 6.0 * np.cos(T) ** 2) * np.sin(T)}
+    peanut.update(d_left=0.0 * T + 0.8, d_right=0.0 * T + 0.8)
+    texts = [f.text for f in examine(RacelineTable(peanut)).findings if f.code == "walls-cross"]
+    assert any(text.startswith("the left wall crosses itself") for text in texts)
+    found = {f.code: f.severity for f in examine(table(d_right=GOOD["d_right"] + 1.5)).findings}
+    assert found["wall-folds"] == NOTE
+    assert "one-wall" in codes(table(without=("d_left",)))
+
+
+def exchanged(line):
+    return RacelineTable({"x": line.x, "y": line.y, "d_left": line.d_right, "d_right": line.d_left})
+
+
+def test_exchanged_walls():
+    assert list(codes(exchanged(load_raceline("reference")))) == ["swapped-walls"]
+    # A line that weaves between two circles, whose turns tell nothing.
+    r = 6.0 + 0.4 * np.sin(2.0 * T)
+    columns = {"x": r * np.cos(T), "y": r * np.sin(T), "d_left": r - 5.0, "d_right": 7.5 - r}
+    assert codes(RacelineTable(columns)) == {}
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "tracks/hangar/global_waypoints.json.gz",
+        "tracks/circle/global_waypoints.json.gz",
+        "laps/ipz20/IPZ20_wp.csv",
+    ],
+)
+def test_exchanged_real_walls(shared_data, file):
+    assert "swapped-walls" in codes(exchanged(load_raceline(shared_data / file)))
+
+
+def test_speeds():
+    found = codes(table(speed=set_at("speed", 10, 0.0), without=("ax",)))
+    assert found["zero-speed"].places[0].index == 10
+    assert found["speed-jump"].places[0].index in (9, 10)
+    found = codes(table(speed=GOOD["speed"] + 5.0, without=("ax",)))
+    assert list(found) == ["too-fast"]
+    lateral = (GOOD["speed"] + 5.0) ** 2 * np.abs(KAPPA)
+    assert lateral[found["too-fast"].places[0].index] == pytest.approx(lateral.max(), rel=1e-3)
+    assert list(codes(table(speed=3.6 * GOOD["speed"]))) == ["kmh"]
+    assert list(codes(table(ax=-GOOD["ax"]))) == ["acceleration"]
+
+
+def test_speeds_beyond_grip_that_are_so_only_in_kmh():
+    found = codes(table(speed=3.6 * (GOOD["speed"] + 2.0), without=("ax",)))
+    assert "in km/h?" in found["too-fast"].text
+
+
+def test_errors_leave_out_what_they_spoil():
+    rows = np.arange(N)
+    rows[[100, 102]] = rows[[102, 100]]
+    found = codes(table(rows=rows, without=("s", "ax", "psi", "kappa")))
+    assert list(found) == ["turns-back"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    clockwise=st.booleans(),
+    size=st.floats(4.0, 200.0),
+    count=st.integers(120, 500),
+)
+def test_no_false_alarm_on_good_tracks(seed, clockwise, size, count):
+    """Smooth tracks with true columns, in any size and direction, have nothing wrong."""
+    rng = np.random.RandomState(seed)
+    t = np.arange(count) * 2.0 * math.pi / count
+    r = 1.0 + sum(
+        rng.uniform(0.0, 0.25) / k**2 * np.cos(k * t + rng.uniform(0.0, 6.0)) for k in (2, 3, 4)
+    )
+    x, y = size * r * np.cos(t), size * r * np.sin(t) * (-1.0 if clockwise else 1.0)
+    line = Raceline(x, y)
+    at = line.sample(line.s_points)
+    width = 0.2 / np.max(np.abs(line.kappa))
+    columns = {"s": at.s, "x": x, "y": y, "psi": at.psi - 0.5 * math.pi, "kappa": at.kappa}
+    hugging = 0.8 * width * at.kappa / np.max(np.abs(at.kappa))
+    columns.update(d_left=width - hugging, d_right=width + hugging)
+    columns["speed"] = np.full(count, math.sqrt(9.0 / np.max(np.abs(at.kappa))))
+    found = codes(RacelineTable(columns))
+    found.pop("tight-bend", None)
+    assert found == {}
