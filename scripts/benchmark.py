@@ -28,7 +28,7 @@ from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import race
 from map_racing.simulation.recorded import write_race_bag
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
@@ -42,7 +42,7 @@ SPEED_SCALE = 0.7  # a pace at which the shipped controllers lap the reference t
 def main():
     """Run all comparisons and print one table."""
     rows, remarks = [], []
-    vehicle, raceline = load_vehicle("nuc4"), load_course("reference")
+    vehicle, raceline = load_vehicle("nuc4"), load_raceline("reference")
     with tempfile.TemporaryDirectory() as folder:
         for compare in (
             lambda: compare_table(vehicle),

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from map_racing.nodes.conversions import set_plane_pose
 from map_racing.nodes.waypoints import waypoint_array_class
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 
 ROOT = Path(__file__).resolve().parents[2]
 RATE = 50.0

@@ -8,7 +8,7 @@ import yaml
 
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 
 T0, COUNT = 1600000000, 3000  # several chunks
@@ -18,7 +18,7 @@ T0, COUNT = 1600000000, 3000  # several chunks
 def bag(request, tmp_path):
     path = tmp_path / "race.bag"
     with BagWriter(path, request.param) as writer:
-        writer.waypoints(T0 * 10**9, waypoint_rows(load_course("reference")))
+        writer.waypoints(T0 * 10**9, waypoint_rows(load_raceline("reference")))
         for i in range(COUNT):
             stamp = T0 * 10**9 + i * 25 * 10**6
             writer.odometry(stamp, i, 2.0, 0.1, 3.0, 0.2, 0.4)

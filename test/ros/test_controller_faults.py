@@ -14,7 +14,7 @@ from harness import ROOT, Car, Rig, wait_for, waypoints
 from nav_msgs.msg import Odometry
 
 from map_racing.nodes.waypoints import waypoint_array_class
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 
 
 def assert_sane(rig, v_max=12.0):

@@ -20,7 +20,7 @@ from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import race
 from map_racing.simulation.recorded import write_race_bag
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 REMAPS = {"odom": "/car_state/odom", "pose": "/car_state/pose", "drive": DRIVE_TOPIC}
@@ -30,7 +30,7 @@ SAME = 1e-6
 @pytest.fixture(scope="module")
 def log():
     """Two timed laps of the reference track."""
-    line, plant = load_course("reference"), load_plant_parameters("nuc4")
+    line, plant = load_raceline("reference"), load_plant_parameters("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.8)
     controller = build_controller(parameters, load_vehicle("nuc4"), line)
     return race(Plant(plant), controller, line, Localization(plant, seed=1), laps=2)
@@ -39,7 +39,7 @@ def log():
 @pytest.fixture(scope="module")
 def race_bag(log, tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "race.bag"
-    write_race_bag(path, log, load_course("reference"))
+    write_race_bag(path, log, load_raceline("reference"))
     return path
 
 
@@ -60,7 +60,7 @@ def rows(path, run=1):
 def offline(path, **options):
     recording = load_recording(path)
     carried = recording.waypoints is not None
-    raceline = recorded_raceline(recording) if carried else load_course("reference")
+    raceline = recorded_raceline(recording) if carried else load_raceline("reference")
     result = evaluate(recording, raceline, **options)
     return [lap.row() for lap in result.laps]
 
@@ -239,7 +239,7 @@ def test_waypoints_without_points_are_refused_and_later_ones_taken(start, advert
     node = start("lap_evaluator")
     publisher = advertise("/global_waypoints", array)
     publisher.publish(array())
-    line = load_course("reference")
+    line = load_raceline("reference")
     points = [waypoint(x_m=x, y_m=y, vx_mps=3.0) for x, y in zip(line.x, line.y)]
     publisher.publish(array(wpnts=points))
     wait_for(lambda: "raceline global_waypoints" in node.output)

@@ -12,7 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from map_racing.nodes.conversions import set_plane_pose, to_time
 from map_racing.nodes.lookahead_visualizer import ERROR_COLORS
 from map_racing.nodes.waypoints import waypoint_array_class
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 
 PARAMETERS = {"rate": 50.0}
 

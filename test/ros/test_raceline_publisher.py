@@ -8,7 +8,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from map_racing.bags.messages import MD5, WAYPOINTS
 from map_racing.nodes.waypoints import raceline_from_message
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 
 
 def test_waypoints_are_the_raceline_and_come_again(start, listen):
@@ -18,7 +18,7 @@ def test_waypoints_are_the_raceline_and_come_again(start, listen):
     header = inbox[0]._connection_header
     assert header["type"] == WAYPOINTS and header["md5sum"] == MD5[WAYPOINTS]
     assert header["latching"] == "1"
-    sent, club = raceline_from_message(inbox[0], "/global_waypoints"), load_course("club")
+    sent, club = raceline_from_message(inbox[0], "/global_waypoints"), load_raceline("club")
     assert [finding.code for finding in sent.findings] == ["heading-x"]
     assert sent.length == pytest.approx(club.length, abs=1e-4)
     at = np.linspace(0.0, club.length, 500)
@@ -35,7 +35,7 @@ def test_sectors(start, listen, tmp_path):
     inbox = listen("/global_waypoints", rospy.AnyMsg)
     start("raceline_publisher", {"sectors": str(sectors)})
     sent = raceline_from_message(inbox.wait(), "/global_waypoints")
-    reference = load_course("reference")
+    reference = load_raceline("reference")
     for s, scale in ((3.0, 0.25), (20.0, 1.0)):
         assert sent.speed_at(s) == pytest.approx(scale * reference.speed_at(s), abs=0.02)
 
@@ -50,7 +50,7 @@ def test_path_and_markers_close_and_carry_the_speed(start, listen):
     assert (line.ns, left.ns, right.ns) == ("raceline", "walls", "walls")
     assert len(line.colors) == len(line.points) == len(left.points) == len(path.poses)
     # Yellow where it is fastest, violet where it is slowest.
-    reference = load_course("reference")
+    reference = load_raceline("reference")
     speeds = [reference.speed_at(reference.project(p.x, p.y).s) for p in line.points]
     assert line.colors[int(np.argmax(speeds))].g > 0.85
     assert line.colors[int(np.argmin(speeds))].g < 0.05

@@ -18,7 +18,7 @@ from map_racing.evaluation.laps import LapEvaluator
 from map_racing.nodes.conversions import plane_pose, set_plane_pose
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import START_S, race
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 SECOND = 10**9
@@ -121,7 +121,7 @@ def test_walls_and_the_way_back(start, listen, drive, advertise):
     still = odometry.wait(lambda m: (m.header.stamp - hit).to_sec() > 0.5)
     assert abs(still.twist.twist.linear.x) < 0.3  # that is noise
 
-    start_pose = load_course("reference").pose(START_S)
+    start_pose = load_raceline("reference").pose(START_S)
     put = PoseWithCovarianceStamped()
     put.header.frame_id = "map"
     set_plane_pose(put.pose.pose, start_pose.x, start_pose.y, start_pose.psi)
@@ -153,7 +153,7 @@ def test_an_absurd_initial_pose_moves_nothing(start, listen, advertise, x):
 
 def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
     """The same controller, car and noise give the same laps; only commands are float32 here."""
-    raceline, vehicle = load_course("reference"), load_vehicle("nuc4")
+    raceline, vehicle = load_raceline("reference"), load_vehicle("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.7)
     plant_parameters = load_plant_parameters("nuc4")
     log = race(

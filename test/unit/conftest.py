@@ -1,4 +1,4 @@
-"""A course of known length and its bags, races that take a few hundredths of a second, ramps."""
+"""A track of known length and its bags, races that take a few hundredths of a second, ramps."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -22,7 +22,7 @@ from map_racing.vehicle.tires import PacejkaTire
 
 
 def _shape(phi):
-    """A bean-shaped course and its derivative: bends from 0.7 to 17 m radius."""
+    """A bean-shaped track and its derivative: bends from 0.7 to 17 m radius."""
     x = 6.0 * np.cos(phi) + 0.5 * np.cos(2.0 * phi)
     y = 3.5 * np.sin(phi) - 0.4 * np.sin(3.0 * phi)
     dx = -6.0 * np.sin(phi) - 1.0 * np.sin(2.0 * phi)
@@ -31,8 +31,8 @@ def _shape(phi):
 
 
 @pytest.fixture(scope="session")
-def course():
-    """A course whose arc length is known exactly, independent of `Raceline`.
+def track():
+    """A track whose arc length is known exactly, independent of `Raceline`.
 
     ``length``, ``place(s, d) -> x, y, psi`` and ``raceline(spacing, **columns)``.
     """
@@ -63,19 +63,19 @@ T0 = 1600000000.0
 
 
 @pytest.fixture(scope="session")
-def race_bag(tmp_path_factory, course):
+def race_bag(tmp_path_factory, track):
     """Factory of bags of 2.5 laps at 5 m/s and 40 Hz: ``race_bag(compression=None) -> path``."""
     made = {}
 
     def make(compression=None):
         if compression not in made:
             path = tmp_path_factory.mktemp("bags") / f"race_{compression}.bag"
-            line = course.raceline(speed=5.0, walls=1.0)
+            line = track.raceline(speed=5.0, walls=1.0)
             with BagWriter(path, compression) as bag:
                 bag.waypoints(T0, waypoint_rows(line))
-                for i in range(int(2.5 * course.length / 5.0 * 40.0)):
+                for i in range(int(2.5 * track.length / 5.0 * 40.0)):
                     t = T0 + 0.025 * i
-                    x, y, psi = (float(value) for value in course.place(5.0 * 0.025 * i - 3.0, 0.1))
+                    x, y, psi = (float(value) for value in track.place(5.0 * 0.025 * i - 3.0, 0.1))
                     bag.odometry(t, x, y, psi, 5.0, 0.1, 0.2)
                     bag.pose(t, x, y, psi)
                     bag.drive(t, 0.05, 5.0)
@@ -85,6 +85,7 @@ def race_bag(tmp_path_factory, course):
         return made[compression]
 
     return make
+
 
 SPEEDS = (2.0, 3.0, 4.0)
 

@@ -194,7 +194,7 @@ def read_waypoints(path, topic=None):
     path : str or pathlib.Path
     topic : str, optional
         Without it ``/global_waypoints`` is preferred, then other topics of waypoint arrays, then
-        paths; local waypoints and paths, which are only a stretch of the course, are never chosen.
+        paths; local waypoints and paths, which are only a stretch of the track, are never chosen.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_recording, recorded_raceline
 from ..evaluation.report import lap_table, summary_table, write_csv, write_json
 from ..files import make_folder
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .outputs import check_outputs
 
@@ -86,12 +86,12 @@ def run(arguments):
         raise ParameterError(f"--max-deviation must be positive, not {arguments.max_deviation}")
     given = split_source(arguments.raceline or "")[0]
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
-    course = None if arguments.raceline is None else load_course(arguments.raceline)
+    track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
     bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
     for source, name in zip(bar, run_names(arguments.recordings)):
         try:
-            results.append(evaluate_one(source, course, arguments))
+            results.append(evaluate_one(source, track, arguments))
         except MapRacingError as error:
             tqdm.write(f"map-racing: {error}", file=sys.stderr)
             failed = 1
@@ -119,12 +119,12 @@ def run(arguments):
     return failed
 
 
-def evaluate_one(source, course, arguments):
-    """Laps of one recording on the course given or, without one, on its own."""
+def evaluate_one(source, track, arguments):
+    """Laps of one recording on the track given or, without one, on its own."""
     recording = load_recording(source, arguments.pose_topic, arguments.columns)
     notes = recording.notes
-    raceline, origin = course, arguments.raceline
-    if course is None:
+    raceline, origin = track, arguments.raceline
+    if track is None:
         raceline, origin = recorded_raceline(recording), recording.waypoints.topic
     notes = [*notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
     if arguments.reverse:
@@ -172,7 +172,7 @@ def draw(folder, names, results):
     if len([result for result in results if result.summary.laps_completed]) > 1:
         try:
             save(runs.plot_differences(named), folder / "difference.png")
-        except EvaluationError as error:  # on different courses there is nothing to compare
+        except EvaluationError as error:  # on different tracks there is nothing to compare
             print(f"no difference.png: {error}")
 
 

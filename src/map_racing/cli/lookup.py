@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import FileFormatError, ParameterError
 from ..files import make_folder
 from ..track.corners import corners
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
 from ..vehicle.steady_state import steady_state_table
@@ -88,7 +88,7 @@ def run_check(arguments):
     table = load_table(arguments.table)
     _describe(arguments.table, table)
     if arguments.raceline:
-        _describe_corners(load_course(arguments.raceline), table)
+        _describe_corners(load_raceline(arguments.raceline), table)
     _draw(arguments, table)
     if not arguments.vehicle:
         return

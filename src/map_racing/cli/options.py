@@ -30,8 +30,7 @@ def add_options(parser, days="seeds"):
     parser.add_argument("--track", help="instead of that of the conditions: as in map-racing race")
     parser.add_argument(
         "--plant",
-        help="instead of that of the conditions: shipped plant, YAML file, or "
-        f"{PUBLIC_SIMULATOR}",
+        help=f"instead of that of the conditions: shipped plant, YAML file, or {PUBLIC_SIMULATOR}",
     )
     parser.add_argument(
         "--vehicle",

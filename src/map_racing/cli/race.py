@@ -13,7 +13,7 @@ from ..simulation.plant import Localization, Plant, load_plant_parameters
 from ..simulation.public_simulator import PublicSimulator
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle, parameter_hash
@@ -90,7 +90,7 @@ def run(arguments):
     parameters = load_controller_parameters(arguments.controller)
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
-    raceline = load_course(arguments.track)
+    raceline = load_raceline(arguments.track)
     if raceline.length > LONGEST_LAP:
         raise ParameterError(
             f"{arguments.track}: expected a lap of at most {LONGEST_LAP:g} m, got "

@@ -6,11 +6,11 @@ import re
 from ..errors import MapRacingError, ParameterError
 from ..files import make_folder, replacing
 from ..track.files.checks import examine, raceline_of
-from ..track.files.load import read_course, save_course
+from ..track.files.load import read_raceline, save_raceline
 from ..track.files.readers import split_source
-from ..track.files.repair import driven_columns, repaired, resampled, reversed_course
-from ..track.files.report import course_facts, facts_text, findings_count, findings_rows
-from ..track.files.writers import FORMATS, choose_format, course_columns
+from ..track.files.repair import driven_columns, repaired, resampled, reversed_table
+from ..track.files.report import facts_text, findings_count, findings_rows, raceline_facts
+from ..track.files.writers import FORMATS, choose_format
 from ..track.findings import ERROR, NOTE, Finding, worst_first
 from . import raceline_optimize
 from .outputs import check_outputs
@@ -19,7 +19,7 @@ SOURCE = (
     "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
     "topic of a bag, the waypoints of a JSON file, or the columns of a CSV file as x,y,speed"
 )
-# Formats with no place for what a course may have.
+# Formats with no place for what a track may have.
 WITHOUT = {"tum": "walls", "racetracks": "walls", "centerline": "speeds"}
 
 
@@ -47,7 +47,7 @@ def add_check(actions):
         "--json", metavar="FILE", help="write the report as JSON; - for standard output, alone"
     )
     check.add_argument(
-        "--plots", metavar="DIR", help="draw course, walls and the places of findings"
+        "--plots", metavar="DIR", help="draw track, walls and the places of findings"
     )
     check.set_defaults(run=run_check)
 
@@ -58,7 +58,7 @@ def add_convert(actions):
     convert = actions.add_parser(
         "convert",
         help="write a raceline in another format",
-        description="Read a course and write it with heading, curvature, arc length and "
+        description="Read a track and write it with heading, curvature, arc length and "
         "accelerations recomputed; its points stay as they are. What is wrong beyond use is "
         f"refused. Formats: {described}.",
     )
@@ -91,14 +91,14 @@ def run_check(arguments):
     check_outputs([None if alone else arguments.json], [split_source(arguments.source)[0]])
     table = raceline = None
     try:
-        table = read_course(arguments.source)
+        table = read_raceline(arguments.source)
         raceline, findings = examine(table)
     except MapRacingError as error:
         if not arguments.json:
             raise
         findings = (Finding("unreadable", ERROR, str(error)),)
     wrong = any(finding.severity != NOTE for finding in findings)
-    facts = None if raceline is None else course_facts(raceline)
+    facts = None if raceline is None else raceline_facts(raceline)
     report = {
         "source": arguments.source,
         "layout": table and table.layout,
@@ -133,7 +133,7 @@ def run_convert(arguments):
     check_outputs([arguments.output], [split_source(arguments.source)[0]])
     if arguments.spacing is not None and not 0.001 <= arguments.spacing <= 100.0:
         raise ParameterError(f"--spacing must be from 0.001 to 100 m, not {arguments.spacing:g}")
-    table = read_course(arguments.source)
+    table = read_raceline(arguments.source)
     print(f"{arguments.source}\n  {table.layout}")
     if arguments.repair:
         print_findings(examine(table).findings)
@@ -144,7 +144,7 @@ def run_convert(arguments):
         print_findings(raceline_of(table).findings)
     table = driven_columns(table)._replace(findings=())
     if arguments.reverse:
-        table = reversed_course(table)
+        table = reversed_table(table)
         print("  reversed")
     if arguments.spacing is not None:
         table = resampled(table, arguments.spacing)
@@ -161,7 +161,7 @@ def run_convert(arguments):
         for what, column in (("speeds", raceline.speed), ("walls", raceline.d_left)):
             if column is None:
                 print(f"  no {what} are known: written as 0")
-    save_course(arguments.output, course_columns(raceline, table), form)
+    save_raceline(raceline, arguments.output, form, table)
     print(
         f"{arguments.output}: format {form}, {table.columns['x'].size} points, "
         f"{raceline.length:.3f} m"
@@ -175,12 +175,12 @@ def print_findings(findings):
 
 
 def draw(folder, key, table, raceline, findings):
-    """The figure of a checked course; its path."""
+    """The figure of a checked track; its path."""
     # matplotlib takes a second, and most calls draw nothing
-    from ..plots.racelines import plot_course
+    from ..plots.racelines import plot_raceline
     from ..plots.style import save
 
-    name = "_".join(filter(None, (table.name or "course", re.sub(r"\W+", "_", key).strip("_"))))
+    name = "_".join(filter(None, (table.name or "track", re.sub(r"\W+", "_", key).strip("_"))))
     path = make_folder(folder) / f"{name}_check.png"
-    save(plot_course(table, raceline, findings, name), path)
+    save(plot_raceline(table, raceline, findings, name), path)
     return path

@@ -1,4 +1,4 @@
-"""``map-racing raceline optimize``: the fastest line between the walls of a course or a map."""
+"""``map-racing raceline optimize``: the fastest line between the walls of a track or a map."""
 
 import math
 import re
@@ -11,11 +11,11 @@ from tqdm import tqdm
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
 from ..files import make_folder
-from ..track.files.load import load_course, save_course
+from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
-from ..track.files.writers import FORMATS, choose_format, course_columns
+from ..track.files.writers import FORMATS, choose_format
 from ..track.findings import NOTE
-from ..track.map_image import course_from_map, read_map_image
+from ..track.map_image import read_map_image, track_from_map
 from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
 from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
@@ -46,7 +46,7 @@ def add_action(actions):
     parser.add_argument(
         "source",
         metavar="IN",
-        help="course with distances to the walls: shipped track, raceline file or bag; or the YAML "
+        help="track with distances to the walls: shipped track, raceline file or bag; or the YAML "
         "file of a map of map_server, with --start",
     )
     parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
@@ -155,35 +155,35 @@ def add_action(actions):
 def run_optimize(arguments):
     """Optimize, compare, write."""
     outputs = [arguments.output, arguments.middle, arguments.sectors]
-    courses = [split_source(course or "")[0] for course in (arguments.source, arguments.compare)]
-    check_outputs(outputs, [*courses, arguments.vehicle, arguments.lookup_table])
+    tracks = [split_source(track or "")[0] for track in (arguments.source, arguments.compare)]
+    check_outputs(outputs, [*tracks, arguments.vehicle, arguments.lookup_table])
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = load_vehicle(arguments.vehicle)
     limits = limits_of(arguments, vehicle)
-    course = load(arguments, vehicle)
-    lines = [(course.name or "input", course)]
+    track = load(arguments, vehicle)
+    lines = [(track.name or "input", track)]
     clearance = 0.5 * vehicle.width + arguments.margin
     if arguments.compare:
-        other = load_course(arguments.compare)
+        other = load_raceline(arguments.compare)
         # A millimeter more, so that rounding does not favor our line.
-        clearance = float(np.min(clearances(course, other))) + 1e-3
+        clearance = float(np.min(clearances(track, other))) + 1e-3
         lines.append((other.name or "compared", other))
 
     began = time.perf_counter()
     with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
         options = {"step": arguments.step, "progress": lambda count: bar.update(count - bar.n)}
         if arguments.curvature_only:
-            found = minimum_curvature(course, clearance, **options)
+            found = minimum_curvature(track, clearance, **options)
         else:
-            found = fastest_line(course, clearance, limits, **options)
+            found = fastest_line(track, clearance, limits, **options)
     for finding in found.findings:
         print(f"  {finding}")
     optimized = driven(found.raceline, limits, arguments.speed_scale)
     count = int(round(found.raceline.length / arguments.step))
     print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
-    print_table(lines, course, limits, arguments.speed_scale)
+    print_table(lines, track, limits, arguments.speed_scale)
 
     try:
         middle = driven(found.reference, limits, arguments.speed_scale)
@@ -191,7 +191,7 @@ def run_optimize(arguments):
         middle = found.reference
     for path, form, line in zip(outputs, forms, (optimized, middle)):
         if path:
-            save_course(path, course_columns(line), form)
+            save_raceline(line, path, form)
             told = "" if line.speed is not None else ", without speeds"
             print(f"{path}: format {form}, {line.n} points{told}")
     if arguments.sectors:
@@ -255,13 +255,13 @@ def limits_of(arguments, vehicle):
 
 
 def load(arguments, vehicle):
-    """The course of a file, or of a map."""
+    """The track of a file, or of a map."""
     if Path(arguments.source).suffix.lower() not in MAPS:
         for option in ("start", "passage", "speckle"):
             if getattr(arguments, option) is not None:
-                raise ParameterError(f"--{option} is for maps: {arguments.source} is a course")
-        course = load_course(arguments.source)
-        told = [finding for finding in course.findings if finding.severity != NOTE]
+                raise ParameterError(f"--{option} is for maps: {arguments.source} is a track")
+        track = load_raceline(arguments.source)
+        told = [finding for finding in track.findings if finding.severity != NOTE]
         wrong = [finding for finding in told if finding.code in WRONG_WALLS]
         if wrong:
             raise ParameterError(
@@ -273,21 +273,21 @@ def load(arguments, vehicle):
         passage = arguments.passage
         if passage is None:
             passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
-        course = course_from_map(
+        track = track_from_map(
             read_map_image(arguments.source),
             *start_of(arguments.start),
             passage=passage,
             speckle=arguments.speckle,
         )
-        told = course.findings
-    print(f"{arguments.source}: {course.length:.2f} m")
-    if course.length / arguments.step > MOST_POINTS:
+        told = track.findings
+    print(f"{arguments.source}: {track.length:.2f} m")
+    if track.length / arguments.step > MOST_POINTS:
         raise ParameterError(
             f"{arguments.source}: expected at most {MOST_POINTS} points of {arguments.step:g} m, "
-            f"but it is {course.length:.0f} m long: is it in mm? Else take a larger --step"
+            f"but it is {track.length:.0f} m long: is it in mm? Else take a larger --step"
         )
-    if course.d_left is not None:
-        widest = max(float(course.d_left.max()), float(course.d_right.max()))
+    if track.d_left is not None:
+        widest = max(float(track.d_left.max()), float(track.d_right.max()))
         if widest > WIDEST_M:
             raise ParameterError(
                 f"{arguments.source}: expected walls at most {WIDEST_M:g} m away, got "
@@ -295,7 +295,7 @@ def load(arguments, vehicle):
             )
     for finding in told:
         print(f"  {finding}")
-    return course
+    return track
 
 
 def start_of(words):
@@ -309,18 +309,18 @@ def start_of(words):
     return tuple(numbers[:2]), (numbers[2] if len(numbers) == 3 else None)
 
 
-def clearances(course, line):
-    """Distances from a line to the walls of a course; an error where it is beyond one."""
+def clearances(track, line):
+    """Distances from a line to the walls of a track; an error where it is beyond one."""
     at = line.sample(np.linspace(0.0, line.length, 4 * line.n, endpoint=False))
     for x, y in zip(at.x.tolist(), at.y.tolist()):
-        foot = course.project(x, y)
-        left, right = course.widths_at(foot.s)
+        foot = track.project(x, y)
+        left, right = track.widths_at(foot.s)
         if not -right < foot.d < left:
             raise ParameterError(
-                f"{line.source}: expected a line between the walls of {course.source}, but "
+                f"{line.source}: expected a line between the walls of {track.source}, but "
                 f"({x:.2f}, {y:.2f}) is beyond one"
             )
-    return Walls(course).distance(np.stack((at.x, at.y), axis=1))
+    return Walls(track).distance(np.stack((at.x, at.y), axis=1))
 
 
 def driven(line, limits, scale):
@@ -335,7 +335,7 @@ def driven(line, limits, scale):
     )
 
 
-def print_table(lines, course, limits, scale):
+def print_table(lines, track, limits, scale):
     """Figures of each line, all computed alike."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'clearance':>10s} "
@@ -349,7 +349,7 @@ def print_table(lines, course, limits, scale):
         except ParameterError as error:
             lap = "-"
             undrivable.append(f"  {name}: no lap time: {error}")
-        least = float(np.min(clearances(course, line)))
+        least = float(np.min(clearances(track, line)))
         print(
             f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
             f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {lap:>9s}"
@@ -364,6 +364,6 @@ def draw(folder, optimized, middle, walls):
     from ..plots.optimization import plot_optimized
     from ..plots.style import save
 
-    path = Path(make_folder(folder)) / f"{optimized.name or 'course'}_optimized.png"
+    path = Path(make_folder(folder)) / f"{optimized.name or 'track'}_optimized.png"
     save(plot_optimized(optimized, middle, walls), path)
     return path

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
@@ -38,7 +38,7 @@ CREDIBLE = 1e8
 APPROACH_FACTOR = math.sqrt(2.0)
 
 
-# Commanded where the car is off the course or the path lies behind it [m/s]: it shall find back at
+# Commanded where the car is off the track or the path lies behind it [m/s]: it shall find back at
 # walking pace.
 RECOVERY_SPEED = 1.0
 
@@ -142,7 +142,7 @@ class Controller:
         if raceline is not None and raceline.speed is None:
             raise ParameterError(f"{raceline.source or raceline.name}: the raceline has no speeds")
         self._raceline = raceline
-        self._tracker = None if raceline is None else CourseTracker(raceline)
+        self._tracker = None if raceline is None else RacelineTracker(raceline)
 
     def reset(self):
         """Forget the past: the car was moved, or time jumped back."""

@@ -313,7 +313,7 @@ class Supervisor:
         if self.reason is Reason.NONE and wanted is not None:
             self.mode, self._stopped_since, speed = Mode.DRIVING, None, wanted
         else:
-            # The raceline may ask for harder braking; walking pace off the course is no reason to.
+            # The raceline may ask for harder braking; walking pace off the track is no reason to.
             follows = result is not None and result.status in (Status.OK, Status.SATURATED)
             speed = self._stop(now, wanted if follows else None)
         speed = min(max(speed, 0.0), self.limits.max_speed_mps)

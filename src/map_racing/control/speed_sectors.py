@@ -1,4 +1,4 @@
-"""Speed scales by stretch of the course."""
+"""Speed scales by stretch of the track."""
 
 import math
 from bisect import bisect_right
@@ -26,14 +26,14 @@ class SpeedSectors:
         Stretches by arc length [m], within 0 to `length`. One that ends before it starts crosses
         the start line.
     length : float
-        Length of the course [m].
+        Length of the track [m].
     elsewhere : float
         Scale outside of all sectors.
 
     Raises
     ------
     ParameterError
-        For a scale that is negative or not finite, a sector off the course or without length, or
+        For a scale that is negative or not finite, a sector off the track or without length, or
         overlapping sectors.
     """
 

@@ -2,7 +2,7 @@
 
 A lap runs from one forward crossing of the start line to the next. The line is the normal to the
 raceline at ``start_s``; the moment of crossing is interpolated between the two samples around it.
-Progress along the course is unwrapped, so a lap is complete only when the car has come all the way
+Progress along the track is unwrapped, so a lap is complete only when the car has come all the way
 round: crossing the line back and forth is no lap, it starts the clock of the lap anew.
 
 The whole path is reported, stretch by stretch. A stretch counts (``valid``) if it is a complete
@@ -25,7 +25,7 @@ import numpy as np
 
 from ..errors import EvaluationError, ParameterError
 from ..track.raceline import Raceline
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
 
 __all__ = ["Lap", "LapEvaluator", "LapLimits", "LapTrace", "RunResult", "Summary", "evaluate"]
@@ -56,7 +56,7 @@ class LapLimits:
     jump_margin : float
         Correction of the localization that is not yet a jump [m].
     max_reverse : float
-        Farthest that the car may fall back along the course [m].
+        Farthest that the car may fall back along the track [m].
     max_deviation : float, optional
         Largest lateral deviation [m]. By default the center of the car must stay between the walls
         or, where the raceline has none, within 2 m. Walls in a raceline file are often drawn
@@ -74,7 +74,7 @@ class LapTrace(NamedTuple):
     """Samples of a lap, with the interpolated crossings as first and last one, for plots.
 
     Time ``t`` [s] on the recording's clock, position ``x, y`` [m], distance from the start line
-    ``s`` along the course [m], deviation ``d`` [m] left positive, speed ``v`` [m/s].
+    ``s`` along the track [m], deviation ``d`` [m] left positive, speed ``v`` [m/s].
     """
 
     t: np.ndarray
@@ -260,7 +260,7 @@ class LapEvaluator:
 
     Notes
     -----
-    A sample takes 5 us. On a course of 30 m with bends down to 0.7 m radius, sampled at 40 Hz at
+    A sample takes 5 us. On a track of 30 m with bends down to 0.7 m radius, sampled at 40 Hz at
     7 m/s while the car swings 0.35 m to either side, lap times are exact to 0.2 ms, RMS errors to
     0.2 mm and maxima to 1.1 mm for waypoints up to 1 m apart. Where that is coarse for a bend
     it matters where the waypoints lie: on an ellipse of semi-axes 12 m and 2.9 m, whose ends have a
@@ -278,7 +278,7 @@ class LapEvaluator:
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)
         self._keep_traces = keep_traces
-        self._tracker = CourseTracker(raceline)
+        self._tracker = RacelineTracker(raceline)
         self._restart()
 
     def update(self, t, x, y, v=None, speed_command=None, steering=None):

@@ -346,7 +346,7 @@ def _cell(value):
 
 
 def _same(one, other):
-    """Whether two racelines are the same course, to the last bit."""
+    """Whether two racelines are the same track, to the last bit."""
     return all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for name in ("x", "y", "speed", "d_left", "d_right")

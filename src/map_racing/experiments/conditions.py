@@ -20,6 +20,7 @@ from ..vehicle.parameters import Vehicle
 
 __all__ = ["Conditions", "Day", "day_of", "load_conditions"]
 
+
 @dataclass(frozen=True)
 class Conditions:
     """Conditions of an experiment; a file in ``config/experiments`` holds the same names.

@@ -19,9 +19,7 @@ __all__ = ["SerialExecutor", "open_executor"]
 
 # One race uses one core. Without these, each process would start a thread per core for linear
 # algebra.
-_ONE_THREAD = {
-    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-}
+_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 _PATIENCE = 10.0  # for a scheduler to answer [s]
 
 

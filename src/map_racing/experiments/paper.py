@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from ..simulation.plants import PUBLIC_SIMULATOR, load_plant
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 from .campaign import Plan
@@ -100,7 +100,7 @@ class Setting:
         -------
         Setting
         """
-        raceline, plant = load_course(conditions.track), load_plant(conditions.plant)
+        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
         return cls(conditions, raceline, plant, *identified(plant))
 
     def day(self, seed):

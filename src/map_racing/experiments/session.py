@@ -101,9 +101,7 @@ class Session:
     def carry_out(self, plans, title, **needs):
         """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
         with open_executor(self._jobs, self._scheduler) as (executor, capacity):
-            results, effort = carry_out(
-                plans, self.store, executor, capacity, title=title, **needs
-            )
+            results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
         self.effort += effort
         return results
 

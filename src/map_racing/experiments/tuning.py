@@ -1,4 +1,4 @@
-"""Tuning: the lookahead ``L_d = m + q v`` with which a controller follows a course closest.
+"""Tuning: the lookahead ``L_d = m + q v`` with which a controller follows a track closest.
 
 The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
 races that are driven with a pair (m, q): one on each of several days. A pair with which any of them

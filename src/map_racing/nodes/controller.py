@@ -39,7 +39,7 @@ from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
@@ -136,7 +136,7 @@ class ControllerNode:
         }
         rospy.on_shutdown(self._end)
         if source:
-            self._follow(load_course(source))
+            self._follow(load_raceline(source))
         else:
             self._topic = RacelineSubscriber(
                 "global_waypoints", self._set_raceline, self._refuse_raceline

@@ -17,7 +17,7 @@ from ..errors import MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits
 from ..evaluation.live import LapLog, LiveEvaluation
 from ..evaluation.report import lap_table
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from .conversions import frame, stamp_ns, to_time
 from .markers import delete_all, make_marker
 from .node import FirstSender, get_parameter, run, why_silent
@@ -57,7 +57,7 @@ class LapEvaluatorNode:
         self._frame = "map"
         self._best, self._counted = _NAN, 0
         self._laps = LiveEvaluation(
-            load_course(source) if source else None,
+            load_raceline(source) if source else None,
             patience=patience,
             on_lap=self._publish,
             on_run=self._summarize,

@@ -19,7 +19,7 @@ from map_racing.msg import Guidance
 from ..control.guidance import arc_to
 from ..errors import ParameterError
 from ..track.files.waypoints import waypoint_rows
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from ..vehicle.parameters import load_vehicle
 from .conversions import frame as plain_frame
 from .conversions import plane_pose, stamp_ns
@@ -84,7 +84,7 @@ class LookaheadVisualizer:
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
         self._course = rospy.Publisher("course_markers", MarkerArray, queue_size=2, latch=True)
         self._raceline = RacelineSubscriber(
-            "global_waypoints", self._draw_course, lambda error: rospy.logwarn("%s", error)
+            "global_waypoints", self._draw_raceline, lambda error: rospy.logwarn("%s", error)
         )
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
         kind, what = (Odometry, _pose_of_odometry) if pose == "odom" else (PoseStamped, _pose)
@@ -142,8 +142,8 @@ class LookaheadVisualizer:
             markers.append(self._drawn_trail(frame))
         self._markers.publish(MarkerArray(markers))
 
-    def _draw_course(self, raceline):
-        self._tracker = CourseTracker(raceline)
+    def _draw_raceline(self, raceline):
+        self._tracker = RacelineTracker(raceline)
         rows = waypoint_rows(raceline).tolist()
         self._course.publish(raceline_markers(raceline, rows, self._map))
 

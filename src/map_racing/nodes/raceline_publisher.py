@@ -7,7 +7,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..track.files.waypoints import scaled_speed, waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
@@ -27,7 +27,7 @@ class RacelinePublisherNode:
     """Publish once, latched; and the waypoints again and again, as the public stacks do."""
 
     def __init__(self):
-        self._raceline = load_course(
+        self._raceline = load_raceline(
             get_parameter("raceline", "reference", "track, raceline file, or bag[#topic]")
         )
         scale = get_parameter("speed_scale", 1.0, "on the raceline's speeds")

@@ -17,7 +17,7 @@ from ..simulation.car import DrivenCar, SimulatedCar
 from ..simulation.plant import Localization, Plant, load_plant_parameters
 from ..simulation.public_simulator import PublicSimulator
 from ..simulation.race import START_S
-from ..track.files.load import load_course
+from ..track.files.load import load_raceline
 from ..vehicle.parameters import load_vehicle
 from .conversions import frame, plane_pose, set_plane_pose, to_time
 from .node import get_parameter, run
@@ -42,7 +42,7 @@ class SimulatorNode:
     """
 
     def __init__(self):
-        raceline = load_course(
+        raceline = load_raceline(
             get_parameter("raceline", "reference", "track, raceline file or bag: start and walls")
         )
         plant_name = get_parameter(

@@ -64,7 +64,7 @@ def raceline_from_message(message, source):
     Raises
     ------
     RacelineError
-        If it is no such message, or its waypoints make no closed course.
+        If it is no such message, or its waypoints make no closed track.
     """
     connection = message._connection_header
     kind = connection["type"]

@@ -9,7 +9,7 @@ from matplotlib import cm
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from .runs import draw_course
+from .runs import draw_track
 from .style import COLORS, finished, new_figure
 
 __all__ = ["plot_comparison", "plot_scaling", "plot_trajectories", "plot_tuning"]
@@ -197,7 +197,7 @@ def plot_trajectories(raceline, rows, title):
     """
     wide, high = float(np.ptp(raceline.x)) + 3.5, float(np.ptp(raceline.y)) + 3.5
     columns = max(map(len, rows))
-    # Panels of the shape of the course, in inches, with room for ticks and titles between them.
+    # Panels of the shape of the track, in inches, with room for ticks and titles between them.
     panel = min(4.2, 13.5 / columns)
     height, across, between = panel * high / wide, 0.4, 0.6
     edges = {"left": 0.7, "right": 0.15, "bottom": 0.95, "top": 0.7}
@@ -215,7 +215,7 @@ def plot_trajectories(raceline, rows, title):
     for i, row in enumerate(rows):
         for j, (name, path, crashed) in enumerate(row):
             axes = figure.add_subplot(len(rows), columns, i * columns + j + 1)
-            draw_course(axes, raceline)
+            draw_track(axes, raceline)
             axes.plot(path[:, 0], path[:, 1], color=COLORS[0], lw=1.0, alpha=0.8, label="driven")
             if crashed:
                 end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
@@ -239,7 +239,7 @@ def plot_trajectories(raceline, rows, title):
 
 
 def _draw_direction(axes, raceline, length):
-    """An arrow in the direction of travel, on the inner side of the course at the start line."""
+    """An arrow in the direction of travel, on the inner side of the track at the start line."""
     left = float(np.sum(raceline.kappa)) > 0.0
     beyond = 0.6
     if raceline.d_left is not None:

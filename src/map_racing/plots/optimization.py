@@ -36,51 +36,49 @@ def plot_optimized(line, reference, walls, title=None):
         shape, places = (3, 1), [(0, 0), (1, 0), (2, 0)]
         ratios = {"height_ratios": (height, 2.2, 2.2)}
     layout = figure.add_gridspec(*shape, **ratios)
-    course, top, bottom = (figure.add_subplot(layout[place]) for place in places)
+    track, top, bottom = (figure.add_subplot(layout[place]) for place in places)
 
-    course.add_collection(
-        LineCollection(walls.segments, colors=WALL, linewidths=1.0, label="walls")
-    )
+    track.add_collection(LineCollection(walls.segments, colors=WALL, linewidths=1.0, label="walls"))
     every = np.append(reference.s, reference.length)
     middle = reference.sample(every)
-    course.plot(middle.x, middle.y, color="0.35", lw=0.9, ls="--", label="middle line")
+    track.plot(middle.x, middle.y, color="0.35", lw=0.9, ls="--", label="middle line")
     points = np.stack((np.append(line.x, line.x[0]), np.append(line.y, line.y[0])), axis=1)
     path = LineCollection(
         np.stack((points[:-1], points[1:]), axis=1), cmap="viridis", linewidths=2.4, zorder=3
     )
     path.set_array(line.speed)
-    course.add_collection(path)
-    course.plot(*points[0], "o", ms=8, mfc="none", mec=COLORS[1], mew=1.8, zorder=5, label="start")
+    track.add_collection(path)
+    track.plot(*points[0], "o", ms=8, mfc="none", mec=COLORS[1], mew=1.8, zorder=5, label="start")
     head = line.position(0.02 * line.length)
-    course.annotate(
+    track.annotate(
         "",
         xy=head,
         xytext=points[0],
         arrowprops={"arrowstyle": "-|>", "color": COLORS[1], "lw": 1.8, "shrinkA": 0},
         zorder=6,
     )
-    course.set_aspect("equal")
-    course.autoscale_view()
-    course.margins(0.04)
-    course.set_xlabel("x [m]")
-    course.set_ylabel("y [m]")
-    course.set_title(title or line.name or "optimized line")
-    course.grid(alpha=0.25)
-    course.legend(loc="best", fontsize="small")
-    figure.colorbar(path, ax=course, label="speed [m/s]", fraction=0.04, pad=0.03)
+    track.set_aspect("equal")
+    track.autoscale_view()
+    track.margins(0.04)
+    track.set_xlabel("x [m]")
+    track.set_ylabel("y [m]")
+    track.set_title(title or line.name or "optimized line")
+    track.grid(alpha=0.25)
+    track.legend(loc="best", fontsize="small")
+    figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
 
     # Over the share of the lap, because the lines differ in length.
     for axes, column, label in (
         (top, "kappa", "curvature [1/m]"),
         (bottom, "speed", "speed [m/s]"),
     ):
-        for course_line, name, style in (
+        for profile_line, name, style in (
             (reference, "middle line", {"color": "0.45", "lw": 1.0, "ls": "--"}),
             (line, "optimized", {"color": COLORS[0], "lw": 1.5}),
         ):
-            values = getattr(course_line, column)
+            values = getattr(profile_line, column)
             if values is not None:
-                share = 100.0 * course_line.s / course_line.length
+                share = 100.0 * profile_line.s / profile_line.length
                 axes.plot(share, values, label=name, **style)
         axes.set_xlim(0.0, 100.0)
         axes.set_ylabel(label)

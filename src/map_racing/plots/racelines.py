@@ -11,19 +11,19 @@ from matplotlib.collections import LineCollection
 from ..track.findings import ERROR, WARNING, worst_first
 from .style import COLORS, RACELINE, WALL, new_figure, size_for
 
-__all__ = ["plot_course"]
+__all__ = ["plot_raceline"]
 
 _COLORS = {ERROR: COLORS[1], WARNING: COLORS[4]}
 _MOST_LISTED = 14
 _BAR, _LIST = 1.1, 4.6  # widths of colorbar and list [in]
 
 
-def plot_course(table, raceline, findings, title=None):
-    """A course as it was given, with walls, speeds, and numbered marks where findings stand.
+def plot_raceline(table, raceline, findings, title=None):
+    """A track as it was given, with walls, speeds, and numbered marks where findings stand.
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
     raceline : Raceline or None
         Without it only the points are drawn.
     findings : iterable of Finding
@@ -39,7 +39,7 @@ def plot_course(table, raceline, findings, title=None):
     x, y = x[good], y[good]
     width, height = size_for(x, y) if x.size else (6.0, 5.0)
     listed = worst_first(findings)[:_MOST_LISTED]
-    # Course, colorbar and list side by side; lengths in inches.
+    # Track, colorbar and list side by side; lengths in inches.
     between = 0.2 if raceline is None or raceline.speed is None else _BAR
     total, height = width + between + _LIST, max(height, 4.5)
     figure = new_figure(total, height)
@@ -60,7 +60,7 @@ def plot_course(table, raceline, findings, title=None):
     axes.margins(0.06)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.set_title(title or table.name or "course")
+    axes.set_title(title or table.name or "track")
     axes.grid(alpha=0.25)
     axes.legend(loc="best", fontsize="small")
     _list(figure, listed, (width + between) / total, low + tall)
@@ -74,7 +74,7 @@ def _draw_line(figure, axes, bar, line):
         axes.plot(*line.to_cartesian(s, curve.d_left), color=WALL, lw=1.0, label="walls")
         axes.plot(*line.to_cartesian(s, -curve.d_right), color=WALL, lw=1.0)
     if curve.speed is None:
-        axes.plot(curve.x, curve.y, color=RACELINE, lw=1.4, label="course")
+        axes.plot(curve.x, curve.y, color=RACELINE, lw=1.4, label="track")
     else:
         points = np.stack((curve.x, curve.y), axis=1)
         pieces = LineCollection(
@@ -127,7 +127,7 @@ def _mark(axes, number, finding):
 
 
 def _list(figure, listed, left, top):
-    """The findings as text beside the course, numbered as their marks."""
+    """The findings as text beside the track, numbered as their marks."""
     line = 0.16 / figure.get_figheight()
     indent = 0.3 / figure.get_figwidth()
     if not listed:

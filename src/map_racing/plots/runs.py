@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from ..errors import EvaluationError, ParameterError
 from .style import COLORS, DEVIATION, RACELINE, WALL, finished, new_figure, size_for
 
-__all__ = ["draw_course", "plot_boxes", "plot_differences", "plot_laps", "plot_path"]
+__all__ = ["draw_track", "plot_boxes", "plot_differences", "plot_laps", "plot_path"]
 
 
 def plot_path(result, color_by="speed", title=None):
@@ -52,7 +52,7 @@ def plot_path(result, color_by="speed", title=None):
 
     figure = new_figure(*size_for(line.x, line.y))
     axes = figure.add_subplot(1, 1, 1)
-    draw_course(axes, line, result.start_s)
+    draw_track(axes, line, result.start_s)
     path = LineCollection(
         np.concatenate(pieces).reshape(-1, 2, 2), cmap=colors, linewidths=1.6, zorder=3
     )
@@ -199,7 +199,7 @@ def plot_differences(named_results, title=None):
         raise EvaluationError("expected at least two runs with valid laps to compare over distance")
     first_name, first, (s, _, first_error) = named[0]
     for name, result, _ in named[1:]:
-        if not _same_course(first, result):
+        if not _same_raceline(first, result):
             raise EvaluationError(f"{name}: expected the raceline and start line of {first_name}")
     figure = new_figure(10.0, 6.5)
     top = figure.add_subplot(2, 1, 1)
@@ -238,7 +238,7 @@ def _over_distance(result):
     return s, deviation, np.sqrt(np.mean(deviation**2, axis=0))
 
 
-def _same_course(a, b):
+def _same_raceline(a, b):
     """Whether two results have the same raceline, to a centimeter, from the same start line."""
     one, other = a.raceline, b.raceline
     if abs(one.length - other.length) > 0.01 or abs(a.start_s - b.start_s) > 1e-6:
@@ -248,8 +248,8 @@ def _same_course(a, b):
     return float(np.max(np.hypot(x1 - x2, y1 - y2))) < 0.01
 
 
-def draw_course(axes, line, start_s=0.0):
-    """Walls, raceline and start line of a course, to scale.
+def draw_track(axes, line, start_s=0.0):
+    """Walls, raceline and start line of a track, to scale.
 
     Parameters
     ----------

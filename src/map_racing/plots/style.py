@@ -59,7 +59,7 @@ def finished(figure, top=1.0):
 
 
 def size_for(x, y):
-    """Figure size [in] of the shape of a course, within what fits a screen."""
+    """Figure size [in] of the shape of a track, within what fits a screen."""
     width, height = float(np.ptp(x)) + 1.0, float(np.ptp(y)) + 1.0
     scale = min(9.0 / width, 8.5 / height)
     return max(width * scale, 3.5) + 2.0, max(height * scale, 3.0) + 1.0

@@ -4,7 +4,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 
 __all__ = ["COMMAND_TIMEOUT", "Observation", "SimulatedCar", "hits_wall"]
 
@@ -145,7 +145,7 @@ class DrivenCar:
         self.car = car
         self.crashed = False
         self._raceline = raceline
-        self._tracker = CourseTracker(raceline)
+        self._tracker = RacelineTracker(raceline)
         self._timeout = round(COMMAND_TIMEOUT / car.plant.time_step)
         self._steering_angle, self._speed, self._commanded = 0.0, 0.0, 0
 

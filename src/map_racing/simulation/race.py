@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError
-from ..track.tracker import CourseTracker
+from ..track.tracker import RacelineTracker
 from .car import SimulatedCar, hits_wall
 
 __all__ = ["Outcome", "RaceLog", "Sample", "race"]
@@ -17,7 +17,7 @@ __all__ = ["Outcome", "RaceLog", "Sample", "race"]
 # The race begins and ends so far past the line [m] that noise does not take the car back over it.
 START_S = 0.3
 
-# A car that does not get HEADWAY [m] farther along the course within PATIENCE [s] has stalled.
+# A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
 HEADWAY, PATIENCE = 0.5, 10.0
 
 
@@ -118,7 +118,7 @@ def race(
     car = SimulatedCar(plant, localization, rate)
     car.put(start.x, start.y, start.psi)
     controller.reset()
-    tracker = CourseTracker(raceline)
+    tracker = RacelineTracker(raceline)
     steering, speed = 0.0, 0.0
     samples = []
     driven, last_s = START_S, None

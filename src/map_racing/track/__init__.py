@@ -1,1 +1,1 @@
-"""The course: raceline geometry, tracking of the car along it, file formats, speed profiles."""
+"""The track: raceline geometry, tracking of the car along it, file formats, speed profiles."""

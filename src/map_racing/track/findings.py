@@ -1,4 +1,4 @@
-"""What is noticed about a course: with a code for programs, a text for people, and the places."""
+"""What is noticed about a track: with a code for programs, a text for people, and the places."""
 
 from typing import NamedTuple, Optional, Tuple
 
@@ -7,13 +7,13 @@ __all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place", "points", "worst_firs
 NOTE = "note"
 """A convention recognized: nothing is wrong."""
 WARNING = "warning"
-"""Wrong or doubtful; the course can be used."""
+"""Wrong or doubtful; the track can be used."""
 ERROR = "error"
 """Wrong beyond use."""
 
 
 class Place(NamedTuple):
-    """A point of a course as it was given.
+    """A point of a track as it was given.
 
     ``index`` counts from 0, ``line`` is that of the file, from 1; arc length ``s``, ``x`` and ``y``
     are in meters. ``line`` is None where there are no lines, ``s`` where there is no curve.

@@ -19,7 +19,7 @@ from .findings import NOTE, WARNING, Finding
 from .raceline import Raceline
 from .walls import march, smooth_between
 
-__all__ = ["MapImage", "course_from_map", "read_map_image"]
+__all__ = ["MapImage", "track_from_map", "read_map_image"]
 
 # What map_saver writes for a cell that no one has seen.
 _UNSEEN = 205
@@ -131,7 +131,7 @@ def read_map_image(path):
     return MapImage(free[::-1], resolution, origin, str(path), findings)
 
 
-def course_from_map(image, start, psi=None, *, passage, speckle=None, spacing=0.1):
+def track_from_map(image, start, psi=None, *, passage, speckle=None, spacing=0.1):
     """Centerline with distances to the walls, from the free space around a start.
 
     Parameters
@@ -212,15 +212,15 @@ def course_from_map(image, start, psi=None, *, passage, speckle=None, spacing=0.
             f"deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
         )
         findings.append(Finding("openings", NOTE, text))
-    course = Raceline(
+    track = Raceline(
         *(line.x, line.y),
         d_left_m=widths[0],
         d_right_m=widths[1],
         name=Path(name).stem,
         source=name,
     )
-    course.findings = tuple(findings)
-    return course
+    track.findings = tuple(findings)
+    return track
 
 
 def _number(path, content, key, default=None):

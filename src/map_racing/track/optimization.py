@@ -1,4 +1,4 @@
-"""Minimum-curvature racelines between the walls of a course.
+"""Minimum-curvature racelines between the walls of a track.
 
 The path is drawn as offsets ``alpha`` along the normals of a smooth reference line, and the offsets
 are those of least summed squared curvature, the integral of ``kappa^2`` over the lap, that keep a
@@ -95,13 +95,13 @@ def squared_curvature(raceline, step=0.1):
     return float(np.sum(at.kappa**2) * raceline.length / count)
 
 
-def minimum_curvature(course, clearance, *, tension=0.0, step=0.1, progress=None):
-    """Path of least summed squared curvature around a course.
+def minimum_curvature(track, clearance, *, tension=0.0, step=0.1, progress=None):
+    """Path of least summed squared curvature around a track.
 
     Parameters
     ----------
-    course : Raceline
-        Any line along the course with distances to the walls: a centerline or a raceline.
+    track : Raceline
+        Any line along the track with distances to the walls: a centerline or a raceline.
     clearance : float
         Least distance from the path to the walls [m]: half the car's width and a margin.
     tension : float, optional
@@ -121,14 +121,14 @@ def minimum_curvature(course, clearance, *, tension=0.0, step=0.1, progress=None
     ParameterError
         If `clearance` or `step` is not positive and finite, or `tension` is negative.
     RacelineError
-        If the course has no walls, is not closed, comes back to itself, or is too narrow; the
+        If the track has no walls, is not closed, comes back to itself, or is too narrow; the
         message says where.
     """
-    search = _Search(course, clearance, step, progress)
+    search = _Search(track, clearance, step, progress)
     return search.result(search.best(search.reference, tension), tension)
 
 
-def fastest_line(course, clearance, limits, *, step=0.1, progress=None):
+def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
     """The fastest path that bends little more than the least, or that is much faster.
 
     The path of least squared curvature takes long ways around where these cost little curvature. A
@@ -137,7 +137,7 @@ def fastest_line(course, clearance, limits, *, step=0.1, progress=None):
 
     Parameters
     ----------
-    course, clearance, step, progress
+    track, clearance, step, progress
         As of `minimum_curvature`.
     limits : dict
         The car's, as of `speed_profile`.
@@ -154,7 +154,7 @@ def fastest_line(course, clearance, limits, *, step=0.1, progress=None):
     RacelineError
         As of `minimum_curvature`; also if the car cannot steer the bends of the line.
     """
-    search = _Search(course, clearance, step, progress)
+    search = _Search(track, clearance, step, progress)
     line = search.best(search.reference, 0.0)
     try:
         _, time = raceline_speeds(line, **limits)
@@ -197,20 +197,20 @@ def fastest_line(course, clearance, limits, *, step=0.1, progress=None):
 
 
 class _Search:
-    """A course made ready, and the search for lines on it."""
+    """A track made ready, and the search for lines on it."""
 
-    def __init__(self, course, clearance, step, progress):
+    def __init__(self, track, clearance, step, progress):
         for key, value in (("clearance", clearance), ("step", step)):
             if not 0.0 < value < math.inf:
                 raise ParameterError(f"{key}: expected a positive length, got {value}")
-        self.name = course.source or course.name or "raceline"
-        self.title = course.name
+        self.name = track.source or track.name or "raceline"
+        self.title = track.name
         self.clearance, self.step, self._progress = clearance, step, progress
-        _check_closed(course, self.name)
-        self.walls = Walls(course)
-        _check_single(course, clearance, self.name)
-        self.farthest = 2.0 * float(np.max(course.d_left + course.d_right))
-        self.reference = self._with_walls(Raceline(*self._middle(course).T))
+        _check_closed(track, self.name)
+        self.walls = Walls(track)
+        _check_single(track, clearance, self.name)
+        self.farthest = 2.0 * float(np.max(track.d_left + track.d_right))
+        self.reference = self._with_walls(Raceline(*self._middle(track).T))
         self._cut, self._lines = None, 0
 
     def best(self, line, tension):
@@ -242,16 +242,16 @@ class _Search:
         least = float(np.min(self.walls.distance(np.stack((at.x, at.y), axis=1))))
         return OptimizedLine(raceline, self.reference, self.walls, least, tension, tuple(findings))
 
-    def _middle(self, course):
+    def _middle(self, track):
         """Points of a smooth line around the middle between the walls."""
-        walls, count = self.walls, max(8, int(round(course.length / self.step)))
-        points, normals = _even_points(course, count)
-        at = course.sample(np.arange(count) * (course.length / count))
+        walls, count = self.walls, max(8, int(round(track.length / self.step)))
+        points, normals = _even_points(track, count)
+        at = track.sample(np.arange(count) * (track.length / count))
         points = points + (0.5 * (at.d_left - at.d_right))[:, None] * normals
         # The wider the track, the more may be smoothed.
-        deviation = 0.25 * float(np.median(course.d_left + course.d_right))
+        deviation = 0.25 * float(np.median(track.d_left + track.d_right))
         smooth, clear = smooth_between(
-            points, course.length, deviation, walls.distance, self.clearance
+            points, track.length, deviation, walls.distance, self.clearance
         )
         if not clear:
             k = int(np.argmin(walls.distance(smooth)))
@@ -316,34 +316,34 @@ class _Search:
         )
 
 
-# -- the course --------------------------------------------------------------------------------
+# -- the track --------------------------------------------------------------------------------
 
 
-def _check_closed(course, name):
-    """Refuse a course whose ends are much farther apart than its points."""
-    spacing = np.diff(np.append(course.s_points, course.length))
-    width = float(np.median(course.d_left + course.d_right)) if course.d_left is not None else 0.0
+def _check_closed(track, name):
+    """Refuse a track whose ends are much farther apart than its points."""
+    spacing = np.diff(np.append(track.s_points, track.length))
+    width = float(np.median(track.d_left + track.d_right)) if track.d_left is not None else 0.0
     if spacing[-1] > max(5.0 * spacing[:-1].max(), width):
         raise RacelineError(
-            f"{name}: expected a closed course, but the last point is {spacing[-1]:.2f} m from the "
+            f"{name}: expected a closed track, but the last point is {spacing[-1]:.2f} m from the "
             f"first, and no other two are more than {spacing[:-1].max():.2f} m apart"
         )
 
 
-def _check_single(course, clearance, name):
-    """Refuse a course that crosses itself or goes round twice."""
-    spacing = min(course.ds, 0.5 * clearance)
-    at = course.sample(np.linspace(0.0, course.length, int(course.length / spacing) + 1)[:-1])
+def _check_single(track, clearance, name):
+    """Refuse a track that crosses itself or goes round twice."""
+    spacing = min(track.ds, 0.5 * clearance)
+    at = track.sample(np.linspace(0.0, track.length, int(track.length / spacing) + 1)[:-1])
     points = np.stack((at.x, at.y), axis=1)
     pairs = point_tree(points).query_pairs(clearance, output_type="ndarray")
     apart = np.abs(at.s[pairs[:, 0]] - at.s[pairs[:, 1]])
-    apart = np.minimum(apart, course.length - apart)
+    apart = np.minimum(apart, track.length - apart)
     # An arc comes back to half its way at a half turn.
     twice = pairs[apart > 4.0 * clearance]
     if len(twice):
         i, j = (int(k) for k in min(twice.tolist()))
         raise RacelineError(
-            f"{name}: expected one loop, but the course comes back to itself at "
+            f"{name}: expected one loop, but the track comes back to itself at "
             f"({at.x[i]:.2f}, {at.y[i]:.2f}): s = {at.s[i]:.2f} m and {at.s[j]:.2f} m"
         )
 

@@ -1,9 +1,9 @@
 """Closed racelines: one internal form for every source, smooth between the points.
 
-A course is given by points; a car drives the curve between them. The curve is the closed cubic
+A track is given by points; a car drives the curve between them. The curve is the closed cubic
 spline through all points over chord length, cut anew into cells of equal arc length ``ds``, each
-with one cubic for x(s) and one for y(s). A place on the course is its arc length ``s``, so the cell
-is found by one multiplication and no query but a search of the whole course depends on the number
+with one cubic for x(s) and one for y(s). A place on the track is its arc length ``s``, so the cell
+is found by one multiplication and no query but a search of the whole track depends on the number
 of points. Curvature is continuous, the parameter is arc length (``|r'(s)| = 1`` to 1e-5 on the
 shipped tracks), and scalar queries are pure-float arithmetic, because numpy's overhead per call
 exceeds a whole query: 0.2 us for a speed, 1 us for a pose, 2 us for a projection from a guess and
@@ -25,7 +25,7 @@ from .tree import point_tree
 
 __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceline"]
 
-# Points closer than this are one point written twice; the densest real courses have 2 mm.
+# Points closer than this are one point written twice; the densest real tracks have 2 mm.
 _SAME_POINT = 1e-4
 # Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
 # keeps memory linear in the number of points whatever their unit. Dense points get cells of 2 cm,
@@ -124,7 +124,7 @@ class Raceline:
     Raises
     ------
     RacelineError
-        If the points do not make a closed course, or a value is not finite or impossible.
+        If the points do not make a closed track, or a value is not finite or impossible.
 
     Notes
     -----
@@ -182,7 +182,7 @@ class Raceline:
                 columns["x"][0] - columns["x"][-1], columns["y"][0] - columns["y"][-1]
             )
             raise self._error(
-                f"expected a closed course, but the last point is {chord:.2f} m from the first"
+                f"expected a closed track, but the last point is {chord:.2f} m from the first"
             )
         self.s_points = s_points[:-1]
         self.length = length = float(s_points[-1])
@@ -348,7 +348,7 @@ class Raceline:
             Position [m].
         psi : float, optional
             Heading of the car [rad]: only parts of the curve that run within 90 degrees of it
-            count. It tells branches apart where the course crosses itself or runs back alongside.
+            count. It tells branches apart where the track crosses itself or runs back alongside.
 
         Returns
         -------
@@ -525,21 +525,21 @@ class Raceline:
             float(self.s[i]), float(self.x[i]), float(self.y[i]), math.sqrt(farthest)
         )
 
-    # -- the same course otherwise -----------------------------------------------------------
+    # -- the same track otherwise -----------------------------------------------------------
 
     def _through(self, s, **columns):
-        """The course through its curve's points at `s`, with columns of the samples there."""
+        """The track through its curve's points at `s`, with columns of the samples there."""
         at = self.sample(s)
         keys = {"vx_mps": at.speed, "d_left_m": at.d_left, "d_right_m": at.d_right}
         keys.update({key: getattr(at, column) for key, column in columns.items()})
         return Raceline(at.x, at.y, name=self.name, source=self.source, **keys)
 
     def reversed(self):
-        """The same course driven the other way round, from the same start line."""
+        """The same track driven the other way round, from the same start line."""
         return self._through(-self.s, d_left_m="d_right", d_right_m="d_left")
 
     def rotated(self, s0):
-        """The same course with its start line moved to arc length `s0` [m]."""
+        """The same track with its start line moved to arc length `s0` [m]."""
         return self._through(self.s + s0)
 
 
@@ -549,7 +549,7 @@ def distinct_points(x, y):
     Parameters
     ----------
     x, y : ndarray, shape (n_points,)
-        Points of a closed course [m].
+        Points of a closed track [m].
 
     Returns
     -------

@@ -1,16 +1,16 @@
-"""Where on the course the car is, update after update, at a cost independent of the course."""
+"""Where on the track the car is, update after update, at a cost independent of the track."""
 
 import math
 
-__all__ = ["CourseTracker"]
+__all__ = ["RacelineTracker"]
 
 
-class CourseTracker:
+class RacelineTracker:
     """Continuous projection of a moving car onto a raceline.
 
     Each update looks for the closest point around where the last one must have moved to. The car
-    so stays on its own branch where the course crosses itself or runs back alongside. Only when
-    that projection is not credible is the whole course searched: on the first update, after a
+    so stays on its own branch where the track crosses itself or runs back alongside. Only when
+    that projection is not credible is the whole track searched: on the first update, after a
     jump of the pose, when the projection moved much farther than the pose, or when the car is
     implausibly far from the curve.
 
@@ -26,7 +26,7 @@ class CourseTracker:
     Attributes
     ----------
     reacquired : bool
-        The last update searched the whole course and found the car elsewhere than tracking expected
+        The last update searched the whole track and found the car elsewhere than tracking expected
         it; also true of the first update.
     lost : bool
         The last update left the car farther from the curve than `max_deviation`.
@@ -42,7 +42,7 @@ class CourseTracker:
         self.reset()
 
     def reset(self):
-        """Forget the car: the next update searches the whole course."""
+        """Forget the car: the next update searches the whole track."""
         self._last = None
         self._x = self._y = 0.0
         self.lost = self.reacquired = False
@@ -55,7 +55,7 @@ class CourseTracker:
         x, y : float
             Position [m].
         psi : float, optional
-            Heading of the car [rad]. Where the whole course is searched, a branch that runs within
+            Heading of the car [rad]. Where the whole track is searched, a branch that runs within
             90 degrees of it is preferred, if one is near enough.
 
         Returns
@@ -88,7 +88,7 @@ class CourseTracker:
         return found
 
     def _elsewhere(self, found, x, y):
-        """Whether a projection lies farther along the course than the pose can have moved."""
+        """Whether a projection lies farther along the track than the pose can have moved."""
         moved = math.hypot(x - self._x, y - self._y)
         half = 0.5 * self.raceline.length
         along = (found.s - self._last.s + half) % self.raceline.length - half

@@ -1,4 +1,4 @@
-"""The walls beside a course, and how far a car can go toward them."""
+"""The walls beside a track, and how far a car can go toward them."""
 
 import math
 
@@ -12,11 +12,11 @@ __all__ = ["Walls", "march", "smooth_between"]
 
 
 class Walls:
-    """The two walls of a course as polygons, for questions of distance.
+    """The two walls of a track as polygons, for questions of distance.
 
     Parameters
     ----------
-    course : Raceline
+    track : Raceline
         Line with distances to the walls.
 
     Attributes
@@ -29,7 +29,7 @@ class Walls:
     Raises
     ------
     RacelineError
-        If the course has no walls, or a distance to one is not positive.
+        If the track has no walls, or a distance to one is not positive.
 
     Notes
     -----
@@ -38,21 +38,21 @@ class Walls:
     the track of their own bend are left out, and those around them connected.
     """
 
-    def __init__(self, course):
-        name = course.source or course.name or "raceline"
-        if course.d_left is None:
+    def __init__(self, track):
+        name = track.source or track.name or "raceline"
+        if track.d_left is None:
             raise RacelineError(f"{name}: expected distances to both walls, to stay between them")
-        for side, column in (("left", course.d_left), ("right", course.d_right)):
+        for side, column in (("left", track.d_left), ("right", track.d_right)):
             if column.min() <= 0.0:
                 k = int(np.argmin(column))
                 raise RacelineError(
-                    f"{name}: s = {course.s[k]:.2f} m: expected a positive distance to the {side} "
+                    f"{name}: s = {track.s[k]:.2f} m: expected a positive distance to the {side} "
                     f"wall, got {column[k]:g} m"
                 )
         # Between coarse points the wall bends with the line.
-        spacing = min(course.ds, 0.25 * float(np.median(course.d_left + course.d_right)))
-        count = int(math.ceil(course.length / spacing - 1e-9))
-        at = course.sample(np.arange(count) * (course.length / count))
+        spacing = min(track.ds, 0.25 * float(np.median(track.d_left + track.d_right)))
+        count = int(math.ceil(track.length / spacing - 1e-9))
+        at = track.sample(np.arange(count) * (track.length / count))
         normal = np.stack((-np.sin(at.psi), np.cos(at.psi)), axis=1)
         line = np.stack((at.x, at.y), axis=1)
         left = line + at.d_left[:, None] * normal
@@ -60,7 +60,7 @@ class Walls:
         tree = point_tree(line)
         begins, ends, dropped, shared = [], [], [], 0
         for wall, width in ((left, at.d_left), (right, at.d_right)):
-            deep, own = self._inside(wall, width, tree, line, normal, at, course.length)
+            deep, own = self._inside(wall, width, tree, line, normal, at, track.length)
             keep = ~((deep > 0.01 * width) & own)
             dropped.append(int(np.sum(~keep)))
             shared += int(np.sum((deep > 0.1 * width) & ~own))

@@ -13,7 +13,7 @@ from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, RacelineError
 from map_racing.evaluation.recordings import recorded_raceline
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 
 T0 = 1600000000.0
@@ -70,10 +70,10 @@ def test_headers_count_up(race_bag):
     assert headers[0].frame_id == "map"
 
 
-def test_round_trip(race_bag, course):
+def test_round_trip(race_bag, track):
     recording = read_recording(race_bag())
     t = np.arange(recording.t.size) * 0.025
-    x, y, psi = course.place(5.0 * t - 3.0, 0.1)
+    x, y, psi = track.place(5.0 * t - 3.0, 0.1)
     # Stamps in float seconds since 1970 are exact to 0.2 us.
     np.testing.assert_allclose(recording.t, t, atol=5e-7)
     np.testing.assert_allclose(recording.x, x, rtol=0.0, atol=1e-13)
@@ -91,19 +91,19 @@ def test_round_trip(race_bag, course):
     assert recording.commands.topic == DRIVE_TOPIC
 
 
-def test_raceline_round_trip(race_bag, course):
+def test_raceline_round_trip(race_bag, track):
     line = recorded_raceline(read_recording(race_bag()))
-    assert line.length == pytest.approx(course.length, abs=1e-4)
-    x, y, _ = course.place(line.s)
+    assert line.length == pytest.approx(track.length, abs=1e-4)
+    x, y, _ = track.place(line.s)
     assert np.hypot(line.x - x, line.y - y).max() < 2e-4
     np.testing.assert_array_equal(line.speed, 5.0)
     np.testing.assert_allclose(line.d_left, 1.0)
     np.testing.assert_allclose(line.d_right, 1.0)
-    assert load_course(race_bag()).length == line.length
+    assert load_raceline(race_bag()).length == line.length
 
 
-def test_acceleration_between_waypoints_follows_from_their_speeds(tmp_path, course):
-    line = course.raceline(walls=1.0)
+def test_acceleration_between_waypoints_follows_from_their_speeds(tmp_path, track):
+    line = track.raceline(walls=1.0)
     speed = 5.0 + np.sin(2.0 * np.pi * line.s / line.length)
     line = type(line)(line.x, line.y, vx_mps=speed)
     with BagWriter(tmp_path / "a.bag") as bag:
@@ -419,24 +419,24 @@ def test_drive_command_of_the_car_is_preferred(tmp_path):
 # -- waypoints -----------------------------------------------------------------------------------
 
 
-def test_waypoint_topics(tmp_path, course):
-    line, other = course.raceline(speed=3.0), course.raceline(speed=4.0)
+def test_waypoint_topics(tmp_path, track):
+    line, other = track.raceline(speed=3.0), track.raceline(speed=4.0)
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         bag.waypoints(T0, waypoint_rows(line), topic="/local_waypoints")
     with pytest.raises(BagError, match="no raceline"):
-        load_course(path)
-    assert load_course(f"{path}#local_waypoints").length == pytest.approx(line.length, abs=1e-3)
+        load_raceline(path)
+    assert load_raceline(f"{path}#local_waypoints").length == pytest.approx(line.length, abs=1e-3)
 
     with BagWriter(path) as bag:
         bag.waypoints(T0, waypoint_rows(line), topic="/centerline_waypoints")
         bag.waypoints(T0, waypoint_rows(other), topic="/global_waypoints_scaled")
-    assert load_course(path).speed[0] == 4.0
+    assert load_raceline(path).speed[0] == 4.0
     with pytest.raises(BagError, match="on /global_waypoints"):
-        load_course(f"{path}#/global_waypoints")
+        load_raceline(f"{path}#/global_waypoints")
 
 
-def test_empty_waypoint_arrays_are_passed_over(tmp_path, course):
+def test_empty_waypoint_arrays_are_passed_over(tmp_path, track):
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         for i, rows in enumerate(([], [[0.0] * 10])):
@@ -444,8 +444,8 @@ def test_empty_waypoint_arrays_are_passed_over(tmp_path, course):
                 "/global_waypoints", msg.WAYPOINTS, T0 + i, None, msg.encode_waypoints, "", rows
             )
             if i == 0:
-                bag.waypoints(T0 + 0.5, waypoint_rows(course.raceline()))
-    assert load_course(path).length == pytest.approx(course.length, abs=1e-3)
+                bag.waypoints(T0 + 0.5, waypoint_rows(track.raceline()))
+    assert load_raceline(path).length == pytest.approx(track.length, abs=1e-3)
 
 
 def test_unusable_waypoints_do_not_hide_the_driving(tmp_path):
@@ -481,7 +481,7 @@ def test_waypoints_of_another_definition_are_read_by_it(tmp_path):
             "/global_waypoints", "f110_msgs/msg/WpntArray", msgdef=definition, md5sum="0" * 32
         )
         writer.write(line, 10**18, data)
-    raceline = load_course(tmp_path / "a.bag")
+    raceline = load_raceline(tmp_path / "a.bag")
     assert raceline.length == pytest.approx(10.0 * math.pi, rel=1e-4)
     assert (raceline.speed[0], raceline.d_left[0], raceline.d_right[0]) == (3.0, 1.0, 2.0)
 
@@ -524,21 +524,21 @@ def test_other_real_recordings(shared_data):
     assert husky.t.size == 3952
     with pytest.raises(BagError, match=r"/sensors/core \(vesc_msgs/VescStateStamped\)"):
         read_recording(folder / "vesc_motor_servo.bag")
-    line = load_course(folder / "hangar_global_waypoints.bag")
+    line = load_raceline(folder / "hangar_global_waypoints.bag")
     assert line.length == pytest.approx(21.2, abs=0.1)
     turtle = read_recording(shared_data / "bag_fixtures" / "example-bz2.bag", "/tf:turtle1")
     assert turtle.t.size > 1000
 
 
-def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, course):
-    s = np.arange(0.0, course.length, 0.2)
-    x, y, psi = course.place(s)
+def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, track):
+    s = np.arange(0.0, track.length, 0.2)
+    x, y, psi = track.place(s)
     rows = np.zeros((s.size, 10))
     rows[:, 2], rows[:, 3], rows[:, 6] = x, y, psi - math.pi / 2
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
-    findings = "; ".join(map(str, load_course(path).findings))
+    findings = "; ".join(map(str, load_raceline(path).findings))
     assert "+y (north)" in findings
     assert "every speed is 0" in findings
 

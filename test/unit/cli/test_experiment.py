@@ -16,7 +16,7 @@ from map_racing.control.parameters import load_controller_parameters, save_contr
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
-from map_racing.track.files.readers import save_raceline
+from map_racing.track.files.load import save_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 

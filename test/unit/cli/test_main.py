@@ -102,7 +102,7 @@ def test_race_refuses(tmp_path, capsys, arguments, said):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_race_refuses_a_course_in_millimeters(tmp_path, capsys):
+def test_race_refuses_a_track_in_millimeters(tmp_path, capsys):
     angle = np.arange(100) * 2.0 * np.pi / 100
     path = tmp_path / "mm.csv"
     rows = zip((5000.0 * np.cos(angle)).tolist(), (5000.0 * np.sin(angle)).tolist())
@@ -200,7 +200,7 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, capsys):
     assert (ours.read_bytes(), car.read_text()) == (before, text)
 
 
-def test_runs_on_different_courses_have_no_difference(bags, tmp_path, capsys):
+def test_runs_on_different_tracks_have_no_difference(bags, tmp_path, capsys):
     other = tmp_path / "club.bag"
     arguments = ["--laps", "1", "--track", "club", "--speed-scale", "0.5", "--output", str(other)]
     assert main(["race", *arguments]) == 0

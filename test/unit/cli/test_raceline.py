@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from map_racing.cli import main
-from map_racing.track.files.load import load_course
-from map_racing.track.files.readers import save_raceline
+from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
 
 T = np.arange(300) * 2.0 * math.pi / 300
@@ -105,7 +104,7 @@ def test_conversion_there_and_back(good, tmp_path, capsys):
         assert (code, err) == (0, "")
         source = tmp_path / name
     assert f"{source}: format racetracks, {LINE.n} points, {LINE.length:.3f} m" in out
-    line = load_course(source)
+    line = load_raceline(source)
     np.testing.assert_allclose(line.x, LINE.x, atol=1e-6)
     np.testing.assert_allclose(line.speed, LINE.speed, atol=1e-6)
 
@@ -129,10 +128,10 @@ def test_repair(bad, tmp_path, capsys):
     assert [line for line in out.splitlines() if "repaired" in line] == [
         "  repaired: 1 point without position dropped",
         "  repaired: 1 repeated point dropped",
-        "  repaired: 2 points dropped at which the course turned back",
+        "  repaired: 2 points dropped at which the track turned back",
         "  repaired: 8 points added along the curve where they were far apart",
     ]
-    line = load_course(output)
+    line = load_raceline(output)
     assert max(abs(LINE.project(x, y).d) for x, y in zip(line.x, line.y)) < 0.01
     assert run(capsys, "check", output)[0] == 0
 
@@ -141,7 +140,7 @@ def test_reverse_and_spacing(tmp_path, capsys):
     options = ["--format", "map_racing", "--reverse", "--spacing", "0.2"]
     code, out, _ = run(capsys, "convert", "reference", tmp_path / "a.csv", *options)
     assert code == 0 and "reversed" in out and "resampled to 183 points" in out
-    line, other = load_course(tmp_path / "a.csv"), load_course("reference")
+    line, other = load_raceline(tmp_path / "a.csv"), load_raceline("reference")
     assert line.s_points.size == 183
     assert line.pose(0.0).psi == pytest.approx(
         math.remainder(other.pose(0.0).psi + math.pi, 2.0 * math.pi), abs=1e-3

@@ -13,8 +13,7 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import load_speed_sectors
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import Outcome, race
-from map_racing.track.files.load import load_course
-from map_racing.track.files.readers import load_raceline, save_raceline
+from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -61,7 +60,7 @@ def test_centerline_to_raceline(tmp_path, capsys):
     length, bending, _, clearance, lap = map(float, rows["optimized"])
     assert bending < 0.8 * float(rows["hall"][1]) and lap < 0.95 * float(rows["hall"][4])
     assert clearance == pytest.approx(0.348, abs=1.1e-3)
-    line = load_course(str(out))
+    line = load_raceline(str(out))
     assert line.length == pytest.approx(length, abs=0.01)
     assert min(line.d_left.min(), line.d_right.min()) > 0.345
     assert line.speed.max() <= load_vehicle("nuc4").v_max
@@ -70,9 +69,9 @@ def test_centerline_to_raceline(tmp_path, capsys):
 
 def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
-    course = load_course(str(source))
-    wave = 0.05 * np.cos(2.0 * math.pi * 40 * course.s / course.length)
-    other = Raceline(*course.to_cartesian(course.s, wave), name="wave")
+    track = load_raceline(str(source))
+    wave = 0.05 * np.cos(2.0 * math.pi * 40 * track.s / track.length)
+    other = Raceline(*track.to_cartesian(track.s, wave), name="wave")
     save_raceline(other, tmp_path / "wave.csv")
     assert run(source, "--compare", tmp_path / "wave.csv") == 0
     printed = capsys.readouterr().out
@@ -106,15 +105,15 @@ def lap_length(source, capsys):
 
 def test_compare_gives_the_same_room(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
-    course = load_course(str(source))
-    angle = 2.0 * math.pi * course.s / course.length
-    other = Raceline(*course.to_cartesian(course.s, 0.4 + 0.0 * angle), name="other")
+    track = load_raceline(str(source))
+    angle = 2.0 * math.pi * track.s / track.length
+    other = Raceline(*track.to_cartesian(track.s, 0.4 + 0.0 * angle), name="other")
     save_raceline(other, tmp_path / "other.csv")
     assert run(source, "--compare", tmp_path / "other.csv") == 0
     rows = table_of(capsys.readouterr().out)
     assert float(rows["other"][3]) == pytest.approx(0.5, abs=0.005)
     assert float(rows["optimized"][3]) == pytest.approx(float(rows["other"][3]), abs=2e-3)
-    beyond = Raceline(*course.to_cartesian(course.s, 1.2 + 0.0 * angle), name="beyond")
+    beyond = Raceline(*track.to_cartesian(track.s, 1.2 + 0.0 * angle), name="beyond")
     save_raceline(beyond, tmp_path / "beyond.csv")
     assert run(source, "--compare", tmp_path / "beyond.csv") == 1
     assert "is beyond one" in capsys.readouterr().err
@@ -128,7 +127,7 @@ def test_speed_sectors_fit_the_output(tmp_path, suffix):
     content = yaml.safe_load(sectors.read_text())
     count = content["n_sectors"]
     assert content["global_limit"] == 1.0 and 2 <= count <= 12
-    line = load_course(str(out))
+    line = load_raceline(str(out))
     assert content["Sector0"]["start"] == 0
     assert content[f"Sector{count - 1}"]["end"] == line.s_points.size - 1
     for k in range(1, count):
@@ -170,7 +169,7 @@ def test_a_map_becomes_a_raceline_in_one_command(tmp_path, capsys, start, turn):
     out = tmp_path / "line.csv"
     assert run(hall_map(tmp_path), *start, "--output", out) == 0
     assert "taken as unknown" in capsys.readouterr().out
-    line = load_course(str(out))
+    line = load_raceline(str(out))
     assert np.sum(line.kappa) * line.ds == pytest.approx(turn * 2.0 * math.pi, abs=0.01)
     assert math.hypot(line.x[0] + 4.5, line.y[0]) < 1.2
     radius = np.hypot(line.x / 1.3, line.y)
@@ -212,7 +211,7 @@ def keep(part):
         ({key: lambda c: np.concatenate((c, c)) for key in WHOLE}, "one loop"),
         ({"x": lambda c: 1e3 * np.sign(c)}, ""),
     ],
-    ids=["open", "NaN", "NaN width", "zero", "negative", "narrow", "two loops", "no course"],
+    ids=["open", "NaN", "NaN width", "zero", "negative", "narrow", "two loops", "no track"],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, changes, text):
     source = centerline(tmp_path / "bad.csv", **changes)

@@ -15,7 +15,7 @@ from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState, moved, predicted
 from map_racing.errors import ParameterError
 from map_racing.simulation.plant import Plant, PlantParameters
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.single_track import single_track_derivatives
@@ -37,8 +37,8 @@ def controller(parameters=PLAIN, raceline=REFERENCE, sectors=None, **changes):
     return Controller(parameters.with_(**changes), TABLE, NUC4, raceline, sectors)
 
 
-def on_course(raceline, s, d=0.0, turn=0.0, v_x=4.0, v_y=0.0, r=0.0, t=0.0):
-    """State at a place of the course, turned by an angle against it."""
+def on_track(raceline, s, d=0.0, turn=0.0, v_x=4.0, v_y=0.0, r=0.0, t=0.0):
+    """State at a place of the track, turned by an angle against it."""
     x, y = raceline.to_cartesian(s, d)
     return CarState(t, float(x), float(y), raceline.pose(s).psi + turn, v_x, v_y, r)
 
@@ -51,7 +51,7 @@ def on_course(raceline, s, d=0.0, turn=0.0, v_x=4.0, v_y=0.0, r=0.0, t=0.0):
 def test_on_its_circle_it_commands_the_tables_angle(m_m, clockwise):
     """L1 commands v^2 / R from any lookahead distance; the table makes an angle of it."""
     raceline = circle(3.0, clockwise=clockwise)
-    result = controller(raceline=raceline, m_m=m_m, q_s=0.0).step(on_course(raceline, 2.0))
+    result = controller(raceline=raceline, m_m=m_m, q_s=0.0).step(on_track(raceline, 2.0))
     side = -1.0 if clockwise else 1.0
     assert result.lookahead_distance == m_m
     assert result.a_lat == pytest.approx(side * 4.0**2 / 3.0, rel=2e-5)
@@ -63,7 +63,7 @@ def test_on_its_circle_it_commands_the_tables_angle(m_m, clockwise):
 def test_a_drifting_car_is_guided_along_its_velocity():
     """The body may point anywhere: only where the car goes matters."""
     raceline = circle(3.0)
-    straight = on_course(raceline, 2.0)
+    straight = on_track(raceline, 2.0)
     for drift in (-0.6, 0.3, 0.9):
         drifting = straight._replace(
             psi=straight.psi - drift, v_x=4.0 * math.cos(drift), v_y=4.0 * math.sin(drift)
@@ -73,7 +73,7 @@ def test_a_drifting_car_is_guided_along_its_velocity():
 
 
 def test_the_result_is_what_was_computed_and_from_what():
-    state = on_course(REFERENCE, 7.0, d=0.1, turn=0.2)
+    state = on_track(REFERENCE, 7.0, d=0.1, turn=0.2)
     result = controller().step(state)
     assert result.state == state
     assert result.d == pytest.approx(0.1, abs=1e-4)
@@ -89,7 +89,7 @@ def test_the_result_is_what_was_computed_and_from_what():
 
 @pytest.mark.parametrize("turn", [1.7, 2.5, 3.0, -1.7, -2.5, -3.0])
 def test_a_car_that_points_backwards_turns_round_the_shorter_way(turn):
-    result = controller().step(on_course(REFERENCE, 2.0, turn=turn))
+    result = controller().step(on_track(REFERENCE, 2.0, turn=turn))
     assert math.copysign(1.0, result.steering_angle) == -math.copysign(1.0, turn)
     assert result.status is Status.OFF_COURSE
     assert result.speed == 1.0
@@ -99,8 +99,8 @@ def test_a_car_that_points_backwards_turns_round_the_shorter_way(turn):
 @pytest.mark.parametrize("v_x", [-0.02, -0.3, -0.36, -0.6, -3.0])
 def test_a_car_that_rolls_backwards_steers_for_where_its_nose_points(v_x):
     """Noise at standstill or a push back must not throw the steering to a lock."""
-    backwards = controller().step(on_course(REFERENCE, 2.0, v_x=v_x))
-    forwards = controller().step(on_course(REFERENCE, 2.0, v_x=-v_x))
+    backwards = controller().step(on_track(REFERENCE, 2.0, v_x=v_x))
+    forwards = controller().step(on_track(REFERENCE, 2.0, v_x=-v_x))
     assert backwards.eta == pytest.approx(forwards.eta, abs=1e-9)
     assert backwards.steering_angle == pytest.approx(forwards.steering_angle, abs=1e-9)
     assert backwards.status is Status.OK
@@ -112,7 +112,7 @@ def test_beside_the_path_it_steers_back():
     )
     for d in (0.05, 0.3, 0.8):
         left, right = (
-            controller().step(on_course(REFERENCE, straight, d=side * d)).steering_angle
+            controller().step(on_track(REFERENCE, straight, d=side * d)).steering_angle
             for side in (1.0, -1.0)
         )
         assert left < 0.0 < right
@@ -131,7 +131,7 @@ def test_the_mirrored_car_on_the_mirrored_track_does_the_mirrored_thing(name):
     for k in range(300):
         d, turn, v_y, r = (random.normal(0.0, 0.2, 4) * (1.0, 1.0, 1.0, 5.0)).tolist()
         v_y = math.nan if k % 3 == 0 else v_y
-        state = on_course(track, 0.13 * k, d, turn, 5.0, v_y, r, 0.025 * k)
+        state = on_track(track, 0.13 * k, d, turn, 5.0, v_y, r, 0.025 * k)
         mirror = state._replace(y=-state.y, psi=-state.psi, v_y=-state.v_y, r=-state.r)
         one, other = left.step(state), right.step(mirror)
         assert other.steering_angle == pytest.approx(-one.steering_angle, abs=1e-7)
@@ -167,7 +167,7 @@ def test_map_drives_a_circle_without_error_where_its_table_is_right(kind, clockw
 
 
 def test_speed_is_the_racelines_scaled():
-    state = on_course(REFERENCE, 9.0, v_x=5.0)
+    state = on_track(REFERENCE, 9.0, v_x=5.0)
     here = REFERENCE.speed_at(9.0)
     assert controller().step(state).speed == pytest.approx(here, abs=1e-4)
     assert controller(speed_scale=0.7).step(state).speed == pytest.approx(0.7 * here, abs=1e-4)
@@ -178,7 +178,7 @@ def test_speed_is_the_racelines_scaled():
 def test_far_beside_the_path_it_comes_at_45_degrees():
     raceline = circle(1000.0, 4.0, points=2000)
     for d in (2.0, -2.0):
-        result = controller(raceline=raceline).step(on_course(raceline, 50.0, d))
+        result = controller(raceline=raceline).step(on_track(raceline, 50.0, d))
         assert result.lookahead_distance == pytest.approx(math.sqrt(2.0) * 2.0, rel=1e-9)
         assert result.eta == pytest.approx(-math.copysign(math.pi / 4.0, d), abs=0.01)
 
@@ -188,14 +188,14 @@ def test_a_slow_sector_is_met_at_its_speed():
     sectors = SpeedSectors([(5.0, 10.0, 0.5)], REFERENCE.length)
     subject = controller(sectors=sectors, speed_lookahead_s=0.25)
     for s, scale in ((3.99, 1.0), (4.01, 0.5), (8.99, 0.5), (9.01, 1.0)):
-        result = subject.step(on_course(REFERENCE, s, v_x=4.0))
+        result = subject.step(on_track(REFERENCE, s, v_x=4.0))
         assert result.speed == pytest.approx(scale * REFERENCE.speed_at(s + 1.0), rel=1e-6)
 
 
 def test_speed_scales_of_sectors_hold_where_the_car_is():
     sectors = SpeedSectors([(5.0, 10.0, 0.5)], REFERENCE.length)
     for s, scale in [(4.5, 1.0), (5.5, 0.5), (9.5, 0.5), (10.5, 1.0)]:
-        result = controller(sectors=sectors, speed_scale=0.9).step(on_course(REFERENCE, s))
+        result = controller(sectors=sectors, speed_scale=0.9).step(on_track(REFERENCE, s))
         assert result.speed == pytest.approx(0.9 * scale * REFERENCE.speed_at(s), abs=1e-3)
 
 
@@ -210,14 +210,14 @@ def test_speed_scales_of_sectors_hold_where_the_car_is():
 def test_no_speed_above_the_limit_whatever_is_asked(s, v_x, scale, sector, v_max):
     sectors = SpeedSectors([(0.0, 20.0, sector)], REFERENCE.length)
     subject = controller(sectors=sectors, speed_scale=scale, v_max_mps=v_max, speed_lookahead_s=0.3)
-    assert 0.0 <= subject.step(on_course(REFERENCE, s, v_x=v_x)).speed <= v_max
+    assert 0.0 <= subject.step(on_track(REFERENCE, s, v_x=v_x)).speed <= v_max
 
 
 # -- compensation and paper mode -----------------------------------------------------------------
 
 
 def test_paper_mode_uses_the_commanded_speed_and_the_pose_as_it_is():
-    state = on_course(REFERENCE, 9.0, d=0.1, v_x=2.0, r=1.0)
+    state = on_track(REFERENCE, 9.0, d=0.1, v_x=2.0, r=1.0)
     for name in ("map_paper", "map_linear_paper", "pure_pursuit_paper"):
         parameters = load_controller_parameters(name)
         result = build_controller(parameters, NUC4, REFERENCE).step(state)
@@ -231,7 +231,7 @@ def test_paper_mode_uses_the_commanded_speed_and_the_pose_as_it_is():
 
 
 def test_by_default_it_uses_the_measured_speed_and_the_pose_of_the_moment_it_acts():
-    state = on_course(REFERENCE, 9.0, d=0.1, v_x=2.0, v_y=-0.1, r=1.0)
+    state = on_track(REFERENCE, 9.0, d=0.1, v_x=2.0, v_y=-0.1, r=1.0)
     for name in ("map", "map_linear", "pure_pursuit"):
         parameters = load_controller_parameters(name)
         result = build_controller(parameters, NUC4, REFERENCE).step(state)
@@ -251,9 +251,7 @@ def test_by_default_it_uses_the_measured_speed_and_the_pose_of_the_moment_it_act
 def test_compensation_changes_nothing_on_a_steady_circle(delay):
     """The arc predicted is the one driven."""
     raceline = circle(3.0)
-    result = controller(raceline=raceline, delay_s=delay).step(
-        on_course(raceline, 2.0, r=4.0 / 3.0)
-    )
+    result = controller(raceline=raceline, delay_s=delay).step(on_track(raceline, 2.0, r=4.0 / 3.0))
     assert result.a_lat == pytest.approx(16.0 / 3.0, rel=2e-5)
     assert result.s == pytest.approx(2.0 + 4.0 * delay, abs=1e-6)
 
@@ -280,7 +278,7 @@ def test_missing_lateral_velocity_is_that_of_the_steady_circle(car, v_x, delta):
         .tolist()
     )
     assert max(map(abs, derivatives(v_x, v_y, r, delta, 0.0))) < 1e-8
-    center = on_course(REFERENCE, 3.0, v_x=v_x, v_y=v_y, r=r)
+    center = on_track(REFERENCE, 3.0, v_x=v_x, v_y=v_y, r=r)
     axle = moved(center, -vehicle.l_r)
     for point, state in (("center_of_gravity", center), ("rear_axle", axle)):
         subject = Controller(PLAIN.with_(reference_point=point), TABLE, vehicle, REFERENCE)
@@ -293,7 +291,7 @@ def test_missing_lateral_velocity_is_that_of_the_steady_circle(car, v_x, delta):
 @given(v_x=st.floats(-5.0, 15.0), r=st.floats(-30.0, 30.0))
 def test_the_estimate_is_odd_and_finite_beyond_what_tires_can_do(v_x, r):
     estimate = [
-        controller().step(on_course(REFERENCE, 3.0, v_x=v_x, v_y=math.nan, r=rate)).state.v_y
+        controller().step(on_track(REFERENCE, 3.0, v_x=v_x, v_y=math.nan, r=rate)).state.v_y
         for rate in (r, -r)
     ]
     assert math.isfinite(estimate[0])
@@ -349,9 +347,9 @@ def test_lock_rate_and_speed_limits_hold_on_any_walk(name, states):
 
 def test_the_rate_limit_is_reached_and_ends_at_the_wanted_angle():
     subject = controller()
-    subject.step(on_course(REFERENCE, 2.0, turn=-1.5))
+    subject.step(on_track(REFERENCE, 2.0, turn=-1.5))
     found = [
-        subject.step(on_course(REFERENCE, 2.0, turn=1.5, t=0.025 * k)).steering_angle
+        subject.step(on_track(REFERENCE, 2.0, turn=1.5, t=0.025 * k)).steering_angle
         for k in range(1, 15)
     ]
     assert -np.diff(found[:5]) == pytest.approx(0.025 * NUC4.delta_rate_max)
@@ -361,21 +359,21 @@ def test_the_rate_limit_is_reached_and_ends_at_the_wanted_angle():
 def test_another_raceline_does_not_let_the_wheels_jump():
     """Racelines are published again and again while the car drives."""
     subject = controller()
-    before = subject.step(on_course(REFERENCE, 2.0, turn=-1.5)).steering_angle
+    before = subject.step(on_track(REFERENCE, 2.0, turn=-1.5)).steering_angle
     assert before > 0.2
     subject.raceline = circle(3.0)
-    after = subject.step(on_course(REFERENCE, 2.0, turn=1.5, t=0.025)).steering_angle
+    after = subject.step(on_track(REFERENCE, 2.0, turn=1.5, t=0.025)).steering_angle
     assert after >= before - 0.025 * NUC4.delta_rate_max - 1e-12
     subject.raceline = None
-    stop = subject.step(on_course(REFERENCE, 2.0, t=0.05))
+    stop = subject.step(on_track(REFERENCE, 2.0, t=0.05))
     assert (stop.status, stop.speed, stop.steering_angle) == (Status.NO_RACELINE, 0.0, after)
 
 
 def test_reset_forgets_the_wheels_and_the_place():
     subject = controller()
-    subject.step(on_course(REFERENCE, 2.0, turn=-1.5))
+    subject.step(on_track(REFERENCE, 2.0, turn=-1.5))
     subject.reset()
-    state = on_course(REFERENCE, 20.0, turn=1.0)
+    state = on_track(REFERENCE, 20.0, turn=1.0)
     assert subject.step(state) == controller().step(state)
 
 
@@ -387,8 +385,8 @@ def test_reset_forgets_the_wheels_and_the_place():
 def test_a_state_that_is_not_finite_stops_the_car_and_leaves_no_trace(field, value):
     subject, untouched = controller(), controller()
     for each in (subject, untouched):
-        first = each.step(on_course(REFERENCE, 5.0, turn=0.1))
-    state = on_course(REFERENCE, 5.1, t=0.025)
+        first = each.step(on_track(REFERENCE, 5.0, turn=0.1))
+    state = on_track(REFERENCE, 5.1, t=0.025)
     result = subject.step(state._replace(**{field: value}))
     if field == "v_y" and math.isnan(value):  # only not measured
         assert result.status is Status.OK
@@ -401,7 +399,7 @@ def test_a_state_that_is_not_finite_stops_the_car_and_leaves_no_trace(field, val
 
 
 def test_two_infinities_do_not_cancel():
-    state = on_course(REFERENCE, 5.0)._replace(x=math.inf, y=-math.inf)
+    state = on_track(REFERENCE, 5.0)._replace(x=math.inf, y=-math.inf)
     assert controller().step(state).status is Status.INVALID_STATE
 
 
@@ -415,20 +413,20 @@ def test_no_numbers_at_all_make_it_fail(state, name):
     result = subject.step(CarState(*state))
     assert abs(result.steering_angle) <= NUC4.delta_max
     assert 0.0 <= result.speed <= parameters.v_max_mps
-    again = subject.step(on_course(REFERENCE, 5.0, t=1.0))
+    again = subject.step(on_track(REFERENCE, 5.0, t=1.0))
     assert again.status is Status.OK and again.s == pytest.approx(5.0, abs=0.5)
 
 
 @pytest.mark.parametrize("value", [1e12, -1e200, 1.7e308])
 @pytest.mark.parametrize("field", ["x", "y", "psi", "v_x", "v_y", "r"])
 def test_absurd_numbers_count_as_not_finite(field, value):
-    state = on_course(REFERENCE, 5.0)._replace(**{field: value})
+    state = on_track(REFERENCE, 5.0)._replace(**{field: value})
     assert controller().step(state).status is Status.INVALID_STATE
 
 
 def test_without_raceline_it_stops_and_then_drives_when_there_is_one():
     subject = controller(raceline=None)
-    state = on_course(REFERENCE, 5.0)
+    state = on_track(REFERENCE, 5.0)
     result = subject.step(state)
     assert (result.status, result.speed, result.steering_angle) == (Status.NO_RACELINE, 0.0, 0.0)
     subject.raceline = REFERENCE
@@ -450,7 +448,7 @@ def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
     """The public search never ends there."""
     raceline = circle(3.0)
     parameters = PLAIN.with_(m_m=lookahead, lookahead_max_m=2.0 * lookahead)
-    result = controller(parameters, raceline).step(on_course(raceline, 0.0))
+    result = controller(parameters, raceline).step(on_track(raceline, 0.0))
     assert result.lookahead_distance == pytest.approx(6.0, abs=1e-3)
     assert (result.lookahead_x, result.lookahead_y) == pytest.approx((-3.0, 0.0), abs=0.2)
     assert result.a_lat == pytest.approx(16.0 / 3.0, rel=1e-3)
@@ -477,10 +475,10 @@ def test_from_far_outside_it_comes_back_at_walking_pace(direction):
 def test_noise_does_not_shake_the_wheels_of_a_standing_car():
     random = np.random.default_rng(2)
     subject = controller()
-    quiet = subject.step(on_course(REFERENCE, 2.0, v_x=0.0)).steering_angle
+    quiet = subject.step(on_track(REFERENCE, 2.0, v_x=0.0)).steering_angle
     for k in range(200):
         v_x, v_y, r = random.normal(0.0, 0.03, 3).tolist()
-        result = subject.step(on_course(REFERENCE, 2.0, v_x=v_x, v_y=v_y, r=r, t=0.025 * k))
+        result = subject.step(on_track(REFERENCE, 2.0, v_x=v_x, v_y=v_y, r=r, t=0.025 * k))
         assert result.steering_angle == pytest.approx(quiet, abs=0.15)
 
 
@@ -491,6 +489,6 @@ def test_steering_maps_are_built_as_the_parameters_name_them():
     # the demand of a standing start, 2 (0.5 m/s)^2 / L, is finite and so is its angle
     stiff = dataclasses.replace(NUC4, delta_max=0.3)
     result = build_controller(PLAIN, stiff, REFERENCE).step(
-        on_course(REFERENCE, 2.0, turn=-1.5, v_x=0.0)
+        on_track(REFERENCE, 2.0, turn=-1.5, v_x=0.0)
     )
     assert result.steering_angle == pytest.approx(0.3)

@@ -6,7 +6,7 @@ from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.state import CarState
 from map_racing.control.steering import AckermannSteering
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 

@@ -12,7 +12,7 @@ from map_racing.control.speed_sectors import (
     save_speed_sectors,
 )
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 
 FILE = """\
@@ -90,7 +90,7 @@ def test_impossible_scales_are_refused(scale):
 
 
 @pytest.mark.parametrize("start, end", [(-1.0, 2.0), (12.0, 15.0), (8.0, 11.0), (11.0, 1.0)])
-def test_places_off_the_course_are_refused(start, end):
+def test_places_off_the_track_are_refused(start, end):
     """They would silently have no effect."""
     with pytest.raises(ParameterError, match=r"expected places within 0 to 10 m"):
         SpeedSectors([(start, end, 0.5)], 10.0)
@@ -130,7 +130,7 @@ def test_ends_beyond_the_points_mean_the_line(tmp_path):
 @pytest.mark.parametrize("track, scale", [("circle", 0.7), ("hangar", 0.5)])
 def test_real_files(shared_data, track, scale):
     folder = shared_data / "tracks" / track
-    raceline = load_course(folder / "global_waypoints.json.gz")
+    raceline = load_raceline(folder / "global_waypoints.json.gz")
     sectors = load_speed_sectors(folder / "speed_scaling.yaml", raceline)
     found = {sectors.scale_at(s) for s in np.linspace(0.0, raceline.length, 1000)}
     assert found == {scale}
@@ -183,26 +183,26 @@ def test_corners_and_straights_of_a_stadium(tmp_path):
     y = np.concatenate(
         (3.0 * np.sin(turn), np.full(78, 3.0), -3.0 * np.sin(turn), np.full(78, -3.0))
     )
-    course = Raceline(x, y, vx_mps=np.full(x.size, 4.0))
-    sectors = corners_and_straights(course)
+    track = Raceline(x, y, vx_mps=np.full(x.size, 4.0))
+    sectors = corners_and_straights(track)
     assert [what for _, _, what in sectors] == ["left", "straight", "left", "straight"]
-    assert sectors[0][0] == 0 and sectors[-1][1] == course.s_points.size - 1
+    assert sectors[0][0] == 0 and sectors[-1][1] == track.s_points.size - 1
     for (_, end, _), (start, _, _) in zip(sectors, sectors[1:]):
         assert start == end + 1
     # The ends of the half circles, to a few points.
     assert sectors[1][0] == pytest.approx(40, abs=4) and sectors[2][0] == pytest.approx(118, abs=4)
-    assert {what for _, _, what in corners_and_straights(course.reversed())} == {
+    assert {what for _, _, what in corners_and_straights(track.reversed())} == {
         "right",
         "straight",
     }
     path = tmp_path / "speed_scaling.yaml"
     save_speed_sectors(path, sectors)
-    scales = load_speed_sectors(path, course)
-    assert {scales.scale_at(s) for s in course.s.tolist()} == {1.0}
+    scales = load_speed_sectors(path, track)
+    assert {scales.scale_at(s) for s in track.s.tolist()} == {1.0}
     path.write_text(path.read_text().replace("scaling: 1.0", "scaling: 0.5", 1))
-    scales = load_speed_sectors(path, course)
-    assert scales.scale_at(course.s_points[sectors[0][1]]) == 0.5
-    assert scales.scale_at(course.s_points[sectors[1][0]] + 1e-6) == 1.0
+    scales = load_speed_sectors(path, track)
+    assert scales.scale_at(track.s_points[sectors[0][1]]) == 0.5
+    assert scales.scale_at(track.s_points[sectors[1][0]] + 1e-6) == 1.0
 
 
 def test_sectors_need_speeds():

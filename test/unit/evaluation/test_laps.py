@@ -11,7 +11,7 @@ from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, ParameterError
 from map_racing.evaluation.laps import LapEvaluator, LapLimits, Summary, evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
-from map_racing.track.files.load import load_course
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 
 V = 6.0
@@ -25,20 +25,20 @@ def run(line, t, x, y, *columns, **options):
 
 
 @pytest.fixture(scope="session")
-def drive(course):
+def drive(track):
     """Function from a function s(t) and a deviation d(s) to samples ``t, x, y``."""
 
     def make(duration, s=lambda t: V * t - 3.0, d=lambda s: np.full_like(s, 0.1), rate=RATE):
         t = np.arange(int(duration * rate)) / rate
-        x, y, _ = course.place(s(t), d(s(t)))
+        x, y, _ = track.place(s(t), d(s(t)))
         return t, x, y
 
     return make
 
 
 @pytest.fixture(scope="session")
-def line(course):
-    return course.raceline(speed=V, walls=1.0)
+def line(track):
+    return track.raceline(speed=V, walls=1.0)
 
 
 def reasons(result):
@@ -50,22 +50,22 @@ def reasons(result):
 
 @pytest.mark.parametrize("spacing", [0.02, 0.1, 0.3, 0.7])
 @pytest.mark.parametrize("phase", [0.0, 0.011])
-def test_known_laps_at_any_waypoint_spacing(course, spacing, phase):
+def test_known_laps_at_any_waypoint_spacing(track, spacing, phase):
     """Speed and deviation vary; both are known functions of time."""
 
     def progress(t):
         return 7.0 * t + 0.8 * np.sin(1.7 * t) - 3.0
 
     def deviation(s):
-        turn = 2.0 * np.pi * s / course.length
+        turn = 2.0 * np.pi * s / track.length
         return 0.1 + 0.25 * np.sin(3.0 * turn) + 0.05 * np.cos(5.0 * turn)
 
     t = np.arange(0.0, 20.0, 1.0 / RATE) + phase
-    x, y, _ = course.place(progress(t), deviation(progress(t)))
-    laps = [lap for lap in run(course.raceline(spacing), t, x, y).laps if lap.valid]
+    x, y, _ = track.place(progress(t), deviation(progress(t)))
+    laps = [lap for lap in run(track.raceline(spacing), t, x, y).laps if lap.valid]
     assert len(laps) == 4
     fine = np.linspace(0.0, 20.0, 2000001)
-    crossings = np.interp(course.length * np.arange(5), progress(fine), fine)
+    crossings = np.interp(track.length * np.arange(5), progress(fine), fine)
     for lap, start, end in zip(laps, crossings, crossings[1:]):
         d = deviation(progress(np.linspace(start, end, 100001)))
         assert lap.start_time_s == pytest.approx(start, abs=1e-3)
@@ -77,7 +77,7 @@ def test_known_laps_at_any_waypoint_spacing(course, spacing, phase):
         p95 = np.percentile(np.abs(d), 95.0)
         assert lap.p95_abs_lateral_error_m == pytest.approx(p95, abs=1e-3)
         assert sum(lap.sector_times_s) == pytest.approx(lap.lap_time_s, abs=1e-12)
-        thirds = progress(start) + course.length * np.array([1.0, 2.0]) / 3.0
+        thirds = progress(start) + track.length * np.array([1.0, 2.0]) / 3.0
         ends = [start, *np.interp(thirds, progress(fine), fine), end]
         np.testing.assert_allclose(lap.sector_times_s, np.diff(ends), atol=1e-3)
 
@@ -105,17 +105,17 @@ def test_waypoints_that_are_coarse_for_a_bend(count, phase, expected):
 
 
 @pytest.mark.parametrize("rate", [7.0, 25.0, 40.0, 100.0])
-def test_lap_time_does_not_depend_on_the_sampling(drive, course, line, rate):
+def test_lap_time_does_not_depend_on_the_sampling(drive, track, line, rate):
     limits = LapLimits(max_gap=1.0)
     result = run(line, *drive(18.0, rate=rate), limits=limits)
     laps = [lap for lap in result.laps if lap.valid]
     assert len(laps) == 3
     for lap in laps:
-        assert lap.lap_time_s == pytest.approx(course.length / V, abs=1e-3)
+        assert lap.lap_time_s == pytest.approx(track.length / V, abs=1e-3)
         assert lap.rms_lateral_error_m == pytest.approx(0.1, abs=1e-3)
 
 
-def test_values_of_a_lap(drive, course, line):
+def test_values_of_a_lap(drive, track, line):
     t, x, y = drive(12.0)
     v = np.full(t.size, 5.5)
     steering = np.repeat(np.arange(t.size // 8), 8) % 2 * 0.1
@@ -130,7 +130,7 @@ def test_values_of_a_lap(drive, course, line):
     # 0.1 rad every 8 samples, however long it is held: 0.5 rad/s.
     assert lap.mean_steering_rate_radps == pytest.approx(0.5, abs=0.02)
     assert len(lap.sector_times_s) == 4
-    np.testing.assert_allclose(lap.sector_times_s, course.length / V / 4.0, atol=1e-3)
+    np.testing.assert_allclose(lap.sector_times_s, track.length / V / 4.0, atol=1e-3)
     commanded = run(line, t, x, y, v, np.full(t.size, 7.0))
     assert commanded.laps[1].speed_reference == "command"
     assert commanded.laps[1].rms_speed_error_mps == pytest.approx(1.5)
@@ -142,8 +142,8 @@ def test_speed_without_measurement_is_that_of_the_pose(drive, line):
     assert lap.max_speed_mps == pytest.approx(V, abs=0.05)
 
 
-def test_without_walls_and_speeds(drive, course):
-    lap = run(course.raceline(), *drive(12.0)).laps[1]
+def test_without_walls_and_speeds(drive, track):
+    lap = run(track.raceline(), *drive(12.0)).laps[1]
     assert lap.valid
     assert math.isnan(lap.min_clearance_m)
     assert math.isnan(lap.rms_speed_error_mps)
@@ -164,14 +164,14 @@ def test_stretches_before_and_after_are_reported(drive, line):
 
 
 @pytest.mark.parametrize("start", [0.3, 0.5, 1.7, -0.2])
-def test_start_line_can_be_moved(drive, course, line, start):
-    result = run(line, *drive(16.0), start_s=start * course.length)
+def test_start_line_can_be_moved(drive, track, line, start):
+    result = run(line, *drive(16.0), start_s=start * track.length)
     valid = [lap for lap in result.laps if lap.valid]
     assert len(valid) == 2
-    expected = (3.0 + start % 1.0 * course.length) / V
+    expected = (3.0 + start % 1.0 * track.length) / V
     assert valid[0].start_time_s == pytest.approx(expected, abs=1e-3)
     for lap in valid:
-        assert lap.lap_time_s == pytest.approx(course.length / V, abs=1e-3)
+        assert lap.lap_time_s == pytest.approx(track.length / V, abs=1e-3)
 
 
 def test_a_standing_start_on_the_line_is_an_out_lap(drive, line):
@@ -179,7 +179,7 @@ def test_a_standing_start_on_the_line_is_an_out_lap(drive, line):
     assert reasons(result) == ["out-lap", "", "in-lap"]
 
 
-def test_crossing_the_line_to_and_fro_is_no_lap(drive, course, line):
+def test_crossing_the_line_to_and_fro_is_no_lap(drive, track, line):
     """Out, over the line, 3 m on, 5 m back over the line, and then a lap."""
     knots = [0.0, 1.0, 3.0, 4.0, 6.0, 12.0]
     places = [-2.0, 3.0, 3.0, -2.0, -2.0, -2.0 + V * 6.0]
@@ -187,10 +187,10 @@ def test_crossing_the_line_to_and_fro_is_no_lap(drive, course, line):
     assert reasons(result) == ["out-lap", "not completed; reverse", "", "in-lap"]
     lap = result.laps[2]
     assert lap.start_time_s == pytest.approx(6.0 + 2.0 / V, abs=1e-3)
-    assert lap.lap_time_s == pytest.approx(course.length / V, abs=1e-3)
+    assert lap.lap_time_s == pytest.approx(track.length / V, abs=1e-3)
 
 
-def test_a_car_that_wobbles_on_the_line_starts_its_lap_when_it_leaves(drive, course, line):
+def test_a_car_that_wobbles_on_the_line_starts_its_lap_when_it_leaves(drive, track, line):
     def s(t):
         return np.where(t < 4.0, 0.05 * np.sin(9.0 * t - 0.1), V * (t - 4.0) + 0.01)
 
@@ -230,31 +230,31 @@ def test_gap(drive, line):
     assert result.summary.laps_completed == 2
 
 
-def test_gap_over_the_line_spoils_both_laps(drive, course, line):
+def test_gap_over_the_line_spoils_both_laps(drive, track, line):
     t, x, y = drive(17.5)
-    crossing = (3.0 + course.length) / V
+    crossing = (3.0 + track.length) / V
     keep = np.abs(t - crossing) > 0.2
     result = run(line, t[keep], x[keep], y[keep])
     assert reasons(result) == ["out-lap", "gap", "gap", "", "in-lap"]
 
 
-def test_jump(drive, course, line):
+def test_jump(drive, track, line):
     t, x, y = drive(17.5)
     x = x + np.where((t > 7.0) & (t < 7.1), 0.8, 0.0)
     result = run(line, t, x, y, limits=LapLimits(max_deviation=5.0))
     assert reasons(result) == ["out-lap", "", "jump", "", "in-lap"]
 
 
-def test_a_shortcut_is_a_jump(drive, course, line):
-    t, x, y = drive(17.5, s=lambda t: V * t - 3.0 + np.where(t > 7.0, 0.4 * course.length, 0.0))
+def test_a_shortcut_is_a_jump(drive, track, line):
+    t, x, y = drive(17.5, s=lambda t: V * t - 3.0 + np.where(t > 7.0, 0.4 * track.length, 0.0))
     result = run(line, t, x, y)
     assert reasons(result)[2] == "jump"
     assert [lap.valid for lap in result.laps] == [False, True, False, True, False]
 
 
-def test_a_car_carried_back_behind_the_line_starts_a_new_lap(drive, course, line):
+def test_a_car_carried_back_behind_the_line_starts_a_new_lap(drive, track, line):
     """After a crash in the lap the car is set down before the start line."""
-    length = course.length
+    length = track.length
 
     def s(t):
         return np.where(t < 7.0, V * t - 3.0, V * (t - 7.0) + length - 2.0)
@@ -273,9 +273,9 @@ def test_reverse(drive, line):
     assert "reverse of 2.00 m" in result.laps[1].reason
 
 
-def test_off_track(drive, course, line):
+def test_off_track(drive, track, line):
     def d(s):
-        return np.where(np.abs(s - 1.5 * course.length) < 1.0, 1.2, 0.1)
+        return np.where(np.abs(s - 1.5 * track.length) < 1.0, 1.2, 0.1)
 
     limits = LapLimits(max_speed=100.0)
     result = run(line, *drive(17.5, d=d), limits=limits)
@@ -283,7 +283,7 @@ def test_off_track(drive, course, line):
     assert result.laps[2].min_clearance_m == pytest.approx(-0.35, abs=1e-3)
     limits = LapLimits(max_speed=100.0, max_deviation=1.5)
     assert reasons(run(line, *drive(17.5, d=d), limits=limits))[2] == ""
-    without_walls = course.raceline()
+    without_walls = track.raceline()
     assert (
         reasons(run(without_walls, *drive(17.5, d=d), limits=LapLimits(max_speed=100.0)))[2] == ""
     )
@@ -294,8 +294,8 @@ def test_off_track(drive, course, line):
     "limit, fault",
     [("max_gap", "gap"), ("max_reverse", "reverse"), ("no walls", "off track by 0.10 m")],
 )
-def test_limits_as_documented(drive, course, line, limit, fault, beyond, counts):
-    """A gap of 0.25 s, falling back by 0.5 m, and 2 m off a course without walls."""
+def test_limits_as_documented(drive, track, line, limit, fault, beyond, counts):
+    """A gap of 0.25 s, falling back by 0.5 m, and 2 m off a track without walls."""
     t, x, y = drive(17.5)
     if limit == "max_gap":
         keep = np.abs(t - 8.0) > 0.5 * (0.25 + beyond)
@@ -305,7 +305,7 @@ def test_limits_as_documented(drive, course, line, limit, fault, beyond, counts)
         knots, places = [0.0, 8.0, 8.0 + back, 18.0], [-3.0, 45.0, 45.0 - back, 105.0 - 2.0 * back]
         t, x, y = drive(17.5, s=lambda t: np.interp(t, knots, places))
     else:
-        line = course.raceline()
+        line = track.raceline()
         far = 2.0 + beyond
         t, x, y = drive(17.5, d=lambda s: np.where(np.abs(s - 55.0) < 0.5, -far, 0.1))
         limits = LapLimits(max_speed=200.0)
@@ -316,18 +316,18 @@ def test_limits_as_documented(drive, course, line, limit, fault, beyond, counts)
     assert result.laps[2].reason.startswith("" if counts else fault)
 
 
-def test_deviation_that_changes_sides_between_samples(drive, course):
+def test_deviation_that_changes_sides_between_samples(drive, track):
     """Linear in between: of 0.1 m to and fro half is left on average."""
     t, x, y = drive(12.0, d=lambda s: 0.1 * (-1.0) ** np.arange(s.size))
-    lap = run(course.raceline(), t, x, y).laps[1]
+    lap = run(track.raceline(), t, x, y).laps[1]
     assert lap.mean_abs_lateral_error_m == pytest.approx(0.05, abs=1e-4)
     assert lap.rms_lateral_error_m == pytest.approx(0.1 / math.sqrt(3.0), abs=1e-4)
     assert lap.p95_abs_lateral_error_m == pytest.approx(0.095, abs=2e-4)
     assert lap.mean_lateral_error_m == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_sector_ends_at_its_first_passage(drive, course, line):
-    third = course.length / 3.0
+def test_a_sector_ends_at_its_first_passage(drive, track, line):
+    third = track.length / 3.0
     knots = [0.0, (third + 3.2) / V, (third + 3.2) / V + 0.4, 12.0]
     places = [-3.0, third + 0.2, third - 0.2, third - 0.2 + V * (12.0 - knots[2])]
     lap = run(line, *drive(12.0, s=lambda t: np.interp(t, knots, places))).laps[1]
@@ -516,9 +516,9 @@ def test_walls_drawn_too_tight_are_not_elsewhere(drive, line, off, elsewhere):
         assert "off track by 0.30 m" in evaluate(recording(t, x, y), line).laps[1].reason
 
 
-def test_car_that_never_came_along_drove_elsewhere(course, line):
+def test_car_that_never_came_along_drove_elsewhere(track, line):
     t = np.arange(800) / 40.0
-    x, y, psi = course.place(10.0)
+    x, y, psi = track.place(10.0)
     circle = recording(t, x + 0.5 * np.cos(8.0 * t), y + 0.5 * np.sin(8.0 * t))
     with pytest.raises(EvaluationError, match=r"of \d+ m it came \d m along the raceline bean"):
         evaluate(circle, line)
@@ -554,16 +554,16 @@ def test_hangar_laps_agree_with_the_printout_of_its_own_tracker(shared_data):
     assert summary.mean_lap_time_s - np.mean(printed[1:]) == pytest.approx(0.06, abs=0.01)
 
 
-def test_hangar_bag_on_another_course(shared_data):
+def test_hangar_bag_on_another_track(shared_data):
     driven = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
-    other = load_course(shared_data / "laps" / "ipz20" / "IPZ20_wp.csv")
+    other = load_raceline(shared_data / "laps" / "ipz20" / "IPZ20_wp.csv")
     with pytest.raises(EvaluationError, match="drove elsewhere"):
         evaluate(driven, other)
 
 
 def test_real_laps(shared_data):
     folder = shared_data / "laps" / "ipz20"
-    line = load_course(folder / "IPZ20_wp.csv")
+    line = load_raceline(folder / "IPZ20_wp.csv")
     times = []
     for path in sorted(folder.glob("*.csv.gz")):
         result = evaluate(load_recording(path), line)

@@ -34,17 +34,17 @@ class Taken:
 
 
 @pytest.fixture(scope="module")
-def line(course):
-    return course.raceline(speed=V, walls=1.0)
+def line(track):
+    return track.raceline(speed=V, walls=1.0)
 
 
 @pytest.fixture(scope="module")
-def drive(course):
+def drive(track):
     """2.4 laps: a recording, and the same as messages; commands carry the pose's stamp."""
-    n = int(2.4 * course.length / V * RATE)
+    n = int(2.4 * track.length / V * RATE)
     stamps = [T0_NS + int(round(i * 1e9 / RATE)) + 137 * (i % 7) for i in range(n)]
     s = V / RATE * np.arange(n) - 3.0
-    x, y, psi = course.place(s, 0.1 + 0.05 * np.sin(0.7 * s))
+    x, y, psi = track.place(s, 0.1 + 0.05 * np.sin(0.7 * s))
     v_x, v_y = V + 0.3 * np.sin(s), 0.2 * np.cos(s)
     v_y[n // 2 :] = math.nan
     speed, steering = 6.1 + 0.2 * np.cos(s), 0.1 * np.sin(0.5 * s)
@@ -102,7 +102,7 @@ def test_live_laps_are_those_of_the_recording(line, drive, lag):
 
 @settings(deadline=None, max_examples=25)
 @given(data=st.data())
-def test_laps_do_not_depend_on_how_two_topics_are_mixed(course, drive, line, data):
+def test_laps_do_not_depend_on_how_two_topics_are_mixed(track, drive, line, data):
     """Each topic keeps its order; commands come up to a second late or early."""
     recording, poses, commands = drive
     lags = data.draw(st.lists(st.integers(-40, 40), min_size=5, max_size=5))
@@ -184,14 +184,14 @@ def test_a_stray_command_from_the_past_changes_nothing(line, drive):
     same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
 
 
-def test_another_raceline_begins_another_run_the_same_does_not(course, line, drive):
+def test_another_raceline_begins_another_run_the_same_does_not(track, line, drive):
     _, poses, commands = drive
     taken = Taken(line)
     half = len(poses) // 2
     play(taken, poses[:half], commands)
-    taken.evaluation.set_raceline(course.raceline(speed=V, walls=1.0))
+    taken.evaluation.set_raceline(track.raceline(speed=V, walls=1.0))
     assert taken.runs == []
-    other = course.raceline(speed=5.0, walls=1.0)
+    other = track.raceline(speed=5.0, walls=1.0)
     taken.evaluation.set_raceline(other)
     assert [number for number, _ in taken.runs] == [1]
     assert taken.evaluation.raceline is other

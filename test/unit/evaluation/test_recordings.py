@@ -12,8 +12,7 @@ from map_racing.evaluation.recordings import (
     read_csv_recording,
     recorded_raceline,
 )
-from map_racing.track.files.load import load_course
-from map_racing.track.files.readers import save_raceline
+from map_racing.track.files.load import load_raceline, save_raceline
 
 ROWS = "t,x,y,yaw,v\n0.0,1.0,2.0,0.1,3.0\n0.5,1.5,2.5,0.2,4.0\n1.0,2.0,3.0,0.3,5.0\n"
 
@@ -133,7 +132,7 @@ def test_malformed_arguments(csv, tmp_path):
         load_recording(path, pose_topic="/odom")
     with pytest.raises(FileFormatError, match="No such file"):
         load_recording(tmp_path / "missing.csv")
-    for read in (load_recording, load_course):
+    for read in (load_recording, load_raceline):
         with pytest.raises(FileFormatError, match="^'': expected the name of a file"):
             read("")
     with pytest.raises(BagError, match="No such file"):
@@ -151,24 +150,25 @@ def test_bags_are_recognized_by_their_content(race_bag, tmp_path):
     assert load_recording(path, "/car_state/pose").topic == "/car_state/pose"
     with pytest.raises(ParameterError, match="a bag has no columns"):
         load_recording(path, columns="t=time")
-    assert load_course(path).length == pytest.approx(recorded_raceline(load_recording(path)).length)
+    length = recorded_raceline(load_recording(path)).length
+    assert load_raceline(path).length == pytest.approx(length)
 
 
-def test_courses_from_files_and_bags(tmp_path, race_bag, course):
-    line = course.raceline(speed=5.0, walls=1.0)
+def test_tracks_from_files_and_bags(tmp_path, race_bag, track):
+    line = track.raceline(speed=5.0, walls=1.0)
     save_raceline(line, tmp_path / "line.csv")
-    assert load_course(tmp_path / "line.csv").length == pytest.approx(line.length, abs=1e-3)
-    assert load_course(f"{race_bag()}#/global_waypoints").length == pytest.approx(
+    assert load_raceline(tmp_path / "line.csv").length == pytest.approx(line.length, abs=1e-3)
+    assert load_raceline(f"{race_bag()}#/global_waypoints").length == pytest.approx(
         line.length, abs=1e-3
     )
     with pytest.raises(BagError, match="no raceline"):
-        load_course(f"{race_bag()}#/other")
+        load_raceline(f"{race_bag()}#/other")
     sharp = tmp_path / "run#1.bag"
     sharp.write_bytes(race_bag().read_bytes())
     for source in (sharp, f"{sharp}#/global_waypoints"):
-        assert load_course(source).length == pytest.approx(line.length, abs=1e-3)
+        assert load_raceline(source).length == pytest.approx(line.length, abs=1e-3)
     with pytest.raises(ParameterError):
-        load_course("no_such_track")
+        load_raceline("no_such_track")
 
 
 def test_real_laps(shared_data):
@@ -209,7 +209,7 @@ def test_damaged_gzip_is_one_line(tmp_path):
 def test_pipes_are_refused_before_they_are_opened(tmp_path, name):
     path = tmp_path / name
     os.mkfifo(path)
-    for read in (load_recording, load_course, read_csv_recording):
+    for read in (load_recording, load_raceline, read_csv_recording):
         with pytest.raises(FileFormatError, match=f"{name}: expected a file, got a pipe"):
             read(path)
     with pytest.raises(BagError, match=f"{name}: cannot open the bag: it is neither"):

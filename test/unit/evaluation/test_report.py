@@ -23,13 +23,13 @@ BOUNDARY_COLUMNS = [
 
 
 @pytest.fixture(scope="module")
-def results(course):
+def results(track):
     def run(duration, source):
         t = np.arange(int(duration * 40.0)) / 40.0
-        x, y, psi = course.place(6.0 * t - 3.0, 0.1)
+        x, y, psi = track.place(6.0 * t - 3.0, 0.1)
         nan = np.full(t.size, math.nan)
         recording = Recording(t, x, y, psi, nan + 6.0, nan, nan, source=source, notes=["a note"])
-        return evaluate(recording, course.raceline(walls=1.0))
+        return evaluate(recording, track.raceline(walls=1.0))
 
     return [run(12.0, "a.bag"), run(0.4, "b.bag")]
 

@@ -11,7 +11,7 @@ from map_racing.experiments.conditions import day_of, load_conditions
 from map_racing.simulation.plant import Plant
 from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.public_simulator import PublicSimulator
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 PAPER = load_conditions("paper")

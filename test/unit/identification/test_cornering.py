@@ -29,10 +29,10 @@ def circle(v=2.0, r=1.0, duration=8.0, rate=40.0, delay=0.0, ahead=0.0, steps=()
     for at, faster in steps:
         fast[fine >= at] = faster
     psi = 0.3 + r * fine
-    course = psi + BETA
+    track = psi + BETA
     scale = fast / math.cos(BETA)
-    x = np.append(0.0, np.cumsum(scale * np.cos(course) * 1e-3)[:-1]) + ahead * np.cos(psi)
-    y = np.append(0.0, np.cumsum(scale * np.sin(course) * 1e-3)[:-1]) + ahead * np.sin(psi)
+    x = np.append(0.0, np.cumsum(scale * np.cos(track) * 1e-3)[:-1]) + ahead * np.cos(psi)
+    y = np.append(0.0, np.cumsum(scale * np.sin(track) * 1e-3)[:-1]) + ahead * np.sin(psi)
     pose = {n: Signal(t + delay, np.interp(t, fine, c)) for n, c in zip("xy", (x, y))}
     pose["psi"] = Signal(t + delay, (np.interp(t, fine, psi) + math.pi) % (2 * math.pi) - math.pi)
     others = {

@@ -24,10 +24,10 @@ def is_png(path):
     return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def recording(course, d, laps=3, v=6.0):
-    t = np.arange(int(laps * 40 * course.length / v)) / 40.0
+def recording(track, d, laps=3, v=6.0):
+    t = np.arange(int(laps * 40 * track.length / v)) / 40.0
     s = v * t - 1.0
-    x, y, psi = course.place(s, d(s))
+    x, y, psi = track.place(s, d(s))
     nan = np.full(t.size, math.nan)
     return Recording(t, x, y, psi, np.full(t.size, v), nan, nan, source="run.bag")
 
@@ -100,8 +100,8 @@ def test_a_box_of_one_lap_shows_whose_it_is():
 # -- trajectories ----------------------------------------------------------------------------------
 
 
-def test_trajectories_end_where_they_crash(tmp_path, course):
-    line = course.raceline(speed=6.0, walls=1.0)
+def test_trajectories_end_where_they_crash(tmp_path, track):
+    line = track.raceline(speed=6.0, walls=1.0)
     path = np.stack((line.x, line.y), axis=1)
     rows = [
         [("pure pursuit, 70%", path, False), ("MAP, 70%", path, False)],
@@ -126,8 +126,8 @@ def test_trajectories_end_where_they_crash(tmp_path, course):
     assert is_png(tmp_path / "trajectories.png")
 
 
-def test_trajectories_without_walls(course):
-    line = course.raceline()
+def test_trajectories_without_walls(track):
+    line = track.raceline()
     figure = plot_trajectories(line, [[("MAP", np.stack((line.x, line.y), axis=1), False)]], "t")
     assert "walls" not in [text.get_text() for text in figure.legends[0].get_texts()]
 
@@ -156,20 +156,20 @@ def test_comparison(tmp_path):
     assert is_png(tmp_path / "comparison.png")
 
 
-def test_difference_of_known_errors(tmp_path, course):
-    """One car 0.1 m to the left, the other 0.3 m to the right in half of the course."""
-    line = course.raceline(speed=6.0, walls=1.0)
-    half = 0.5 * course.length
+def test_difference_of_known_errors(tmp_path, track):
+    """One car 0.1 m to the left, the other 0.3 m to the right in half of the track."""
+    line = track.raceline(speed=6.0, walls=1.0)
+    half = 0.5 * track.length
     offsets = (
         lambda s: np.full_like(s, 0.1),
-        lambda s: np.where((s % course.length) < half, -0.3, 0.1),
+        lambda s: np.where((s % track.length) < half, -0.3, 0.1),
     )
-    a, b = (evaluate(recording(course, d), line) for d in offsets)
+    a, b = (evaluate(recording(track, d), line) for d in offsets)
     figure = plot_differences([("a", a), ("b", b)])
     top, bottom = figure.axes
     s, difference = bottom.get_lines()[0].get_data()
     inner = (s > 1.0) & (s < half - 1.0)
-    outer = (s > half + 1.0) & (s < course.length - 1.0)
+    outer = (s > half + 1.0) & (s < track.length - 1.0)
     np.testing.assert_allclose(difference[inner], 0.2, atol=2e-3)
     np.testing.assert_allclose(difference[outer], 0.0, atol=2e-3)
     np.testing.assert_allclose(top.get_lines()[1].get_ydata()[inner], -0.3, atol=2e-3)
@@ -180,13 +180,13 @@ def test_difference_of_known_errors(tmp_path, course):
     assert is_png(tmp_path / "difference.png")
 
 
-def test_differences_need_one_course_and_laps(course):
-    line = course.raceline(speed=6.0)
-    good = evaluate(recording(course, np.zeros_like), line)
-    out_lap = evaluate(recording(course, np.zeros_like, laps=0.6), line)
+def test_differences_need_one_track_and_laps(track):
+    line = track.raceline(speed=6.0)
+    good = evaluate(recording(track, np.zeros_like), line)
+    out_lap = evaluate(recording(track, np.zeros_like, laps=0.6), line)
     with pytest.raises(EvaluationError, match="at least two runs with valid laps"):
         plot_differences([("good", good), ("out-lap", out_lap)])
-    moved = evaluate(recording(course, np.zeros_like), line, start_s=2.0)
+    moved = evaluate(recording(track, np.zeros_like), line, start_s=2.0)
     expected = "moved: expected the raceline and start line of good"
     with pytest.raises(EvaluationError, match=expected):
         plot_differences([("good", good), ("moved", moved)])

@@ -5,7 +5,7 @@ import pytest
 
 from map_racing.plots.optimization import plot_optimized
 from map_racing.plots.style import save
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.track.walls import Walls
 
@@ -14,15 +14,15 @@ from map_racing.track.walls import Walls
 @pytest.mark.parametrize("track", ["reference", "club"])
 def test_line_walls_curvature_and_speed(tmp_path, track, wide):
     line = load_raceline(track)
-    if not wide:  # a course higher than wide has its curves beside it
+    if not wide:  # a track higher than wide has its curves beside it
         line = Raceline(
             *(-line.y, line.x), vx_mps=line.speed, d_left_m=line.d_left, d_right_m=line.d_right
         )
     middle = Raceline(line.x, line.y, d_left_m=line.d_left, d_right_m=line.d_right)
     figure = plot_optimized(line, middle, Walls(line), title="t")
-    course, bends, speeds = figure.axes[:3]
-    assert course.get_title() == "t"
-    path = course.collections[-1]
+    track, bends, speeds = figure.axes[:3]
+    assert track.get_title() == "t"
+    path = track.collections[-1]
     np.testing.assert_allclose(path.get_array(), line.speed)
     assert [len(axes.lines) for axes in (bends, speeds)] == [3, 1]
     np.testing.assert_allclose(bends.lines[1].get_ydata(), line.kappa)

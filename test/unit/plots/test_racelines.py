@@ -1,22 +1,22 @@
-"""The figure of a checked course."""
+"""The figure of a checked track."""
 
 import math
 
 import numpy as np
 
-from map_racing.plots.racelines import plot_course
+from map_racing.plots.racelines import plot_raceline
 from map_racing.plots.style import save
 from map_racing.track.files.checks import examine
-from map_racing.track.files.table import CourseTable
+from map_racing.track.files.table import RacelineTable
 
 T = np.arange(200) * 2.0 * math.pi / 200
 X, Y = 5.0 * np.cos(T), 3.0 * np.sin(T)
 
 
 def drawn(tmp_path, **columns):
-    table = CourseTable({"x": X, "y": Y, **columns}, "oval")
+    table = RacelineTable({"x": X, "y": Y, **columns}, "oval")
     raceline, findings = examine(table)
-    figure = plot_course(table, raceline, findings)
+    figure = plot_raceline(table, raceline, findings)
     save(figure, tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     return figure, findings
@@ -38,7 +38,7 @@ def test_marks_stand_where_findings_do(tmp_path):
     assert figure.axes[1].get_ylabel() == "speed [m/s]"
 
 
-def test_a_course_that_makes_no_curve(tmp_path):
+def test_a_track_that_makes_no_curve(tmp_path):
     figure, findings = drawn(tmp_path, x=np.where(T > 3.0, math.nan, X))
     assert [finding.code for finding in findings] == ["not-finite"]
     assert {text.get_text() for text in figure.axes[0].get_legend().get_texts()} == {

@@ -13,16 +13,16 @@ from map_racing.plots.style import save
 
 
 @pytest.fixture(scope="module")
-def driven(course):
+def driven(track):
     t = np.arange(480) / 40.0
-    x, y, psi = course.place(6.0 * t - 3.0, 0.1 * np.sin(t))
+    x, y, psi = track.place(6.0 * t - 3.0, 0.1 * np.sin(t))
     nan = np.full(t.size, math.nan)
     return Recording(t, x, y, psi, 6.0 + np.sin(t), nan, nan, source="race.bag")
 
 
 @pytest.fixture(scope="module")
-def result(driven, course):
-    return evaluate(driven, course.raceline(speed=6.0, walls=1.0))
+def result(driven, track):
+    return evaluate(driven, track.raceline(speed=6.0, walls=1.0))
 
 
 def is_png(path):
@@ -31,15 +31,15 @@ def is_png(path):
 
 @pytest.mark.parametrize("color_by", ["speed", "error"])
 @pytest.mark.parametrize("bare", [False, True])
-def test_path(tmp_path, result, driven, course, color_by, bare):
-    figure = plot_path(evaluate(driven, course.raceline()) if bare else result, color_by)
+def test_path(tmp_path, result, driven, track, color_by, bare):
+    figure = plot_path(evaluate(driven, track.raceline()) if bare else result, color_by)
     axes, bar = figure.axes
     assert axes.get_xlabel() == "x [m]"
     assert axes.get_title() == "race.bag"
     assert "[m" in bar.get_ylabel()
     labels = {text.get_text() for text in axes.get_legend().get_texts()}
     assert labels == {"raceline", "start line"} | (set() if bare else {"walls"})
-    # The whole course is in view, to scale.
+    # The whole track is in view, to scale.
     low, high = axes.get_xlim()
     assert low < result.raceline.x.min() < result.raceline.x.max() < high
     assert axes.get_aspect() in ("equal", 1.0)
@@ -47,8 +47,8 @@ def test_path(tmp_path, result, driven, course, color_by, bare):
     assert is_png(tmp_path / "path.png")
 
 
-def test_path_begins_at_the_moved_start_line(driven, course):
-    line = course.raceline(walls=1.0)
+def test_path_begins_at_the_moved_start_line(driven, track):
+    line = track.raceline(walls=1.0)
     figure = plot_path(evaluate(driven, line, start_s=7.0))
     (start,) = [ln for ln in figure.axes[0].get_lines() if ln.get_label() == "start line"]
     middle = np.mean(start.get_xdata()), np.mean(start.get_ydata())
@@ -65,11 +65,11 @@ def test_laps(tmp_path, result):
     assert is_png(tmp_path / "laps.png")
 
 
-def test_laps_of_a_run_without_any(course):
+def test_laps_of_a_run_without_any(track):
     t = np.arange(100) / 40.0
-    x, y, psi = course.place(6.0 * t + 1.0)
+    x, y, psi = track.place(6.0 * t + 1.0)
     nan = np.full(t.size, math.nan)
-    outlap = evaluate(Recording(t, x, y, psi, nan, nan, nan), course.raceline())
+    outlap = evaluate(Recording(t, x, y, psi, nan, nan, nan), track.raceline())
     assert len(plot_laps(outlap).axes[1].get_lines()) == 1
     assert plot_boxes([("none", outlap)]).axes[0].texts[0].get_text() == "N.C."
 
@@ -97,8 +97,8 @@ def test_lookup_table(tmp_path):
             plot(speeds, angles, a_lat.T)
 
 
-def test_errors(tmp_path, result, driven, course):
-    evaluator = LapEvaluator(course.raceline())
+def test_errors(tmp_path, result, driven, track):
+    evaluator = LapEvaluator(track.raceline())
     evaluator.update(driven.t, driven.x, driven.y)
     bare = evaluator.finish()
     for plot in (plot_path, plot_laps):

@@ -20,8 +20,7 @@ from map_racing.simulation.plant import (
 )
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.simulation.race import Outcome, race
-from map_racing.track.files.load import load_course
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -132,7 +131,7 @@ def test_the_mirrored_race_is_the_mirror_image():
         IDEAL, steering_delay_s=0.02, steering_time_constant_s=0.03, mu_scale=0.95
     )
     left, right = (
-        drive(course, noiseless, speed_scale=0.75).true_path() for course in (plain, mirrored)
+        drive(track, noiseless, speed_scale=0.75).true_path() for track in (plain, mirrored)
     )
     assert left.shape == right.shape
     signs = np.array([1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
@@ -307,7 +306,7 @@ class _AsPublished(PublicSimulator):
 
 def hangar_race(shared_data, name, simulator=PublicSimulator):
     """Mean RMS lateral error [m] and mean lap time [s] of 12 laps at 40 Hz."""
-    raceline = load_course(shared_data / "recordings" / "hangar_global_waypoints.bag")
+    raceline = load_raceline(shared_data / "recordings" / "hangar_global_waypoints.bag")
     vehicle = load_vehicle("sim")
     # its base_link is the center of gravity
     parameters = load_controller_parameters(name).with_(

@@ -12,8 +12,7 @@ from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
 from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.recorded import EPOCH_NS, GROUND_TRUTH_TOPIC, write_race_bag
-from map_racing.track.files.load import load_course
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 
@@ -60,7 +59,7 @@ def test_truth_and_raceline_are_in_it(raced, tmp_path):
     write_race_bag(tmp_path / "race.bag", log, raceline)
     truth = read_recording(tmp_path / "race.bag", GROUND_TRUTH_TOPIC)
     np.testing.assert_allclose(truth.x, log.true_path()[:, 1], atol=1e-9)
-    read = load_course(tmp_path / "race.bag")
+    read = load_raceline(tmp_path / "race.bag")
     assert read.length == pytest.approx(raceline.length, abs=1e-4)
     feet = [raceline.project(x, y).d for x, y in zip(read.x.tolist(), read.y.tolist())]
     assert np.abs(feet).max() < 1e-5

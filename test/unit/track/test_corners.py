@@ -7,7 +7,7 @@ import pytest
 
 from map_racing.errors import RacelineError
 from map_racing.track.corners import corners
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.lookup import default_grid
 from map_racing.vehicle.parameters import load_vehicle

@@ -1,4 +1,4 @@
-"""Centerlines from maps: drawn ones whose course is known, and real ones beside theirs."""
+"""Centerlines from maps: drawn ones whose track is known, and real ones beside theirs."""
 
 import math
 
@@ -8,8 +8,8 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from map_racing.errors import FileFormatError, ParameterError, RacelineError
-from map_racing.track.files.readers import load_raceline
-from map_racing.track.map_image import course_from_map, read_map_image
+from map_racing.track.files.load import load_raceline
+from map_racing.track.map_image import read_map_image, track_from_map
 from map_racing.track.raceline import Raceline
 
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
@@ -23,12 +23,12 @@ def bean():
     return Raceline(radius * np.cos(angle), radius * np.sin(angle))
 
 
-def drawn(course=None, outside=OCCUPIED):
-    """Gray values of the course's free space, first row on top, 16 m wide around the origin."""
-    course = course or bean()
+def drawn(track=None, outside=OCCUPIED):
+    """Gray values of the track's free space, first row on top, 16 m wide around the origin."""
+    track = track or bean()
     axis = (np.arange(320) + 0.5) * CELL - 8.0
     x, y = np.meshgrid(axis, axis[::-1])
-    at = course.sample(np.linspace(0.0, course.length, 4000, endpoint=False))
+    at = track.sample(np.linspace(0.0, track.length, 4000, endpoint=False))
     distance, _ = cKDTree(np.stack((at.x, at.y), axis=1)).query(np.stack((x, y), axis=-1))
     gray = np.full(x.shape, outside, dtype=np.uint8)
     gray[distance < HALF + 2.0 * CELL] = OCCUPIED
@@ -61,48 +61,46 @@ def written(folder, gray, suffix="png", **fields):
     return path
 
 
-def course_of(folder, gray, start=None, psi=None, passage=0.5, **fields):
+def track_of(folder, gray, start=None, psi=None, passage=0.5, **fields):
     start = start or bean().position(0.0)
-    return course_from_map(
+    return track_from_map(
         read_map_image(written(folder, gray, **fields)), start, psi, passage=passage
     )
 
 
-def codes(course):
-    return [finding.code for finding in course.findings]
+def codes(track):
+    return [finding.code for finding in track.findings]
 
 
-def deviations(course, expected):
-    return np.array(
-        [expected.project(x, y).d for x, y in zip(course.x.tolist(), course.y.tolist())]
-    )
+def deviations(track, expected):
+    return np.array([expected.project(x, y).d for x, y in zip(track.x.tolist(), track.y.tolist())])
 
 
 @pytest.mark.parametrize("suffix", ["png", "pgm", "bmp"])
-def test_line_and_widths_of_a_drawn_course(tmp_path, suffix):
-    course = course_of(tmp_path, drawn(), suffix=suffix)
-    assert np.abs(deviations(course, bean())).max() < 0.05
-    assert course.length == pytest.approx(bean().length, rel=0.01)
-    total = course.d_left + course.d_right
+def test_line_and_widths_of_a_drawn_track(tmp_path, suffix):
+    track = track_of(tmp_path, drawn(), suffix=suffix)
+    assert np.abs(deviations(track, bean())).max() < 0.05
+    assert track.length == pytest.approx(bean().length, rel=0.01)
+    total = track.d_left + track.d_right
     assert np.median(total) == pytest.approx(2.0 * HALF, abs=CELL)
     assert total.min() > 2.0 * HALF - 2.0 * CELL and total.max() < 2.0 * HALF + 3.0 * CELL
     # Nothing is known of the direction, and the lap begins beside the start.
-    assert codes(course) == ["direction"]
-    assert np.hypot(course.x[0] - 6.2, course.y[0]) < 0.1
-    assert np.sum(course.kappa) * course.ds == pytest.approx(2.0 * math.pi, abs=0.01)
+    assert codes(track) == ["direction"]
+    assert np.hypot(track.x[0] - 6.2, track.y[0]) < 0.1
+    assert np.sum(track.kappa) * track.ds == pytest.approx(2.0 * math.pi, abs=0.01)
 
 
 @pytest.mark.parametrize("psi, turn", [(0.5 * math.pi, 1.0), (-0.5 * math.pi, -1.0)])
 def test_direction_of_travel(tmp_path, psi, turn):
-    course = course_of(tmp_path, drawn(), psi=psi)
-    assert math.cos(course.psi[0] - psi) > 0.99
-    assert np.sum(course.kappa) * course.ds == pytest.approx(turn * 2.0 * math.pi, abs=0.01)
-    assert codes(course) == []
+    track = track_of(tmp_path, drawn(), psi=psi)
+    assert math.cos(track.psi[0] - psi) > 0.99
+    assert np.sum(track.kappa) * track.ds == pytest.approx(turn * 2.0 * math.pi, abs=0.01)
+    assert codes(track) == []
 
 
 def test_a_direction_across_the_track_is_refused(tmp_path):
     with pytest.raises(ParameterError, match="the track there runs at .* got 0.00 rad"):
-        course_of(tmp_path, drawn(), psi=0.0)
+        track_of(tmp_path, drawn(), psi=0.0)
 
 
 def test_origin_with_yaw(tmp_path):
@@ -113,23 +111,23 @@ def test_origin_with_yaw(tmp_path):
     def world(points):
         return (np.asarray(points) + 8.0).dot(rotation.T) + moved
 
-    course = course_of(
+    track = track_of(
         tmp_path, drawn(), start=tuple(world(bean().position(0.0))), origin=[3.0, -2.0, yaw]
     )
     expected = Raceline(*world(np.stack((bean().x, bean().y), axis=1)).T)
-    assert np.abs(deviations(course, expected)).max() < 0.05
+    assert np.abs(deviations(track, expected)).max() < 0.05
 
 
 def test_negated_map(tmp_path):
-    course = course_of(tmp_path, 255 - drawn(), negate=1)
-    assert np.abs(deviations(course, bean())).max() < 0.05
+    track = track_of(tmp_path, 255 - drawn(), negate=1)
+    assert np.abs(deviations(track, bean())).max() < 0.05
 
 
 def test_color_and_transparent_images(tmp_path):
     gray = drawn()
     colored = np.stack([gray] * 3 + [np.full_like(gray, 255)], axis=-1)
-    course = course_of(tmp_path, colored)
-    assert np.abs(deviations(course, bean())).max() < 0.05
+    track = track_of(tmp_path, colored)
+    assert np.abs(deviations(track, bean())).max() < 0.05
 
 
 def test_16_bits_are_those_of_8(tmp_path):
@@ -142,19 +140,19 @@ def test_16_bits_are_those_of_8(tmp_path):
 
 
 def test_thin_walls_in_the_open_are_enough(tmp_path):
-    course = course_of(tmp_path, drawn(outside=FREE))
-    assert np.abs(deviations(course, bean())).max() < 0.05
+    track = track_of(tmp_path, drawn(outside=FREE))
+    assert np.abs(deviations(track, bean())).max() < 0.05
 
 
 def test_unknown_cells_are_no_road(tmp_path):
     gray = drawn(outside=UNKNOWN)
-    course = course_of(tmp_path, gray)
-    assert np.abs(deviations(course, bean())).max() < 0.05
-    assert "unknown-cells" not in codes(course)
+    track = track_of(tmp_path, gray)
+    assert np.abs(deviations(track, bean())).max() < 0.05
+    assert "unknown-cells" not in codes(track)
     # With this threshold map_server would drive on them.
-    course = course_of(tmp_path, gray, free_thresh=0.25)
-    assert np.abs(deviations(course, bean())).max() < 0.05
-    assert "unknown-cells" in codes(course)
+    track = track_of(tmp_path, gray, free_thresh=0.25)
+    assert np.abs(deviations(track, bean())).max() < 0.05
+    assert "unknown-cells" in codes(track)
 
 
 def test_speckle_is_removed_and_counted(tmp_path):
@@ -163,9 +161,9 @@ def test_speckle_is_removed_and_counted(tmp_path):
     rows, columns = np.nonzero(gray == FREE)
     for k in generator.choice(rows.size, 60, replace=False):
         gray[rows[k], columns[k]] = OCCUPIED
-    course = course_of(tmp_path, gray)
-    assert np.abs(deviations(course, bean())).max() < 0.08
-    told = [finding for finding in course.findings if finding.code == "speckle"]
+    track = track_of(tmp_path, gray)
+    assert np.abs(deviations(track, bean())).max() < 0.08
+    told = [finding for finding in track.findings if finding.code == "speckle"]
     assert len(told) == 1 and 20 < int(str(told[0]).split()[0]) <= 60
 
 
@@ -173,9 +171,9 @@ def test_a_gap_narrower_than_the_passage_is_closed(tmp_path):
     gray = drawn(outside=FREE)
     x, y = bean().to_cartesian(10.0, -HALF - CELL)
     cells(gray, float(x), float(y), 0.3)[:] = FREE
-    course = course_of(tmp_path, gray)
-    assert np.abs(deviations(course, bean())).max() < 0.1
-    assert course.d_right.max() < HALF + 0.3
+    track = track_of(tmp_path, gray)
+    assert np.abs(deviations(track, bean())).max() < 0.1
+    assert track.d_right.max() < HALF + 0.3
 
 
 def test_a_wide_gap_in_the_outer_wall_makes_two_ways(tmp_path):
@@ -183,31 +181,31 @@ def test_a_wide_gap_in_the_outer_wall_makes_two_ways(tmp_path):
     x, y = bean().to_cartesian(10.0, -HALF - CELL)
     cells(gray, float(x), float(y), 1.0)[:] = FREE
     with pytest.raises(RacelineError, match="2 ways around: islands .* black line"):
-        course_of(tmp_path, gray)
+        track_of(tmp_path, gray)
     # A wider passage closes it.
-    course = course_of(tmp_path, gray, passage=1.2)
-    assert np.abs(deviations(course, bean())).max() < 0.15
+    track = track_of(tmp_path, gray, passage=1.2)
+    assert np.abs(deviations(track, bean())).max() < 0.15
 
 
 def test_a_wide_gap_in_the_inner_wall_is_closed_and_told(tmp_path):
     gray = drawn(outside=FREE)
     x, y = bean().to_cartesian(10.0, HALF + CELL)
     cells(gray, float(x), float(y), 0.8)[:] = FREE
-    course = course_of(tmp_path, gray)
-    assert "openings" in codes(course)
-    assert np.abs(deviations(course, bean())).max() < 0.35
-    assert course.d_left.max() < HALF + 0.5
+    track = track_of(tmp_path, gray)
+    assert "openings" in codes(track)
+    assert np.abs(deviations(track, bean())).max() < 0.35
+    assert track.d_left.max() < HALF + 0.5
 
 
 def test_an_obstacle_is_closed_toward_the_nearer_wall(tmp_path):
     gray = drawn()
     x, y = bean().to_cartesian(10.0, 0.1)
     cells(gray, float(x), float(y), 0.2)[:] = OCCUPIED
-    course = course_of(tmp_path, gray)
-    told = [finding for finding in course.findings if finding.code == "obstacle"]
+    track = track_of(tmp_path, gray)
+    told = [finding for finding in track.findings if finding.code == "obstacle"]
     assert len(told) == 1 and "inner wall" in str(told[0])
-    foot = course.project(float(x), float(y))
-    assert foot.d > 0.3 and course.widths_at(foot.s)[0] < foot.d - 0.05
+    foot = track.project(float(x), float(y))
+    assert foot.d > 0.3 and track.widths_at(foot.s)[0] < foot.d - 0.05
 
 
 def test_several_loops_are_refused(tmp_path):
@@ -216,14 +214,14 @@ def test_several_loops_are_refused(tmp_path):
     gray[40:280, 40:280] = FREE
     gray[100:220, 80:130] = gray[100:220, 190:240] = OCCUPIED
     with pytest.raises(RacelineError, match=r"expected one loop, but there are 2 ways around"):
-        course_of(tmp_path, gray, start=(0.0, 5.0))
+        track_of(tmp_path, gray, start=(0.0, 5.0))
 
 
 def test_no_loop_is_refused(tmp_path):
     gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
     gray[100:220, 80:240] = FREE
     with pytest.raises(RacelineError, match="has no wall inside"):
-        course_of(tmp_path, gray, start=(0.0, 0.0))
+        track_of(tmp_path, gray, start=(0.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -236,14 +234,14 @@ def test_no_loop_is_refused(tmp_path):
 )
 def test_a_start_off_the_track_is_refused_and_a_better_one_named(tmp_path, start, reason):
     with pytest.raises(ParameterError, match=reason + "; the nearest place") as error:
-        course_of(tmp_path, drawn(), start=start)
+        track_of(tmp_path, drawn(), start=start)
     place = str(error.value).split("(")[-1].rstrip(")").split(",")
-    assert course_of(tmp_path, drawn(), start=tuple(map(float, place))).length > 30.0
+    assert track_of(tmp_path, drawn(), start=tuple(map(float, place))).length > 30.0
 
 
 def test_no_place_is_wide_enough(tmp_path):
     with pytest.raises(ParameterError, match="no place on the map is 5.00 m wide"):
-        course_of(tmp_path, drawn(), passage=5.0)
+        track_of(tmp_path, drawn(), passage=5.0)
 
 
 @pytest.mark.parametrize(
@@ -273,12 +271,12 @@ def test_published_centerlines_are_found_in_their_maps(shared_data, circuit):
     published = load_raceline(folder / f"{circuit}_centerline.csv")
     image = read_map_image(folder / f"{circuit}_map.yaml")
     psi = float(published.psi[0])
-    course = course_from_map(image, published.position(0.0), psi, passage=0.5)
-    off = deviations(course, published)
+    track = track_from_map(image, published.position(0.0), psi, passage=0.5)
+    off = deviations(track, published)
     assert np.sqrt(np.mean(off**2)) < 0.02
-    assert course.length == pytest.approx(published.length, rel=2e-3)
+    assert track.length == pytest.approx(published.length, rel=2e-3)
     # The files say 2.2 m everywhere; the images are up to 0.3 m narrower.
-    total = course.d_left + course.d_right
+    total = track.d_left + track.d_right
     assert total.min() > 1.85 and total.max() < 2.5
 
 
@@ -287,13 +285,13 @@ def test_a_real_hall(shared_data):
     folder = shared_data / "laps" / "ipz20"
     published = load_raceline(folder / "centerline.csv")
     image = read_map_image(folder / "IPZ20.yaml")
-    course = course_from_map(image, published.position(0.0), float(published.psi[0]), passage=0.5)
-    assert {"unknown-cells", "obstacle"} <= set(codes(course))
+    track = track_from_map(image, published.position(0.0), float(published.psi[0]), passage=0.5)
+    assert {"unknown-cells", "obstacle"} <= set(codes(track))
     # The published line passes one of the posts on the other side.
-    assert np.median(np.abs(deviations(course, published))) < 0.1
+    assert np.median(np.abs(deviations(track, published))) < 0.1
 
 
 def test_a_map_without_walls(shared_data):
     image = read_map_image(shared_data / "tracks" / "circle" / "circle.yaml")
     with pytest.raises(RacelineError, match="has no wall inside"):
-        course_from_map(image, (0.0, 0.0), passage=0.5)
+        track_from_map(image, (0.0, 0.0), passage=0.5)

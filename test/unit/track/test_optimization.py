@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from map_racing.errors import ParameterError, RacelineError
 from map_racing.track import optimization
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.optimization import fastest_line, minimum_curvature, squared_curvature
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import raceline_speeds
@@ -25,7 +25,7 @@ CIRCUITS = ("Spielberg", "Monza", "Oschersleben", "Austin")
 
 
 def bean(count=300, width=1.0, **keywords):
-    """A smooth course with bends both ways, driven counter-clockwise."""
+    """A smooth track with bends both ways, driven counter-clockwise."""
     angle = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
     radius = 7.0 + 2.0 * np.cos(3.0 * angle)
     walls = {"d_left_m": np.full(count, width), "d_right_m": np.full(count, width)}
@@ -58,7 +58,7 @@ def test_under_much_tension_the_narrowest_circle_is_shortest():
     np.testing.assert_allclose(np.hypot(found.raceline.x, found.raceline.y), 4.8, atol=0.01)
 
 
-def test_the_line_of_a_symmetric_course_is_symmetric():
+def test_the_line_of_a_symmetric_track_is_symmetric():
     """Two half circles and two straights: least curvature is outside all the way."""
     turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 40)
     straight = np.linspace(-6.0, 6.0, 60)[1:-1]
@@ -66,12 +66,12 @@ def test_the_line_of_a_symmetric_course_is_symmetric():
     y = np.concatenate(
         (3.0 * np.sin(turn), np.full(58, 3.0), -3.0 * np.sin(turn), np.full(58, -3.0))
     )
-    course = Raceline(x, y, d_left_m=np.full(x.size, 1.0), d_right_m=np.full(x.size, 1.0))
-    found = minimum_curvature(course, 0.2)
+    track = Raceline(x, y, d_left_m=np.full(x.size, 1.0), d_right_m=np.full(x.size, 1.0))
+    found = minimum_curvature(track, 0.2)
     line = found.raceline
-    assert squared_curvature(line) < 0.75 * squared_curvature(course)
+    assert squared_curvature(line) < 0.75 * squared_curvature(track)
     assert line.d_right.min() == pytest.approx(0.2, abs=2e-3)
-    # The course is symmetric about both axes, and so is what is best on it.
+    # The track is symmetric about both axes, and so is what is best on it.
     for mirrored in ((line.x, -line.y), (-line.x, line.y)):
         away = [
             abs(line.project(x, y).d) for x, y in zip(*(column.tolist() for column in mirrored))
@@ -82,16 +82,16 @@ def test_the_line_of_a_symmetric_course_is_symmetric():
 @settings(deadline=None, max_examples=6)
 @given(st.floats(0.0, 2.0 * math.pi), st.floats(0.3, 4.0), st.booleans())
 def test_place_size_and_side_do_not_matter(angle, scale, mirror):
-    """A moved, scaled or mirrored course has the moved, scaled or mirrored line."""
-    course = bean()
-    expected = minimum_curvature(course, 0.3, step=0.2).raceline
+    """A moved, scaled or mirrored track has the moved, scaled or mirrored line."""
+    track = bean()
+    expected = minimum_curvature(track, 0.3, step=0.2).raceline
     cos, sin = scale * math.cos(angle), scale * math.sin(angle)
-    y = -course.y if mirror else course.y
+    y = -track.y if mirror else track.y
     moved = Raceline(
-        3.0 + cos * course.x - sin * y,
-        -5.0 + sin * course.x + cos * y,
-        d_left_m=scale * course.d_left,
-        d_right_m=scale * course.d_right,
+        3.0 + cos * track.x - sin * y,
+        -5.0 + sin * track.x + cos * y,
+        d_left_m=scale * track.d_left,
+        d_right_m=scale * track.d_right,
     )
     found = minimum_curvature(moved, 0.3 * scale, step=0.2 * scale).raceline
     assert scale * squared_curvature(found, 0.1 * scale) == pytest.approx(
@@ -141,9 +141,9 @@ def test_a_wall_that_juts_out_between_the_normals_is_not_touched():
 
 def test_derivatives_of_the_model():
     generator = np.random.default_rng(1)
-    course = bean(60)
-    points = np.stack((course.x, course.y), axis=1)[:60]
-    normals = np.stack((-np.sin(course.psi), np.cos(course.psi)), axis=1)[:60]
+    track = bean(60)
+    points = np.stack((track.x, track.y), axis=1)[:60]
+    normals = np.stack((-np.sin(track.psi), np.cos(track.psi)), axis=1)[:60]
     alpha = 0.2 * generator.standard_normal(60)
     model = optimization._model(points, normals, alpha, 0.3)
     for k in (0, 1, 17, 58, 59):
@@ -193,9 +193,9 @@ def test_on_a_ring_the_narrowest_circle_is_fastest():
 
 
 def test_the_fastest_line_is_faster_and_bends_little_more():
-    course = load_raceline("reference")
-    least = minimum_curvature(course, 0.25)
-    fastest = fastest_line(course, 0.25, LIMITS)
+    track = load_raceline("reference")
+    least = minimum_curvature(track, 0.25)
+    fastest = fastest_line(track, 0.25, LIMITS)
     times = [raceline_speeds(found.raceline, **LIMITS)[1] for found in (least, fastest)]
     assert times[1] < 0.97 * times[0]
     sums = [squared_curvature(found.raceline) for found in (least, fastest)]
@@ -209,12 +209,12 @@ def test_the_fastest_line_is_faster_and_bends_little_more():
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_shipped_tracks_have_room_for_better(name):
     """Within the clearance that the shipped line keeps itself, both sums and times fall."""
-    course = load_raceline(name)
-    clearance = Walls(course).distance(np.stack((course.x, course.y), axis=1)).min()
-    found = fastest_line(course, float(clearance), LIMITS)
+    track = load_raceline(name)
+    clearance = Walls(track).distance(np.stack((track.x, track.y), axis=1)).min()
+    found = fastest_line(track, float(clearance), LIMITS)
     assert found.clearance > clearance - 1e-3
-    assert squared_curvature(found.raceline) < 0.9 * squared_curvature(course)
-    before, after = (raceline_speeds(line, **LIMITS)[1] for line in (course, found.raceline))
+    assert squared_curvature(found.raceline) < 0.9 * squared_curvature(track)
+    before, after = (raceline_speeds(line, **LIMITS)[1] for line in (track, found.raceline))
     assert after < 0.95 * before
 
 
@@ -222,9 +222,9 @@ def test_shipped_tracks_have_room_for_better(name):
 def test_no_worse_than_the_published_line(shared_data, circuit):
     """Within the clearance of the published line, by the limits of the shipped car."""
     folder = shared_data / "tracks" / circuit
-    course = load_raceline(folder / f"{circuit}_centerline.csv")
+    track = load_raceline(folder / f"{circuit}_centerline.csv")
     published = load_raceline(folder / f"{circuit}_raceline.csv")
-    walls = Walls(course)
+    walls = Walls(track)
     at = published.sample(np.linspace(0.0, published.length, 4 * published.n, endpoint=False))
     clearance = float(walls.distance(np.stack((at.x, at.y), axis=1)).min())
     vehicle = load_vehicle("nuc4")
@@ -234,7 +234,7 @@ def test_no_worse_than_the_published_line(shared_data, circuit):
         "a_brake_max": vehicle.a_brake_max,
         "v_max": vehicle.v_max,
     }
-    found = fastest_line(course, clearance, limits, step=0.25)
+    found = fastest_line(track, clearance, limits, step=0.25)
     assert found.clearance > clearance - 1.5e-3
     assert squared_curvature(found.raceline) <= squared_curvature(published)
     assert raceline_speeds(found.raceline, **limits)[1] <= raceline_speeds(published, **limits)[1]
@@ -258,8 +258,8 @@ def test_crossing_normals_are_mended_and_told():
     side = np.linspace(-4.0, 4.0, 80, endpoint=False)
     x = np.concatenate((side, np.full(80, 4.0), -side, np.full(80, -4.0)))
     y = np.concatenate((np.full(80, -4.0), side, np.full(80, 4.0), -side))
-    course = Raceline(x, y, d_left_m=np.full(320, 1.0), d_right_m=np.full(320, 1.0))
-    found = minimum_curvature(course, 0.2)
+    track = Raceline(x, y, d_left_m=np.full(320, 1.0), d_right_m=np.full(320, 1.0))
+    found = minimum_curvature(track, 0.2)
     assert "crossing-normals" in [finding.code for finding in found.findings]
     assert found.clearance > 0.2 - 1e-3
     # The inner corners stand at 3 m; a circle around them is the widest that fits between the
@@ -281,44 +281,44 @@ def test_zero_or_negative_widths_are_named(side, bad):
 def test_too_narrow_a_place_is_named():
     width = np.full(300, 1.0)
     width[140:150] = 0.2
-    course = bean(d_left_m=width, d_right_m=width)
-    x, y = course.position(course.s_points[145])
+    track = bean(d_left_m=width, d_right_m=width)
+    x, y = track.position(track.s_points[145])
     with pytest.raises(
         RacelineError, match="too narrow at .* 0.[0-9]* m from wall to wall"
     ) as error:
-        minimum_curvature(course, 0.3)
+        minimum_curvature(track, 0.3)
     place = [float(part) for part in str(error.value).split("(")[1].split(")")[0].split(",")]
     assert math.hypot(place[0] - x, place[1] - y) < 1.0
 
 
-def test_a_course_too_tight_for_the_car_is_refused():
+def test_a_track_too_tight_for_the_car_is_refused():
     limits = {**LIMITS, "a_lat_max": lambda v: np.minimum(v**2 / 4.0, 7.0)}
     with pytest.raises(RacelineError, match="bean: no line for this car: .* cannot steer a radius"):
         fastest_line(bean(), 0.3, limits)
 
 
-def test_a_course_without_walls_is_refused():
-    course = bean()
+def test_a_track_without_walls_is_refused():
+    track = bean()
     with pytest.raises(RacelineError, match="distances to both walls"):
-        minimum_curvature(Raceline(course.x, course.y), 0.2)
+        minimum_curvature(Raceline(track.x, track.y), 0.2)
 
 
-def test_an_open_course_is_refused():
-    course = bean()
-    part = slice(0, int(0.9 * course.n))
-    with pytest.raises(RacelineError, match="expected a closed course"):
+def test_an_open_track_is_refused():
+    track = bean()
+    part = slice(0, int(0.9 * track.n))
+    with pytest.raises(RacelineError, match="expected a closed track"):
         minimum_curvature(
             Raceline(
-                course.x[part],
-                course.y[part],
-                d_left_m=course.d_left[part],
-                d_right_m=course.d_right[part],
+                track.x[part],
+                track.y[part],
+                d_left_m=track.d_left[part],
+                d_right_m=track.d_right[part],
             ),
             0.2,
         )
 
 
-def test_a_course_that_crosses_itself_is_refused():
+def test_a_track_that_crosses_itself_is_refused():
     angle = np.linspace(0.0, 2.0 * math.pi, 300, endpoint=False)
     width = np.full(300, 0.5)
     eight = Raceline(
@@ -328,7 +328,7 @@ def test_a_course_that_crosses_itself_is_refused():
         minimum_curvature(eight, 0.2)
 
 
-def test_a_course_that_goes_round_twice_is_refused():
+def test_a_track_that_goes_round_twice_is_refused():
     angle = np.linspace(0.0, 4.0 * math.pi, 600, endpoint=False)
     radius = 5.0 + 0.05 * np.sin(0.5 * angle)
     width = np.full(600, 0.5)

@@ -19,7 +19,7 @@ def circle(radius=5.0, spacing=0.2, center=(0.0, 0.0), **columns):
 
 
 def winding(n=150):
-    """A course with bends to both sides and a waist where it runs back alongside itself."""
+    """A track with bends to both sides and a waist where it runs back alongside itself."""
     t = np.arange(n) * 2.0 * math.pi / n
     return Raceline(
         8.0 * np.cos(t),
@@ -47,10 +47,10 @@ def brute_force_distance(x, y):
     "spacing, error", [(0.002, 1e-11), (0.05, 2e-10), (0.2, 4e-8), (0.5, 1.5e-6), (1.0, 2.5e-5)]
 )
 def test_circle(spacing, error):
-    course = circle(5.0, spacing)
-    at = course.sample(np.linspace(0.0, course.length, 5001))
+    track = circle(5.0, spacing)
+    at = track.sample(np.linspace(0.0, track.length, 5001))
     assert np.max(np.abs(np.hypot(at.x, at.y) - 5.0)) < error
-    assert course.length == pytest.approx(10.0 * math.pi, abs=4.0 * error)
+    assert track.length == pytest.approx(10.0 * math.pi, abs=4.0 * error)
     assert np.max(np.abs(at.kappa - 0.2)) < 0.001
 
 
@@ -107,11 +107,11 @@ def test_grid_is_what_the_queries_give():
 
 def test_speed_is_linear_between_points():
     # 40 points, 1 m apart on a circle, whose cells divide the spacing.
-    course = circle(20.0 / math.pi, 1.0, vx_mps=lambda angle: np.arange(angle.size) % 2 + 2.0)
-    assert course.speed_at(0.0) == pytest.approx(2.0)
-    assert course.speed_at(course.length / 40.0) == pytest.approx(3.0)
-    assert course.speed_at(0.3 * course.length / 40.0) == pytest.approx(2.3)
-    assert course.speed_at(39.5 * course.length / 40.0) == pytest.approx(2.5)
+    track = circle(20.0 / math.pi, 1.0, vx_mps=lambda angle: np.arange(angle.size) % 2 + 2.0)
+    assert track.speed_at(0.0) == pytest.approx(2.0)
+    assert track.speed_at(track.length / 40.0) == pytest.approx(3.0)
+    assert track.speed_at(0.3 * track.length / 40.0) == pytest.approx(2.3)
+    assert track.speed_at(39.5 * track.length / 40.0) == pytest.approx(2.5)
 
 
 def test_memory_is_linear_in_the_points():
@@ -123,9 +123,9 @@ def test_dense_points_do_not_make_dense_cells():
     """The cost of a step rises when the cells no longer fit into the processor's cache."""
     assert circle(10.0, 0.002).ds == pytest.approx(0.02, rel=1e-3)
     assert circle(0.5, 0.0005).n == 1000
-    course, denser = circle(10.0, 0.1), circle(10.0, 0.002)
+    track, denser = circle(10.0, 0.1), circle(10.0, 0.002)
     for s in (0.0, 1.234, 55.5):
-        assert denser.pose(s) == pytest.approx(course.pose(s), abs=1e-6)
+        assert denser.pose(s) == pytest.approx(track.pose(s), abs=1e-6)
 
 
 def test_coordinates_far_from_the_origin_lose_nothing():
@@ -175,7 +175,7 @@ def test_projection_onto_what_runs_along():
 
 
 @pytest.mark.parametrize("turn", [-1.5, 1.5])
-def test_a_car_across_the_course_is_still_on_it(turn):
+def test_a_car_across_the_track_is_still_on_it(turn):
     x, y = WINDING.to_cartesian(12.0, 0.3)
     foot = WINDING.project(x, y, WINDING.pose(12.0).psi + turn)
     assert foot == pytest.approx(WINDING.project(x, y), abs=1e-9)
@@ -185,9 +185,9 @@ def test_the_curve_does_not_depend_on_where_its_points_begin():
     random = np.random.default_rng(2)
     angle = np.sort(random.uniform(0.0, 2.0 * math.pi, 40))
     x, y = 6.0 * np.cos(angle), 4.0 * np.sin(angle)
-    course, other = Raceline(x, y), Raceline(np.roll(x, 17), np.roll(y, 17))
-    assert other.length == pytest.approx(course.length, abs=1e-9)
-    at = course.sample(course.s_points + 0.05)
+    track, other = Raceline(x, y), Raceline(np.roll(x, 17), np.roll(y, 17))
+    assert other.length == pytest.approx(track.length, abs=1e-9)
+    at = track.sample(track.s_points + 0.05)
     assert max(abs(other.project(*point).d) for point in zip(at.x, at.y)) < 1e-5
 
 
@@ -224,10 +224,10 @@ def test_farthest_point_is_no_projection():
 
 
 def test_projection_within_reach_only():
-    course = circle()
-    x, y = course.position(2.0)
-    assert course.project_near(x, y, 1.0, reach=1.1).s == pytest.approx(2.0, abs=1e-8)
-    assert course.project_near(x, y, 1.0, reach=0.9) is None
+    track = circle()
+    x, y = track.position(2.0)
+    assert track.project_near(x, y, 1.0, reach=1.1).s == pytest.approx(2.0, abs=1e-8)
+    assert track.project_near(x, y, 1.0, reach=0.9) is None
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -253,13 +253,13 @@ def test_projection_of_a_position_whose_square_is_none(far):
 
 @pytest.mark.parametrize("distance", [0.01, 0.3, 1.0, 4.0, 9.0, 9.999])
 def test_point_ahead_on_a_circle(distance):
-    course = circle()
-    x, y = course.position(30.0)
-    point = course.point_ahead(x, y, 30.0, distance)
+    track = circle()
+    x, y = track.position(30.0)
+    point = track.point_ahead(x, y, 30.0, distance)
     arc = 10.0 * math.asin(distance / 10.0)
     assert point.distance == pytest.approx(distance, abs=1e-6)
     assert math.hypot(point.x - x, point.y - y) == pytest.approx(distance, abs=1e-6)
-    assert (point.s - 30.0) % course.length == pytest.approx(arc, abs=1e-4)
+    assert (point.s - 30.0) % track.length == pytest.approx(arc, abs=1e-4)
 
 
 @settings(deadline=None, max_examples=300)
@@ -287,18 +287,18 @@ def test_point_ahead_is_the_first_one(part, d, distance):
     assert math.hypot(point.x - x, point.y - y) == pytest.approx(point.distance, abs=1e-6)
 
 
-def test_point_ahead_stops_where_the_course_turns_back():
+def test_point_ahead_stops_where_the_track_turns_back():
     # On a circle seen from its center every point is equally far: half a lap without a crossing.
-    course = circle()
-    assert course.point_ahead(0.0, 0.0, 3.0, 5.5).distance == pytest.approx(5.0, abs=1e-6)
-    assert course.point_ahead(0.0, 0.0, 3.0, math.inf).distance == pytest.approx(5.0, abs=1e-6)
-    assert course.point_ahead(0.0, 0.0, 3.0, 5.0 + 1e-6).distance == pytest.approx(5.0, abs=1e-5)
+    track = circle()
+    assert track.point_ahead(0.0, 0.0, 3.0, 5.5).distance == pytest.approx(5.0, abs=1e-6)
+    assert track.point_ahead(0.0, 0.0, 3.0, math.inf).distance == pytest.approx(5.0, abs=1e-6)
+    assert track.point_ahead(0.0, 0.0, 3.0, 5.0 + 1e-6).distance == pytest.approx(5.0, abs=1e-5)
 
 
 def test_point_ahead_with_lookahead_beyond_the_largest_chord():
-    course = circle()
-    point = course.point_ahead(5.0, 0.0, 0.0, 50.0)
-    assert (point.x, point.y) == pytest.approx((-5.0, 0.0), abs=course.ds)
+    track = circle()
+    point = track.point_ahead(5.0, 0.0, 0.0, 50.0)
+    assert (point.x, point.y) == pytest.approx((-5.0, 0.0), abs=track.ds)
     assert point.distance == pytest.approx(10.0, abs=1e-3)
 
 
@@ -327,7 +327,7 @@ def test_point_ahead_of_no_position(x, y, distance):
         circle().point_ahead(x, y, 0.0, distance)
 
 
-# -- derived courses -----------------------------------------------------------------------------
+# -- derived tracks -----------------------------------------------------------------------------
 
 
 def test_reversed():
@@ -361,10 +361,10 @@ def test_four_points_are_enough():
 
 def test_repeated_points_are_dropped():
     x, y = [0.0, 0.0, 10.0, 10.0, 10.0, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0, 10.0, 10.0, 0.0]
-    course = Raceline(x, y, vx_mps=[1, 9, 2, 3, 9, 4, 9])
+    track = Raceline(x, y, vx_mps=[1, 9, 2, 3, 9, 4, 9])
     plain = Raceline(*SQUARE, vx_mps=[1, 2, 3, 4])
-    assert course.length == plain.length
-    np.testing.assert_array_equal(course.speed, plain.speed)
+    assert track.length == plain.length
+    np.testing.assert_array_equal(track.speed, plain.speed)
     expected = [True, False, True, True, False, True, False]
     assert distinct_points(np.array(x), np.array(y)).tolist() == expected
 
@@ -384,26 +384,26 @@ def test_repeated_points_are_dropped():
         (*SQUARE, {"vx_mps": [1, 2, -3, 4]}, "point 2: expected a speed >= 0 m/s, got -3"),
         (*SQUARE, {"vx_mps": [1, 2, math.nan, 4]}, "point 2: expected a finite speed, got nan"),
         (*SQUARE, {"d_left_m": [1] * 4}, "both walls or to neither"),
-        (np.linspace(0.0, 9.0, 20), np.zeros(20), {}, "closed course, but the last point is 9.00"),
+        (np.linspace(0.0, 9.0, 20), np.zeros(20), {}, "closed track, but the last point is 9.00"),
         (
             *(np.cos(np.linspace(0.0, 5.0, 200)), np.sin(np.linspace(0.0, 5.0, 200))),
-            *({}, "closed course, but the last point is 1.20"),
+            *({}, "closed track, but the last point is 1.20"),
         ),
     ],
 )
-def test_impossible_courses_are_refused(x, y, columns, message):
+def test_impossible_tracks_are_refused(x, y, columns, message):
     with pytest.raises(RacelineError, match=r"^hall\.csv: .*" + message):
         Raceline(x, y, source="hall.csv", **columns)
 
 
 def test_missing_columns_are_named():
-    course = Raceline(*SQUARE, name="square")
-    assert course.speed is None and course.d_left is None
+    track = Raceline(*SQUARE, name="square")
+    assert track.speed is None and track.d_left is None
     with pytest.raises(RacelineError, match="square: this raceline has no speeds"):
-        course.speed_at(0.0)
+        track.speed_at(0.0)
     with pytest.raises(RacelineError, match="square: this raceline has no distances to walls"):
-        course.widths_at(0.0)
-    assert course.sample([0.0]).speed is None
+        track.widths_at(0.0)
+    assert track.sample([0.0]).speed is None
 
 
 def test_arrays_cannot_be_changed():

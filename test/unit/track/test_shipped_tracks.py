@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from map_racing.track.files.readers import load_raceline
+from map_racing.track.files.load import load_raceline
 from map_racing.track.speed_profile import lap_time
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -31,44 +31,44 @@ def load_generator():
     [("reference", 36.5, 6.20, 8.5, 1.0), ("club", 108.7, 13.68, 11.0, 2.19)],
 )
 def test_figures(name, length, time, v_max, tightest):
-    course = shipped(name)
-    assert course.length == pytest.approx(length, abs=0.05)
-    assert lap_time(course.speed, course.ds) == pytest.approx(time, abs=0.005)
-    assert course.speed.max() == pytest.approx(v_max, abs=1e-6)
-    assert 1.0 / np.abs(course.kappa).max() == pytest.approx(tightest, abs=0.01)
-    assert [str(finding) for finding in course.findings] == [
+    track = shipped(name)
+    assert track.length == pytest.approx(length, abs=0.05)
+    assert lap_time(track.speed, track.ds) == pytest.approx(time, abs=0.005)
+    assert track.speed.max() == pytest.approx(v_max, abs=1e-6)
+    assert 1.0 / np.abs(track.kappa).max() == pytest.approx(tightest, abs=0.01)
+    assert [str(finding) for finding in track.findings] == [
         "heading is measured from +x; fits the points within 0.000 rad (95 %)"
     ]
 
 
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_bends_both_ways_smoothly_within_the_grip(name):
-    course = shipped(name)
-    assert course.kappa.min() < -0.25 < 0.25 < course.kappa.max()
-    assert np.max(np.abs(np.diff(course.kappa))) < 0.1
-    lateral = course.speed**2 * course.kappa
-    driving = (np.roll(course.speed, -1) ** 2 - course.speed**2) / (2.0 * course.ds)
+    track = shipped(name)
+    assert track.kappa.min() < -0.25 < 0.25 < track.kappa.max()
+    assert np.max(np.abs(np.diff(track.kappa))) < 0.1
+    lateral = track.speed**2 * track.kappa
+    driving = (np.roll(track.speed, -1) ** 2 - track.speed**2) / (2.0 * track.ds)
     assert np.abs(lateral).max() == pytest.approx(9.5, abs=0.05)
     assert driving.max() <= 7.51 and driving.min() >= -8.01
 
 
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_walls_leave_room_and_do_not_cross(name):
-    course = shipped(name)
-    assert min(course.d_left.min(), course.d_right.min()) > 0.35
-    for side, widths in ((1, course.d_left), (-1, course.d_right)):
-        x, y = course.to_cartesian(course.s, side * widths)
-        for k in range(course.n):
+    track = shipped(name)
+    assert min(track.d_left.min(), track.d_right.min()) > 0.35
+    for side, widths in ((1, track.d_left), (-1, track.d_right)):
+        x, y = track.to_cartesian(track.s, side * widths)
+        for k in range(track.n):
             # A point of a wall is not within the walls of another place of the track.
-            foot = course.project(float(x[k]), float(y[k]))
-            assert math.remainder(foot.s - course.s[k], course.length) == pytest.approx(0, abs=1e-3)
+            foot = track.project(float(x[k]), float(y[k]))
+            assert math.remainder(foot.s - track.s[k], track.length) == pytest.approx(0, abs=1e-3)
             assert side * foot.d == pytest.approx(widths[k], abs=1e-5)
 
 
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_generator_makes_the_shipped_file(name):
     generator = load_generator()
-    course, made = shipped(name), generator.make_track(name, **generator.TRACKS[name])
-    assert made.n == course.n
+    track, made = shipped(name), generator.make_track(name, **generator.TRACKS[name])
+    assert made.n == track.n
     for column in ("x", "y", "speed", "d_left", "d_right"):
-        np.testing.assert_allclose(getattr(made, column), getattr(course, column), atol=2e-5)
+        np.testing.assert_allclose(getattr(made, column), getattr(track, column), atol=2e-5)

@@ -74,8 +74,8 @@ def test_walls_of_a_sharp_corner_meet_in_its_point():
     for _ in range(3):
         parts.append(np.stack((-parts[-1][:, 1], parts[-1][:, 0]), axis=1))
     x, y = np.concatenate(parts).T
-    course = Raceline(x, y, d_left_m=np.full(x.size, 1.0), d_right_m=np.full(x.size, 1.0))
-    walls = Walls(course)
+    track = Raceline(x, y, d_left_m=np.full(x.size, 1.0), d_right_m=np.full(x.size, 1.0))
+    walls = Walls(track)
     assert [finding.code for finding in walls.findings] == ["crossing-normals"]
     inside = walls.segments[np.max(np.abs(walls.segments[:, 0]), axis=1) < 4.0]
     # No wall is left in the track, and the corner is where the two sides meet.
@@ -98,15 +98,15 @@ def test_stretches_that_claim_the_same_ground_are_told():
 
 
 def test_smoothing_stays_between_the_walls():
-    course = ring()
-    noise = 0.05 * np.random.default_rng(2).standard_normal((course.n, 2))
-    points = np.stack((course.x, course.y), axis=1) + noise
-    walls = Walls(course)
-    smooth, clear = smooth_between(points, course.length, 0.5, walls.distance, 0.9)
+    track = ring()
+    noise = 0.05 * np.random.default_rng(2).standard_normal((track.n, 2))
+    points = np.stack((track.x, track.y), axis=1) + noise
+    walls = Walls(track)
+    smooth, clear = smooth_between(points, track.length, 0.5, walls.distance, 0.9)
     assert clear
     assert np.std(np.hypot(*smooth.T)) < 0.3 * np.std(np.hypot(*points.T))
-    _, clear = smooth_between(points, course.length, 0.5, walls.distance, 1.2)
+    _, clear = smooth_between(points, track.length, 0.5, walls.distance, 1.2)
     assert not clear
     # Much smoothing would draw the ring together; it is halved until the ring is clear.
-    smooth, clear = smooth_between(points, course.length, 6.0, walls.distance, 0.3)
+    smooth, clear = smooth_between(points, track.length, 6.0, walls.distance, 0.3)
     assert clear and walls.distance(smooth).min() >= 0.3

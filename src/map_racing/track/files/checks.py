@@ -1,4 +1,4 @@
-"""What is right and wrong in a course as it was given: recomputed and compared, never believed.
+"""What is right and wrong in a track as it was given: recomputed and compared, never believed.
 
 `examine` makes the curve through the points and holds against it all that the table says: closure,
 order, spacing, heading, curvature, arc length, walls, speeds. What it finds has a severity: a
@@ -31,10 +31,10 @@ __all__ = [
 LARGEST_GAP = 3.0  # between last and first point, in usual distances
 LARGEST_SPACING = 5.0  # between points, in usual distances
 COARSE = 0.8  # turn from one chord to the next [rad] that no spline can be trusted with
-BACK = 2.1  # turn that no course makes at one point [rad]
+BACK = 2.1  # turn that no track makes at one point [rad]
 # Steered by 0.42 rad, as far as a 1:10 car's servo goes, 0.33 m of wheelbase turn on 0.74 m.
 TIGHTEST = 1.4  # [1/m]
-SHORTEST, LONGEST = 3.0, 2000.0  # [m] of courses for 1:10 cars; others may be in another unit
+SHORTEST, LONGEST = 3.0, 2000.0  # [m] of tracks for 1:10 cars; others may be in another unit
 GRIP = 20.0  # [m/s^2], beyond any 1:10 car on any floor, lateral or longitudinal
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 KMH = 3.6  # [km/h] are 1 m/s
@@ -60,7 +60,7 @@ def raceline_of(table):
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
 
     Returns
     -------
@@ -86,7 +86,7 @@ def examine(table):
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
 
     Returns
     -------
@@ -94,27 +94,27 @@ def examine(table):
 
     Notes
     -----
-    Takes about 20 ms for a course of 340 m with points 0.2 m apart, half of that for the curve.
+    Takes about 20 ms for a track of 340 m with points 0.2 m apart, half of that for the curve.
     """
-    course = _Course(table)
+    track = _Examined(table)
     for check in (_finite, _speeds_possible, _enough_points):
-        check(course)
-    if course.fatal:
-        return Examination(None, tuple(course.findings))
+        check(track)
+    if track.fatal:
+        return Examination(None, tuple(track.findings))
     for check in (_not_given, _repeated, _loops, _order, _spacing):
-        check(course)
-    _build(course)
-    if course.raceline is not None:
+        check(track)
+    _build(track)
+    if track.raceline is not None:
         for check in (_size, _arc_length, _heading_and_curvature, _wall_distances, _zero_speeds):
-            check(course)
+            check(track)
         # Where the order of the points is wrong, so are bends and walls: nothing to learn there.
-        if not course.fatal:
+        if not track.fatal:
             for check in (_bends, _self_crossing, _walls, _speeds):
-                check(course)
-    return Examination(course.raceline, tuple(course.findings))
+                check(track)
+    return Examination(track.raceline, tuple(track.findings))
 
 
-class _Course:
+class _Examined:
     """A table while it is examined: `columns` hold the points kept, `rows` their places in it."""
 
     def __init__(self, table):
@@ -166,54 +166,52 @@ class _Course:
 # -- what must be so before there is a curve -----------------------------------------------------
 
 
-def _finite(course):
+def _finite(track):
     """Numbers where numbers are needed; elsewhere what is not finite is not compared."""
-    for key, column in list(course.columns.items()):
+    for key, column in list(track.columns.items()):
         finite = np.isfinite(column)
         far = np.abs(np.where(finite, column, 0.0)) > FARTHEST
         if key not in ("x", "y", "speed", "d_left", "d_right", "width"):
             bad = np.flatnonzero(~finite | far)
             if bad.size:
                 text = f"{key} is no possible number at {points(bad.size)}: not compared"
-                course.add("not-finite-unused", WARNING, text, bad)
-                del course.columns[key]
+                track.add("not-finite-unused", WARNING, text, bad)
+                del track.columns[key]
             continue
         bad, far = np.flatnonzero(~finite), np.flatnonzero(far)
         if bad.size:
             more = f" and {bad.size - 1} more" if bad.size > 1 else ""
             text = f"expected a finite {key}, got {column[bad[0]]}{more}"
-            course.add("not-finite", ERROR, text, bad)
+            track.add("not-finite", ERROR, text, bad)
         if far.size:
             text = f"expected {key} in meters and seconds, got {column[far[0]]:g}"
-            course.add("impossible", ERROR, text, far)
+            track.add("impossible", ERROR, text, far)
 
 
-def _speeds_possible(course):
-    speed = course.columns.get("speed")
+def _speeds_possible(track):
+    speed = track.columns.get("speed")
     if speed is not None:
         with np.errstate(invalid="ignore"):
             bad = np.flatnonzero(speed < 0.0)
         if bad.size:
             text = f"expected a speed >= 0 m/s, got {speed[bad[0]]:g}"
-            course.add("negative-speed", ERROR, text, bad)
+            track.add("negative-speed", ERROR, text, bad)
 
 
-def _enough_points(course):
-    if course.fatal:
+def _enough_points(track):
+    if track.fatal:
         return
-    count = int(np.count_nonzero(distinct_points(course.columns["x"], course.columns["y"])))
+    count = int(np.count_nonzero(distinct_points(track.columns["x"], track.columns["y"])))
     if count < 4:
-        course.add("few-points", ERROR, f"expected at least 4 distinct points, got {count}")
+        track.add("few-points", ERROR, f"expected at least 4 distinct points, got {count}")
 
 
-def _not_given(course):
-    """A course without speeds or walls is often written with zeros there."""
-    columns = course.columns
+def _not_given(track):
+    """A track without speeds or walls is often written with zeros there."""
+    columns = track.columns
     if "width" in columns:
         columns["d_left"] = columns["d_right"] = 0.5 * columns.pop("width")
-        course.add(
-            "total-width", NOTE, "one column of width: taken as the total, half to each side"
-        )
+        track.add("total-width", NOTE, "one column of width: taken as the total, half to each side")
     for what, keys in (
         *(("arc length", ("s",)), ("speed", ("speed",))),
         ("wall distance", ("d_left", "d_right")),
@@ -221,33 +219,33 @@ def _not_given(course):
         if all(key in columns for key in keys) and not any(np.any(columns[k]) for k in keys):
             for key in keys:
                 del columns[key]
-            course.add("all-zero", NOTE, f"every {what} is 0: taken as not given")
+            track.add("all-zero", NOTE, f"every {what} is 0: taken as not given")
     for side, other in (("left", "right"), ("right", "left")):
         if f"d_{side}" in columns and f"d_{other}" not in columns:
             del columns[f"d_{side}"]
-            course.add(
+            track.add(
                 "one-wall", WARNING, f"no distance to the {other} wall: that to the {side} not used"
             )
 
 
-def _repeated(course):
-    keep = distinct_points(course.columns["x"], course.columns["y"])
+def _repeated(track):
+    keep = distinct_points(track.columns["x"], track.columns["y"])
     kept = np.flatnonzero(keep)
     if kept[-1] + 1 < keep.size:
-        course.add("closing-point", NOTE, "the last point repeats the first: dropped")
+        track.add("closing-point", NOTE, "the last point repeats the first: dropped")
     repeated = np.flatnonzero(~keep[: kept[-1]])
     if repeated.size:
         text = f"{points(repeated.size, 'repeated')} dropped"
-        course.add("repeated-points", WARNING, text, repeated)
-    course.keep(keep)
+        track.add("repeated-points", WARNING, text, repeated)
+    track.keep(keep)
 
 
-def _loops(course):
-    found = first_loop(course.xy)
+def _loops(track):
+    found = first_loop(track.xy)
     if found is not None:
         end, laps = found
         text = f"expected one loop, but the points make {laps}; the second begins"
-        course.add("two-loops", ERROR, text, [end])
+        track.add("two-loops", ERROR, text, [end])
 
 
 def first_loop(xy):
@@ -256,14 +254,14 @@ def first_loop(xy):
     Parameters
     ----------
     xy : ndarray, shape (n_points, 2)
-        Distinct points of a closed course.
+        Distinct points of a closed track.
 
     Returns
     -------
     end, loops : int or None
         First point of the second loop, and how many loops there are, rounded, at least 2. None if
         there is but one: several are stretches apart from each other that close each on itself,
-        or a course that comes along the same way again, in the same direction.
+        or a track that comes along the same way again, in the same direction.
     """
     n = len(xy)
     if n < 8:
@@ -281,7 +279,7 @@ def first_loop(xy):
         )
         if all(closed):
             return bounds[1], len(pieces)
-    # Driven more than once: many points have another one beside them, some way along the course,
+    # Driven more than once: many points have another one beside them, some way along the track,
     # that goes the same way. (So have start and end of a single lap, each other; and points in a
     # wrong order, which is another matter.)
     back = turns_back(xy)
@@ -306,30 +304,30 @@ def first_loop(xy):
     if np.mean(again) < 0.15:
         return None
     lap = float(np.median(np.where(beside, lag, np.inf).min(axis=1)[again]))
-    # The lap ends where the course is closest to its start again.
+    # The lap ends where the track is closest to its start again.
     off = np.abs(s - lap)
     around = np.flatnonzero(off <= max(0.25 * lap, off.min()))
     distance = np.hypot(*(xy[around] - xy[0]).T)
     return int(around[np.argmin(distance)]), max(2, int(round(length / lap)))
 
 
-def _order(course):
+def _order(track):
     """Points that turn back, and an end that overlaps the start."""
-    xy = course.xy
+    xy = track.xy
     count = overlap(xy)
     if count:
         last = len(xy) - count
         length = float(np.hypot(*(xy[-1] - xy[0])))
         text = f"the end overlaps the start by {length:.2f} m, {points(count)}"
-        course.add("overlap", ERROR, text, range(last, len(xy)))
+        track.add("overlap", ERROR, text, range(last, len(xy)))
         return
     back = turns_back(xy)
     if back.size:
-        course.add("turns-back", ERROR, f"the course turns back at {points(back.size)}", back)
+        track.add("turns-back", ERROR, f"the track turns back at {points(back.size)}", back)
 
 
 def overlap(xy):
-    """How many last points lie beyond the first, where the course begins again."""
+    """How many last points lie beyond the first, where the track begins again."""
     if len(xy) < 8:
         return 0
     ways = np.roll(xy, -1, axis=0) - xy
@@ -356,22 +354,22 @@ def turns(xy):
     return wrap(np.diff(np.arctan2(ways[:, 1], ways[:, 0]), prepend=math.atan2(*ways[-1, ::-1])))
 
 
-def _spacing(course):
-    xy = course.xy
+def _spacing(track):
+    xy = track.xy
     chords = np.hypot(*(np.roll(xy, -1, axis=0) - xy).T)
     usual = float(np.median(chords))
-    if chords[-1] > LARGEST_GAP * usual and not course.fatal:
-        course.add(
+    if chords[-1] > LARGEST_GAP * usual and not track.fatal:
+        track.add(
             "gap",
             WARNING,
-            f"the course is closed over a gap of {chords[-1]:.2f} m, "
+            f"the track is closed over a gap of {chords[-1]:.2f} m, "
             f"{chords[-1] / usual:.0f} times the usual spacing",
             [len(xy) - 1],
         )
     far = np.flatnonzero(chords[:-1] > LARGEST_SPACING * usual)
     if far.size:
         worst = far[np.argmax(chords[far])]
-        course.add(
+        track.add(
             "spacing",
             WARNING,
             f"{points(far.size)} more than {LARGEST_SPACING:g} times the usual {usual:.3f} m "
@@ -382,7 +380,7 @@ def _spacing(course):
     coarse = np.flatnonzero((turn > COARSE) & (turn <= BACK))
     if coarse.size:
         worst = coarse[np.argmax(turn[coarse])]
-        course.add(
+        track.add(
             "coarse",
             WARNING,
             f"too few points for the bend at {points(coarse.size)}, so that the curve is a guess: "
@@ -391,8 +389,8 @@ def _spacing(course):
         )
 
 
-def _build(course):
-    columns, table = course.columns, course.table
+def _build(track):
+    columns, table = track.columns, track.table
     try:
         raceline = Raceline(
             columns["x"],
@@ -408,28 +406,28 @@ def _build(course):
         rising = [key for key in ("x", "y") if np.all(np.diff(columns[key]) > 0.0)]
         if rising:
             text += f"; {rising[0]} only rises: is it the column of {rising[0]}?"
-        course.add("open", ERROR, text)
+        track.add("open", ERROR, text)
         return
-    course.raceline = raceline
-    course.at = raceline.sample(raceline.s_points)
+    track.raceline = raceline
+    track.at = raceline.sample(raceline.s_points)
     given = np.full(len(table.columns["x"]), np.nan)
-    given[course.rows] = raceline.s_points
+    given[track.rows] = raceline.s_points
     # Dropped points have the place of the one kept before them.
     last = np.maximum.accumulate(np.where(np.isfinite(given), np.arange(given.size), 0))
-    course.s = given[last]
-    course.located()
+    track.s = given[last]
+    track.located()
 
 
 # -- what the table says, against the curve ------------------------------------------------------
 
 
-def _arc_length(course):
-    if "s" not in course.columns:
+def _arc_length(track):
+    if "s" not in track.columns:
         return
-    s = course.columns["s"]
+    s = track.columns["s"]
     steps = np.diff(s)
     if np.mean(steps < 0.0) > 0.9:
-        course.add(
+        track.add(
             "reversed-arc-length",
             WARNING,
             "arc length falls from point to point: driven the other way round?",
@@ -438,12 +436,12 @@ def _arc_length(course):
     back = np.flatnonzero(steps <= 0.0) + 1
     if back.size:
         text = f"arc length does not rise at {points(back.size)}: recomputed"
-        course.add("arc-length-order", WARNING, text, back)
-    error = np.abs(s - s[0] - course.raceline.s_points)
+        track.add("arc-length-order", WARNING, text, back)
+    error = np.abs(s - s[0] - track.raceline.s_points)
     worst = int(np.argmax(error))
-    if error[worst] > 0.01 * course.raceline.length:
+    if error[worst] > 0.01 * track.raceline.length:
         text = f"arc length is up to {error[worst]:.2f} m off the points': recomputed"
-        course.add("arc-length", WARNING, text, [worst])
+        track.add("arc-length", WARNING, text, [worst])
 
 
 # Headings as files state them: code, severity, meaning, and the true one [rad] made of that.
@@ -478,10 +476,10 @@ _HEADINGS = (
 )
 
 
-def _heading_and_curvature(course):
+def _heading_and_curvature(track):
     """Which direction the table calls zero, and which side positive."""
-    columns, at = course.columns, course.at
-    sign = _curvature(course) if "kappa" in columns else 0
+    columns, at = track.columns, track.at
+    sign = _curvature(track) if "kappa" in columns else 0
     if "psi" not in columns:
         return
     fits = (
@@ -493,7 +491,7 @@ def _heading_and_curvature(course):
     )
     if code is None:
         off = np.abs(wrap(columns["psi"] - at.psi))
-        course.add(
+        track.add(
             "heading",
             WARNING,
             "heading does not fit the points: recomputed "
@@ -502,7 +500,7 @@ def _heading_and_curvature(course):
         return
     if code in ("heading-compass", "heading-clockwise") and sign < 0:
         how = "" if code == "heading-compass" else ", or one of them is mirrored"
-        course.add(
+        track.add(
             "swapped-xy" if code == "heading-compass" else "mirrored",
             WARNING,
             f"heading and curvature are those of the mirror image: x and y swapped{how}?",
@@ -510,19 +508,19 @@ def _heading_and_curvature(course):
         return
     worst = np.percentile(off, 95)
     text = f"heading is {meaning}; fits the points within {worst:.3f} rad (95 %)"
-    course.add(code, severity, text)
+    track.add(code, severity, text)
     wrong = int(np.argmax(off))
-    if off[wrong] > max(0.3, 5.0 * worst) and not course.fatal:
+    if off[wrong] > max(0.3, 5.0 * worst) and not track.fatal:
         text = f"heading is {off[wrong]:.2f} rad off the points': recomputed"
-        course.add("heading-point", WARNING, text, [wrong])
+        track.add("heading-point", WARNING, text, [wrong])
 
 
-def _curvature(course):
+def _curvature(track):
     """Compare curvature; -1 if it is positive to the right, 1 if to the left, 0 if neither."""
-    kappa, own = course.columns["kappa"], course.at.kappa
+    kappa, own = track.columns["kappa"], track.at.kappa
     scale = math.sqrt(np.mean(own**2))
     if math.sqrt(np.mean((kappa + own) ** 2)) < 0.5 * scale:
-        course.add(
+        track.add(
             "curvature-sign",
             WARNING,
             "curvature is positive to the right: recomputed, positive to the left",
@@ -530,50 +528,47 @@ def _curvature(course):
         return -1
     off = np.abs(kappa - own)
     if math.sqrt(np.mean(off**2)) > 0.5 * scale:
-        if course.fatal:
+        if track.fatal:
             return 0
         worst = int(np.argmax(off))
         text = (
             "curvature does not fit the points: recomputed, largest difference "
             f"{off[worst]:.2f} 1/m"
         )
-        course.add("curvature", WARNING, text, [worst])
+        track.add("curvature", WARNING, text, [worst])
         return 0
     return 1
 
 
-def _size(course):
-    length = course.raceline.length
+def _size(track):
+    length = track.raceline.length
     if not SHORTEST <= length <= LONGEST:
         text = (
-            f"the course is {length:.3g} m long, those of 1:10 cars {SHORTEST:g} to {LONGEST:g} m: "
+            f"the track is {length:.3g} m long, those of 1:10 cars {SHORTEST:g} to {LONGEST:g} m: "
             "is it in meters?"
         )
-        course.add("size", WARNING, text)
+        track.add("size", WARNING, text)
 
 
-def _bends(course):
-    kappa = np.abs(course.raceline.kappa)
+def _bends(track):
+    kappa = np.abs(track.raceline.kappa)
     cell = int(np.argmax(kappa))
     if kappa[cell] > TIGHTEST:
         # A centerline need not be driven.
-        severity = NOTE if course.raceline.speed is None else WARNING
-        text = (
-            f"a bend of {1.0 / kappa[cell]:.2f} m radius: 1:10 cars need "
-            f"{1.0 / TIGHTEST:.1f} m"
-        )
-        course.add("tight-bend", severity, text, [_point_near(course, cell)])
+        severity = NOTE if track.raceline.speed is None else WARNING
+        text = f"a bend of {1.0 / kappa[cell]:.2f} m radius: 1:10 cars need {1.0 / TIGHTEST:.1f} m"
+        track.add("tight-bend", severity, text, [_point_near(track, cell)])
 
 
-def _point_near(course, cell):
+def _point_near(track, cell):
     """Number of the point closest to a cell, along the curve."""
-    line = course.raceline
+    line = track.raceline
     away = np.abs(line.s_points - line.s[cell])
     return int(np.argmin(np.minimum(away, line.length - away)))
 
 
-def _self_crossing(course):
-    line = course.raceline
+def _self_crossing(track):
+    line = track.raceline
     pairs = crossings(np.stack((line.x, line.y), axis=1))
     if not len(pairs):
         return
@@ -581,35 +576,35 @@ def _self_crossing(course):
     loops = np.minimum(apart, line.length - apart)
     small = loops < min(3.0, 0.1 * line.length)
     for chosen, code, severity, text in (
-        (small, "loop", WARNING, "the course makes a loop of {:.2f} m"),
-        (~small, "self-crossing", NOTE, "the course crosses itself, {:.2f} m later"),
+        (small, "loop", WARNING, "the track makes a loop of {:.2f} m"),
+        (~small, "self-crossing", NOTE, "the track crosses itself, {:.2f} m later"),
     ):
         if chosen.any():
-            at = [_point_near(course, cell) for cell in pairs[chosen, 0]]
-            course.add(code, severity, text.format(float(loops[chosen].min())), at)
+            at = [_point_near(track, cell) for cell in pairs[chosen, 0]]
+            track.add(code, severity, text.format(float(loops[chosen].min())), at)
 
 
-def _wall_distances(course):
-    columns = course.columns
+def _wall_distances(track):
+    columns = track.columns
     if "d_left" not in columns:
         return
     for side in ("left", "right"):
         beyond = np.flatnonzero(columns[f"d_{side}"] < 0.0)
         if beyond.size:
             text = f"{points(beyond.size)} beyond the {side} wall"
-            course.add("beyond-wall", WARNING, text, beyond)
+            track.add("beyond-wall", WARNING, text, beyond)
     closed = np.flatnonzero(columns["d_left"] + columns["d_right"] <= 0.0)
     if closed.size:
         text = f"the walls leave no width at {points(closed.size)}"
-        course.add("no-width", WARNING, text, closed)
+        track.add("no-width", WARNING, text, closed)
 
 
-def _walls(course):
-    line = course.raceline
+def _walls(track):
+    line = track.raceline
     if line.d_left is None:
         return
     if _swapped(line):
-        course.add(
+        track.add(
             "swapped-walls",
             WARNING,
             "the walls are smoother with left and right exchanged: swapped?",
@@ -623,29 +618,29 @@ def _walls(course):
         folded = np.flatnonzero(line.kappa * d >= 1.0)
         if folded.size:
             worst = folded[np.argmax((line.kappa * d)[folded])]
-            course.add(
+            track.add(
                 "wall-folds",
                 NOTE,
                 f"the {side} wall lies beyond the center of a bend over "
                 f"{folded.size * line.ds:.2f} m, so it cannot be told there, farthest",
-                [_point_near(course, worst)],
+                [_point_near(track, worst)],
             )
     for name, a, b in (
-        ("left wall crosses the course", own, left),
-        ("right wall crosses the course", own, right),
+        ("left wall crosses the track", own, left),
+        ("right wall crosses the track", own, right),
         ("walls cross each other", left, right),
         ("left wall crosses itself", left, None),
         ("right wall crosses itself", right, None),
     ):
         pairs = crossings(a, b)
-        # A wall meets the course at its own place where the distance is 0, and itself where it
+        # A wall meets the track at its own place where the distance is 0, and itself where it
         # folds inside of a bend: both are told above.
         apart = np.mod(pairs[:, 0] - pairs[:, 1], line.n)
         local = 2.0 if b is not None else _FOLD * max(widest, 0.0) / line.ds
         pairs = pairs[np.minimum(apart, line.n - apart) > local]
         if len(pairs):
-            at = [_point_near(course, cell) for cell in pairs[:MOST_PLACES, 0]]
-            course.add("walls-cross", WARNING, f"the {name} {_times(len(pairs))}", at)
+            at = [_point_near(track, cell) for cell in pairs[:MOST_PLACES, 0]]
+            track.add("walls-cross", WARNING, f"the {name} {_times(len(pairs))}", at)
 
 
 def _times(count):
@@ -679,51 +674,51 @@ def _swapped(line):
     return ratio > 1.25 or hugging > 0.5
 
 
-def _zero_speeds(course):
-    if "speed" in course.columns:
-        zeros = np.flatnonzero(course.columns["speed"] == 0.0)
+def _zero_speeds(track):
+    if "speed" in track.columns:
+        zeros = np.flatnonzero(track.columns["speed"] == 0.0)
         if zeros.size:
             text = f"the speed is 0 at {points(zeros.size)}: the car stops there"
-            course.add("zero-speed", WARNING, text, zeros)
+            track.add("zero-speed", WARNING, text, zeros)
 
 
-def _speeds(course):
-    line, columns = course.raceline, course.columns
+def _speeds(track):
+    line, columns = track.raceline, track.columns
     if line.speed is None:
         return
-    v, kappa = columns["speed"], course.at.kappa
+    v, kappa = columns["speed"], track.at.kappa
     a_x = accelerations(v, np.diff(np.append(line.s_points, line.length)))
     stated = columns.get("ax")
-    if stated is not None and _in_kmh(course, stated, a_x):
+    if stated is not None and _in_kmh(track, stated, a_x):
         return
     a_y = v**2 * np.abs(kappa)
     worst = int(np.argmax(a_y))
     if a_y[worst] > GRIP:
         kmh = " (in km/h?)" if 3.0 * GRIP < a_y[worst] < KMH**2 * GRIP else ""
         text = f"the speeds ask for {a_y[worst]:.1f} m/s^2 of lateral acceleration{kmh}"
-        course.add("too-fast", WARNING, text, [worst])
+        track.add("too-fast", WARNING, text, [worst])
     worst = int(np.argmax(np.abs(a_x)))
     if abs(a_x[worst]) > GRIP:
-        text = f"the speeds ask for {a_x[worst]:.1f} m/s^2 along the course"
-        course.add("speed-jump", WARNING, text, [worst])
+        text = f"the speeds ask for {a_x[worst]:.1f} m/s^2 along the track"
+        track.add("speed-jump", WARNING, text, [worst])
 
 
-def _in_kmh(course, stated, a_x):
+def _in_kmh(track, stated, a_x):
     """Compare accelerations with speeds; whether only km/h explains them."""
     weight = float(np.sum(stated**2))
     scale = math.sqrt(weight / stated.size)
     if scale < 0.05:
         if math.sqrt(np.mean(a_x**2)) > 0.5 and np.any(stated):
-            course.add("acceleration", WARNING, "accelerations do not fit the speeds: recomputed")
+            track.add("acceleration", WARNING, "accelerations do not fit the speeds: recomputed")
         return False
     factor = float(np.sum(stated * a_x)) / weight
     if 0.85 < factor / KMH**2 < 1.15:
-        course.add("kmh", WARNING, "the speeds fit the accelerations in km/h, not in m/s")
+        track.add("kmh", WARNING, "the speeds fit the accelerations in km/h, not in m/s")
         return True
     off = np.abs(stated - a_x)
     if math.sqrt(np.mean(off**2)) > 0.5 * scale + 0.1:
         worst = int(np.argmax(off))
-        course.add(
+        track.add(
             "acceleration",
             WARNING,
             "accelerations do not fit the speeds: recomputed, largest difference "

@@ -9,21 +9,21 @@ from ...bags.records import is_bag
 from ...bags.writer import BagWriter
 from ...files import refuse_special
 from .checks import raceline_of
-from .readers import find_course_file, read_course_file, split_source
-from .table import CourseTable
+from .readers import find_raceline_file, read_raceline_file, split_source
+from .table import RacelineTable
 from .waypoints import WAYPOINT_COLUMNS
-from .writers import choose_format, closed_rows, write_course_file
+from .writers import closed_rows, raceline_columns, write_raceline_file
 
-__all__ = ["load_course", "read_course", "save_course", "table_of_waypoints"]
+__all__ = ["load_raceline", "read_raceline", "save_raceline", "table_of_waypoints"]
 
 
-def load_course(source):
+def load_raceline(source):
     """Raceline from wherever it is: what every command and node reads one with.
 
     Parameters
     ----------
     source : str or pathlib.Path
-        See `read_course`.
+        See `read_raceline`.
 
     Returns
     -------
@@ -37,11 +37,11 @@ def load_course(source):
     RacelineError
         If something is wrong with it beyond use.
     """
-    return raceline_of(read_course(source))
+    return raceline_of(read_raceline(source))
 
 
-def read_course(source):
-    """What a file says of a course, wherever it is, before anything of it is believed.
+def read_raceline(source):
+    """What a file says of a track, wherever it is, before anything of it is believed.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def read_course(source):
 
     Returns
     -------
-    CourseTable
+    RacelineTable
 
     Raises
     ------
@@ -63,47 +63,41 @@ def read_course(source):
     refuse_special(path)
     if is_bag(path):
         return table_of_waypoints(path, read_waypoints(path, topic or None))
-    return read_course_file(*find_course_file(source))
+    return read_raceline_file(*find_raceline_file(source))
 
 
-def save_course(path, course, form=None):
-    """Write a course in any of the `map_racing.track.files.writers.FORMATS`.
+def save_raceline(raceline, path, form="map_racing", table=None):
+    """Write a raceline in any of the `map_racing.track.files.writers.FORMATS`.
 
     Parameters
     ----------
+    raceline : Raceline
     path : str or pathlib.Path
-        Replaced in one step if it exists.
-    course : CourseColumns
-        Of `map_racing.track.files.writers.course_columns`.
+        Replaced in one step if it exists: a reader never meets half a file.
     form : str, optional
-        Needed where the suffix of the path does not tell it.
-
-    Returns
-    -------
-    str
-        The format.
+        The format, see `map_racing.track.files.writers.choose_format`.
+    table : RacelineTable, optional
+        The points that the raceline was made of: then those are written, exactly, instead of the
+        cells of its internal form.
 
     Raises
     ------
-    ParameterError
-        If the format is unknown or does not go with the suffix.
     RacelineError
-        If the course lacks what the format needs.
+        If the raceline lacks what the format needs.
     MapRacingError
         If the file cannot be written.
     """
-    form = choose_format(path, form)
+    columns = raceline_columns(raceline, table)
     if form == "bag":
         with BagWriter(path) as bag:
             # ROS has no time 0; 1 s after it is as good as any, and always the same.
-            bag.waypoints(1.0, closed_rows(course))
+            bag.waypoints(1.0, closed_rows(columns))
     else:
-        write_course_file(path, course, form)
-    return form
+        write_raceline_file(path, columns, form)
 
 
 def table_of_waypoints(source, waypoints):
-    """What a bag says of a course.
+    """What a bag says of a track.
 
     Parameters
     ----------
@@ -113,12 +107,12 @@ def table_of_waypoints(source, waypoints):
 
     Returns
     -------
-    CourseTable
+    RacelineTable
     """
     topic, kind, fields = waypoints
     columns = {
         column: fields[field] for field, column in WAYPOINT_COLUMNS.items() if field in fields
     }
-    return CourseTable(
+    return RacelineTable(
         columns, name=Path(source).stem, source=f"{source}: {topic}", layout=f"{kind} on {topic}"
     )

@@ -21,17 +21,14 @@ from ...resources import find_config
 from ..findings import NOTE, WARNING, Finding
 from ..raceline import distinct_points
 from .checks import raceline_of
-from .table import CourseTable
-from .writers import save_raceline
+from .table import RacelineTable
 
 __all__ = [
     "ALIASES",
     "LAYOUTS",
-    "find_course_file",
-    "load_raceline",
+    "find_raceline_file",
     "raceline_from_columns",
-    "read_course_file",
-    "save_raceline",
+    "read_raceline_file",
     "split_source",
 ]
 
@@ -56,7 +53,7 @@ ALIASES = {
         "width_left_m",
     ),
     "width": ("w_tr_m", "width_m", "width"),
-    # A reference line, from which the course lies `alpha` along the normal; it has the widths.
+    # A reference line, from which the track lies `alpha` along the normal; it has the widths.
     "x_ref": ("x_ref_m", "x_ref"),
     "y_ref": ("y_ref_m", "y_ref"),
     "x_normal": ("x_normvec_m", "x_normvec"),
@@ -90,44 +87,14 @@ _SUFFIXES = (".csv", ".json", ".json.gz", ".csv.gz")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
-def load_raceline(source, key=None):
-    """Raceline of a shipped track or a file.
-
-    Parameters
-    ----------
-    source : str or pathlib.Path
-        Name of a shipped track, or path of a file as of `read_course_file`. ``PATH#KEY`` gives the
-        key.
-    key : str, optional
-        The same, given separately.
-
-    Returns
-    -------
-    Raceline
-        Its `findings` tell what in the file was recomputed, dropped or guessed.
-
-    Raises
-    ------
-    ParameterError
-        If there is neither such a file nor such a track.
-    FileFormatError
-        If the file cannot be read; names line and column.
-    RacelineError
-        If its points make no closed course.
-    """
-    return raceline_of(read_course_file(*find_course_file(source, key)))
-
-
-def find_course_file(source, key=None):
-    """Path and key of a shipped track or a file, see `load_raceline`."""
-    text = str(source)
-    if key is None:
-        text, key = split_source(source)
+def find_raceline_file(source):
+    """Path and key of a shipped track or a raceline file, ``NAME`` or ``FILE#KEY``."""
+    text, key = split_source(source)
     return find_config("tracks", text, _SUFFIXES), key or None
 
 
 def split_source(source):
-    """Path of a course, and what in the file is meant, which may follow behind ``#``.
+    """Path of a track, and what in the file is meant, which may follow behind ``#``.
 
     Parameters
     ----------
@@ -144,8 +111,8 @@ def split_source(source):
     return path, selector
 
 
-def read_course_file(path, key=None):
-    """Read what a CSV or JSON file, which may be gzipped, says of a course.
+def read_raceline_file(path, key=None):
+    """Read what a CSV or JSON file, which may be gzipped, says of a track.
 
     Parameters
     ----------
@@ -160,7 +127,7 @@ def read_course_file(path, key=None):
 
     Returns
     -------
-    CourseTable
+    RacelineTable
 
     Raises
     ------
@@ -179,7 +146,7 @@ def read_course_file(path, key=None):
         name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
     if text.lstrip()[:1] in ("{", "["):
         key = key or DEFAULT_KEY
-        table = CourseTable(_json_columns(text, path, key), layout=f"race_stack JSON, {key}")
+        table = RacelineTable(_json_columns(text, path, key), layout=f"race_stack JSON, {key}")
     else:
         table = _csv_table(text, path, key)
     return table._replace(name=name, source=str(path))
@@ -204,10 +171,10 @@ def raceline_from_columns(columns, *, name="", source=""):
     Raises
     ------
     RacelineError
-        If the points make no closed course.
+        If the points make no closed track.
     """
     columns = {key: np.asarray(column, dtype=float) for key, column in columns.items()}
-    return raceline_of(CourseTable(columns, name=name, source=source))
+    return raceline_of(RacelineTable(columns, name=name, source=source))
 
 
 # -- CSV -------------------------------------------------------------------------------------
@@ -262,10 +229,10 @@ def _csv_table(text, path, key=None):
             Finding(
                 "reference-line",
                 NOTE,
-                "a reference line with shifts along its normals: walls measured from the course",
+                "a reference line with shifts along its normals: walls measured from the track",
             )
         )
-    return CourseTable(
+    return RacelineTable(
         columns,
         layout=layout,
         lines=np.array([number for number, _ in data]),
@@ -404,7 +371,7 @@ def _unnamed(columns, findings):
 def _third(x, y, third):
     """Whether the third of three columns is a speed or a total width, and the evidence.
 
-    Speeds fall where the course bends; widths know little of that. On 14 real racelines and
+    Speeds fall where the track bends; widths know little of that. On 14 real racelines and
     centerlines the correlation with the curvature, smoothed over nine points, is -0.73 to -0.91 for
     speeds (but -0.52 on Monza, driven at full speed for most of a lap, and -0.28 on a circle), and
     -0.52 or more for widths.
@@ -418,29 +385,29 @@ def _third(x, y, third):
     bend = np.abs(wrap(heading - np.roll(heading, 1))) / np.hypot(ways[0], ways[1])
     bend = np.mean([np.roll(bend, shift) for shift in range(-4, 5)], axis=0)
     if np.ptp(bend) <= 1e-9:
-        return "total width", "the course bends evenly, which tells nothing"
+        return "total width", "the track bends evenly, which tells nothing"
     falling = float(np.corrcoef(bend, third)[0, 1])
     most = float(np.mean(third >= np.max(third) * (1.0 - 1e-6)))
     told = f"(correlation {falling:.2f})"
     if falling < -0.6:
-        return "speed", f"it falls where the course bends {told}"
+        return "speed", f"it falls where the track bends {told}"
     if falling < -0.4 and most > 0.2:
-        return "speed", f"it falls where the course bends {told}, from a limit reached often"
-    return "total width", f"it does not fall where the course bends {told}"
+        return "speed", f"it falls where the track bends {told}, from a limit reached often"
+    return "total width", f"it does not fall where the track bends {told}"
 
 
 def _from_reference(columns):
-    """Course and walls of a reference line with normals and shifts.
+    """Track and walls of a reference line with normals and shifts.
 
-    The distances to the walls are measured along the course's own normals, as those of a raceline
+    The distances to the walls are measured along the track's own normals, as those of a raceline
     are, to the polylines at ``ref + n width_right`` and ``ref - n width_left`` (with normals that
     point to the right, which is recomputed, too).
     """
     reference = np.stack((columns.pop("x_ref"), columns.pop("y_ref")), axis=1)
     normal = np.stack((columns.pop("x_normal"), columns.pop("y_normal")), axis=1)
     alpha = columns.pop("alpha")
-    course = reference + alpha[:, None] * normal
-    columns.update(x=course[:, 0], y=course[:, 1])
+    track = reference + alpha[:, None] * normal
+    columns.update(x=track[:, 0], y=track[:, 1])
     if "d_left" not in columns or "d_right" not in columns:
         return columns
     closed = np.array_equal(reference[0], reference[-1])
@@ -450,14 +417,14 @@ def _from_reference(columns):
     left = normal * (1.0 if side > 0.0 else -1.0)
     shift = alpha if side > 0.0 else -alpha
     own = np.empty_like(left)
-    own[ring] = _tangents(course[ring])
+    own[ring] = _tangents(track[ring])
     own[-1] = own[0] if closed else own[-1]
     own = np.stack((-own[:, 1], own[:, 0]), axis=1)
     d_left, d_right = columns["d_left"], columns["d_right"]
     wall_left = reference + d_left[:, None] * left
     wall_right = reference - d_right[:, None] * left
-    columns["d_left"] = _distance(course, own, wall_left[ring], d_left - shift)
-    columns["d_right"] = _distance(course, -own, wall_right[ring], d_right + shift)
+    columns["d_left"] = _distance(track, own, wall_left[ring], d_left - shift)
+    columns["d_right"] = _distance(track, -own, wall_right[ring], d_right + shift)
     return columns
 
 

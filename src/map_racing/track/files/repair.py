@@ -1,4 +1,4 @@
-"""Mend what is wrong in a course where it can be told how it should be."""
+"""Mend what is wrong in a track where it can be told how it should be."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from ..findings import ERROR, points
 from ..raceline import distinct_points
 from . import checks
 from .checks import examine, first_loop, overlap, raceline_of, turns_back
-from .table import CourseTable
+from .table import RacelineTable
 
-__all__ = ["driven_columns", "repaired", "resampled", "reversed_course"]
+__all__ = ["driven_columns", "repaired", "resampled", "reversed_table"]
 
 # What is taken from a table; the rest follows from the points.
 _DRIVEN = ("x", "y", "speed", "d_left", "d_right", "width")
@@ -20,11 +20,11 @@ def driven_columns(table):
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
 
     Returns
     -------
-    CourseTable
+    RacelineTable
         Columns ``x y`` and, where they are given and not all 0, ``speed`` and ``d_left d_right``.
     """
     columns = {key: np.asarray(c, float) for key, c in table.columns.items() if key in _DRIVEN}
@@ -40,15 +40,15 @@ def driven_columns(table):
 
 
 def repaired(table):
-    """A course with what was wrong in it mended, as far as its own numbers tell how.
+    """A track with what was wrong in it mended, as far as its own numbers tell how.
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
 
     Returns
     -------
-    table : CourseTable
+    table : RacelineTable
         Its points, speeds and walls.
     repairs : list of str
         What was done, in order.
@@ -56,7 +56,7 @@ def repaired(table):
     Raises
     ------
     RacelineError
-        If something is left that makes the course unusable.
+        If something is left that makes the track unusable.
     """
     repairs = []
     table = table._replace(findings=())
@@ -86,17 +86,17 @@ def repaired(table):
     return table, repairs
 
 
-def reversed_course(table):
-    """The course driven the other way round, from the same first point.
+def reversed_table(table):
+    """The track driven the other way round, from the same first point.
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
         As of `driven_columns`.
 
     Returns
     -------
-    CourseTable
+    RacelineTable
     """
     index = -np.arange(table.columns["x"].size)
     table = _chosen(table, index)
@@ -111,20 +111,20 @@ def resampled(table, spacing):
 
     Parameters
     ----------
-    table : CourseTable
+    table : RacelineTable
         As of `driven_columns`.
     spacing : float
         Distance between the points [m], rounded so that they divide the lap evenly.
 
     Returns
     -------
-    CourseTable
+    RacelineTable
         Without lines of a file.
 
     Raises
     ------
     RacelineError
-        If the course cannot be used.
+        If the track cannot be used.
     """
     raceline = raceline_of(table)
     count = max(4, int(round(raceline.length / spacing)))
@@ -155,7 +155,7 @@ def _sampled(table, raceline, s):
     at = raceline.sample(s)
     columns = {"x": at.x, "y": at.y, "speed": at.speed, "d_left": at.d_left, "d_right": at.d_right}
     columns = {key: column for key, column in columns.items() if column is not None}
-    return CourseTable(columns, table.name, table.source, table.layout)
+    return RacelineTable(columns, table.name, table.source, table.layout)
 
 
 def _drop_rows(table, codes):
@@ -276,7 +276,7 @@ def _drop_turning_back(table, codes):
     count = len(xy) - rows.size
     if not count or turns_back(xy[rows]).size:
         return table, None
-    return _kept(table, rows), f"{points(count)} dropped at which the course turned back"
+    return _kept(table, rows), f"{points(count)} dropped at which the track turned back"
 
 
 def _length(ways):

@@ -1,4 +1,4 @@
-"""What a course is, in figures: for people and for programs."""
+"""What a track is, in figures: for people and for programs."""
 
 import math
 
@@ -7,10 +7,10 @@ import numpy as np
 from ..findings import ERROR, WARNING, worst_first
 from ..speed_profile import lap_time
 
-__all__ = ["course_facts", "facts_text", "findings_count", "findings_rows"]
+__all__ = ["raceline_facts", "facts_text", "findings_count", "findings_rows"]
 
 
-def course_facts(raceline):
+def raceline_facts(raceline):
     """Figures of a raceline, all recomputed from its points.
 
     Parameters
@@ -21,7 +21,7 @@ def course_facts(raceline):
     -------
     dict
         ``length_m``, ``direction`` (``"counter-clockwise"``, ``"clockwise"``, or ``"crossing"`` for
-        a course that turns as much to the left as to the right), ``points``, ``spacing_m`` (least,
+        a track that turns as much to the left as to the right), ``points``, ``spacing_m`` (least,
         median, most), ``min_radius_m``, ``vx_mps`` (least, most), ``lap_time_s`` at these speeds,
         ``d_left_m`` and ``d_right_m`` (least, most); None where unknown.
     """
@@ -49,7 +49,7 @@ def course_facts(raceline):
 
 
 def facts_text(facts):
-    """Lines of text with the figures of `course_facts`."""
+    """Lines of text with the figures of `raceline_facts`."""
     least, usual, most = facts["spacing_m"]
     lines = [
         f"{facts['length_m']:.3f} m, {facts['direction']}, {facts['points']} points "

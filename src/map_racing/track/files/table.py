@@ -1,14 +1,14 @@
-"""Courses as they are given, before anything of them is believed."""
+"""Tracks as they are given, before anything of them is believed."""
 
 from typing import NamedTuple, Optional, Tuple
 
 from ..findings import Finding
 
-__all__ = ["CourseTable"]
+__all__ = ["RacelineTable"]
 
 
-class CourseTable(NamedTuple):
-    """A course as a file or a message has it, point by point; nothing of it is believed yet.
+class RacelineTable(NamedTuple):
+    """A track as a file or a message has it, point by point; nothing of it is believed yet.
 
     Attributes
     ----------

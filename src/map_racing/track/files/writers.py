@@ -1,4 +1,4 @@
-"""Files of courses, in each format that others read.
+"""Files of tracks, in each format that others read.
 
 Heading, curvature, arc length and accelerations are those of the curve through the points written.
 """
@@ -20,12 +20,11 @@ from ..speed_profile import accelerations, lap_time
 
 __all__ = [
     "FORMATS",
-    "CourseColumns",
+    "RacelineColumns",
     "choose_format",
     "closed_rows",
-    "course_columns",
-    "save_raceline",
-    "write_course_file",
+    "raceline_columns",
+    "write_raceline_file",
 ]
 
 FORMATS = {
@@ -40,8 +39,8 @@ _OF_SUFFIX = {".json": ("race_stack",), ".bag": ("bag",)}
 _CSV = ("map_racing", "tum", "racetracks", "centerline")
 
 
-class CourseColumns(NamedTuple):
-    """What is written of a course: its points in order, the first not repeated.
+class RacelineColumns(NamedTuple):
+    """What is written of a track: its points in order, the first not repeated.
 
     Lengths are in meters, angles in radians; speeds [m/s] with the acceleration [m/s^2] that is
     constant from each point to the next, and distances to the walls [m], are None where unknown.
@@ -60,19 +59,19 @@ class CourseColumns(NamedTuple):
     d_right: Optional[np.ndarray]
 
 
-def course_columns(raceline, table=None):
+def raceline_columns(raceline, table=None):
     """Columns of a raceline.
 
     Parameters
     ----------
     raceline : Raceline
-    table : CourseTable, optional
+    table : RacelineTable, optional
         The points that it was made of: then those are written, exactly, instead of the cells of
         the raceline's internal form.
 
     Returns
     -------
-    CourseColumns
+    RacelineColumns
     """
     s = raceline.s if table is None else raceline.s_points
     at = raceline.sample(s)
@@ -89,7 +88,7 @@ def course_columns(raceline, table=None):
     a_x = None
     if speed is not None:
         a_x = accelerations(speed, np.diff(np.append(s, raceline.length)))
-    return CourseColumns(
+    return RacelineColumns(
         raceline.name, raceline.length, s, x, y, at.psi, at.kappa, speed, a_x, d_left, d_right
     )
 
@@ -130,51 +129,35 @@ def choose_format(path, wanted=None):
     return wanted
 
 
-def save_raceline(raceline, path):
-    """Write a raceline as CSV, one line for each cell of its internal form.
-
-    The columns are the nine of `LAYOUTS` in :mod:`.formats`, named in the header, without speeds or
-    walls where the raceline has none. Heading is measured from +x, acceleration is constant from
-    each point to the next, the last point does not repeat the first.
-
-    Parameters
-    ----------
-    raceline : Raceline
-    path : str or pathlib.Path
-        Replaced in one step if it exists: a reader never meets half a file.
-    """
-    write_course_file(path, course_columns(raceline), "map_racing")
-
-
-def write_course_file(path, course, form):
-    """Write a course to a text file.
+def write_raceline_file(path, track, form):
+    """Write a track to a text file.
 
     Parameters
     ----------
     path : str or pathlib.Path
         Replaced in one step if it exists.
-    course : CourseColumns
+    track : RacelineColumns
     form : str
-        One of `FORMATS`, but no bag, which `map_racing.evaluation.recordings.save_course` writes.
+        One of `FORMATS`, except bag, which `map_racing.track.files.load.save_raceline` writes.
 
     Raises
     ------
     RacelineError
-        If the course lacks what the format needs.
+        If the track lacks what the format needs.
     MapRacingError
         If the file cannot be written.
     """
-    text = _WRITERS[form](course, str(path))
+    text = _WRITERS[form](track, str(path))
     with replacing(path) as file:
         file.write(text)
 
 
-def closed_rows(course):
+def closed_rows(track):
     """Waypoints as race_stack has them: the last repeats the first, at the whole length.
 
     Parameters
     ----------
-    course : CourseColumns
+    track : RacelineColumns
         Speeds and widths that it lacks are written as 0.
 
     Returns
@@ -182,34 +165,34 @@ def closed_rows(course):
     ndarray, shape (n + 1, 10)
         ``s_m d_m x_m y_m d_right d_left psi_rad kappa_radpm vx_mps ax_mps2``.
     """
-    zeros = np.zeros(course.s.size)
+    zeros = np.zeros(track.s.size)
     columns = (
-        *(course.s, zeros, course.x, course.y, course.d_right, course.d_left),
-        *(course.psi, course.kappa, course.speed, course.a_x),
+        *(track.s, zeros, track.x, track.y, track.d_right, track.d_left),
+        *(track.psi, track.kappa, track.speed, track.a_x),
     )
     rows = np.stack([zeros if column is None else column for column in columns], axis=1)
     rows = np.concatenate((rows, rows[:1]))
-    rows[-1, 0] = course.length
+    rows[-1, 0] = track.length
     return rows
 
 
 # -- CSV -----------------------------------------------------------------------------------------
 
 
-def _map_racing(course, path):
+def _map_racing(track, path):
     columns = [
-        ("s_m", course.s),
-        ("x_m", course.x),
-        ("y_m", course.y),
-        ("psi_rad", course.psi),
-        ("kappa_radpm", course.kappa),
+        ("s_m", track.s),
+        ("x_m", track.x),
+        ("y_m", track.y),
+        ("psi_rad", track.psi),
+        ("kappa_radpm", track.kappa),
     ]
-    if course.speed is not None:
-        columns += [("vx_mps", course.speed), ("ax_mps2", course.a_x)]
-    if course.d_left is not None:
-        columns += [("d_right_m", course.d_right), ("d_left_m", course.d_left)]
+    if track.speed is not None:
+        columns += [("vx_mps", track.speed), ("ax_mps2", track.a_x)]
+    if track.d_left is not None:
+        columns += [("d_right_m", track.d_right), ("d_left_m", track.d_left)]
     head = [
-        f"closed raceline {course.name}: {course.length:.3f} m".replace("  ", " "),
+        f"closed raceline {track.name}: {track.length:.3f} m".replace("  ", " "),
         "psi_rad from +x, counter-clockwise; kappa_radpm positive in left-hand bends; "
         "d_right_m, d_left_m to the walls",
         "; ".join(name for name, _ in columns),
@@ -217,23 +200,23 @@ def _map_racing(course, path):
     return _csv(head, [column for _, column in columns], ";")
 
 
-def _tum(course, path):
-    return _seven(course, path, "tum", wrap(course.psi - 0.5 * math.pi), "; ")
+def _tum(track, path):
+    return _seven(track, path, "tum", wrap(track.psi - 0.5 * math.pi), "; ")
 
 
-def _racetracks(course, path):
-    return _seven(course, path, "racetracks", np.mod(course.psi, 2.0 * math.pi), ";")
+def _racetracks(track, path):
+    return _seven(track, path, "racetracks", np.mod(track.psi, 2.0 * math.pi), ";")
 
 
-def _seven(course, path, form, psi, separator):
+def _seven(track, path, form, psi, separator):
     """The seven columns, closed, below two lines where the TUM tools have an id and a hash."""
-    if course.speed is None:
+    if track.speed is None:
         raise RacelineError(
-            f"{path}: expected a course with speeds: format {form} has a column of them"
+            f"{path}: expected a track with speeds: format {form} has a column of them"
         )
-    columns = (course.s, course.x, course.y, psi, course.kappa, course.speed, course.a_x)
+    columns = (track.s, track.x, track.y, psi, track.kappa, track.speed, track.a_x)
     columns = [np.append(column, column[0]) for column in columns]
-    columns[0][-1] = course.length
+    columns[0][-1] = track.length
     content = np.stack(columns).tobytes()
     head = [
         str(uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha1(content).hexdigest())),
@@ -243,12 +226,12 @@ def _seven(course, path, form, psi, separator):
     return _csv(head, columns, separator)
 
 
-def _centerline(course, path):
-    if course.d_left is None:
+def _centerline(track, path):
+    if track.d_left is None:
         raise RacelineError(
-            f"{path}: expected a course with walls: format centerline has their distances"
+            f"{path}: expected a track with walls: format centerline has their distances"
         )
-    columns = [course.x, course.y, course.d_right, course.d_left]
+    columns = [track.x, track.y, track.d_right, track.d_left]
     return _csv(["x_m,y_m,w_tr_right_m,w_tr_left_m"], columns, ",")
 
 
@@ -267,15 +250,15 @@ _FIELDS = ("s_m", "d_m", "x_m", "y_m", "d_right", "d_left")
 _FIELDS += ("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
 
 
-def _race_stack(course, path):
+def _race_stack(track, path):
     """All keys that race_stack reads, whose line of shortest path is the raceline here, too."""
-    line = _waypoints(course)
-    center = course if course.d_left is None else _middle(course)
-    speed = course.speed
+    line = _waypoints(track)
+    center = track if track.d_left is None else _middle(track)
+    speed = track.speed
     time, v_max = 0.0, 0.0
     if speed is not None:
         v_max = float(speed.max())
-        ds = np.diff(np.append(course.s, course.length))
+        ds = np.diff(np.append(track.s, track.length))
         time = lap_time(speed, ds)
         time = time if math.isfinite(time) else 0.0
     told = "; ".join(
@@ -283,49 +266,49 @@ def _race_stack(course, path):
         for name in ("IQP", "SP")
     )
     bounds = np.empty((0, 2))
-    if course.d_left is not None:
-        normal = np.stack((-np.sin(course.psi), np.cos(course.psi)), axis=1)
-        xy = np.stack((course.x, course.y), axis=1)
-        walls = xy - course.d_right[:, None] * normal, xy + course.d_left[:, None] * normal
+    if track.d_left is not None:
+        normal = np.stack((-np.sin(track.psi), np.cos(track.psi)), axis=1)
+        xy = np.stack((track.x, track.y), axis=1)
+        walls = xy - track.d_right[:, None] * normal, xy + track.d_left[:, None] * normal
         bounds = np.concatenate(walls)
     content = {
         "map_info_str": {"data": told + "; "},
         "est_lap_time": {"data": time},
         "centerline_markers": _spheres(np.stack((center.x, center.y), axis=1), (0.0, 0.0, 1.0)),
         "centerline_waypoints": _waypoints(center),
-        "global_traj_markers_iqp": _columns(course, v_max, (1.0, 0.0, 0.0)),
+        "global_traj_markers_iqp": _columns(track, v_max, (1.0, 0.0, 0.0)),
         "global_traj_wpnts_iqp": line,
-        "global_traj_markers_sp": _columns(course, v_max, (1.0, 1.0, 0.0)),
+        "global_traj_markers_sp": _columns(track, v_max, (1.0, 1.0, 0.0)),
         "global_traj_wpnts_sp": line,
         "trackbounds_markers": _spheres(bounds, (0.5, 0.0, 0.5)),
     }
     return json.dumps(content) + "\n"
 
 
-def _middle(course):
-    """The line in the middle between the walls, at its own points; the course where that fails."""
-    offset = 0.5 * (course.d_left - course.d_right)
-    half = 0.5 * (course.d_left + course.d_right)
+def _middle(track):
+    """The line in the middle between the walls, at its own points; the track where that fails."""
+    offset = 0.5 * (track.d_left - track.d_right)
+    half = 0.5 * (track.d_left + track.d_right)
     try:
         line = Raceline(
-            course.x - offset * np.sin(course.psi),
-            course.y + offset * np.cos(course.psi),
+            track.x - offset * np.sin(track.psi),
+            track.y + offset * np.cos(track.psi),
             d_left_m=half,
             d_right_m=half,
         )
     except RacelineError:
-        return course
+        return track
     at = line.sample(line.s_points)
-    return CourseColumns(
-        *(course.name, line.length, line.s_points, at.x, at.y, at.psi, at.kappa),
+    return RacelineColumns(
+        *(track.name, line.length, line.s_points, at.x, at.y, at.psi, at.kappa),
         *(None, None, at.d_left, at.d_right),
     )
 
 
-def _waypoints(course):
+def _waypoints(track):
     points = [
         dict({"id": number}, **dict(zip(_FIELDS, row)))
-        for number, row in enumerate(closed_rows(course).tolist())
+        for number, row in enumerate(closed_rows(track).tolist())
     ]
     return {"header": _header(), "wpnts": points}
 
@@ -344,12 +327,12 @@ def _spheres(xy, color):
     }
 
 
-def _columns(course, v_max, color):
+def _columns(track, v_max, color):
     """Columns as high as the speed, the highest 1 m; spheres where there are no speeds."""
-    xy = np.stack((course.x, course.y), axis=1)
+    xy = np.stack((track.x, track.y), axis=1)
     if v_max <= 0.0:
         return _spheres(xy, color)
-    heights = (course.speed / v_max).tolist()
+    heights = (track.speed / v_max).tolist()
     return {
         "markers": [
             _marker(number, 3, (x, y, 0.5 * height), (0.1, 0.1, height), color)

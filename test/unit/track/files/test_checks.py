@@ -1,4 +1,4 @@
-"""What is wrong in a course is found, where it is, and only that."""
+"""What is wrong in a track is found, where it is, and only that."""
 
 import math
 
@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from map_racing.errors import RacelineError
 from map_racing.track.files.checks import examine, raceline_of
-from map_racing.track.files.readers import load_raceline
-from map_racing.track.files.table import CourseTable
+from map_racing.track.files.load import load_raceline
+from map_racing.track.files.table import RacelineTable
 from map_racing.track.findings import ERROR, NOTE, WARNING
 from map_racing.track.raceline import Raceline
 
-# A course with bends both ways, driven counter-clockwise; walls and speeds as a racing line has
+# A track with bends both ways, driven counter-clockwise; walls and speeds as a racing line has
 # them: close to the inner wall and slow in bends.
 T = np.arange(400) * 2.0 * math.pi / 400
 R = 6.0 + 1.5 * np.cos(3.0 * T)
@@ -38,7 +38,7 @@ def table(rows=None, without=(), **changed):
     columns = {k: np.array(v, dtype=float) for k, v in {**GOOD, **changed}.items()}
     rows = np.arange(N) if rows is None else rows
     columns = {k: column[rows] for k, column in columns.items() if k not in without}
-    return CourseTable(columns, "course", "c.csv", lines=np.arange(len(rows)) + 4)
+    return RacelineTable(columns, "track", "c.csv", lines=np.arange(len(rows)) + 4)
 
 
 def codes(table):
@@ -51,7 +51,7 @@ def set_at(column, places, value):
     return column
 
 
-def test_nothing_is_wrong_with_a_good_course():
+def test_nothing_is_wrong_with_a_good_track():
     examination = examine(table())
     assert [finding.code for finding in examination.findings] == ["heading-x"]
     assert raceline_of(table()).findings == examination.findings
@@ -94,7 +94,7 @@ def test_repetitions():
     assert [place.index for place in found["repeated-points"].places] == [51, 52, 93]
 
 
-def test_two_laps_of_the_same_course():
+def test_two_laps_of_the_same_track():
     found = codes(table(rows=np.tile(np.arange(N), 2), without=("s",)))
     assert found["two-loops"].severity == ERROR
     assert found["two-loops"].places[0].index == N
@@ -102,7 +102,7 @@ def test_two_laps_of_the_same_course():
     rows = np.append(np.arange(N), np.arange(N - 20))
     width = 0.1 * np.sin(np.arange(rows.size) / 70.0)
     x, y = LINE.to_cartesian(LINE.s[rows], width)
-    found = codes(CourseTable({"x": x, "y": y}))
+    found = codes(RacelineTable({"x": x, "y": y}))
     assert abs(found["two-loops"].places[0].index - N) < 3
     # Any more than one lap.
     for laps in (1.2, 1.5, 3.0, 7.0):
@@ -115,20 +115,20 @@ def test_two_laps_of_the_same_course():
 def test_two_loops_one_after_the_other():
     walls = [LINE.to_cartesian(LINE.s, d) for d in (1.0, -1.0)]
     columns = {key: np.concatenate([wall[k] for wall in walls]) for k, key in enumerate("xy")}
-    found = codes(CourseTable(columns))
+    found = codes(RacelineTable(columns))
     assert found["two-loops"].severity == ERROR
     assert found["two-loops"].places[0].index == N
 
 
 def test_neither_hairpins_nor_crossings_are_two_loops():
     eight = {"x": 8.0 * np.sin(T), "y": 4.0 * np.sin(2.0 * T)}
-    examination = examine(CourseTable(eight))
+    examination = examine(RacelineTable(eight))
     assert [finding.code for finding in examination.findings] == ["self-crossing"]
     assert examination.findings[0].severity == NOTE
     assert np.hypot(*examination.findings[0].places[0][3:]) < 0.2
     # Out and back 1 m beside each other.
     long = {"x": 20.0 * np.cos(T), "y": 0.5 * np.sign(np.sin(T)) * np.abs(np.sin(T)) ** 0.4}
-    assert "two-loops" not in codes(CourseTable(long))
+    assert "two-loops" not in codes(RacelineTable(long))
 
 
 def test_an_end_that_overlaps_the_start():
@@ -159,17 +159,17 @@ def test_gaps():
     assert list(found) == ["spacing"] and found["spacing"].places[0].index == 99
     found = codes(table(rows=np.arange(N // 2)))
     assert found["open"].severity == ERROR
-    assert "expected a closed course, but the last point is" in found["open"].text
+    assert "expected a closed track, but the last point is" in found["open"].text
 
 
-def test_an_open_course_whose_column_only_rises_is_asked_about():
-    found = codes(CourseTable({"x": GOOD["s"], "y": GOOD["x"]}))
+def test_an_open_track_whose_column_only_rises_is_asked_about():
+    found = codes(RacelineTable({"x": GOOD["s"], "y": GOOD["x"]}))
     assert "x only rises: is it the column of x?" in found["open"].text
 
 
 def test_too_few_points_for_the_bends():
     angles = np.arange(7) * 2.0 * math.pi / 7
-    found = codes(CourseTable({"x": 6.0 * np.cos(angles), "y": 6.0 * np.sin(angles)}))
+    found = codes(RacelineTable({"x": 6.0 * np.cos(angles), "y": 6.0 * np.sin(angles)}))
     assert list(found) == ["coarse"] and found["coarse"].severity == WARNING
 
 
@@ -218,24 +218,24 @@ def test_exchanged_axes():
 
 def test_bends_too_tight_for_a_car():
     small = {key: 0.3 * GOOD[key] for key in ("x", "y")}
-    assert examine(CourseTable(small)).findings[0].code == "tight-bend"
-    assert examine(CourseTable(small)).findings[0].severity == NOTE
+    assert examine(RacelineTable(small)).findings[0].code == "tight-bend"
+    assert examine(RacelineTable(small)).findings[0].severity == NOTE
     small["speed"] = 1.0 + 0.0 * LINE.s
-    assert codes(CourseTable(small))["tight-bend"].severity == WARNING
+    assert codes(RacelineTable(small))["tight-bend"].severity == WARNING
 
 
-def test_courses_in_another_unit():
+def test_tracks_in_another_unit():
     for scale in (1000.0, 0.001):
-        found = codes(CourseTable({key: scale * GOOD[key] for key in ("x", "y")}))["size"]
+        found = codes(RacelineTable({key: scale * GOOD[key] for key in ("x", "y")}))["size"]
         assert found.severity == WARNING and "is it in meters?" in found.text
-    assert "size" not in codes(CourseTable({key: GOOD[key] for key in ("x", "y")}))
+    assert "size" not in codes(RacelineTable({key: GOOD[key] for key in ("x", "y")}))
 
 
 def test_a_small_loop():
     # A limaçon with an inner loop.
     r = 0.8 + 1.0 * np.cos(T)
     x, y = 3.0 * r * np.cos(T), 3.0 * r * np.sin(T)
-    assert codes(CourseTable({"x": x, "y": y}))["loop"].severity == WARNING
+    assert codes(RacelineTable({"x": x, "y": y}))["loop"].severity == WARNING
 
 
 def test_walls():
@@ -245,7 +245,7 @@ def test_walls():
     # A waist of 1 m between walls that are said to be 0.8 m away on either side.
     peanut = {"x": 12.0 * np.cos(T), "y": (0.5 + 6.0 * np.cos(T) ** 2) * np.sin(T)}
     peanut.update(d_left=0.0 * T + 0.8, d_right=0.0 * T + 0.8)
-    texts = [f.text for f in examine(CourseTable(peanut)).findings if f.code == "walls-cross"]
+    texts = [f.text for f in examine(RacelineTable(peanut)).findings if f.code == "walls-cross"]
     assert any(text.startswith("the left wall crosses itself") for text in texts)
     found = {f.code: f.severity for f in examine(table(d_right=GOOD["d_right"] + 1.5)).findings}
     assert found["wall-folds"] == NOTE
@@ -253,7 +253,7 @@ def test_walls():
 
 
 def exchanged(line):
-    return CourseTable({"x": line.x, "y": line.y, "d_left": line.d_right, "d_right": line.d_left})
+    return RacelineTable({"x": line.x, "y": line.y, "d_left": line.d_right, "d_right": line.d_left})
 
 
 def test_exchanged_walls():
@@ -261,7 +261,7 @@ def test_exchanged_walls():
     # A line that weaves between two circles, whose turns tell nothing.
     r = 6.0 + 0.4 * np.sin(2.0 * T)
     columns = {"x": r * np.cos(T), "y": r * np.sin(T), "d_left": r - 5.0, "d_right": 7.5 - r}
-    assert codes(CourseTable(columns)) == {}
+    assert codes(RacelineTable(columns)) == {}
 
 
 @pytest.mark.parametrize(
@@ -307,8 +307,8 @@ def test_errors_leave_out_what_they_spoil():
     size=st.floats(4.0, 200.0),
     count=st.integers(120, 500),
 )
-def test_no_false_alarm_on_good_courses(seed, clockwise, size, count):
-    """Smooth courses with true columns, in any size and direction, have nothing wrong."""
+def test_no_false_alarm_on_good_tracks(seed, clockwise, size, count):
+    """Smooth tracks with true columns, in any size and direction, have nothing wrong."""
     rng = np.random.RandomState(seed)
     t = np.arange(count) * 2.0 * math.pi / count
     r = 1.0 + sum(
@@ -322,6 +322,6 @@ def test_no_false_alarm_on_good_courses(seed, clockwise, size, count):
     hugging = 0.8 * width * at.kappa / np.max(np.abs(at.kappa))
     columns.update(d_left=width - hugging, d_right=width + hugging)
     columns["speed"] = np.full(count, math.sqrt(9.0 / np.max(np.abs(at.kappa))))
-    found = codes(CourseTable(columns))
+    found = codes(RacelineTable(columns))
     found.pop("tight-bend", None)
     assert found == {}

@@ -1,4 +1,4 @@
-"""Every format that is written, read by every reader: the course stays where it is."""
+"""Every format that is written, read by every reader: the track stays where it is."""
 
 import gzip
 import json
@@ -15,11 +15,11 @@ from map_racing.bags import messages as msg
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, FileFormatError, ParameterError, RacelineError
 from map_racing.track.files.checks import raceline_of
-from map_racing.track.files.load import load_course, read_course, save_course
+from map_racing.track.files.load import load_raceline, read_raceline, save_raceline
 from map_racing.track.files.repair import driven_columns
-from map_racing.track.files.table import CourseTable
+from map_racing.track.files.table import RacelineTable
 from map_racing.track.files.waypoints import waypoint_rows
-from map_racing.track.files.writers import FORMATS, choose_format, course_columns
+from map_racing.track.files.writers import FORMATS, choose_format, raceline_columns
 from map_racing.track.findings import NOTE
 from map_racing.track.raceline import Raceline
 
@@ -43,13 +43,13 @@ def smooth(rng, t, low, high, waves=3):
     return low + (high - low) * part
 
 
-def random_course(seed, count=150, size=8.0, origin=(0.0, 0.0), clockwise=False):
+def random_track(seed, count=150, size=8.0, origin=(0.0, 0.0), clockwise=False):
     """Uneven points of a random smooth closed curve, with speeds and walls."""
     rng = np.random.RandomState(seed)
     t = (np.arange(count) + rng.uniform(-0.3, 0.3, count)) * 2.0 * math.pi / count
     r = size * smooth(rng, t, 0.7, 1.3)
     t = -t if clockwise else t
-    return CourseTable(
+    return RacelineTable(
         {
             "x": origin[0] + r * np.cos(t),
             "y": origin[1] + r * np.sin(t),
@@ -61,13 +61,13 @@ def random_course(seed, count=150, size=8.0, origin=(0.0, 0.0), clockwise=False)
     )
 
 
-def same(read, course, columns=(), atol=1e-6):
-    """The table read is the course, at its points and along the curve."""
+def same(read, track, columns=(), atol=1e-6):
+    """The table read is the track, at its points and along the curve."""
     driven = driven_columns(read)
-    assert driven.columns["x"].size == course.columns["x"].size
+    assert driven.columns["x"].size == track.columns["x"].size
     for key in ("x", "y", *columns):
-        np.testing.assert_allclose(driven.columns[key], course.columns[key], rtol=0.0, atol=atol)
-    lines = [raceline_of(CourseTable({k: t.columns[k] for k in "xy"})) for t in (driven, course)]
+        np.testing.assert_allclose(driven.columns[key], track.columns[key], rtol=0.0, atol=atol)
+    lines = [raceline_of(RacelineTable({k: t.columns[k] for k in "xy"})) for t in (driven, track)]
     at = [line.sample(np.linspace(0.0, 1.0, 97) * line.length) for line in lines]
     np.testing.assert_allclose(at[0].x, at[1].x, rtol=0.0, atol=atol)
     np.testing.assert_allclose(at[0].y, at[1].y, rtol=0.0, atol=atol)
@@ -84,26 +84,26 @@ def same(read, course, columns=(), atol=1e-6):
     clockwise=st.booleans(),
 )
 def test_round_trips(tmp_path_factory, form, seed, count, size, x, y, clockwise):
-    course = random_course(seed, count, size, (x, y), clockwise)
+    track = random_track(seed, count, size, (x, y), clockwise)
     path = tmp_path_factory.getbasetemp() / f"round_trip_{form}{SUFFIX.get(form, '.csv')}"
-    raceline = raceline_of(course)
-    assert save_course(path, course_columns(raceline, course), form) == form
-    read = read_course(path)
-    same(read, course, HAS[form])
+    raceline = raceline_of(track)
+    save_raceline(raceline, path, form, track)
+    read = read_raceline(path)
+    same(read, track, HAS[form])
     # What it says of the curve is true, so nothing of that is found wrong.
-    codes = {f.code for f in load_course(path).findings}
+    codes = {f.code for f in load_raceline(path).findings}
     assert not codes & {"heading", "heading-point", "curvature", "arc-length", "acceleration"}
     # A second trip changes nothing more.
     again = driven_columns(read)
-    save_course(path, course_columns(raceline_of(again), again), form)
-    same(read_course(path), again, HAS[form], atol=1e-12 if form in SUFFIX else 1e-6)
+    save_raceline(raceline_of(again), path, form, again)
+    same(read_raceline(path), again, HAS[form], atol=1e-12 if form in SUFFIX else 1e-6)
 
 
 # -- readers of layouts that are not written -----------------------------------------------------
 
-COURSE = random_course(7)
-LINE = raceline_of(COURSE)
-AT = course_columns(LINE, COURSE)
+TRACK = random_track(7)
+LINE = raceline_of(TRACK)
+AT = raceline_columns(LINE, TRACK)
 ROWS = {
     "s": AT.s,
     "x": AT.x,
@@ -159,11 +159,11 @@ def test_layouts(tmp_path, content, columns, packed):
     path = tmp_path / ("c.csv.gz" if packed else "c.csv")
     data = content.encode()
     path.write_bytes(gzip.compress(data) if packed else data)
-    read = read_course(path)
+    read = read_raceline(path)
     # Speeds that know nothing of bends are not taken for speeds unless named so.
     if columns == ("speed",) and "width" in read.columns:
-        read = read_course(f"{path}#x,y,speed")
-    same(read, COURSE, columns)
+        read = read_raceline(f"{path}#x,y,speed")
+    same(read, TRACK, columns)
 
 
 def test_three_unnamed_columns_are_told_apart_by_their_numbers(tmp_path):
@@ -171,13 +171,13 @@ def test_three_unnamed_columns_are_told_apart_by_their_numbers(tmp_path):
     slow = 6.0 - 4.0 * np.abs(LINE.sample(LINE.s_points).kappa) / np.max(np.abs(LINE.kappa))
     for third, key in ((slow, "speed"), (ROWS["total"], "width"), (0.0 * slow + 2.0, "width")):
         np.savetxt(str(path), np.stack((AT.x, AT.y, third), axis=1))
-        read = read_course(path)
+        read = read_raceline(path)
         assert np.array_equal(np.round(read.columns[key], 9), np.round(third, 9))
         assert [finding.code for finding in read.findings] == ["third-column"]
         assert "FILE#x,y,width" in read.findings[0].text
         # Given, nothing is guessed.
         for name, meaning in (("v", "speed"), ("width", "width"), ("-", None)):
-            told = read_course(f"{path}#x,y,{name}")
+            told = read_raceline(f"{path}#x,y,{name}")
             assert set(told.columns) == {"x", "y", meaning} - {None} and told.findings == ()
 
 
@@ -195,12 +195,12 @@ def test_three_columns_of_real_racelines_and_centerlines(shared_data, tmp_path):
         "tracks/Oschersleben/Oschersleben_raceline.csv": ("speed",),
     }
     for source, meanings in lines.items():
-        line = load_course(f"{shared_data}/{source}")
+        line = load_raceline(f"{shared_data}/{source}")
         at = line.sample(line.s_points)
         for meaning in meanings:
             third = at.speed if meaning == "speed" else at.d_left + at.d_right
             np.savetxt(str(tmp_path / "c.csv"), np.stack((at.x, at.y, third), axis=1))
-            assert meaning in read_course(tmp_path / "c.csv").columns, source
+            assert meaning in read_raceline(tmp_path / "c.csv").columns, source
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -214,8 +214,8 @@ def test_reference_lines_with_shifts(tmp_path, side, closed, named):
     normal = side * np.stack((np.cos(t), np.sin(t)), axis=1)  # to the right for side 1
     alpha = 0.4 * np.sin(2.0 * t)
     right, left = np.full(300, outer - radius), np.full(300, radius - inner)
-    course = ref + alpha[:, None] * normal
-    line = Raceline(course[:, 0], course[:, 1], vx_mps=3.0 + np.cos(t))
+    track = ref + alpha[:, None] * normal
+    line = Raceline(track[:, 0], track[:, 1], vx_mps=3.0 + np.cos(t))
     at = line.sample(line.s_points)
     columns = [*ref.T, right, left, *normal.T, alpha]
     columns += [at.s, at.psi - 0.5 * math.pi, at.kappa, at.speed, 0.0 * t]
@@ -227,7 +227,7 @@ def test_reference_lines_with_shifts(tmp_path, side, closed, named):
     )
     path = tmp_path / "ltpl.csv"
     np.savetxt(str(path), table, fmt="%.7f", delimiter="; ", header=header if named else "id")
-    read = load_course(path)
+    read = load_raceline(path)
     assert read.length == pytest.approx(line.length, abs=1e-5)
     found = {finding.code for finding in read.findings} - {"closing-point", "acceleration"}
     assert found == {"reference-line", "heading-north"}
@@ -260,22 +260,22 @@ def test_paths_in_bags(tmp_path, oriented):
         ):
             values = (poses, oriented, ("map", "", "a_longer_frame"))
             bag._write(topic, msg.PATH, 1.0 + k, None, encode_path, *values)
-    read = read_course(path)
+    read = read_raceline(path)
     assert read.layout == "Path on /path"
-    same(read, COURSE)
-    found = [finding.code for finding in load_course(path).findings]
+    same(read, TRACK)
+    found = [finding.code for finding in load_raceline(path).findings]
     assert found == (["heading-x"] if oriented else [])
-    same(read_course(f"{path}#local_plan"), COURSE)
+    same(read_raceline(f"{path}#local_plan"), TRACK)
     with pytest.raises(BagError, match="no raceline"):
-        read_course(f"{path}#/nowhere")
+        read_raceline(f"{path}#/nowhere")
 
 
 def test_waypoints_come_before_paths(tmp_path):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag._write("/global_path", msg.PATH, 1.0, None, encode_path, POSES)
         bag.waypoints(1.0, waypoint_rows(LINE))
-    assert read_course(tmp_path / "a.bag").layout == "WpntArray on /global_waypoints"
-    assert read_course(f"{tmp_path / 'a.bag'}#/global_path").layout == "Path on /global_path"
+    assert read_raceline(tmp_path / "a.bag").layout == "WpntArray on /global_waypoints"
+    assert read_raceline(f"{tmp_path / 'a.bag'}#/global_path").layout == "Path on /global_path"
 
 
 def test_a_path_cut_short_is_told(tmp_path):
@@ -285,14 +285,14 @@ def test_a_path_cut_short_is_told(tmp_path):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag._write("/p", msg.PATH, 1.0, None, lambda *values: whole[:-900])
     with pytest.raises(BagError, match="cannot decode nav_msgs/Path"):
-        read_course(tmp_path / "a.bag")
+        read_raceline(tmp_path / "a.bag")
 
 
 # -- what is written -----------------------------------------------------------------------------
 
 
 def test_the_raceline_of_the_tum_tools(tmp_path):
-    save_course(tmp_path / "c.csv", AT, "tum")
+    save_raceline(LINE, tmp_path / "c.csv", "tum", TRACK)
     lines = (tmp_path / "c.csv").read_text().splitlines()
     assert [line[:2] for line in lines[:3]] == ["# "] * 3
     assert lines[2] == "# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2"
@@ -300,7 +300,7 @@ def test_the_raceline_of_the_tum_tools(tmp_path):
     table = np.loadtxt(str(tmp_path / "c.csv"), delimiter=";")
     assert np.array_equal(table[0, 1:], table[-1, 1:])
     assert table[-1, 0] == pytest.approx(LINE.length, abs=1e-6)
-    # Counter-clockwise from +y: a course going along +y has heading 0.
+    # Counter-clockwise from +y: a track going along +y has heading 0.
     heading = np.arctan2(-np.sin(table[:, 3]), np.cos(table[:, 3]))
     ahead = np.stack((np.sin(heading), np.cos(heading)), axis=1)[:-1]
     chords = np.diff(table[:, 1:3], axis=0)
@@ -311,7 +311,7 @@ def test_the_raceline_of_the_tum_tools(tmp_path):
 
 
 def test_the_raceline_of_f1tenth_racetracks(tmp_path):
-    save_course(tmp_path / "c.csv", AT, "racetracks")
+    save_raceline(LINE, tmp_path / "c.csv", "racetracks", TRACK)
     content = (tmp_path / "c.csv").read_text()
     assert "; " not in content.split("ax_mps2\n")[1]
     table = np.loadtxt(str(tmp_path / "c.csv"), delimiter=";")
@@ -323,7 +323,7 @@ def test_the_raceline_of_f1tenth_racetracks(tmp_path):
 
 
 def test_the_centerline(tmp_path):
-    save_course(tmp_path / "c.csv", AT, "centerline")
+    save_raceline(LINE, tmp_path / "c.csv", "centerline", TRACK)
     lines = (tmp_path / "c.csv").read_text().splitlines()
     assert lines[0] == "# x_m,y_m,w_tr_right_m,w_tr_left_m"
     assert lines[1] != lines[-1] and len(lines) == 1 + AT.x.size
@@ -347,7 +347,7 @@ def keys_of(value):
 def test_race_stack_has_the_keys_of_a_real_file(shared_data, tmp_path):
     packed = (shared_data / "tracks" / "circle" / "global_waypoints.json.gz").read_bytes()
     real = json.loads(gzip.decompress(packed).decode())
-    save_course(tmp_path / "c.json", AT)
+    save_raceline(LINE, tmp_path / "c.json", "race_stack", TRACK)
     written = json.loads((tmp_path / "c.json").read_text())
     assert keys_of(written) == keys_of(real)
     kinds = {"int": int, "float": float}
@@ -357,7 +357,7 @@ def test_race_stack_has_the_keys_of_a_real_file(shared_data, tmp_path):
 
 
 def test_race_stack(tmp_path):
-    save_course(tmp_path / "c.json", AT)
+    save_raceline(LINE, tmp_path / "c.json", "race_stack", TRACK)
     content = json.loads((tmp_path / "c.json").read_text())
     wpnts = content["global_traj_wpnts_iqp"]["wpnts"]
     assert list(wpnts[0]) == WPNT
@@ -371,25 +371,25 @@ def test_race_stack(tmp_path):
     assert content["global_traj_wpnts_sp"] == content["global_traj_wpnts_iqp"]
     assert len(content["trackbounds_markers"]["markers"]) == 2 * AT.x.size
     # The line in the middle has the same walls.
-    middle = load_course(f"{tmp_path / 'c.json'}#centerline_waypoints")
+    middle = load_raceline(f"{tmp_path / 'c.json'}#centerline_waypoints")
     np.testing.assert_allclose(middle.d_left, middle.d_right, atol=1e-9)
     mean = np.mean(AT.d_left + AT.d_right)
     assert np.mean(middle.d_left + middle.d_right) == pytest.approx(mean, rel=0.05)
 
 
 def test_what_a_format_needs(tmp_path):
-    bare = CourseTable({"x": AT.x, "y": AT.y})
-    bare = course_columns(raceline_of(bare), bare)
+    table = RacelineTable({"x": AT.x, "y": AT.y})
+    bare = raceline_of(table)
     for form in ("tum", "racetracks"):
-        with pytest.raises(RacelineError, match=f"c.csv: expected a course with speeds: .* {form}"):
-            save_course(tmp_path / "c.csv", bare, form)
-    with pytest.raises(RacelineError, match="expected a course with walls"):
-        save_course(tmp_path / "c.csv", bare, "centerline")
+        with pytest.raises(RacelineError, match=f"c.csv: expected a track with speeds: .* {form}"):
+            save_raceline(bare, tmp_path / "c.csv", form, table)
+    with pytest.raises(RacelineError, match="expected a track with walls"):
+        save_raceline(bare, tmp_path / "c.csv", "centerline", table)
     assert list(tmp_path.iterdir()) == []
-    for name in ("c.json", "c.bag"):
-        save_course(tmp_path / name, bare)
-        same(read_course(tmp_path / name), COURSE)
-        line = load_course(tmp_path / name)
+    for name, form in (("c.json", "race_stack"), ("c.bag", "bag")):
+        save_raceline(bare, tmp_path / name, form, table)
+        same(read_raceline(tmp_path / name), TRACK)
+        line = load_raceline(tmp_path / name)
         assert line.speed is None and line.d_left is None
 
 
@@ -423,7 +423,7 @@ def test_the_format_follows_from_the_name_or_is_asked_for():
 def test_wrong_names_of_columns(tmp_path, key, message):
     (tmp_path / "c.csv").write_text(text(("x", "y", "v")))
     with pytest.raises(FileFormatError, match=message):
-        read_course(f"{tmp_path / 'c.csv'}#{key}")
+        read_raceline(f"{tmp_path / 'c.csv'}#{key}")
 
 
 def test_garbage_in_the_middle_of_a_file(tmp_path):
@@ -436,7 +436,7 @@ def test_garbage_in_the_middle_of_a_file(tmp_path):
     ):
         (tmp_path / "c.csv").write_text("\n".join([*lines[:9], line, *lines[9:]]))
         with pytest.raises(FileFormatError, match=message):
-            read_course(tmp_path / "c.csv")
+            read_raceline(tmp_path / "c.csv")
 
 
 def test_a_large_file(tmp_path):
@@ -445,7 +445,7 @@ def test_a_large_file(tmp_path):
     t = np.arange(count) * 2.0 * math.pi / count
     rows = [f"{x:.4f},{y:.4f}" for x, y in zip(4e3 * np.cos(t), 4e3 * np.sin(t))]
     (tmp_path / "c.csv").write_text("\n".join(rows))
-    read = read_course(tmp_path / "c.csv")
+    read = read_raceline(tmp_path / "c.csv")
     assert read.columns["x"].size == count and read.lines[-1] == count
     assert raceline_of(read).length == pytest.approx(2.0 * math.pi * 4e3, rel=1e-6)
 
@@ -472,7 +472,7 @@ REAL = {
 def test_real_files_are_read_right(shared_data, tmp_path, source):
     """Nothing is wrong with them, and what they state agrees with what is recomputed."""
     heading, closed = REAL[source]
-    table = read_course(f"{shared_data}/{source}")
+    table = read_raceline(f"{shared_data}/{source}")
     line = raceline_of(table)
     assert {finding.severity for finding in line.findings} <= {NOTE}
     codes = [finding.code for finding in line.findings]
@@ -489,13 +489,13 @@ def test_real_files_are_read_right(shared_data, tmp_path, source):
         off = np.abs(wrap(table.columns["psi"][rows] + zero - at.psi))
         assert np.percentile(off, 95) < 0.02
     # And they go through every format that can hold them, unmoved.
-    course = driven_columns(table)
+    track = driven_columns(table)
     for form in FORMATS:
         if line.speed is None and form in ("tum", "racetracks"):
             continue
         if line.d_left is None and form == "centerline":
             continue
         path = tmp_path / f"c{SUFFIX.get(form, '.csv')}"
-        save_course(path, course_columns(line, course), form)
-        kept = [key for key in HAS[form] if key in course.columns]
-        same(read_course(path), course, kept)
+        save_raceline(line, path, form, track)
+        kept = [key for key in HAS[form] if key in track.columns]
+        same(read_raceline(path), track, kept)

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError, RacelineError
+from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.files.readers import (
-    load_raceline,
     raceline_from_columns,
-    read_course_file,
-    save_raceline,
+    read_raceline_file,
 )
 from map_racing.track.raceline import Raceline
 
 # An ellipse, counter-clockwise: all that a file may say about it.
 T = np.arange(120) * 2.0 * math.pi / 120
-COURSE = Raceline(
+TRACK = Raceline(
     6.0 * np.cos(T),
     4.0 * np.sin(T),
     vx_mps=4.0 + np.cos(T),
@@ -27,15 +26,15 @@ COURSE = Raceline(
     name="ellipse",
 )
 COLUMNS = {
-    "s_m": COURSE.s,
-    "x_m": COURSE.x,
-    "y_m": COURSE.y,
-    "psi_rad": COURSE.psi,
-    "kappa_radpm": COURSE.kappa,
-    "vx_mps": COURSE.speed,
-    "ax_mps2": 0.0 * COURSE.s,
-    "d_right": COURSE.d_right,
-    "d_left": COURSE.d_left,
+    "s_m": TRACK.s,
+    "x_m": TRACK.x,
+    "y_m": TRACK.y,
+    "psi_rad": TRACK.psi,
+    "kappa_radpm": TRACK.kappa,
+    "vx_mps": TRACK.speed,
+    "ax_mps2": 0.0 * TRACK.s,
+    "d_right": TRACK.d_right,
+    "d_left": TRACK.d_left,
 }
 TUM = ["s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"]
 
@@ -50,9 +49,9 @@ def write(path, names, header=None, separator=",", closed=False, **changed):
     return path
 
 
-def assert_same_curve(course, other=COURSE, atol=1e-5):
-    assert course.length == pytest.approx(other.length, abs=atol)
-    at, expected = (curve.sample(np.linspace(0.0, 20.0, 99)) for curve in (course, other))
+def assert_same_curve(track, other=TRACK, atol=1e-5):
+    assert track.length == pytest.approx(other.length, abs=atol)
+    at, expected = (curve.sample(np.linspace(0.0, 20.0, 99)) for curve in (track, other))
     np.testing.assert_allclose(at.x, expected.x, atol=atol)
     np.testing.assert_allclose(at.y, expected.y, atol=atol)
     return at, expected
@@ -79,14 +78,14 @@ def assert_same_curve(course, other=COURSE, atol=1e-5):
     ],
 )
 def test_racelines(tmp_path, names, header, separator):
-    course = load_raceline(write(tmp_path / "ellipse.csv", names, header, separator))
-    at, expected = assert_same_curve(course)
+    track = load_raceline(write(tmp_path / "ellipse.csv", names, header, separator))
+    at, expected = assert_same_curve(track)
     np.testing.assert_allclose(at.speed, expected.speed, atol=1e-4)
     if "d_left" in names:
         np.testing.assert_allclose(at.d_left, expected.d_left, atol=1e-4)
         np.testing.assert_allclose(at.d_right, expected.d_right, atol=1e-4)
-    assert course.name == "ellipse"
-    assert course.source == str(tmp_path / "ellipse.csv")
+    assert track.name == "ellipse"
+    assert track.source == str(tmp_path / "ellipse.csv")
 
 
 @pytest.mark.parametrize(
@@ -94,44 +93,44 @@ def test_racelines(tmp_path, names, header, separator):
 )
 def test_centerline_with_walls(tmp_path, header):
     path = write(tmp_path / "center.csv", ["x_m", "y_m", "d_right", "d_left"], header)
-    course = load_raceline(path)
-    at, expected = assert_same_curve(course)
+    track = load_raceline(path)
+    at, expected = assert_same_curve(track)
     np.testing.assert_allclose(at.d_left, expected.d_left, atol=1e-4)
-    assert course.speed is None
-    assert course.findings == ()
+    assert track.speed is None
+    assert track.findings == ()
 
 
 def test_five_columns_end_with_the_height(tmp_path):
     path = write(tmp_path / "c.csv", ["x_m", "y_m", "d_right", "d_left", "ax_mps2"])
-    np.testing.assert_allclose(load_raceline(path).d_left, COURSE.d_left, atol=1e-4)
+    np.testing.assert_allclose(load_raceline(path).d_left, TRACK.d_left, atol=1e-4)
 
 
 def test_three_columns_are_the_total_width(tmp_path):
-    course = load_raceline(write(tmp_path / "c.csv", ["x_m", "y_m", "d_right"]))
-    np.testing.assert_allclose(course.d_left, 0.5 * COURSE.d_right, atol=1e-4)
-    np.testing.assert_allclose(course.d_right, 0.5 * COURSE.d_right, atol=1e-4)
-    assert [finding.code for finding in course.findings] == ["third-column", "total-width"]
+    track = load_raceline(write(tmp_path / "c.csv", ["x_m", "y_m", "d_right"]))
+    np.testing.assert_allclose(track.d_left, 0.5 * TRACK.d_right, atol=1e-4)
+    np.testing.assert_allclose(track.d_right, 0.5 * TRACK.d_right, atol=1e-4)
+    assert [finding.code for finding in track.findings] == ["third-column", "total-width"]
 
 
 def test_two_columns_and_windows_line_ends(tmp_path):
     path = write(tmp_path / "c.txt", ["x_m", "y_m"])
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n") + b"\r\n;;\r\n")
-    course = load_raceline(path)
-    assert_same_curve(course)
-    assert course.name == "c"
+    track = load_raceline(path)
+    assert_same_curve(track)
+    assert track.name == "c"
 
 
 def test_gzip(tmp_path):
     path = write(tmp_path / "c.csv", ["x_m", "y_m"])
     (tmp_path / "c.csv.gz").write_bytes(gzip.compress(path.read_bytes()))
-    course = load_raceline(tmp_path / "c.csv.gz")
-    assert_same_curve(course)
-    assert course.name == "c"
+    track = load_raceline(tmp_path / "c.csv.gz")
+    assert_same_curve(track)
+    assert track.name == "c"
 
 
 def waypoints(speed=None):
     names = ["s_m", "x_m", "y_m", "d_right", "d_left", "psi_rad", "kappa_radpm", "vx_mps"]
-    columns = dict(COLUMNS, vx_mps=COURSE.speed if speed is None else speed)
+    columns = dict(COLUMNS, vx_mps=TRACK.speed if speed is None else speed)
     rows = zip(*(columns[name].tolist() for name in names))
     return {"wpnts": [dict(zip(names, row), id=k, d_m=0.0) for k, row in enumerate(rows)]}
 
@@ -140,35 +139,32 @@ def test_race_stack_json(tmp_path):
     content = {
         "map_info_str": {"data": "a hall"},
         "global_traj_wpnts_iqp": waypoints(),
-        "centerline_waypoints": waypoints(0.0 * COURSE.s),
+        "centerline_waypoints": waypoints(0.0 * TRACK.s),
     }
     path = tmp_path / "global_waypoints.json.gz"
     path.write_bytes(gzip.compress(json.dumps(content).encode()))
     at, expected = assert_same_curve(load_raceline(path))
     np.testing.assert_allclose(at.speed, expected.speed, atol=1e-4)
-    for course in (
-        load_raceline(f"{path}#centerline_waypoints"),
-        load_raceline(path, key="centerline_waypoints"),
-    ):
-        assert course.speed is None
-        assert "every speed is 0: taken as not given" in map(str, course.findings)
+    track = load_raceline(f"{path}#centerline_waypoints")
+    assert track.speed is None
+    assert "every speed is 0: taken as not given" in map(str, track.findings)
     with pytest.raises(
         FileFormatError,
         match="waypoints under nowhere, the file has: global_traj_wpnts_iqp, centerline_waypoints",
     ):
-        load_raceline(path, key="nowhere")
+        load_raceline(f"{path}#nowhere")
 
 
 # -- findings ------------------------------------------------------------------------------------
 
 
 def findings(**changed):
-    columns = {"x": COURSE.x, "y": COURSE.y, **changed}
+    columns = {"x": TRACK.x, "y": TRACK.y, **changed}
     return "\n".join(map(str, raceline_from_columns(columns).findings))
 
 
 def test_heading_conventions():
-    psi = COURSE.psi
+    psi = TRACK.psi
     assert "measured from +x; fits" in findings(psi=psi)
     assert "measured from +x; fits" in findings(psi=psi % (2.0 * math.pi))
     assert "measured from +y (north): recomputed" in findings(psi=psi - 0.5 * math.pi)
@@ -178,30 +174,30 @@ def test_heading_conventions():
 
 
 def test_curvature_conventions():
-    assert findings(kappa=COURSE.kappa) == ""
-    assert "positive to the right" in findings(kappa=-COURSE.kappa)
-    assert "curvature does not fit" in findings(kappa=3.0 * COURSE.kappa)
+    assert findings(kappa=TRACK.kappa) == ""
+    assert "positive to the right" in findings(kappa=-TRACK.kappa)
+    assert "curvature does not fit" in findings(kappa=3.0 * TRACK.kappa)
 
 
 def test_arc_length_is_compared():
-    assert findings(s=COURSE.s + 17.0) == ""
-    assert "arc length is up to" in findings(s=1.1 * COURSE.s)
+    assert findings(s=TRACK.s + 17.0) == ""
+    assert "arc length is up to" in findings(s=1.1 * TRACK.s)
 
 
 def test_closure_and_repetitions(tmp_path):
-    course = load_raceline(write(tmp_path / "c.csv", TUM, closed=True))
-    assert str(course.findings[0]) == "the last point repeats the first: dropped"
-    assert_same_curve(course)
-    repeated = np.repeat(np.arange(COURSE.n), np.arange(COURSE.n) % 50 // 49 + 1)
-    assert "6 repeated points dropped" in findings(x=COURSE.x[repeated], y=COURSE.y[repeated])
-    gap = slice(0, COURSE.n - 9)
-    assert "closed over a gap of 0.99 m, 10 times" in findings(x=COURSE.x[gap], y=COURSE.y[gap])
+    track = load_raceline(write(tmp_path / "c.csv", TUM, closed=True))
+    assert str(track.findings[0]) == "the last point repeats the first: dropped"
+    assert_same_curve(track)
+    repeated = np.repeat(np.arange(TRACK.n), np.arange(TRACK.n) % 50 // 49 + 1)
+    assert "6 repeated points dropped" in findings(x=TRACK.x[repeated], y=TRACK.y[repeated])
+    gap = slice(0, TRACK.n - 9)
+    assert "closed over a gap of 0.99 m, 10 times" in findings(x=TRACK.x[gap], y=TRACK.y[gap])
 
 
 def test_walls_crossed_are_counted():
-    left = np.where(COURSE.x > 5.0, -0.1, 1.0)
+    left = np.where(TRACK.x > 5.0, -0.1, 1.0)
     text = findings(d_left=left, d_right=1.0 + 0.0 * left)
-    assert f"{np.sum(COURSE.x > 5.0)} points beyond the left wall" in text
+    assert f"{np.sum(TRACK.x > 5.0)} points beyond the left wall" in text
 
 
 # -- what is wrong in a file ---------------------------------------------------------------------
@@ -251,7 +247,7 @@ def test_files_that_are_no_text(tmp_path):
     (tmp_path / "bent.csv.gz").write_bytes(gzip.compress(b"1,2\n" * 99)[:10] + b"\xff" * 30)
     for name in ("binary.csv", "broken.csv.gz", "bent.csv.gz", "missing.csv", "."):
         with pytest.raises(FileFormatError, match="expected a raceline file"):
-            read_course_file(tmp_path / name)
+            read_raceline_file(tmp_path / name)
 
 
 def test_key_for_a_file_without_keys(tmp_path):
@@ -277,36 +273,36 @@ def test_unknown_names_list_the_shipped_ones():
 
 def test_saved_is_read_as_the_same(tmp_path):
     path = tmp_path / "ellipse.csv"
-    save_raceline(COURSE, path)
-    course = load_raceline(path)
-    at, expected = assert_same_curve(course, atol=2e-6)
+    save_raceline(TRACK, path)
+    track = load_raceline(path)
+    at, expected = assert_same_curve(track, atol=2e-6)
     for name in ("speed", "d_left", "d_right"):
         np.testing.assert_allclose(getattr(at, name), getattr(expected, name), atol=2e-6)
     np.testing.assert_allclose(at.kappa, expected.kappa, atol=2e-3)
-    assert course.n == COURSE.n
-    assert [str(finding) for finding in course.findings] == [
+    assert track.n == TRACK.n
+    assert [str(finding) for finding in track.findings] == [
         "heading is measured from +x; fits the points within 0.000 rad (95 %)"
     ]
     assert [entry.name for entry in tmp_path.iterdir()] == ["ellipse.csv"]
 
 
 def test_saved_without_speed_and_walls(tmp_path):
-    save_raceline(Raceline(COURSE.x, COURSE.y), tmp_path / "plain.csv")
-    course = load_raceline(tmp_path / "plain.csv")
-    assert_same_curve(course)
-    assert course.speed is None and course.d_left is None
+    save_raceline(Raceline(TRACK.x, TRACK.y), tmp_path / "plain.csv")
+    track = load_raceline(tmp_path / "plain.csv")
+    assert_same_curve(track)
+    assert track.speed is None and track.d_left is None
 
 
 def test_acceleration_in_the_file_is_that_of_the_speeds(tmp_path):
-    save_raceline(COURSE, tmp_path / "c.csv")
+    save_raceline(TRACK, tmp_path / "c.csv")
     table = np.loadtxt(str(tmp_path / "c.csv"), delimiter=";")
     v, a = table[:, 5], table[:, 6]
-    np.testing.assert_allclose(np.roll(v, -1) ** 2, v**2 + 2.0 * a * COURSE.ds, atol=2e-5)
+    np.testing.assert_allclose(np.roll(v, -1) ** 2, v**2 + 2.0 * a * TRACK.ds, atol=2e-5)
 
 
 def test_writing_where_there_is_no_folder(tmp_path):
     with pytest.raises(MapRacingError, match="cannot write"):
-        save_raceline(COURSE, tmp_path / "nowhere" / "c.csv")
+        save_raceline(TRACK, tmp_path / "nowhere" / "c.csv")
 
 
 # -- real files ----------------------------------------------------------------------------------
@@ -326,22 +322,22 @@ def test_writing_where_there_is_no_folder(tmp_path):
     ],
 )
 def test_real_racelines(shared_data, file, length, heading):
-    course = load_raceline(shared_data / file)
-    assert course.length == pytest.approx(length, abs=0.01)
-    assert [finding.code for finding in course.findings] == [
+    track = load_raceline(shared_data / file)
+    assert track.length == pytest.approx(length, abs=0.01)
+    assert [finding.code for finding in track.findings] == [
         "closing-point",
         "heading-x" if heading == "+x" else "heading-north",
     ]
-    assert course.speed.min() > 1.0
+    assert track.speed.min() > 1.0
 
 
 @pytest.mark.parametrize(
     "file", ["tracks/Spielberg/Spielberg_centerline.csv", "laps/ipz20/centerline.csv"]
 )
 def test_real_centerlines(shared_data, file):
-    course = load_raceline(shared_data / file)
+    track = load_raceline(shared_data / file)
     # A line in the middle need not be driven, and its walls fold inside of its sharpest bends.
-    assert {finding.code for finding in course.findings} == {"tight-bend", "wall-folds"}
-    assert {finding.severity for finding in course.findings} == {"note"}
-    assert course.speed is None
-    assert course.d_left.min() > 0.4
+    assert {finding.code for finding in track.findings} == {"tight-bend", "wall-folds"}
+    assert {finding.severity for finding in track.findings} == {"note"}
+    assert track.speed is None
+    assert track.d_left.min() > 0.4
