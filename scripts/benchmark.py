@@ -20,7 +20,6 @@ import numpy as np
 from scipy.integrate import odeint
 
 from map_racing.bags.writer import BagWriter
-from map_racing.cli.lookup import published_grid
 from map_racing.control.controller import Controller, build_controller, build_steering_map
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
@@ -31,6 +30,7 @@ from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
+from map_racing.vehicle.lookup import published_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 from contextlib import contextmanager, suppress
@@ -11,7 +13,14 @@ import yaml
 
 from .errors import FileFormatError, MapRacingError
 
-__all__ = ["make_folder", "read_yaml_mapping", "refuse_special", "replacing"]
+__all__ = [
+    "for_json",
+    "make_folder",
+    "read_yaml_mapping",
+    "refuse_special",
+    "replacing",
+    "write_json",
+]
 
 
 def read_yaml_mapping(path):
@@ -110,6 +119,37 @@ def replacing(path, binary=False):
         if not special:
             with suppress(OSError):
                 temporary.unlink()
+
+
+def write_json(path: str | Path, content: object, indent: int | None = 1) -> None:
+    """Write `for_json` of content; an existing file is replaced in one step.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    content : object
+    indent : int, optional
+        Spaces of indentation; None writes one line.
+
+    Raises
+    ------
+    MapRacingError
+        If the file cannot be written.
+    """
+    with replacing(path) as file:
+        json.dump(for_json(content), file, indent=indent, allow_nan=False)
+        file.write("\n")
+
+
+def for_json(content: object) -> object:
+    """Content as JSON can hold it: numpy scalars as Python's, NaN and infinity as None."""
+    if isinstance(content, dict):
+        return {key: for_json(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [for_json(value) for value in content]
+    if hasattr(content, "dtype"):
+        content = content.item()
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def make_folder(path):

@@ -1,4 +1,6 @@
-"""Start of the programs: what is not installed, or a Ctrl-C meanwhile, is no traceback."""
+"""Start the programs: a missing library, or Ctrl-C during the imports, is no traceback."""
+
+from __future__ import annotations
 
 import sys
 from importlib import import_module
@@ -6,7 +8,7 @@ from importlib import import_module
 __all__ = ["command_line", "start"]
 
 
-def start(module):
+def start(module: str) -> None:
     """Import a module and run its ``main``.
 
     Parameters
@@ -15,7 +17,7 @@ def start(module):
         Name within the package, such as ``"nodes.controller"``.
     """
     try:
-        main = import_module(f"map_racing.{module}").main
+        sys.exit(import_module(f"map_racing.{module}").main())
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "map_racing":
             raise
@@ -25,9 +27,8 @@ def start(module):
         )
     except KeyboardInterrupt:
         sys.exit(130)
-    sys.exit(main())
 
 
-def command_line():
+def command_line() -> None:
     """Run the command line, as the installed program ``map-racing``."""
     start("cli")

@@ -1,12 +1,14 @@
 """Small files: refused in one line that says where, replaced whole or not at all."""
 
+import math
 import os
 import stat
 
+import numpy as np
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError
-from map_racing.files import read_yaml_mapping, replacing
+from map_racing.files import read_yaml_mapping, replacing, write_json
 
 
 def test_reads_a_mapping(tmp_path):
@@ -142,3 +144,30 @@ def test_bytes_appear_only_when_they_are_complete(tmp_path):
         assert not path.exists()
     assert path.read_bytes() == b"\x00\xff\r\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["race.bag"]
+
+
+def test_json_has_no_nan_and_no_numpy(tmp_path):
+    path = tmp_path / "a.json"
+    content = {"a": [math.nan, math.inf, np.float64(0.1)], "b": (np.int64(3), np.bool_(True), "x")}
+    write_json(path, {"nested": content, "none": None}, indent=None)
+    assert path.read_text() == (
+        '{"nested": {"a": [null, null, 0.1], "b": [3, true, "x"]}, "none": null}\n'
+    )
+    write_json(path, [1])
+    assert path.read_text() == "[\n 1\n]\n"
+
+
+@pytest.mark.parametrize("place", ["", "missing/a.json"])
+def test_json_that_cannot_be_written(tmp_path, place):
+    with pytest.raises(MapRacingError, match="cannot write"):
+        write_json(tmp_path / place, {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_json_that_fails_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("old")
+    with pytest.raises(TypeError):
+        write_json(path, {"a": object()})
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,18 +1,48 @@
-"""The command line ``map-racing``: it parses, calls the core and prints; nothing else."""
+"""The command line ``map-racing``: it parses, calls the core and prints; nothing else.
+
+Each command is a module that does the work and one in `options` that defines the arguments; both
+are imported only when the command is chosen.
+"""
+
+from __future__ import annotations
 
 import argparse
 import os
 import sys
+from importlib import import_module
 
 from .. import __version__
 from ..errors import MapRacingError
-from . import compare, evaluate, experiment, identify, lookup, race, raceline, ramp, tune
 
 __all__ = ["main"]
 
+COMMANDS = {
+    "race": "race a simulated car, write a ROS 1 bag",
+    "evaluate": "lap times and lateral errors from bags or CSV files",
+    "lookup": "make or check a steering lookup table",
+    "raceline": "check, convert and optimize racelines",
+    "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
+    "identify": "identify tires from recorded steady cornering, write vehicle file and table",
+    "tune": "find the lookahead with which a controller follows a track closest",
+    "experiment": "repeat an experiment of the paper",
+    "compare": "compare two result directories of experiments or of tuning",
+}
 
-def build_parser():
-    """The parser of all commands; each command's module adds its own part."""
+
+class _CommandParser(argparse.ArgumentParser):
+    """Parser of a command, whose arguments are defined when it is chosen."""
+
+    command = None
+
+    def parse_known_args(self, args=None, namespace=None):
+        if self.command:
+            import_module(f".options.{self.command}", __package__).add_options(self)
+            self.command = None
+        return super().parse_known_args(args, namespace)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Parser of all commands."""
     parser = argparse.ArgumentParser(
         prog="map-racing",
         description="Model- and Acceleration-based Pursuit for 1:10 race cars: "
@@ -20,23 +50,20 @@ def build_parser():
         "tables and racelines, tune controllers, repeat the paper's experiments.",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_CommandParser)
     commands.required = True
-    for module in (
-        *(race, evaluate, lookup, raceline, ramp, identify),
-        *(tune, experiment, compare),
-    ):
-        module.add_parser(commands)
+    for command, text in COMMANDS.items():
+        commands.add_parser(command, help=text).command = command
     return parser
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Run one command.
 
     Parameters
     ----------
     argv : list of str, optional
-        Arguments without the program's name; by default those of the process.
+        Arguments without the program's name; by default the arguments of the process.
 
     Returns
     -------
@@ -45,9 +72,11 @@ def main(argv=None):
         on arguments that it cannot take.
     """
     _prepare_streams()
-    arguments = build_parser().parse_args(argv)
     try:
-        return arguments.run(arguments) or 0
+        arguments = build_parser().parse_args(argv)
+        module, function = arguments.run.split(".")
+        run = getattr(import_module(f".{module}", __package__), function)
+        return run(arguments) or 0
     except MapRacingError as error:
         print(f"map-racing: {error}", file=sys.stderr)
         return 1
@@ -64,9 +93,9 @@ def main(argv=None):
 
 
 def _prepare_streams():
-    """Print whatever a file is called, whatever the terminal can show, and without a stderr."""
+    """Print any file name on any terminal, and run without a stderr."""
     if sys.stderr is None:
-        # Progress bars ask it whether it is a terminal.
+        # Progress bars ask whether it is a terminal.
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):

@@ -5,23 +5,9 @@ from pathlib import Path
 
 from ..evaluation.report import aligned
 from ..experiments.results import compare, read_results
-from ..files import make_folder
+from .figures import draw_comparison
 
 DIGITS = {"days_completed": 0, "m_m": 3, "q_s": 3, "rms_lateral_error_m": 4}
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "compare",
-        help="compare two result directories of experiments or of tuning",
-        description="Compare two result directories of the same experiment on the same track: the "
-        "tables row by row, and what differs in provenance.",
-    )
-    parser.add_argument("first", metavar="DIR", help="result directory")
-    parser.add_argument("second", metavar="DIR", help="result directory")
-    parser.add_argument("--plots", metavar="DIR", help="write a figure, too")
-    parser.set_defaults(run=run)
 
 
 def run(arguments):
@@ -40,13 +26,7 @@ def run(arguments):
     else:
         print("No difference in provenance.")
     if arguments.plots:
-        from ..plots.experiments import plot_comparison
-        from ..plots.style import save
-
-        names = run_names(folders)
-        figure = plot_comparison(comparison.table, comparison.values, names, comparison.kind)
-        path = make_folder(arguments.plots) / "comparison.png"
-        save(figure, path)
+        path = draw_comparison(arguments.plots, comparison, run_names(folders))
         print(f"figure written to {path}")
 
 

@@ -1,6 +1,5 @@
 """``map-racing evaluate``: laps of recorded driving."""
 
-import math
 import os
 import re
 import sys
@@ -9,75 +8,15 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..errors import EvaluationError, MapRacingError, ParameterError
+from ..errors import MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_recording, recorded_raceline
-from ..evaluation.report import lap_table, summary_table, write_csv, write_json
-from ..files import make_folder
+from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
+from ..files import write_json
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
+from .figures import draw_runs
 from .outputs import check_outputs
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "evaluate",
-        help="lap times and lateral errors from bags or CSV files",
-        description="Lap times and lateral errors of recorded driving. Pose and raceline are found "
-        "in the bag; a CSV file needs --raceline.",
-    )
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
-    parser.add_argument(
-        "--raceline",
-        metavar="FILE",
-        help="shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag[#topic]; by "
-        "default that of the bag",
-    )
-    parser.add_argument(
-        "--reverse", action="store_true", help="the raceline was driven the other way round"
-    )
-    parser.add_argument(
-        "--pose-topic", metavar="TOPIC", help="topic of the pose instead of the one chosen"
-    )
-    parser.add_argument(
-        "--columns",
-        metavar="MAP",
-        help="columns of CSV files where they are not found, as t=time,x=pose_x,y=pose_y; also "
-        "psi v_x v_y yaw_rate steering speed_command",
-    )
-    parser.add_argument(
-        "--start-line",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="arc length of the start line on the raceline [m] (default: its first point)",
-    )
-    parser.add_argument(
-        "--car-width",
-        type=float,
-        default=0.3,
-        metavar="M",
-        help="for the clearance between the car's side and the wall [m] (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--sectors",
-        type=int,
-        default=3,
-        metavar="N",
-        help="number of sectors to time, in CSV and JSON (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--max-deviation",
-        type=float,
-        metavar="M",
-        help="off track is the car's center beyond this lateral error [m] (default: the walls or, "
-        "where none are known, 2 m)",
-    )
-    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
-    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
-    parser.add_argument("--plots", metavar="DIR", help="write figures")
-    parser.set_defaults(run=run)
 
 
 def run(arguments):
@@ -111,10 +50,10 @@ def run(arguments):
         write_csv(arguments.csv, results)
         print(f"laps written to {arguments.csv}")
     if arguments.json:
-        write_json(arguments.json, results)
+        write_json(arguments.json, lap_data(results))
         print(f"laps and summaries written to {arguments.json}")
     if arguments.plots:
-        draw(arguments.plots, names, results)
+        draw_runs(arguments.plots, names, results)
         print(f"figures are in {arguments.plots}")
     return failed
 
@@ -149,34 +88,3 @@ def run_names(sources):
         names = [os.path.relpath(str(source), os.path.commonpath(folders)) for source in sources]
     # Figures can only show text.
     return [os.fsencode(str(name)).decode("utf-8", "replace") for name in names]
-
-
-def draw(folder, names, results):
-    """All figures of all runs."""
-    # matplotlib takes a second, and most calls draw nothing
-    from ..plots import runs
-    from ..plots.style import save
-
-    folder = make_folder(folder)
-    figures = []
-    for name, result in zip(names, results):
-        stem, name = name.replace("/", "_"), _title(name)
-        if any(math.isfinite(lap.lap_time_s) for lap in result.laps):
-            figures.append((f"{stem}_laps.png", runs.plot_laps, (result, name)))
-        figures.append((f"{stem}_speed.png", runs.plot_path, (result, "speed", name)))
-        figures.append((f"{stem}_error.png", runs.plot_path, (result, "error", name)))
-    named = list(zip(map(_title, names), results))
-    figures.append(("boxes.png", runs.plot_boxes, (named,)))
-    for file_name, plot, values in tqdm(figures, desc="figures", disable=None, leave=False):
-        save(plot(*values), folder / file_name)
-    if len([result for result in results if result.summary.laps_completed]) > 1:
-        try:
-            save(runs.plot_differences(named), folder / "difference.png")
-        except EvaluationError as error:  # on different tracks there is nothing to compare
-            print(f"no difference.png: {error}")
-
-
-def _title(name):
-    """The name as text for figures, which take what is between two dollars for a formula."""
-    short = name if len(name) <= 40 else f"{name[:18]}...{name[-19:]}"
-    return short.replace("$", r"\$")

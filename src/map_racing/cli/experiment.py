@@ -19,73 +19,13 @@ from ..experiments.paper import (
     tire_table,
 )
 from ..experiments.session import Session
-from .options import add_options
+from .figures import draw_scaling, draw_trajectories
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
 # Who is compared with whom on the days that both completed.
 PAIRS = (("MAP Pacejka", "pure pursuit"), ("MAP Pacejka", "MAP linear"))
 PAIRS += (("MAP default", "MAP Pacejka"),)
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "experiment",
-        help="repeat an experiment of the paper",
-        description="Repeat an experiment of the paper: identify the tires of the plant, tune the "
-        "controllers, race them, and write tables, figures and provenance.",
-    )
-    kinds = parser.add_subparsers(dest="kind", metavar="EXPERIMENT")
-    kinds.required = True
-
-    scaling = kinds.add_parser(
-        "velocity-scaling",
-        help="laps at rising speeds until a crash",
-        description="Laps at rising scales of the raceline's speeds, for each controller and each "
-        "race day until they are not completed.",
-    )
-    add_race_options(scaling)
-    scaling.add_argument(
-        "--laps", type=int, default=10, help="timed laps of a race (default: %(default)s)"
-    )
-    scaling.add_argument(
-        "--to",
-        type=float,
-        default=1.5,
-        metavar="SCALE",
-        help="last scale, if there is no crash before (default: %(default)s)",
-    )
-    scaling.set_defaults(run=run_scaling)
-
-    tires = kinds.add_parser(
-        "tire-models",
-        help="pure pursuit, MAP with linear and MAP with Pacejka tires at two speeds",
-        description="Pure pursuit, MAP with linear tires and MAP with Pacejka tires at 70 % and "
-        "80 % of the raceline's speeds.",
-    )
-    add_race_options(tires)
-    tires.add_argument(
-        "--laps", type=int, default=5, help="timed laps of a race (default: %(default)s)"
-    )
-    tires.set_defaults(run=run_tires)
-
-
-def add_race_options(parser):
-    """Options of both."""
-    add_options(parser)
-    parser.add_argument(
-        "--no-tuning",
-        action="store_true",
-        help="race all controllers as shipped; those as published then have the lookahead of the "
-        "authors' code",
-    )
-    parser.add_argument(
-        "--bags", action="store_true", help="keep the races of the tables as bags, too"
-    )
-
-
-# -- commands --------------------------------------------------------------------------------------
 
 
 def run_scaling(arguments):
@@ -107,9 +47,6 @@ def run_scaling(arguments):
     print("\n".join(highest_lines(highest)), end="\n\n")
     print("\n".join(pairs_lines(against)))
 
-    from ..plots.experiments import plot_scaling
-    from ..plots.style import save
-
     labels = [c.label for c in CONTENDERS]
     ended = {
         (row.speed_scale, row.controller): row.days - row.days_completed
@@ -117,7 +54,7 @@ def run_scaling(arguments):
     }
     counted = laps[(laps.outcome == "completed") & laps.valid]
     title = f"Velocity scaling: {session.where}, {_laps(arguments)} on each of {session.days}"
-    save(plot_scaling(counted, ended, labels, title), session.figures / "velocity_scaling.png")
+    draw_scaling(session.figures, counted, ended, labels, title)
     session.report()
 
 
@@ -134,9 +71,6 @@ def run_tires(arguments):
     print("\n".join(tire_lines(table)), end="\n\n")
     print("\n".join(pairs_lines(against)))
 
-    from ..plots.experiments import plot_trajectories
-    from ..plots.style import save
-
     for seed in session.setting.conditions.seeds:
         rows = [
             [
@@ -147,8 +81,7 @@ def run_tires(arguments):
             for scale in TIRE_SCALES
         ]
         title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
-        figure = plot_trajectories(session.setting.raceline, rows, title)
-        save(figure, session.figures / f"trajectories_seed{seed}.png")
+        draw_trajectories(session.figures, session.setting.raceline, rows, title, seed)
     session.report()
 
 

@@ -8,7 +8,6 @@ from ..control.controller import Controller, build_steering_map
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..resources import list_config
 from ..simulation.plant import Localization, Plant, load_plant_parameters
 from ..simulation.public_simulator import PublicSimulator
 from ..simulation.race import Outcome, race
@@ -20,60 +19,9 @@ from ..vehicle.parameters import load_vehicle, parameter_hash
 from .outputs import check_outputs
 
 PUBLIC_SIMULATOR = "public_simulator"
-KINDS = ("tracks", "controllers", "plants", "vehicles")
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
 LONGEST_LAP = 5000.0  # [m]
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "race",
-        help="race a simulated car, write a ROS 1 bag",
-        description="Race a simulated car from a standing start: an out-lap, then timed laps. A "
-        "crash is a result, not an error. Shipped: "
-        + "; ".join(f"{kind} {', '.join(list_config(kind))}" for kind in KINDS)
-        + ".",
-    )
-    parser.add_argument(
-        "--track",
-        default="reference",
-        help="shipped track, raceline file or bag[#topic] (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--controller",
-        default="map",
-        help="shipped controller or YAML file; those with _paper are as published, without delay "
-        "compensation (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--plant",
-        default="nuc4",
-        help=f"the car as it is: shipped plant, YAML file, or {PUBLIC_SIMULATOR} for the plant of "
-        "the public ROS 1 simulator, which has no noise (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--vehicle",
-        help="the car as the controller knows it: shipped vehicle or YAML file (default: the "
-        "plant's, with the tires that its file says)",
-    )
-    parser.add_argument(
-        "--lookup-table", metavar="CSV", help="steer with this table instead of the vehicle's own"
-    )
-    parser.add_argument(
-        "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of the public stack"
-    )
-    parser.add_argument("--laps", type=int, default=5, help="timed laps (default: %(default)s)")
-    parser.add_argument(
-        "--speed-scale",
-        type=float,
-        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's; on the "
-        "shipped tracks nuc4 runs out of grip above about 0.8)",
-    )
-    parser.add_argument("--seed", type=int, default=1, help="of the noise (default: %(default)s)")
-    parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
-    parser.set_defaults(run=run)
 
 
 def run(arguments):

@@ -1,7 +1,6 @@
 """``map-racing raceline optimize``: the fastest line between the walls of a track or a map."""
 
 import math
-import re
 import time
 from pathlib import Path
 
@@ -10,10 +9,9 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
-from ..files import make_folder
+from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
-from ..track.files.writers import FORMATS, choose_format
 from ..track.findings import NOTE
 from ..track.map_image import read_map_image, track_from_map
 from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
@@ -23,6 +21,7 @@ from ..track.walls import Walls
 from ..vehicle.lookup import default_grid, load_table
 from ..vehicle.parameters import load_vehicle
 from ..vehicle.steady_state import steady_state_table
+from .figures import draw_optimized
 from .outputs import check_outputs
 
 # What makes walls unusable, though the line itself can be driven.
@@ -30,126 +29,6 @@ WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
 # Beyond these the search takes all day: positions in mm, or walls that stand for none.
 MOST_POINTS, WIDEST_M = 20000, 100.0
-
-
-def add_action(actions):
-    """Add ``raceline optimize``."""
-    parser = actions.add_parser(
-        "optimize",
-        help="the fastest line between the walls, from a centerline, a raceline or a map",
-        description="Find the path of least squared curvature between the walls, half the car's "
-        "width and a margin away from them, shortened as far as that makes the lap faster; and the "
-        "highest speeds on it within the vehicle's limits: lateral acceleration as its lookup "
-        "table can steer it, shared with driving and braking in a friction ellipse. Print length, "
-        "squared curvature and estimated lap time before and after.",
-    )
-    parser.add_argument(
-        "source",
-        metavar="IN",
-        help="track with distances to the walls: shipped track, raceline file or bag; or the YAML "
-        "file of a map of map_server, with --start",
-    )
-    parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
-    parser.add_argument(
-        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
-    )
-    parser.add_argument(
-        "--middle",
-        metavar="FILE",
-        help="also write the smooth middle line between the walls, with speeds made alike if the "
-        "car can follow it",
-    )
-    parser.add_argument(
-        "--sectors",
-        metavar="YAML",
-        help="also write speed_scaling.yaml of the public stack: a sector for each corner and "
-        "straight of the output, with scale 1",
-    )
-    parser.add_argument("--plots", metavar="DIR", help="draw line, curvature and speed")
-
-    line = parser.add_argument_group("line")
-    line.add_argument(
-        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
-    )
-    line.add_argument(
-        "--margin",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="between the car's side and the walls [m] (default: %(default)s)",
-    )
-    line.add_argument(
-        "--compare",
-        metavar="FILE",
-        help="raceline to compare with; the car may come as close to the walls as on that line, "
-        "whatever --margin says",
-    )
-    line.add_argument(
-        "--curvature-only",
-        action="store_true",
-        help="least squared curvature, even where a shorter line is faster",
-    )
-    line.add_argument(
-        "--step",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="distance of the points that are moved [m] (default: %(default)s)",
-    )
-
-    speed = parser.add_argument_group("speed")
-    speed.add_argument(
-        "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
-    )
-    speed.add_argument(
-        "--lateral-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of the lateral acceleration to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--longitudinal-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of driving and braking to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--speed-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="scale of the speeds that result (default: %(default)s)",
-    )
-    speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
-    speed.add_argument(
-        "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
-    )
-
-    image = parser.add_argument_group("map")
-    image.add_argument(
-        "--start",
-        nargs="+",
-        metavar="X,Y,PSI",
-        help="start on the map [m] and direction of travel there [rad]; counter-clockwise without",
-    )
-    image.add_argument(
-        "--passage",
-        type=float,
-        metavar="M",
-        help="close what is narrower than this, such as gaps in walls [m] (default: the car and "
-        "its margins)",
-    )
-    image.add_argument(
-        "--speckle",
-        type=float,
-        metavar="M2",
-        help="remove walls of less area than this [m^2] (default: two cells)",
-    )
-    # Else argparse takes -1.5,2 for an option.
-    parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
-    parser.set_defaults(run=run_optimize)
 
 
 def run_optimize(arguments):
@@ -199,7 +78,7 @@ def run_optimize(arguments):
         save_speed_sectors(arguments.sectors, sectors)
         print(f"{arguments.sectors}: {len(sectors)} sectors")
     if arguments.plots:
-        print(f"  figure: {draw(arguments.plots, optimized, middle, found.walls)}")
+        print(f"  figure: {draw_optimized(arguments.plots, optimized, middle, found.walls)}")
 
 
 def form_of(path, wanted):
@@ -356,14 +235,3 @@ def print_table(lines, track, limits, scale):
         )
     for told in undrivable:
         print(told)
-
-
-def draw(folder, optimized, middle, walls):
-    """The figure of an optimized line; its path."""
-    # matplotlib takes a second, and most calls draw nothing
-    from ..plots.optimization import plot_optimized
-    from ..plots.style import save
-
-    path = Path(make_folder(folder)) / f"{optimized.name or 'track'}_optimized.png"
-    save(plot_optimized(optimized, middle, walls), path)
-    return path

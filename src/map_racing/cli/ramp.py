@@ -6,59 +6,10 @@ from tqdm import tqdm
 
 from ..control.steering_ramp import RampParameters
 from ..errors import ParameterError
-from ..resources import list_config
 from ..simulation.plant import load_plant_parameters
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
 from .outputs import check_outputs
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "ramp",
-        help="drive steering ramps with a simulated car, write a ROS 1 bag",
-        description="Drive at constant speed with slowly rising steering angle, left and right, as "
-        "identify.launch does on the car: the data from which tires are identified.",
-    )
-    defaults = RampParameters()
-    parser.add_argument(
-        "--plant",
-        default="nuc4",
-        help=f"the car as it is: YAML file, or shipped: {', '.join(list_config('plants'))} "
-        "(default: %(default)s)",
-    )
-    parser.add_argument(
-        "--speed",
-        type=float,
-        nargs="+",
-        default=[defaults.speed_mps],
-        metavar="V",
-        help="speeds [m/s], one ramp after the other (default: 2)",
-    )
-    for option, name, what in (
-        ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
-        ("--start", "start_rad", "steering angle at the beginning [rad]"),
-        ("--limit", "limit_rad", "steering angle at the end [rad]"),
-    ):
-        parser.add_argument(
-            option,
-            dest=name,
-            type=float,
-            default=getattr(defaults, name),
-            metavar="X",
-            help=f"{what} (default: %(default)s)",
-        )
-    parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
-    parser.add_argument("--seed", type=int, default=1, help="of the noise (default: %(default)s)")
-    parser.add_argument(
-        "--compression",
-        choices=("lz4", "bz2", "none"),
-        default="lz4",
-        help="of the bag; bz2 is smaller (default: %(default)s)",
-    )
-    parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
-    parser.set_defaults(run=run)
 
 
 def run(arguments):

@@ -7,38 +7,8 @@ import pandas as pd
 from ..control.parameters import load_controller_parameters
 from ..errors import ParameterError
 from ..experiments.session import Session
-from ..resources import list_config
-from .options import add_options
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
-
-
-def add_parser(commands):
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "tune",
-        help="find the lookahead with which a controller follows a track closest",
-        description="Find m and q of the lookahead distance L_d = m + q v with the smallest RMS "
-        "lateral error of the true path, as mean over the laps of races on practice days; each "
-        "controller by itself. Writes a controller file for --controller, a map of the error and "
-        "all pairs as CSV.",
-    )
-    parser.add_argument(
-        "--controller",
-        nargs="+",
-        default=list(DEFAULTS),
-        metavar="NAME",
-        help=f"YAML files, or shipped: {', '.join(list_config('controllers'))} (default: the three "
-        "as published)",
-    )
-    parser.add_argument(
-        "--speed-scale",
-        dest="tuning_scale",
-        type=float,
-        help="scale of the raceline's speeds (default: that of the conditions, 0.6)",
-    )
-    add_options(parser, "practice_seeds")
-    parser.set_defaults(run=run)
 
 
 def run(arguments):

@@ -22,6 +22,7 @@ import numpy as np
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..validation import FARTHEST
 from .laps import Lap, LapEvaluator, LapLimits, check_options
+from .report import csv_cells
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 
@@ -322,7 +323,7 @@ class LapLog:
     def add(self, live_lap):
         """Append a `LiveLap`."""
         row = {"run": live_lap.run, **live_lap.lap.row()}
-        self._append([_cell(row[name]) for name in self._names])
+        self._append(csv_cells(row[name] for name in self._names))
 
     def close(self):
         """Close the file."""
@@ -338,11 +339,6 @@ class LapLog:
             os.fsync(self._file.fileno())
         except OSError as error:
             raise MapRacingError(f"{self.path}: cannot write: {error.strerror}") from None
-
-
-def _cell(value):
-    """As pandas writes it: nothing for NaN."""
-    return "" if isinstance(value, float) and math.isnan(value) else value
 
 
 def _same(one, other):

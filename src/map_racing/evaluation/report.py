@@ -1,23 +1,27 @@
-"""Results of runs as tables: for the terminal, CSV, JSON and pandas."""
+"""Tables of laps for the terminal, CSV, JSON and pandas."""
 
 from __future__ import annotations
 
-import json
+import csv
 import math
 from dataclasses import asdict
-
-import pandas as pd
+from pathlib import Path
+from typing import TYPE_CHECKING, Iterable, Iterator
 
 from ..files import replacing
+from .laps import RunResult
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "aligned",
+    "csv_cells",
+    "lap_data",
     "lap_table",
     "summary_table",
     "to_frame",
-    "to_json",
     "write_csv",
-    "write_json",
 ]
 
 _LAP_COLUMNS = (
@@ -35,7 +39,7 @@ _LAP_COLUMNS = (
 )
 
 
-def to_frame(results):
+def to_frame(results: Iterable[RunResult]) -> pd.DataFrame:
     """Laps of several runs as a table.
 
     Parameters
@@ -45,23 +49,26 @@ def to_frame(results):
     Returns
     -------
     pandas.DataFrame
-        A row for each stretch, valid or not, with the columns of `Lap.row` after ``bag``.
+        A row for each lap or part of one, valid or not: ``bag`` and the columns of `Lap.row`.
     """
-    rows = [{"bag": result.source, **lap.row()} for result in results for lap in result.laps]
+    import pandas as pd  # takes half a second, and only this function needs it
+
+    rows = _rows(results)
     return pd.DataFrame(rows, columns=list(rows[0]) if rows else ["bag"])
 
 
-def to_json(results):
-    """Results as plain dictionaries and lists, ``{"runs": [{"bag", "laps", "summary"}]}``.
+def _rows(results):
+    return [{"bag": result.source, **lap.row()} for result in results for lap in result.laps]
 
-    Values that do not exist (NaN) are None.
-    """
+
+def lap_data(results: Iterable[RunResult]) -> dict:
+    """Results as plain dictionaries and lists, ``{"runs": [{"bag", "laps", "summary"}]}``."""
     return {
         "runs": [
             {
                 "bag": result.source,
-                "laps": [_plain(lap.row()) for lap in result.laps],
-                "summary": _plain(asdict(result.summary)),
+                "laps": [lap.row() for lap in result.laps],
+                "summary": asdict(result.summary),
                 "notes": list(result.notes),
             }
             for result in results
@@ -69,7 +76,12 @@ def to_json(results):
     }
 
 
-def write_csv(path, results):
+def csv_cells(values: Iterable[object]) -> list:
+    """Cells of a CSV file, empty for NaN."""
+    return ["" if isinstance(value, float) and math.isnan(value) else value for value in values]
+
+
+def write_csv(path: str | Path, results: Iterable[RunResult]) -> None:
     """Write the table of all laps; an existing file is replaced in one step.
 
     Raises
@@ -77,25 +89,15 @@ def write_csv(path, results):
     MapRacingError
         If the file cannot be written.
     """
+    rows = _rows(results)
     with replacing(path) as file:
-        to_frame(results).to_csv(file, index=False)
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(rows[0] if rows else ["bag"])
+        writer.writerows(csv_cells(row.values()) for row in rows)
 
 
-def write_json(path, results):
-    """Write `to_json`; an existing file is replaced in one step.
-
-    Raises
-    ------
-    MapRacingError
-        If the file cannot be written.
-    """
-    with replacing(path) as file:
-        json.dump(to_json(results), file, indent=1, allow_nan=False)
-        file.write("\n")
-
-
-def lap_table(result):
-    """Text table of one run for the terminal: every stretch, then the summary.
+def lap_table(result: RunResult) -> str:
+    """Text table of one run: every lap or part of one, then the summary.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ def lap_table(result):
     return "\n".join([*aligned(rows, left=len(_LAP_COLUMNS) - 1), "", _sentence(result.summary)])
 
 
-def summary_table(named_results):
+def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
     """Text table that compares runs.
 
     Parameters
@@ -162,15 +164,15 @@ def _text(value, form, missing="-"):
     return form.format(value)
 
 
-def aligned(rows, left=0):
+def aligned(rows: list[list[str]], left: int = 0) -> Iterator[str]:
     """Lines of a text table.
 
     Parameters
     ----------
     rows : list of list of str
-        The first has the titles.
+        The titles, then the cells.
     left : int
-        Column that is aligned to the left; the others are to the right.
+        Index of the column that is aligned to the left, the others to the right.
 
     Yields
     ------
@@ -183,10 +185,3 @@ def aligned(rows, left=0):
             for index, (cell, width) in enumerate(zip(row, widths))
         )
         yield "  ".join(cells).rstrip()
-
-
-def _plain(row):
-    return {
-        name: None if isinstance(value, float) and math.isnan(value) else value
-        for name, value in row.items()
-    }

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ..control.steering_ramp import RampParameters
-from ..identification.cornering import SteadyLimits
 from ..identification.data import ChannelMap, SensorSetup, load_run
 from ..identification.identify import identify
+from ..identification.limits import SteadyLimits
 from ..simulation.plant import PlantParameters
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag

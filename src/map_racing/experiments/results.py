@@ -8,7 +8,6 @@ A result directory holds ``results.json`` (kind, table and provenance), the same
 from __future__ import annotations
 
 import json
-import math
 import platform
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import scipy
 
 from .. import __version__
 from ..errors import FileFormatError, ParameterError
-from ..files import replacing
+from ..files import replacing, write_json
 from .jobs import code_fingerprint, plain
 
 __all__ = ["Comparison", "Results", "compare", "provenance_of", "read_results", "write_results"]
@@ -121,21 +120,10 @@ def write_results(folder, results, **frames):
             frame.to_csv(file, index=False)
     content = {
         "kind": results.kind,
-        "rows": [_plain_row(row) for row in results.table.to_dict("records")],
+        "rows": results.table.to_dict("records"),
         "provenance": results.provenance,
     }
-    with replacing(folder / FILE) as file:
-        json.dump(content, file, indent=1, allow_nan=False)
-        file.write("\n")
-
-
-def _plain_row(row):
-    """Values that JSON has; numpy's scalars as Python's, NaN as null."""
-    values = {k: v.item() if isinstance(v, np.generic) else v for k, v in row.items()}
-    return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in values.items()
-    }
+    write_json(folder / FILE, content)
 
 
 def read_results(folder):

@@ -1,13 +1,12 @@
 """What the commands that run many races share: setting, result directory, tuning, racing."""
 
-import json
 import math
 from dataclasses import replace
 from time import monotonic
 
 from ..control.parameters import load_controller_parameters, save_controller_parameters
 from ..errors import ParameterError
-from ..files import make_folder, replacing
+from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
 from .campaign import Effort, carry_out
@@ -81,9 +80,7 @@ class Session:
         found = identify_on(plant, seed, self.folder / "ramps.bag")
         save_vehicle(found.vehicle, self.folder / "identified.yaml")
         save_vehicle(found.linear_vehicle, self.folder / "identified_linear.yaml")
-        with replacing(self.folder / "identification.json") as file:
-            json.dump(report_data(found), file, indent=1, allow_nan=False)
-            file.write("\n")
+        write_json(self.folder / "identification.json", report_data(found))
         self.identification = {
             "ramps": "ramps.bag",
             "seed": seed,

@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
-from ..files import replacing
+from ..files import replacing, write_json
 from ..simulation.race import Outcome
 from .jobs import RaceResult, Stretch, plain
 
@@ -84,20 +84,11 @@ class Store:
             "result": {
                 "outcome": result.outcome,
                 "duration_s": result.duration_s,
-                "stretches": [_row(stretch) for stretch in result.stretches],
+                "stretches": [stretch._asdict() for stretch in result.stretches],
                 "path": result.path,
             },
         }
-        with replacing(self.folder / "runs" / f"{job.fingerprint}.json") as file:
-            json.dump(record, file, allow_nan=False)
-            file.write("\n")
-
-
-def _row(stretch):
-    return {
-        name: None if isinstance(value, float) and math.isnan(value) else value
-        for name, value in stretch._asdict().items()
-    }
+        write_json(self.folder / "runs" / f"{job.fingerprint}.json", record, indent=None)
 
 
 def _read(path):

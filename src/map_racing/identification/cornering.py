@@ -20,10 +20,10 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
 from .data import POSE, Run, Signal
+from .limits import RATE_HZ, SteadyLimits
 
-__all__ = ["Motion", "SteadyLimits", "low_passed", "motion_of"]
+__all__ = ["Motion", "low_passed", "motion_of"]
 
-RATE_HZ = 50.0
 # A signal is known between samples this far apart [s]; a command holds until the next one.
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # Localization is lost where its speed or yaw rate differs by more from that of the car's sensors.
@@ -41,36 +41,6 @@ LONGEST_DRIVE_S = 36000.0
 SMEARED = 0.4
 SLOWEST_MPS = 0.5
 STANDSTILL_MPS = 0.05
-
-
-@dataclass(frozen=True)
-class SteadyLimits:
-    """What counts as steady; rates are those of the low-passed signals.
-
-    Parameters
-    ----------
-    cutoff_hz : float
-        Of the low-pass, where it lets half of the power through [Hz].
-    dv_mps2, dr_radps2, ddelta_radps : float
-        Largest rates of speed, yaw rate and steering angle.
-    shortest_s : float
-        Shortest stretch [s].
-    """
-
-    cutoff_hz: float = 1.0
-    dv_mps2: float = 0.35
-    dr_radps2: float = 0.35
-    ddelta_radps: float = 0.1
-    shortest_s: float = 0.6
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            if not 0.0 < value < math.inf:
-                raise ParameterError(f"{name}: expected a positive number, got {value!r}")
-        if not self.cutoff_hz < 0.4 * RATE_HZ:
-            raise ParameterError(
-                f"cutoff_hz: expected less than {0.4 * RATE_HZ:g} Hz, got {self.cutoff_hz:g}"
-            )
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
-from .cornering import RATE_HZ, SteadyLimits, motion_of
+from .cornering import motion_of
 from .data import SensorSetup
+from .limits import RATE_HZ, SteadyLimits
 from .sensor_checks import check, correct, reason_to_refuse
 from .tire_fit import AxlePoints, LinearFit, PacejkaFit, axle_points, fit_linear, fit_pacejka
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..vehicle.steady_state import steady_state_table
-from .cornering import RATE_HZ
+from .limits import RATE_HZ
 
 __all__ = ["prediction_errors", "report_data", "report_text"]
 

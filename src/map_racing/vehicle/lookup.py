@@ -16,7 +16,7 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..validation import positive
 
-__all__ = ["LookupTable", "Provenance", "default_grid", "load_table"]
+__all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
 
 
 @dataclass(frozen=True)
@@ -310,6 +310,12 @@ def default_grid(vehicle, v_max=None):
         raise ParameterError(f"v_max: expected a speed from 0.2 to 100 m/s, got {v_max:g}")
     speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 * (v_max - 0.1))) + 1)
     return speeds, np.linspace(0.0, vehicle.delta_max, 257)
+
+
+def published_grid():
+    """Speeds [m/s] and angles [rad] of the published tables, which contain 0.1 rad twice."""
+    angles = np.concatenate((np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)))
+    return np.linspace(0.5, 7.0, 65), angles
 
 
 def load_table(path):

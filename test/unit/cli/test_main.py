@@ -15,9 +15,8 @@ import pytest
 from map_racing.bags.reader import read_recording
 from map_racing.cli import main
 from map_racing.cli.evaluate import run_names
-from map_racing.cli.lookup import published_grid
 from map_racing.resources import find_config
-from map_racing.vehicle.lookup import load_table
+from map_racing.vehicle.lookup import load_table, published_grid
 
 
 @pytest.fixture(scope="module")

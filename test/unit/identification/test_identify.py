@@ -11,9 +11,9 @@ from map_racing.control.controller import Controller, build_steering_map
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
-from map_racing.identification.cornering import SteadyLimits
 from map_racing.identification.data import Signal, load_channel_map, load_run
 from map_racing.identification.identify import identify, leave_one_out, predict, steady_acceleration
+from map_racing.identification.limits import SteadyLimits
 from map_racing.identification.report import prediction_errors, report_data, report_text
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.race import Outcome, race

@@ -67,7 +67,7 @@ def read_raceline(source):
 
 
 def save_raceline(raceline, path, form="map_racing", table=None):
-    """Write a raceline in any of the `map_racing.track.files.writers.FORMATS`.
+    """Write a raceline in any of the `map_racing.track.files.formats.FORMATS`.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def save_raceline(raceline, path, form="map_racing", table=None):
     path : str or pathlib.Path
         Replaced in one step if it exists: a reader never meets half a file.
     form : str, optional
-        The format, see `map_racing.track.files.writers.choose_format`.
+        The format, see `map_racing.track.files.formats.choose_format`.
     table : RacelineTable, optional
         The points that the raceline was made of: then those are written, exactly, instead of the
         cells of its internal form.

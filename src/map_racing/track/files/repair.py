@@ -1,22 +1,25 @@
-"""Mend what is wrong in a track where it can be told how it should be."""
+"""Repair of racelines, as far as their own numbers show how."""
+
+from __future__ import annotations
 
 import numpy as np
 
 from ...validation import FARTHEST
 from ..findings import ERROR, points
+from ..loops import LARGEST_GAP, first_loop, overlap, turns_back
 from ..raceline import distinct_points
-from . import checks
-from .checks import examine, first_loop, overlap, raceline_of, turns_back
+from .check_speeds import KMH
+from .checks import examine, raceline_of
 from .table import RacelineTable
 
 __all__ = ["driven_columns", "repaired", "resampled", "reversed_table"]
 
-# What is taken from a table; the rest follows from the points.
+# Columns taken from a table; the rest follows from the points.
 _DRIVEN = ("x", "y", "speed", "d_left", "d_right", "width")
 
 
-def driven_columns(table):
-    """The table with its distinct points and what cannot be recomputed from them.
+def driven_columns(table: RacelineTable) -> RacelineTable:
+    """Reduce a table to its distinct points and what cannot be recomputed from them.
 
     Parameters
     ----------
@@ -39,8 +42,8 @@ def driven_columns(table):
     return _chosen(table._replace(columns=columns), np.flatnonzero(keep))
 
 
-def repaired(table):
-    """A track with what was wrong in it mended, as far as its own numbers tell how.
+def repaired(table: RacelineTable) -> tuple[RacelineTable, list[str]]:
+    """Repair a table as far as its own numbers show how.
 
     Parameters
     ----------
@@ -51,12 +54,12 @@ def repaired(table):
     table : RacelineTable
         Its points, speeds and walls.
     repairs : list of str
-        What was done, in order.
+        The repairs made, in order.
 
     Raises
     ------
     RacelineError
-        If something is left that makes the track unusable.
+        If what remains is unusable.
     """
     repairs = []
     table = table._replace(findings=())
@@ -72,7 +75,7 @@ def repaired(table):
         _first_loop_only,
         _drop_overlap,
         _drop_turning_back,
-        _first_loop_only,  # again: points in a wrong order hide it
+        _first_loop_only,  # again: points in a wrong order had hidden it
         _drop_overlap,
         _swap_walls,
         _clamp_walls,
@@ -86,13 +89,13 @@ def repaired(table):
     return table, repairs
 
 
-def reversed_table(table):
-    """The track driven the other way round, from the same first point.
+def reversed_table(table: RacelineTable) -> RacelineTable:
+    """Reverse the direction of travel, keeping the first point.
 
     Parameters
     ----------
     table : RacelineTable
-        As of `driven_columns`.
+        From `driven_columns`.
 
     Returns
     -------
@@ -106,32 +109,32 @@ def reversed_table(table):
     return table._replace(columns=columns)
 
 
-def resampled(table, spacing):
-    """The same curve through points at equal distances.
+def resampled(table: RacelineTable, spacing: float) -> RacelineTable:
+    """Sample the curve of a table at equal distances.
 
     Parameters
     ----------
     table : RacelineTable
-        As of `driven_columns`.
+        From `driven_columns`.
     spacing : float
         Distance between the points [m], rounded so that they divide the lap evenly.
 
     Returns
     -------
     RacelineTable
-        Without lines of a file.
+        Without line numbers.
 
     Raises
     ------
     RacelineError
-        If the track cannot be used.
+        If the table has errors.
     """
     raceline = raceline_of(table)
     count = max(4, int(round(raceline.length / spacing)))
     return _sampled(table, raceline, np.arange(count) * (raceline.length / count))
 
 
-# -- single repairs: the table, and what was done ------------------------------------------------
+# -- single repairs: each returns the table, and what was done or None --------------------------
 
 
 def _codes(table):
@@ -139,7 +142,7 @@ def _codes(table):
 
 
 def _chosen(table, rows):
-    """The table with some of its points."""
+    """Table with some of its rows."""
     return table._replace(
         columns={key: np.asarray(column)[rows] for key, column in table.columns.items()},
         lines=None if table.lines is None else table.lines[rows],
@@ -147,7 +150,7 @@ def _chosen(table, rows):
 
 
 def _kept(table, rows):
-    """The table with some of its points, of which two may be one now that none is in between."""
+    """Table with some of its rows; points that now repeat their neighbor are dropped, too."""
     return driven_columns(_chosen(table, rows))
 
 
@@ -163,14 +166,14 @@ def _drop_rows(table, codes):
     x, y = table.columns["x"], table.columns["y"]
     bad = _impossible(x) | _impossible(y)
     if bad.all():
-        raceline_of(table)  # says what is wrong
+        raceline_of(table)  # raises the error
     if not bad.any():
         return table, None
     return _chosen(table, np.flatnonzero(~bad)), f"{points(bad.sum())} without position dropped"
 
 
 def _fill(table, codes):
-    """Speeds and widths that are no numbers, from their neighbors."""
+    """Invalid speeds and widths, from their neighbors."""
     columns, filled = dict(table.columns), []
     for key in ("speed", "d_left", "d_right", "width"):
         column = columns.get(key)
@@ -198,24 +201,24 @@ def _swap_xy(table, codes):
 
 
 def _reverse(table, codes):
-    """Points against the direction that both arc length and heading give."""
+    """Points against the direction of both arc length and heading."""
     if not {"reversed-arc-length", "heading-against"} <= codes:
         return table, None
     rows = np.arange(table.columns["x"].size)[::-1]
-    return _chosen(table, rows), "points put in the order of arc length and heading"
+    return _chosen(table, rows), "points reordered along arc length and heading"
 
 
 def _kmh(table, codes):
     if "kmh" not in codes:
         return table, None
-    columns = dict(table.columns, speed=table.columns["speed"] / checks.KMH)
-    done = "speeds turned from km/h into m/s, as the accelerations say"
+    columns = dict(table.columns, speed=table.columns["speed"] / KMH)
+    done = "speeds converted from km/h to m/s, as the accelerations say"
     return table._replace(columns=columns), done
 
 
 def _stated_only(table, codes):
-    """What the file says of the curve is recomputed: from here on only the rest counts."""
-    told = {
+    """Drop what is stated of the curve: it is recomputed from the points."""
+    stated = {
         "heading": "heading",
         "curvature": "curvature",
         "arc-length": "arc length",
@@ -225,7 +228,7 @@ def _stated_only(table, codes):
     wrong = {
         what
         for code in codes - {"heading-x", "heading-north"}
-        for start, what in told.items()
+        for start, what in stated.items()
         if code.startswith(start)
     }
     columns = {key: column for key, column in table.columns.items() if key in _DRIVEN}
@@ -244,7 +247,7 @@ def _drop_repeated(table, codes):
 
 
 def _first_loop_only(table, codes):
-    found = first_loop(_xy(table))
+    found = first_loop(table.xy)
     if found is None:
         return table, None
     end, loops = found
@@ -252,7 +255,7 @@ def _first_loop_only(table, codes):
 
 
 def _drop_overlap(table, codes):
-    count = overlap(_xy(table))
+    count = overlap(table.xy)
     if not count:
         return table, None
     rows = np.arange(table.columns["x"].size - count)
@@ -260,8 +263,8 @@ def _drop_overlap(table, codes):
 
 
 def _drop_turning_back(table, codes):
-    """Around each place where the way turns back, the point that is the longest detour."""
-    xy = _xy(table)
+    """Where the way turns back, drop the point that makes the longest detour, one by one."""
+    xy = table.xy
     rows = np.arange(len(xy))
     for _ in range(len(xy) // 20):
         back = turns_back(xy[rows])
@@ -302,24 +305,20 @@ def _clamp_walls(table, codes):
 
 
 def _fill_gap(table, codes):
-    """Points along the closed curve where they are missing or uneven."""
+    """Add points along the closed curve where they are missing or uneven."""
     if not {"gap", "spacing"} & codes or examine(table).worst(ERROR):
         return table, None
     line = raceline_of(table)
     steps = np.diff(np.append(line.s_points, line.length))
     usual = float(np.median(steps))
-    most = checks.LARGEST_GAP if "spacing" not in codes else 1.5
+    most = LARGEST_GAP if "spacing" not in codes else 1.5
     count = np.where(steps > most * usual, np.round(steps / usual), 1).astype(int)
     first = np.repeat(line.s_points, count)
     part = np.arange(first.size) - np.repeat(np.cumsum(count) - count, count)
     s = first + part * np.repeat(steps / count, count)
     added = first.size - steps.size
     sampled = _sampled(table, line, s)
-    # The points given stay as they are.
+    # The given points stay exactly as they are.
     for key, column in sampled.columns.items():
         column[part == 0] = table.columns[key]
     return sampled, f"{points(added)} added along the curve where they were far apart"
-
-
-def _xy(table):
-    return np.stack((table.columns["x"], table.columns["y"]), axis=1)

@@ -1,6 +1,10 @@
-"""Tracks as they are given, before anything of them is believed."""
+"""Racelines as files and messages state them, nothing verified yet."""
 
-from typing import NamedTuple, Optional, Tuple
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
 
 from ..findings import Finding
 
@@ -8,25 +12,30 @@ __all__ = ["RacelineTable"]
 
 
 class RacelineTable(NamedTuple):
-    """A track as a file or a message has it, point by point; nothing of it is believed yet.
+    """A raceline as a file or a message states it, point by point, nothing verified yet.
 
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n_points,)
         By the names in `map_racing.track.files.readers.ALIASES`, at least ``x`` and ``y``.
     name, source : str
-        As of `Raceline`.
+        See `Raceline`.
     layout : str
-        What it was read as, for reports.
+        How it was read, for reports.
     lines : ndarray of int, shape (n_points,), or None
         Line of each point in the file.
     findings : tuple of Finding
-        What was noticed when it was read.
+        What was noticed while reading.
     """
 
-    columns: dict
+    columns: dict[str, np.ndarray]
     name: str = ""
     source: str = ""
     layout: str = ""
-    lines: Optional[object] = None
-    findings: Tuple[Finding, ...] = ()
+    lines: np.ndarray | None = None
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def xy(self) -> np.ndarray:
+        """Points, shape (n_points, 2) [m]."""
+        return np.stack((self.columns["x"], self.columns["y"]), axis=1)

@@ -7,36 +7,22 @@ import hashlib
 import json
 import math
 import uuid
-from pathlib import Path
 from typing import NamedTuple, Optional
 
 import numpy as np
 
 from ...angles import wrap
-from ...errors import ParameterError, RacelineError
+from ...errors import RacelineError
 from ...files import replacing
 from ..raceline import Raceline, distinct_points
 from ..speed_profile import accelerations, lap_time
 
 __all__ = [
-    "FORMATS",
     "RacelineColumns",
-    "choose_format",
     "closed_rows",
     "raceline_columns",
     "write_raceline_file",
 ]
-
-FORMATS = {
-    "map_racing": "CSV with all columns, walls included; heading from +x",
-    "tum": 'raceline of the TUM tools: 7 columns, "; ", heading from north, last point = first',
-    "racetracks": "raceline of f1tenth_racetracks: 7 columns, ';', heading from +x in [0, 2 pi)",
-    "centerline": "centerline of the TUM tools and f1tenth_racetracks: x, y and the widths, ','",
-    "race_stack": "global_waypoints.json of race_stack",
-    "bag": "ROS 1 bag with f110_msgs/WpntArray on /global_waypoints",
-}
-_OF_SUFFIX = {".json": ("race_stack",), ".bag": ("bag",)}
-_CSV = ("map_racing", "tum", "racetracks", "centerline")
 
 
 class RacelineColumns(NamedTuple):
@@ -91,42 +77,6 @@ def raceline_columns(raceline, table=None):
     return RacelineColumns(
         raceline.name, raceline.length, s, x, y, at.psi, at.kappa, speed, a_x, d_left, d_right
     )
-
-
-def choose_format(path, wanted=None):
-    """Format of a file to write, by its suffix or as wanted.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-    wanted : str, optional
-        One of `FORMATS`.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ParameterError
-        If several formats have that suffix, or none, or another than the one wanted.
-    """
-    suffix = Path(path).suffix.lower()
-    possible = _OF_SUFFIX.get(suffix, _CSV)
-    if wanted is None:
-        if len(possible) == 1:
-            return possible[0]
-        if suffix == ".csv":
-            raise ParameterError(
-                f"{path}: several formats are CSV: say --format {', '.join(possible)}"
-            )
-        raise ParameterError(f"{path}: expected a file named .csv, .json or .bag, or --format")
-    if wanted not in FORMATS:
-        raise ParameterError(f"format {wanted}: expected one of {', '.join(FORMATS)}")
-    if wanted not in possible:
-        right = next((name for name, formats in _OF_SUFFIX.items() if wanted in formats), ".csv")
-        raise ParameterError(f"{path}: a file of format {wanted} is named {right}")
-    return wanted
 
 
 def write_raceline_file(path, track, form):

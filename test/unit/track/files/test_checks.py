@@ -164,7 +164,7 @@ def test_gaps():
 
 def test_an_open_track_whose_column_only_rises_is_asked_about():
     found = codes(RacelineTable({"x": GOOD["s"], "y": GOOD["x"]}))
-    assert "x only rises: is it the column of x?" in found["open"].text
+    assert "x only increases: is it really the x column?" in found["open"].text
 
 
 def test_too_few_points_for_the_bends():

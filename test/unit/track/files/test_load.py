@@ -15,11 +15,12 @@ from map_racing.bags import messages as msg
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, FileFormatError, ParameterError, RacelineError
 from map_racing.track.files.checks import raceline_of
+from map_racing.track.files.formats import FORMATS, choose_format
 from map_racing.track.files.load import load_raceline, read_raceline, save_raceline
 from map_racing.track.files.repair import driven_columns
 from map_racing.track.files.table import RacelineTable
 from map_racing.track.files.waypoints import waypoint_rows
-from map_racing.track.files.writers import FORMATS, choose_format, raceline_columns
+from map_racing.track.files.writers import raceline_columns
 from map_racing.track.findings import NOTE
 from map_racing.track.raceline import Raceline
 

@@ -107,7 +107,7 @@ def test_reversed_points():
     track = mended(
         table(np.arange(N)[::-1], keys=GOOD),
         0.0,
-        ["points put in the order of arc length and heading"],
+        ["points reordered along arc length and heading"],
     )
     assert np.array_equal(track.columns["x"], LINE.x)
 
@@ -121,7 +121,7 @@ def test_kmh():
     track = mended(
         table(keys=GOOD, speed=3.6 * GOOD["speed"]),
         0.0,
-        ["speeds turned from km/h into m/s, as the accelerations say"],
+        ["speeds converted from km/h to m/s, as the accelerations say"],
     )
     np.testing.assert_allclose(track.columns["speed"], GOOD["speed"], rtol=1e-12)
 

@@ -1,13 +1,14 @@
-"""Options that several commands share."""
+"""Options of all commands that run many races."""
 
-from ..resources import list_config
-from ..simulation.plants import PUBLIC_SIMULATOR
+import argparse
 
-__all__ = ["add_options"]
+from ...resources import list_config
+
+__all__ = ["add_shared_options"]
 
 
-def add_options(parser, days="seeds"):
-    """Options of all commands that run many races.
+def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> None:
+    """Add the options.
 
     Parameters
     ----------
@@ -19,7 +20,7 @@ def add_options(parser, days="seeds"):
         "--output",
         required=True,
         metavar="DIR",
-        help="result directory; one that is there is continued where it stopped",
+        help="result directory; an existing one is continued where it stopped",
     )
     parser.add_argument(
         "--conditions",
@@ -27,15 +28,17 @@ def add_options(parser, days="seeds"):
         help="track, plant, race days and tuning: YAML file, or shipped: "
         f"{', '.join(list_config('experiments'))} (default: %(default)s)",
     )
-    parser.add_argument("--track", help="instead of that of the conditions: as in map-racing race")
+    parser.add_argument(
+        "--track", help="instead of the track of the conditions, as in map-racing race"
+    )
     parser.add_argument(
         "--plant",
-        help=f"instead of that of the conditions: shipped plant, YAML file, or {PUBLIC_SIMULATOR}",
+        help="instead of the plant of the conditions, as in map-racing race",
     )
     parser.add_argument(
         "--vehicle",
-        help="the car as controllers know it: vehicle or YAML file (default: identified from "
-        "steering ramps on the plant)",
+        help="the controllers' model of the car: shipped vehicle or YAML file (default: identified "
+        "from steering ramps on the plant)",
     )
     parser.add_argument(
         "--seeds",
@@ -43,8 +46,8 @@ def add_options(parser, days="seeds"):
         type=int,
         nargs="+",
         metavar="N",
-        help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days instead of those of "
-        "the conditions",
+        help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days, instead of the "
+        "conditions' seeds",
     )
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
@@ -59,5 +62,5 @@ def add_options(parser, days="seeds"):
         action="append",
         default=[],
         metavar="DIR",
-        help="take races that another result directory already has from there; may be repeated",
+        help="take the races that this result directory already has from there; may be repeated",
     )

@@ -1,0 +1,50 @@
+"""Options of ``map-racing lookup``."""
+
+import argparse
+
+from ...vehicle.comparison import LARGEST_DIFFERENCE
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION")
+    actions.required = True
+
+    generate = actions.add_parser(
+        "generate",
+        help="table of a vehicle",
+        description="Steady-state lateral acceleration over speed and steering angle, as CSV in "
+        "the published layout, with its provenance in a .meta.yaml beside it.",
+    )
+    generate.add_argument("--vehicle", required=True, help="shipped vehicle or vehicle file")
+    generate.add_argument("--output", required=True, metavar="CSV", help="table to write")
+    generate.add_argument("--linear", action="store_true", help="linearize the tires")
+    generate.add_argument(
+        "--v-max", type=float, metavar="V", help="largest speed [m/s] (default: the vehicle's)"
+    )
+    generate.add_argument(
+        "--published-grid",
+        action="store_true",
+        help="the grid of the published tables: 60 angles to 0.4 rad, 65 speeds to 7 m/s",
+    )
+    generate.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
+    generate.set_defaults(run="lookup.run_generate")
+
+    check = actions.add_parser(
+        "check",
+        help="what a table holds, and whether it fits a vehicle",
+        description="Report the grid, the largest lateral acceleration and defects of a table. "
+        "With --vehicle, compare it with the vehicle's table; a difference of more than "
+        f"{LARGEST_DIFFERENCE:g} m/s^2 is an error.",
+    )
+    check.add_argument("table", metavar="CSV", help="lookup table")
+    check.add_argument("--vehicle", help="shipped vehicle or vehicle file to compare with")
+    check.add_argument("--linear", action="store_true", help="linearize the vehicle's tires")
+    check.add_argument(
+        "--raceline",
+        metavar="LINE",
+        help="list the speed at which each corner exceeds the table's limit: shipped track, "
+        "raceline file or bag[#topic]",
+    )
+    check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
+    check.set_defaults(run="lookup.run_check")

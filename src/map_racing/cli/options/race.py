@@ -1,0 +1,57 @@
+"""Options of ``map-racing race``."""
+
+import argparse
+
+from ...resources import list_config
+
+KINDS = ("tracks", "controllers", "plants", "vehicles")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Race a simulated car from a standing start: an out-lap, then timed laps. A crash is a "
+        "result, not an error. Shipped: "
+        + "; ".join(f"{kind} {', '.join(list_config(kind))}" for kind in KINDS)
+        + "."
+    )
+    parser.add_argument(
+        "--track",
+        default="reference",
+        help="shipped track, raceline file or bag[#topic] (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--controller",
+        default="map",
+        help="shipped controller or YAML file; those named _paper are as published, without delay "
+        "compensation (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--plant",
+        default="nuc4",
+        help="the simulated car: shipped plant, YAML file, or public_simulator for the plant of "
+        "the public ROS 1 simulator, which has no noise (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--vehicle",
+        help="the controller's model of the car: shipped vehicle or YAML file (default: the "
+        "vehicle of the plant)",
+    )
+    parser.add_argument(
+        "--lookup-table", metavar="CSV", help="steer with this table, not the vehicle's own"
+    )
+    parser.add_argument(
+        "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of the public stack"
+    )
+    parser.add_argument("--laps", type=int, default=5, help="timed laps (default: %(default)s)")
+    parser.add_argument(
+        "--speed-scale",
+        type=float,
+        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's; on the "
+        "shipped tracks nuc4 runs out of grip above about 0.8)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"
+    )
+    parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
+    parser.set_defaults(run="race.run")

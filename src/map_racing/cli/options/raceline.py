@@ -1,0 +1,192 @@
+"""Options of ``map-racing raceline``."""
+
+import argparse
+import re
+
+from ...track.files.formats import FORMATS
+
+SOURCE = (
+    "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
+    "topic of a bag, the waypoints of a JSON file, or the columns of a CSV file as x,y,speed"
+)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the actions; each adds its own options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION")
+    actions.required = True
+    for add_action in (add_check, add_convert, add_optimize):
+        add_action(actions)
+
+
+def add_check(actions):
+    """Add ``raceline check``."""
+    check = actions.add_parser(
+        "check",
+        help="what a raceline is, and what is wrong with it",
+        description="Recompute closure, order, spacing, heading, curvature, arc length, walls and "
+        "speeds from the points, and compare them with what the file says. Notes tell conventions. "
+        "Exit code 0: nothing is wrong; 1: there are warnings or errors, or the file cannot be "
+        "read.",
+    )
+    check.add_argument("source", metavar="FILE", help=SOURCE)
+    check.add_argument(
+        "--json", metavar="FILE", help="write the report as JSON; - for standard output, alone"
+    )
+    check.add_argument(
+        "--plots", metavar="DIR", help="draw track, walls and the places of findings"
+    )
+    check.set_defaults(run="raceline.run_check")
+
+
+def add_convert(actions):
+    """Add ``raceline convert``."""
+    described = "; ".join(f"{name}: {text}" for name, text in FORMATS.items())
+    convert = actions.add_parser(
+        "convert",
+        help="write a raceline in another format",
+        description="Read a track and write it with heading, curvature, arc length and "
+        "accelerations recomputed; its points stay as they are. What is wrong beyond use is "
+        f"refused. Formats: {described}.",
+    )
+    convert.add_argument("source", metavar="IN", help=SOURCE)
+    convert.add_argument("output", metavar="OUT", help="file to write")
+    convert.add_argument(
+        "--format",
+        choices=tuple(FORMATS),
+        help="format of OUT; needed for .csv, as .json is race_stack and .bag is bag",
+    )
+    convert.add_argument(
+        "--repair",
+        action="store_true",
+        help="mend what can be mended, and say what: drop points that are repeated, not finite, "
+        "turn back or belong to a second loop, fill gaps, reverse or exchange what is reversed or "
+        "exchanged, clamp negative widths",
+    )
+    convert.add_argument(
+        "--reverse", action="store_true", help="drive it the other way round, from the same point"
+    )
+    convert.add_argument(
+        "--spacing", type=float, metavar="M", help="resample to points this far apart [m]"
+    )
+    convert.set_defaults(run="raceline.run_convert")
+
+
+def add_optimize(actions):
+    """Add ``raceline optimize``."""
+    parser = actions.add_parser(
+        "optimize",
+        help="the fastest line between the walls, from a centerline, a raceline or a map",
+        description="Find the path of least squared curvature between the walls, half the car's "
+        "width and a margin away from them, shortened as far as that makes the lap faster; and the "
+        "highest speeds on it within the vehicle's limits: lateral acceleration as its lookup "
+        "table can steer it, shared with driving and braking in a friction ellipse. Print length, "
+        "squared curvature and estimated lap time before and after.",
+    )
+    parser.add_argument(
+        "source",
+        metavar="IN",
+        help="track with distances to the walls: shipped track, raceline file or bag; or the YAML "
+        "file of a map of map_server, with --start",
+    )
+    parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
+    parser.add_argument(
+        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
+    )
+    parser.add_argument(
+        "--middle",
+        metavar="FILE",
+        help="also write the smooth middle line between the walls, with speeds made alike if the "
+        "car can follow it",
+    )
+    parser.add_argument(
+        "--sectors",
+        metavar="YAML",
+        help="also write speed_scaling.yaml of the public stack: a sector for each corner and "
+        "straight of the output, with scale 1",
+    )
+    parser.add_argument("--plots", metavar="DIR", help="draw line, curvature and speed")
+
+    line = parser.add_argument_group("line")
+    line.add_argument(
+        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
+    )
+    line.add_argument(
+        "--margin",
+        type=float,
+        default=0.1,
+        metavar="M",
+        help="between the car's side and the walls [m] (default: %(default)s)",
+    )
+    line.add_argument(
+        "--compare",
+        metavar="FILE",
+        help="raceline to compare with; the car may come as close to the walls as on that line, "
+        "whatever --margin says",
+    )
+    line.add_argument(
+        "--curvature-only",
+        action="store_true",
+        help="least squared curvature, even where a shorter line is faster",
+    )
+    line.add_argument(
+        "--step",
+        type=float,
+        default=0.1,
+        metavar="M",
+        help="distance of the points that are moved [m] (default: %(default)s)",
+    )
+
+    speed = parser.add_argument_group("speed")
+    speed.add_argument(
+        "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
+    )
+    speed.add_argument(
+        "--lateral-scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="share of the lateral acceleration to use (default: %(default)s)",
+    )
+    speed.add_argument(
+        "--longitudinal-scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="share of driving and braking to use (default: %(default)s)",
+    )
+    speed.add_argument(
+        "--speed-scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="scale of the speeds that result (default: %(default)s)",
+    )
+    speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
+    speed.add_argument(
+        "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
+    )
+
+    image = parser.add_argument_group("map")
+    image.add_argument(
+        "--start",
+        nargs="+",
+        metavar="X,Y,PSI",
+        help="start on the map [m] and direction of travel there [rad]; counter-clockwise without",
+    )
+    image.add_argument(
+        "--passage",
+        type=float,
+        metavar="M",
+        help="close what is narrower than this, such as gaps in walls [m] (default: the car and "
+        "its margins)",
+    )
+    image.add_argument(
+        "--speckle",
+        type=float,
+        metavar="M2",
+        help="remove walls of less area than this [m^2] (default: two cells)",
+    )
+    # Else argparse takes -1.5,2 for an option.
+    parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
+    parser.set_defaults(run="raceline_optimize.run_optimize")

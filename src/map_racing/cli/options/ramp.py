@@ -1,0 +1,54 @@
+"""Options of ``map-racing ramp``."""
+
+import argparse
+
+from ...control.steering_ramp import RampParameters
+from ...resources import list_config
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Drive at constant speed with slowly rising steering angle, left and right, as "
+        "identify.launch does on the car: the data from which tires are identified."
+    )
+    defaults = RampParameters()
+    parser.add_argument(
+        "--plant",
+        default="nuc4",
+        help=f"the simulated car: YAML file, or shipped: {', '.join(list_config('plants'))} "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        nargs="+",
+        default=[defaults.speed_mps],
+        metavar="V",
+        help="speeds [m/s], one ramp after the other (default: 2)",
+    )
+    for option, name, what in (
+        ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
+        ("--start", "start_rad", "steering angle at the beginning [rad]"),
+        ("--limit", "limit_rad", "steering angle at the end [rad]"),
+    ):
+        parser.add_argument(
+            option,
+            dest=name,
+            type=float,
+            default=getattr(defaults, name),
+            metavar="X",
+            help=f"{what} (default: %(default)s)",
+        )
+    parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--compression",
+        choices=("lz4", "bz2", "none"),
+        default="lz4",
+        help="compression of the bag; bz2 is smaller (default: %(default)s)",
+    )
+    parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
+    parser.set_defaults(run="ramp.run")

@@ -1,0 +1,169 @@
+"""Checks of the curve: arc length, heading and curvature as stated; size, bends and crossings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...angles import wrap
+from ..crossings import crossings
+from ..findings import NOTE, WARNING, points
+from .draft import Draft
+
+__all__ = ["check_shape", "check_size", "check_stated"]
+
+# At a steering angle of 0.42 rad, the stop of a 1:10 car's servo, a wheelbase of 0.33 m turns on a
+# radius of 0.74 m.
+TIGHTEST = 1.4  # [1/m]
+SHORTEST, LONGEST = 3.0, 2000.0  # [m] of tracks for 1:10 cars; others may be in another unit
+
+# Headings as files state them: code, severity, meaning, and the conversion to rad from +x.
+_HEADINGS = (
+    ("heading-x", NOTE, "measured from +x", lambda psi: psi),
+    (
+        "heading-north",
+        NOTE,
+        "measured from +y (north): recomputed from +x",
+        lambda psi: psi + 0.5 * math.pi,
+    ),
+    (
+        "heading-against",
+        WARNING,
+        "against the order of the points: recomputed",
+        lambda psi: psi + math.pi,
+    ),
+    (
+        "heading-compass",
+        WARNING,
+        "measured clockwise from north: recomputed",
+        lambda psi: 0.5 * math.pi - psi,
+    ),
+    ("heading-clockwise", WARNING, "measured clockwise from +x: recomputed", lambda psi: -psi),
+    ("heading-degrees", WARNING, "in degrees from +x: recomputed", np.radians),
+    (
+        "heading-degrees-north",
+        WARNING,
+        "in degrees from north: recomputed",
+        lambda psi: np.radians(psi) + 0.5 * math.pi,
+    ),
+)
+
+
+def check_size(draft: Draft) -> None:
+    """Check that the length is one of a track in meters."""
+    length = draft.raceline.length
+    if not SHORTEST <= length <= LONGEST:
+        text = (
+            f"the track is {length:.3g} m long, tracks for 1:10 cars are {SHORTEST:g} to "
+            f"{LONGEST:g} m: is it in meters?"
+        )
+        draft.add("size", WARNING, text)
+
+
+def check_stated(draft: Draft) -> None:
+    """Compare the arc length, heading and curvature stated with those of the curve."""
+    if "s" in draft.columns:
+        _arc_length(draft)
+    sign = _curvature(draft) if "kappa" in draft.columns else 0
+    if "psi" in draft.columns:
+        _heading(draft, sign)
+
+
+def check_shape(draft: Draft) -> None:
+    """Check for bends that no 1:10 car can take and for crossings."""
+    _bends(draft)
+    _crossings(draft)
+
+
+def _arc_length(draft):
+    s = draft.columns["s"]
+    steps = np.diff(s)
+    if np.mean(steps < 0.0) > 0.9:
+        text = "arc length decreases from point to point: driven the other way round?"
+        draft.add("reversed-arc-length", WARNING, text)
+        return
+    back = np.flatnonzero(steps <= 0.0) + 1
+    if back.size:
+        text = f"arc length does not increase at {points(back.size)}: recomputed"
+        draft.add("arc-length-order", WARNING, text, back)
+    error = np.abs(s - s[0] - draft.raceline.s_points)
+    worst = int(np.argmax(error))
+    if error[worst] > 0.01 * draft.raceline.length:
+        text = f"arc length is up to {error[worst]:.2f} m off: recomputed"
+        draft.add("arc-length", WARNING, text, [worst])
+
+
+def _curvature(draft):
+    """Compare curvature; 1 if it is positive to the left, -1 if to the right, 0 if neither."""
+    kappa, own = draft.columns["kappa"], draft.at.kappa
+    scale = math.sqrt(np.mean(own**2))
+    if math.sqrt(np.mean((kappa + own) ** 2)) < 0.5 * scale:
+        text = "curvature is positive to the right: recomputed, positive to the left"
+        draft.add("curvature-sign", WARNING, text)
+        return -1
+    off = np.abs(kappa - own)
+    if math.sqrt(np.mean(off**2)) <= 0.5 * scale:
+        return 1
+    if not draft.fatal:
+        worst = int(np.argmax(off))
+        text = (
+            "curvature does not fit the points: recomputed, largest difference "
+            f"{off[worst]:.2f} 1/m"
+        )
+        draft.add("curvature", WARNING, text, [worst])
+    return 0
+
+
+def _heading(draft, sign):
+    """Which direction the heading is measured from and in which sense it increases."""
+    psi, own = draft.columns["psi"], draft.at.psi
+    fits = ((*known, np.abs(wrap(converted(psi) - own))) for *known, converted in _HEADINGS)
+    fit = next((fit for fit in fits if np.median(fit[3]) < 0.1), None)
+    if fit is None:
+        off = np.median(np.abs(wrap(psi - own)))
+        text = f"heading does not fit the points: recomputed (median difference {off:.2f} rad)"
+        draft.add("heading", WARNING, text)
+        return
+    code, severity, meaning, off = fit
+    text = "heading and curvature are those of the mirror image: x and y swapped"
+    if code == "heading-compass" and sign < 0:
+        draft.add("swapped-xy", WARNING, f"{text}?")
+        return
+    if code == "heading-clockwise" and sign < 0:
+        draft.add("mirrored", WARNING, f"{text}, or one of them is mirrored?")
+        return
+    worst = np.percentile(off, 95)
+    text = f"heading is {meaning}; fits the points within {worst:.3f} rad (95 %)"
+    draft.add(code, severity, text)
+    wrong = int(np.argmax(off))
+    if off[wrong] > max(0.3, 5.0 * worst) and not draft.fatal:
+        text = f"heading is {off[wrong]:.2f} rad off: recomputed"
+        draft.add("heading-point", WARNING, text, [wrong])
+
+
+def _bends(draft):
+    kappa = np.abs(draft.raceline.kappa)
+    cell = int(np.argmax(kappa))
+    if kappa[cell] > TIGHTEST:
+        # A centerline need not be driven.
+        severity = NOTE if draft.raceline.speed is None else WARNING
+        text = f"a bend of {1.0 / kappa[cell]:.2f} m radius: 1:10 cars need {1.0 / TIGHTEST:.1f} m"
+        draft.add("tight-bend", severity, text, draft.points_near([cell]))
+
+
+def _crossings(draft):
+    line = draft.raceline
+    pairs = crossings(np.stack((line.x, line.y), axis=1))
+    if not len(pairs):
+        return
+    apart = (pairs[:, 1] - pairs[:, 0]) * line.ds
+    loops = np.minimum(apart, line.length - apart)
+    small = loops < min(3.0, 0.1 * line.length)
+    for chosen, code, severity, text in (
+        (small, "loop", WARNING, "the track makes a loop of {:.2f} m"),
+        (~small, "self-crossing", NOTE, "the track crosses itself, {:.2f} m later"),
+    ):
+        if chosen.any():
+            at = draft.points_near(pairs[chosen, 0])
+            draft.add(code, severity, text.format(float(loops[chosen].min())), at)

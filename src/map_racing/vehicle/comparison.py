@@ -1,0 +1,70 @@
+"""Whether a lookup table belongs to a vehicle: the difference from the vehicle's own table."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .lookup import LookupTable
+
+__all__ = ["LARGEST_COMPARED", "LARGEST_DIFFERENCE", "TableDifference", "compare_tables"]
+
+# Larger lateral accelerations [m/s^2] are reached only by linear tires, which never slide, and
+# tables made by integration for a fixed time have not settled there.
+LARGEST_COMPARED = 25.0
+LARGEST_DIFFERENCE = 0.05  # [m/s^2], well below what tires change from one day to the next
+
+
+class TableDifference(NamedTuple):
+    """Difference between the cells of two tables on the same grid.
+
+    Parameters
+    ----------
+    compared : int
+        Cells compared.
+    largest : float
+        Largest absolute difference [m/s^2]; 0 where none is compared.
+    speed, angle : float
+        Its place [m/s], [rad].
+    beyond : int
+        Cells not compared, since the expected acceleration exceeds `LARGEST_COMPARED`.
+    one_sided : int
+        Cells with a stable steady state in only one of the tables.
+    """
+
+    compared: int
+    largest: float
+    speed: float
+    angle: float
+    beyond: int
+    one_sided: int
+
+
+def compare_tables(table: LookupTable, expected: LookupTable) -> TableDifference:
+    """Compare a table with the expected one on its grid, cell by cell.
+
+    Parameters
+    ----------
+    table, expected : LookupTable
+        With the same speeds and angles.
+
+    Returns
+    -------
+    TableDifference
+    """
+    stable, expected_stable = np.isfinite(table.a_lat), np.isfinite(expected.a_lat)
+    both = stable & expected_stable
+    with np.errstate(invalid="ignore"):
+        beyond = both & (expected.a_lat > LARGEST_COMPARED)
+    both &= ~beyond
+    difference = np.where(both, np.abs(expected.a_lat - table.a_lat), 0.0)
+    row, column = np.unravel_index(np.argmax(difference), difference.shape)
+    return TableDifference(
+        compared=int(both.sum()),
+        largest=float(difference[row, column]),
+        speed=float(table.speeds[column]),
+        angle=float(table.angles[row]),
+        beyond=int(beyond.sum()),
+        one_sided=int((stable ^ expected_stable).sum()),
+    )
