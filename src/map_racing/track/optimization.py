@@ -1,22 +1,24 @@
 """Minimum-curvature racelines between the walls of a track.
 
-The path is drawn as offsets ``alpha`` along the normals of a smooth reference line, and the offsets
-are those of least summed squared curvature, the integral of ``kappa^2`` over the lap, that keep a
-clearance from the walls (A. Heilmeier, A. Wischnewski, L. Hermansdorfer, J. Betz, M. Lienkamp,
-B. Lohmann, *Minimum curvature trajectory planning and control for an autonomous race car*, Vehicle
-System Dynamics 58, 2020). Three things differ from the paper:
+The path is described by offsets ``alpha`` along the normals of a smooth reference line. The offsets
+minimize the integral of ``kappa^2`` over the lap, subject to a clearance from the walls
+(A. Heilmeier, A. Wischnewski, L. Hermansdorfer, J. Betz, M. Lienkamp, B. Lohmann, *Minimum
+curvature trajectory planning and control for an autonomous race car*, Vehicle System Dynamics 58,
+2020). Three things differ from the paper:
 
-- Curvature is that of the polygon through the points, the angle at each over half the length of the
-  sides that meet there, so that each value depends on three offsets, and the normal equations have
-  five diagonals instead of being dense. Time and memory grow with the number of points.
-- It is linearized with all its derivatives, those of the lengths included, and a step is only taken
-  as far as the true sum falls.
-- Clearance is the distance to the nearest wall, not along the normal: a wall that juts out between
-  two normals counts.
+- Curvature is the turn at each point of the polygon divided by half the length of the adjacent
+  sides. Each value depends on three offsets, so the normal equations have five diagonals instead of
+  being dense, and time and memory grow linearly with the number of points.
+- It is linearized with all its derivatives, including those of the lengths, and a step is shortened
+  until the true objective decreases.
+- Clearance is the distance to the nearest wall, not the distance along the normal: a wall that juts
+  out between two normals counts.
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
 
@@ -33,35 +35,38 @@ __all__ = [
     "fastest_line",
     "minimum_curvature",
     "squared_curvature",
+    "with_fastest_speeds",
 ]
 
-# Normals are cut this share before they meet: points beyond would change their order.
+# Normals are cut at this share of the way to where they meet: farther points would change order.
 _MEETING = 0.9
-# A new reference line is taken while it lowers the sum by more than this.
+# Relative gain below which no new reference line is taken, and the largest number of them.
 _PASS_GAIN, _MOST_PASSES = 1e-4, 8
-# The clearance is held to this [m], also between the points, in at most so many rounds.
+# Tolerance of the clearance [m], also between the points, and the largest number of corrections.
 _CLOSE_ENOUGH, _MOST_ROUNDS = 1e-4, 8
-# Squared curvature that is given for any gain of time, and the gain of time that is worth more.
+# Accept 5 % more squared curvature for any faster lap; more only for a lap 2 % faster.
 _RISE, _WORTH = 0.05, 0.02
-# Tensions, relative to the mean squared curvature; tried until two of them make the lap slower.
+# Tensions relative to the mean squared curvature, tried until two of them make the lap slower.
 _TENSIONS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+
+_Progress = Callable[[int], Any]
 
 
 class OptimizedLine(NamedTuple):
-    """What came out of `minimum_curvature`.
+    """Result of `minimum_curvature`.
 
     Attributes
     ----------
     raceline : Raceline
         The path, with distances to the walls, without speeds.
     reference : Raceline
-        Smoothed middle between the walls, where the search began, with distances to the walls.
+        Smoothed middle line between the walls, where the search began, with distances to the walls.
     walls : Walls
-        The walls as they were understood.
+        The walls that the path keeps clear of.
     clearance : float
         Least distance from the path to a wall [m].
     tension : float
-        What a meter of length counted [1/m^2].
+        Weight of the length in the objective [1/m^2].
     findings : tuple of Finding
         What was repaired or cut on the way.
     """
@@ -71,17 +76,17 @@ class OptimizedLine(NamedTuple):
     walls: Walls
     clearance: float
     tension: float
-    findings: tuple
+    findings: tuple[Finding, ...]
 
 
-def squared_curvature(raceline, step=0.1):
-    """Integral of the squared curvature over one lap, ``sum(kappa^2) ds``, resampled evenly.
+def squared_curvature(raceline: Raceline, step: float = 0.1) -> float:
+    """Integral of the squared curvature over one lap, ``sum(kappa^2) ds``, at even samples.
 
     Parameters
     ----------
     raceline : Raceline
     step : float, optional
-        Distance of the samples [m], rounded to divide the lap.
+        Distance between the samples [m], rounded to divide the lap.
 
     Returns
     -------
@@ -93,20 +98,57 @@ def squared_curvature(raceline, step=0.1):
     return float(np.sum(at.kappa**2) * raceline.length / count)
 
 
-def minimum_curvature(track, clearance, *, tension=0.0, step=0.1, progress=None):
-    """Path of least summed squared curvature around a track.
+def with_fastest_speeds(line: Raceline, limits: Mapping[str, Any], scale: float = 1.0) -> Raceline:
+    """Give a line the fastest speeds within a car's limits, times a scale.
+
+    Parameters
+    ----------
+    line : Raceline
+    limits : mapping
+        Keyword arguments of `speed_profile`.
+    scale : float, optional
+
+    Returns
+    -------
+    Raceline
+
+    Raises
+    ------
+    ParameterError
+        If the car cannot steer a bend of the line.
+    """
+    speed, _ = raceline_speeds(line, **limits)
+    return Raceline(
+        line.x,
+        line.y,
+        vx_mps=scale * speed,
+        d_left_m=line.d_left,
+        d_right_m=line.d_right,
+        name=line.name,
+    )
+
+
+def minimum_curvature(
+    track: Raceline,
+    clearance: float,
+    *,
+    tension: float = 0.0,
+    step: float = 0.1,
+    progress: _Progress | None = None,
+) -> OptimizedLine:
+    """Find the path of least integrated squared curvature around a track.
 
     Parameters
     ----------
     track : Raceline
         Any line along the track with distances to the walls: a centerline or a raceline.
     clearance : float
-        Least distance from the path to the walls [m]: half the car's width and a margin.
+        Least distance from the path to the walls [m]: half the car's width plus a margin.
     tension : float, optional
-        What a meter of length counts beside the squared curvature [1/m^2]: least is the integral
+        Weight of the length beside the squared curvature [1/m^2]: the objective is the integral
         of ``kappa^2 + tension``.
     step : float, optional
-        Distance of the points that are moved [m].
+        Distance between the points that are moved [m].
     progress : callable, optional
         Called after each new line with the number of lines so far.
 
@@ -119,26 +161,33 @@ def minimum_curvature(track, clearance, *, tension=0.0, step=0.1, progress=None)
     ParameterError
         If `clearance` or `step` is not positive and finite, or `tension` is negative.
     RacelineError
-        If the track has no walls, is not closed, comes back to itself, or is too narrow; the
-        message says where.
+        If the track has no walls, is not closed, meets itself, or is too narrow; the message says
+        where.
     """
     search = _Search(track, clearance, step, progress)
     return search.result(search.best(search.reference, tension), tension)
 
 
-def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
-    """The fastest path that bends little more than the least, or that is much faster.
+def fastest_line(
+    track: Raceline,
+    clearance: float,
+    limits: Mapping[str, Any],
+    *,
+    step: float = 0.1,
+    progress: _Progress | None = None,
+) -> OptimizedLine:
+    """Find the fastest of the paths between least curvature and least length.
 
-    The path of least squared curvature takes long ways around where these cost little curvature. A
-    tension shortens it; how much is best, the lap time decides among the paths of at most 5 % more
-    squared curvature. One with more than that has to be 2 % faster, as the inside of a ring is.
+    The path of least squared curvature takes detours where they cost little curvature. Tension
+    shortens it. Of the paths with at most 5 % more squared curvature the one with the shortest lap
+    time is taken; one with more must be 2 % faster, as the inside of a ring is.
 
     Parameters
     ----------
     track, clearance, step, progress
-        As of `minimum_curvature`.
-    limits : dict
-        The car's, as of `speed_profile`.
+        See `minimum_curvature`.
+    limits : mapping
+        The car's limits: keyword arguments of `speed_profile`.
 
     Returns
     -------
@@ -150,7 +199,7 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
     ParameterError
         If `clearance` or `step` is not positive and finite.
     RacelineError
-        As of `minimum_curvature`; also if the car cannot steer the bends of the line.
+        As in `minimum_curvature`; also if the car cannot steer a bend of the path.
     """
     search = _Search(track, clearance, step, progress)
     line = search.best(search.reference, 0.0)
@@ -160,7 +209,7 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
         raise RacelineError(f"{search.name}: no line for this car: {error}") from None
     least = squared_curvature(line, step)
     mean = least / line.length
-    # The fastest of all, and of those that bend little more than the least.
+    # The fastest of all, and the fastest with little more than the least curvature.
     best = close = (time, line, 0.0)
     slower = 0
     for weight in _TENSIONS:
@@ -170,7 +219,7 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
             _, time = raceline_speeds(line, **limits)
         except ParameterError:
             break
-        # Where a little tension changes nothing, more may.
+        # Where a little tension changes nothing, more of it may.
         slower = slower + 1 if time > (1.0 + 1e-4) * best[0] else 0
         best = min(best, (time, line, tension), key=lambda item: item[0])
         if squared_curvature(line, step) <= (1.0 + _RISE) * least:
@@ -182,25 +231,16 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
     if best[0] > (1.0 - _WORTH) * close[0]:
         best = close
     found = search.result(best[1], best[2])
-    line = found.raceline
-    speed, _ = raceline_speeds(line, **limits)
-    line = Raceline(
-        *(line.x, line.y),
-        vx_mps=speed,
-        d_left_m=line.d_left,
-        d_right_m=line.d_right,
-        name=line.name,
-    )
-    return found._replace(raceline=line)
+    return found._replace(raceline=with_fastest_speeds(found.raceline, limits))
 
 
 class _Search:
-    """A track made ready, and the search for lines on it."""
+    """Search for lines on one track."""
 
     def __init__(self, track, clearance, step, progress):
         for key, value in (("clearance", clearance), ("step", step)):
             if not 0.0 < value < math.inf:
-                raise ParameterError(f"{key}: expected a positive length, got {value}")
+                raise ParameterError(f"{key}: expected more than 0 m, got {value}")
         self.name = track.source or track.name or "raceline"
         self.title = track.name
         self.clearance, self.step, self._progress = clearance, step, progress
@@ -212,7 +252,7 @@ class _Search:
         self._cut, self._lines = None, 0
 
     def best(self, line, tension):
-        """The best line, each time within reach of the normals of the last one."""
+        """Best line, improved pass by pass within reach of the normals of the last one."""
         if not 0.0 <= tension < math.inf:
             raise ParameterError(f"tension: expected 0 or more, got {tension}")
         best = None
@@ -227,12 +267,12 @@ class _Search:
         return best[1]
 
     def result(self, line, tension):
-        """What is to be known of a line."""
+        """Result for a line."""
         findings = list(self.walls.findings)
         if self._cut:
             text = (
-                f"{self._cut} normals of the middle line cut before they meet inside bends; those "
-                "of the lines after it reach farther"
+                f"{self._cut} normals of the middle line cut before they meet inside bends; the "
+                "normals of later lines reach farther"
             )
             findings.append(Finding("cut-normals", NOTE, text))
         raceline = self._with_walls(line)
@@ -241,12 +281,12 @@ class _Search:
         return OptimizedLine(raceline, self.reference, self.walls, least, tension, tuple(findings))
 
     def _middle(self, track):
-        """Points of a smooth line around the middle between the walls."""
+        """Points of a smooth line near the middle between the walls."""
         walls, count = self.walls, max(8, int(round(track.length / self.step)))
         points, normals = _even_points(track, count)
         at = track.sample(np.arange(count) * (track.length / count))
         points = points + (0.5 * (at.d_left - at.d_right))[:, None] * normals
-        # The wider the track, the more may be smoothed.
+        # The wider the track, the stronger the smoothing may be.
         deviation = 0.25 * float(np.median(track.d_left + track.d_right))
         smooth, clear = smooth_between(
             points, track.length, deviation, walls.distance, self.clearance
@@ -257,7 +297,7 @@ class _Search:
         return smooth
 
     def _one_pass(self, line, tension):
-        """The best line within reach of the normals of another."""
+        """Best line within reach of the normals of another."""
         count = max(8, int(round(line.length / self.step)))
         points, normals = _even_points(line, count)
         wanted = np.full(count, self.clearance)
@@ -269,8 +309,8 @@ class _Search:
         if np.any(high < low - 1e-3):
             k = int(np.argmin(high - low))
             raise self._too_narrow(points[k], normals[k])
-        # Between two points the line can pass a corner of a wall too closely; these points then
-        # keep away by as much more.
+        # Between two points the line can pass a corner of a wall too closely: the clearance of
+        # these points is raised by what is missing.
         for _ in range(_MOST_ROUNDS):
             alpha = least_curvature(points, normals, low, np.maximum(low, high), alpha, tension)
             line = Raceline(*(points + alpha[:, None] * normals).T)
@@ -290,7 +330,7 @@ class _Search:
         return line
 
     def _with_walls(self, line):
-        """A line with its distances to the walls, or to where its normals meet inside bends."""
+        """Line with its distances to the walls, or to where its normals meet inside bends."""
         points = np.stack((line.x, line.y), axis=1)
         normals = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
         left, right = (
@@ -308,17 +348,16 @@ class _Search:
             for side in (1.0, -1.0)
         )
         return RacelineError(
-            f"{self.name}: the track is too narrow at ({point[0]:.2f}, {point[1]:.2f}): "
-            f"{wide:.2f} m from wall to wall, where car and margins need "
-            f"{2.0 * self.clearance:.2f} m"
+            f"{self.name}: the track is too narrow at ({point[0]:.2f}, {point[1]:.2f}): expected "
+            f"{2.0 * self.clearance:.2f} m for car and margins, got {wide:.2f} m from wall to wall"
         )
 
 
-# -- the track --------------------------------------------------------------------------------
+# -- the track -----------------------------------------------------------------------------------
 
 
 def _check_closed(track, name):
-    """Refuse a track whose ends are much farther apart than its points."""
+    """Reject a track whose ends are much farther apart than its points."""
     spacing = np.diff(np.append(track.s_points, track.length))
     width = float(np.median(track.d_left + track.d_right)) if track.d_left is not None else 0.0
     if spacing[-1] > max(5.0 * spacing[:-1].max(), width):
@@ -329,25 +368,25 @@ def _check_closed(track, name):
 
 
 def _check_single(track, clearance, name):
-    """Refuse a track that crosses itself or goes round twice."""
+    """Reject a track that crosses itself or consists of two laps."""
     spacing = min(track.ds, 0.5 * clearance)
     at = track.sample(np.linspace(0.0, track.length, int(track.length / spacing) + 1)[:-1])
     points = np.stack((at.x, at.y), axis=1)
     pairs = point_tree(points).query_pairs(clearance, output_type="ndarray")
     apart = np.abs(at.s[pairs[:, 0]] - at.s[pairs[:, 1]])
     apart = np.minimum(apart, track.length - apart)
-    # An arc comes back to half its way at a half turn.
+    # Around a bend of up to half a turn the way is at most pi / 2 times the straight distance.
     twice = pairs[apart > 4.0 * clearance]
     if len(twice):
         i, j = (int(k) for k in min(twice.tolist()))
         raise RacelineError(
-            f"{name}: expected one loop, but the track comes back to itself at "
+            f"{name}: expected one loop, but the track meets itself at "
             f"({at.x[i]:.2f}, {at.y[i]:.2f}): s = {at.s[i]:.2f} m and {at.s[j]:.2f} m"
         )
 
 
 def _even_points(line, count):
-    """Points at equal arc lengths, and the unit vectors to their left."""
+    """Points at equal arc lengths and the unit vectors to their left."""
     at = line.sample(np.arange(count) * (line.length / count))
     return (
         np.stack((at.x, at.y), axis=1),
@@ -359,8 +398,8 @@ def _clearance_after(line, walls, count, clearance):
     """Least distance to a wall from each of the points of a line to the next."""
     ends = np.append(line.s_points, line.length)
     if ends.size != count + 1:
-        raise RacelineError("expected a line whose points are at least 0.1 mm apart: larger step?")
-    # So close that a wall's corner can come nearer in between by a few thousandths only.
+        raise RacelineError("expected points at least 0.1 mm apart: take a larger step")
+    # Dense enough that a corner of a wall is nearer in between by a few thousandths only.
     parts = max(4, math.ceil(line.length / count / (0.2 * clearance)))
     parts = np.linspace(0.0, 1.0, parts, endpoint=False)
     at = line.sample(ends[:-1, None] + parts * np.diff(ends)[:, None])
@@ -378,13 +417,13 @@ def _reach(points, normals, walls, clearance, farthest):
 
 
 def _meeting(points, normals):
-    """How far normals reach to the left and to the right before a neighbor crosses them."""
+    """Largest offsets to the left and to the right before neighboring normals meet."""
     after = np.roll(normals, -1, axis=0)
     turn = np.arctan2(
         normals[:, 0] * after[:, 1] - normals[:, 1] * after[:, 0], np.sum(normals * after, axis=1)
     )
     chord = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
-    # They meet where the offset is the radius of the turn between them.
+    # They meet where the offset is the radius of the turn between the points.
     with np.errstate(divide="ignore"):
         radius = _MEETING * chord / np.abs(turn)
     left, right = (np.where(turn * side > 0.0, radius, np.inf) for side in (1.0, -1.0))
@@ -392,7 +431,7 @@ def _meeting(points, normals):
 
 
 def _clear_offset(points, normals, walls, clearance):
-    """Offsets that take points which are a little too close to a wall away from it, else 0."""
+    """Offsets that move points slightly too close to a wall away from it, else 0."""
     offset = np.zeros(len(points))
     free = walls.distance(points)
     missing = np.maximum(clearance - free, 0.0)

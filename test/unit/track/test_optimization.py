@@ -335,7 +335,7 @@ def test_a_track_that_goes_round_twice_is_refused():
     twice = Raceline(
         radius * np.cos(angle), radius * np.sin(angle), d_left_m=width, d_right_m=width
     )
-    with pytest.raises(RacelineError, match="comes back to itself"):
+    with pytest.raises(RacelineError, match="meets itself"):
         minimum_curvature(twice, 0.2)
 
 
