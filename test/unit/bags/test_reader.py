@@ -150,13 +150,13 @@ def test_an_old_bag_stays_until_the_new_one_is_whole(tmp_path):
 @pytest.mark.parametrize(
     ("fill", "expected"),
     [
-        (lambda bag: bag.pose(0.0, 0.0, 0.0, 0.0), "at or before 0"),
+        (lambda bag: bag.pose(0.0, 0.0, 0.0, 0.0), "expected a time after 0"),
         (lambda bag: bag.pose(math.nan, 0.0, 0.0, 0.0), "/car_state/pose"),
         (lambda bag: bag.pose(T0, "a", 0.0, 0.0), "/car_state/pose"),
         (lambda bag: bag.pose(1e12, 0.0, 0.0, 0.0), "/car_state/pose"),
         (
             lambda bag: (bag.pose(T0, 0.0, 0.0, 0.0), bag.drive(T0, 0, 0, topic="/car_state/pose")),
-            "carries geometry_msgs/PoseStamped",
+            "expected geometry_msgs/PoseStamped",
         ),
     ],
 )

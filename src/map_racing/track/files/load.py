@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...bags.reader import read_waypoints
 from ...bags.records import is_bag
+from ...bags.waypoints import read_waypoints
 from ...bags.writer import BagWriter
 from ...files import refuse_special
 from .checks import raceline_of
