@@ -9,9 +9,13 @@ from ...bags.records import is_bag
 from ...bags.writer import BagWriter
 from ...files import refuse_special
 from .checks import raceline_of
-from .readers import find_raceline_file, read_raceline_file, split_source
+from .readers import (
+    columns_of_waypoints,
+    find_raceline_file,
+    read_raceline_file,
+    split_source,
+)
 from .table import RacelineTable
-from .waypoints import WAYPOINT_COLUMNS
 from .writers import closed_rows, raceline_columns, write_raceline_file
 
 __all__ = ["load_raceline", "read_raceline", "save_raceline", "table_of_waypoints"]
@@ -110,9 +114,7 @@ def table_of_waypoints(source, waypoints):
     RacelineTable
     """
     topic, kind, fields = waypoints
-    columns = {
-        column: fields[field] for field, column in WAYPOINT_COLUMNS.items() if field in fields
-    }
+    columns = columns_of_waypoints(fields)
     return RacelineTable(
         columns, name=Path(source).stem, source=f"{source}: {topic}", layout=f"{kind} on {topic}"
     )

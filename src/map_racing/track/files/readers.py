@@ -7,11 +7,14 @@ curvature and arc length follow from the positions; where a file states them the
 header line. The outcome is told in `Raceline.findings`. Files are written by :mod:`.writers`.
 """
 
+from __future__ import annotations
+
 import gzip
 import json
 import re
 import zlib
 from pathlib import Path
+from typing import Any, Mapping
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from .table import RacelineTable
 __all__ = [
     "ALIASES",
     "LAYOUTS",
+    "columns_of_waypoints",
     "find_raceline_file",
     "raceline_from_columns",
     "read_raceline_file",
@@ -91,6 +95,11 @@ def find_raceline_file(source):
     """Path and key of a shipped track or a raceline file, ``NAME`` or ``FILE#KEY``."""
     text, key = split_source(source)
     return find_config("tracks", text, _SUFFIXES), key or None
+
+
+def columns_of_waypoints(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns by the names in `ALIASES` of the fields of ``f110_msgs/Wpnt``."""
+    return {_MEANING[field]: column for field, column in fields.items() if field in _MEANING}
 
 
 def split_source(source):

@@ -382,9 +382,11 @@ def test_what_a_format_needs(tmp_path):
     table = RacelineTable({"x": AT.x, "y": AT.y})
     bare = raceline_of(table)
     for form in ("tum", "racetracks"):
-        with pytest.raises(RacelineError, match=f"c.csv: expected a track with speeds: .* {form}"):
+        with pytest.raises(
+            RacelineError, match=f"c.csv: expected a raceline with speeds .* {form}"
+        ):
             save_raceline(bare, tmp_path / "c.csv", form, table)
-    with pytest.raises(RacelineError, match="expected a track with walls"):
+    with pytest.raises(RacelineError, match="expected a raceline with walls"):
         save_raceline(bare, tmp_path / "c.csv", "centerline", table)
     assert list(tmp_path.iterdir()) == []
     for name, form in (("c.json", "race_stack"), ("c.bag", "bag")):
