@@ -22,7 +22,7 @@ from ...angles import wrap
 from ...errors import FileFormatError
 from ...resources import find_config
 from ..findings import NOTE, WARNING, Finding
-from ..raceline import distinct_points
+from ..spline import distinct_points
 from .checks import raceline_of
 from .table import RacelineTable
 

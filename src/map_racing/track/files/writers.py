@@ -18,8 +18,9 @@ from ...angles import wrap
 from ...bags.messages import WAYPOINT_FIELDS
 from ...errors import RacelineError
 from ...files import replacing
-from ..raceline import Raceline, distinct_points
+from ..raceline import Raceline
 from ..speed_profile import accelerations, lap_time
+from ..spline import distinct_points
 from .table import RacelineTable
 from .waypoints import waypoint_array
 
