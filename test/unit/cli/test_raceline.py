@@ -81,7 +81,7 @@ def test_report_as_json(good, bad, tmp_path, capsys):
 def test_files_that_cannot_be_read(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("x_m,y_m\n1,2\n3\n")
     code, out, err = run(capsys, "check", tmp_path / "a.csv")
-    assert (code, out) == (1, "") and "line 3: expected 2 columns, got 1" in err
+    assert (code, out) == (1, "") and ":3: expected 2 columns, got 1" in err
     code, out, err = run(capsys, "check", tmp_path / "a.csv", "--json", "-")
     assert (code, err) == (1, "") and json.loads(out)["findings"][0]["code"] == "unreadable"
     code, _, err = run(capsys, "check", tmp_path / "none.csv")

@@ -432,10 +432,10 @@ def test_wrong_names_of_columns(tmp_path, key, message):
 def test_garbage_in_the_middle_of_a_file(tmp_path):
     lines = text(("x", "y")).splitlines()
     for line, message in (
-        ("oops", "line 10: expected 2 columns, got 1"),
-        ("1.0,oops", r"line 10, column 2 \(y\): expected a number, got 'oops'"),
-        ("1.0;2.0", "line 10: expected 2 columns, got 1"),
-        ("0x10,2", r"line 10, column 1 \(x\): expected a number, got '0x10'"),
+        ("oops", ":10: expected 2 columns, got 1"),
+        ("1.0,oops", r":10: column 2 \(y\): expected a number, got 'oops'"),
+        ("1.0;2.0", ":10: expected 2 columns, got 1"),
+        ("0x10,2", r":10: column 1 \(x\): expected a number, got '0x10'"),
     ):
         (tmp_path / "c.csv").write_text("\n".join([*lines[:9], line, *lines[9:]]))
         with pytest.raises(FileFormatError, match=message):
