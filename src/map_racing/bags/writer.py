@@ -159,7 +159,7 @@ class BagWriter:
         latched=True,
         received=None,
     ):
-        """Raceline as ``f110_msgs/WpntArray``; `rows` are `messages.WAYPOINT_FIELDS`, (n, 10)."""
+        """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
         values, encode = (frame, rows.tolist()), msg.encode_waypoints
         self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=latched)
 

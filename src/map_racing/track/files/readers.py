@@ -7,9 +7,12 @@ curvature and arc length follow from the positions; where a file states them the
 header line. The outcome is told in `Raceline.findings`. Files are written by :mod:`.writers`.
 """
 
+from __future__ import annotations
+
 import json
 import re
 from pathlib import Path
+from typing import Any, Mapping
 
 import numpy as np
 
@@ -18,13 +21,14 @@ from ...errors import FileFormatError
 from ...resources import find_config
 from ...tables import is_number, open_text, parse_rows
 from ..findings import NOTE, WARNING, Finding
-from ..raceline import distinct_points
+from ..spline import distinct_points
 from .checks import raceline_of
 from .table import RacelineTable
 
 __all__ = [
     "ALIASES",
     "LAYOUTS",
+    "columns_of_waypoints",
     "find_raceline_file",
     "raceline_from_columns",
     "read_raceline_file",
@@ -90,6 +94,11 @@ def find_raceline_file(source):
     """Path and key of a shipped track or a raceline file, ``NAME`` or ``FILE#KEY``."""
     text, key = split_source(source)
     return find_config("tracks", text, _SUFFIXES), key or None
+
+
+def columns_of_waypoints(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns by the names in `ALIASES` of the fields of ``f110_msgs/Wpnt``."""
+    return {_MEANING[field]: column for field, column in fields.items() if field in _MEANING}
 
 
 def split_source(source):
