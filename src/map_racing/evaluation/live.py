@@ -21,8 +21,9 @@ import numpy as np
 
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..validation import FARTHEST
-from .laps import Lap, LapEvaluator, LapLimits, check_options
+from .laps import LapEvaluator, LapLimits, check_options
 from .report import csv_cells
+from .results import Lap
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 
@@ -36,7 +37,7 @@ class LiveLap(NamedTuple):
     """A stretch that ended.
 
     ``run`` counts from 1, ``end_ns`` is the time stamp of the end [ns], ``lap`` a
-    `map_racing.evaluation.laps.Lap`.
+    `map_racing.evaluation.results.Lap`.
     """
 
     run: int

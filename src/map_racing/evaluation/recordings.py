@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..bags.records import is_bag
 from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..errors import BagError, FileFormatError, ParameterError
 from ..files import refuse_special
-from ..tables import column_index, open_text, parse_rows, some_names, split_header
+from ..tables import column_index, read_columns, some_names
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
 
@@ -122,40 +123,22 @@ def read_csv_recording(path, columns=None):
     unknown = sorted(set(columns) - set(_ALIASES))
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
-    with open_text(path) as file:
-        names, delimiter, rows = split_header(path, file)
-        where = _locate(path, names, columns)
-        table, numbers, notes = parse_rows(path, rows, delimiter, names, where)
-    values = dict(zip(where, table.T))
-    late = np.flatnonzero(np.isfinite(values["t"]) & (np.abs(values["t"]) > _LATEST))
-    if late.size:
-        raise FileFormatError(
-            f"{path}:{numbers[late[0]]}: column {names[where['t']]}: expected a time in seconds, "
-            f"got {values['t'][late[0]]:g}"
-        )
-    nan = np.full(len(table), math.nan)
-    kept = np.flatnonzero(usable(values["t"], [values["x"], values["y"]]))
-    jump = jump_back(values["t"][kept])
-    if jump:
-        raise FileFormatError(
-            f"{path}: time jumps back by {jump[1]:.1f} s at line {numbers[kept[jump[0]]]}: "
-            "two runs in one file?"
-        )
-    t, (x, y, *rest) = in_order(
-        values["t"],
-        [values.get(name, nan) for name in _ALIASES if name != "t"],
-        notes,
+    table = read_columns(path, partial(_locate, path, columns))
+    _check_times(path, table)
+    nan = np.full(len(table.lines), math.nan)
+    t, (x, y, psi, v_x, v_y, yaw_rate, steering, speed) = in_order(
+        table.values["t"],
+        [table.values.get(name, nan) for name in _ALIASES if name != "t"],
+        table.notes,
         "rows",
         required=2,
     )
     if t.size < 2:
-        why = f" ({'; '.join(notes)})" if notes else ""
+        why = f" ({'; '.join(table.notes)})" if table.notes else ""
         raise FileFormatError(f"{path}: expected at least two rows with time and position{why}")
-    psi, v_x, v_y, yaw_rate, steering, speed = rest
     start = t[0]
     t = t - start
-    given = [names[where[name]] for name in ("steering", "speed_command") if name in where]
-    commands = Commands(t, steering, speed, " ".join(given)) if given else None
+    given = [table.names[name] for name in ("steering", "speed_command") if name in table.names]
     return Recording(
         t,
         x,
@@ -166,11 +149,30 @@ def read_csv_recording(path, columns=None):
         yaw_rate,
         t0_ns=int(round(start * 1e9)),
         source=str(path),
-        topic=" ".join(names[where[name]] for name in _REQUIRED),
+        topic=" ".join(table.names[name] for name in _REQUIRED),
         type="CSV",
-        commands=commands,
-        notes=notes,
+        commands=Commands(t, steering, speed, " ".join(given)) if given else None,
+        notes=table.notes,
     )
+
+
+def _check_times(path, table):
+    """Refuse times in another unit than seconds, and two runs in one file."""
+    t = table.values["t"]
+    with np.errstate(invalid="ignore"):  # numpy 1.17 warns of NaN
+        late = np.flatnonzero(np.isfinite(t) & (np.abs(t) > _LATEST))
+    if late.size:
+        raise FileFormatError(
+            f"{path}:{table.lines[late[0]]}: column {table.names['t']}: expected a time in "
+            f"seconds, got {t[late[0]]:g}"
+        )
+    kept = np.flatnonzero(usable(t, [table.values["x"], table.values["y"]]))
+    jump = jump_back(t[kept])
+    if jump:
+        raise FileFormatError(
+            f"{path}: time jumps back by {jump[1]:.1f} s at line {table.lines[kept[jump[0]]]}: "
+            "two runs in one file?"
+        )
 
 
 def parse_columns(text):
@@ -209,7 +211,7 @@ def _is_csv(path):
     return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
 
 
-def _locate(path, names, columns):
+def _locate(path, columns, names):
     """Index of the column of each field that the file has."""
     where = {}
     lowered = [name.lower() for name in names]

@@ -179,11 +179,11 @@ def test_a_map_becomes_a_raceline_in_one_command(tmp_path, capsys, start, turn):
 @pytest.mark.parametrize(
     "options, text",
     [
-        ([], "is a map: expected --start X,Y[,PSI]"),
+        ([], "expected --start X,Y[,PSI] for a map"),
         (["--start", "1"], "--start: expected X,Y or X,Y,PSI"),
         (["--start", "a,b"], "--start: expected X,Y or X,Y,PSI"),
         (["--start", "0,0"], "is in a wall or on unknown ground"),
-        (["--start", "-4.5,0", "--passage", "0"], "--passage must be from"),
+        (["--start", "-4.5,0", "--passage", "0"], "--passage: expected 0.001 to 100, got 0"),
     ],
 )
 def test_starts_that_cannot_be(tmp_path, capsys, options, text):
@@ -247,7 +247,7 @@ def test_exchanged_walls_are_refused(tmp_path, capsys):
         (["--margin", "nan"], "--margin"),
         (["--step", "0"], "--step"),
         (["--lateral-scale", "0"], "--lateral-scale"),
-        (["--start", "0,0"], "--start is for maps"),
+        (["--start", "0,0"], "--start: expected a map"),
         (["--margin", "2"], "too narrow"),
         (["--vehicle", "none"], "none: no such file"),
         (["--output", "line.txt"], "line.txt"),

@@ -98,7 +98,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
     [
         ("t,x,y\n0,1,2\n1,a,2\n", r"run.csv:3: column x: expected a number, got 'a'"),
         ("t,x,y\n0,1,2\n1," + 99 * "a" + ",2\n", "expected a number, got 'a{37}...'$"),
-        ("0,1,2\n1,2,3\n", "expected names of columns above the numbers, found none"),
+        ("0,1,2\n1,2,3\n", "expected names of columns above the numbers, got none"),
         ("t,x,y\n0,1,2\n1,2\n2,3,4\n", r"run.csv:3: expected 3 columns, got 2"),
         ("t,x,z\n0,1,2\n", r"which column is y\? It has t, x, z"),
         ("", "expected rows of numbers"),

@@ -7,25 +7,28 @@ curvature and arc length follow from the positions; where a file states them the
 header line. The outcome is told in `Raceline.findings`. Files are written by :mod:`.writers`.
 """
 
-import gzip
+from __future__ import annotations
+
 import json
 import re
-import zlib
 from pathlib import Path
+from typing import Any, Mapping
 
 import numpy as np
 
 from ...angles import wrap
 from ...errors import FileFormatError
 from ...resources import find_config
+from ...tables import is_number, open_text, parse_rows
 from ..findings import NOTE, WARNING, Finding
-from ..raceline import distinct_points
+from ..spline import distinct_points
 from .checks import raceline_of
 from .table import RacelineTable
 
 __all__ = [
     "ALIASES",
     "LAYOUTS",
+    "columns_of_waypoints",
     "find_raceline_file",
     "raceline_from_columns",
     "read_raceline_file",
@@ -93,6 +96,11 @@ def find_raceline_file(source):
     return find_config("tracks", text, _SUFFIXES), key or None
 
 
+def columns_of_waypoints(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns by the names in `ALIASES` of the fields of ``f110_msgs/Wpnt``."""
+    return {_MEANING[field]: column for field, column in fields.items() if field in _MEANING}
+
+
 def split_source(source):
     """Path of a track, and what in the file is meant, which may follow behind ``#``.
 
@@ -135,12 +143,8 @@ def read_raceline_file(path, key=None):
         If the file cannot be read; names line and column.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-        text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode("utf-8-sig")
-    except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise FileFormatError(f"{path}: expected a raceline file: {reason}") from None
+    with open_text(path) as file:
+        text = file.read()
     name = path.name
     for suffix in (".gz", ".csv", ".json", ".txt"):
         name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
@@ -207,14 +211,10 @@ def _csv_table(text, path, key=None):
     if names is None:
         known = ", ".join(str(count) for count in LAYOUTS)
         raise FileFormatError(
-            f"{path}: line {data[0][0]}: expected named columns or {known} of them, got {width}"
+            f"{path}:{data[0][0]}: expected named columns or {known} of them, got {width}"
         )
-    try:
-        values = np.array([[float(token) for token in row] for row in rows])
-        if values.ndim != 2:  # rows of different lengths, before numpy 1.24
-            raise ValueError
-    except ValueError:
-        raise _bad_row(rows, names, [number for number, _ in data], path) from None
+    numbered = [f"{index} ({name})" for index, name in enumerate(names, 1)]
+    values, numbers, _ = parse_rows(path, zip((number for number, _ in data), rows), numbered)
     columns = {name: values[:, k] for k, name in enumerate(names) if name != "-"}
     told = "named in the file" if named else "by their number"
     if key is not None:
@@ -235,25 +235,9 @@ def _csv_table(text, path, key=None):
     return RacelineTable(
         columns,
         layout=layout,
-        lines=np.array([number for number, _ in data]),
+        lines=np.array(numbers),
         findings=tuple(findings),
     )
-
-
-def _bad_row(rows, names, numbers, path):
-    """The error that names the first row that is not as wide as the first, or no numbers."""
-    for number, row in zip(numbers, rows):
-        if len(row) != len(names):
-            return FileFormatError(
-                f"{path}: line {number}: expected {len(names)} columns, got {len(row)}"
-            )
-        for index, token in enumerate(row):
-            if not _is_number(token):
-                return FileFormatError(
-                    f"{path}: line {number}, column {index + 1} ({names[index]}): "
-                    f"expected a number, got {token!r}"
-                )
-    raise AssertionError("the rows are numbers")
 
 
 def _given_names(key, width, path):
@@ -281,13 +265,13 @@ def _header(lines, width, path):
         if line[0] == "#":
             return None
         raise FileFormatError(
-            f"{path}: line {number}: expected names of columns with x_m and y_m, got {line!r}"
+            f"{path}:{number}: expected names of columns with x_m and y_m, got {line!r}"
         )
     if len(names) != width:
         raise FileFormatError(
-            f"{path}: line {number}: {len(names)} names for {width} columns of numbers"
+            f"{path}:{number}: {len(names)} names for {width} columns of numbers"
         )
-    return _once(names, tokens, f"{path}: line {number}: ")
+    return _once(names, tokens, f"{path}:{number}: ")
 
 
 def _complete(names):
@@ -320,15 +304,7 @@ def _split(line):
 
 def _is_data(line):
     token = _split(line)[0]
-    return _is_number(token) or bool(_DECIMAL_COMMA.fullmatch(token))
-
-
-def _is_number(token):
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
+    return is_number(token) or bool(_DECIMAL_COMMA.fullmatch(token))
 
 
 def _unnamed(columns, findings):

@@ -1,0 +1,94 @@
+"""Live tuning of the running controller by dynamic_reconfigure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
+import rospy
+from dynamic_reconfigure.server import Server
+
+from map_racing.cfg import ControllerConfig
+
+from ..control.controller import Controller, build_steering_map
+from ..control.parameters import STEERING_MAPS, load_controller_parameters
+from ..errors import MapRacingError, ParameterError
+
+if TYPE_CHECKING:
+    import threading
+
+    from ..control.safety import Supervisor
+
+__all__ = ["TuningServer"]
+
+# Shipped controllers that supply m and q for the inactive steering maps.
+FILES = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
+
+
+class TuningServer:
+    """Changes parameters, steering map and safety limits while the car drives.
+
+    Each steering map keeps its own lookahead. A change that is impossible is rejected as a whole;
+    the answer holds the values in use.
+
+    Parameters
+    ----------
+    controller : Controller
+        Its steering map and largest speed are kept: the speed can be lowered, never raised above
+        the one at the start.
+    supervisor : Supervisor
+    lock : threading.RLock
+        Held while a change is applied, so that it falls between two control steps.
+    """
+
+    def __init__(self, controller: Controller, supervisor: Supervisor, lock: threading.RLock):
+        self._controller, self._supervisor, self._lock = controller, supervisor, lock
+        parameters = controller.parameters
+        self._v_max = parameters.v_max_mps
+        self._maps = {parameters.steering_map: controller.steering_map}
+        shipped = {kind: load_controller_parameters(FILES[kind]) for kind in STEERING_MAPS}
+        shipped[parameters.steering_map] = parameters
+        self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
+        self._started = False
+        self._server = Server(ControllerConfig, self._reconfigure, namespace="tuning")
+        self._started = True
+
+    def _reconfigure(self, config, _):
+        """Apply a requested configuration; return the one in use."""
+        if self._started:  # The first call brings the defaults of the server, not of the files.
+            try:
+                self._apply(config)
+            except MapRacingError as error:
+                rospy.logwarn("reconfigure rejected: %s", error)
+        for values in (self._controller.parameters, self._supervisor.limits):
+            config.update((f, v) for f, v in vars(values).items() if f in config)
+        for kind, (m_m, q_s) in self._lookaheads.items():
+            config[f"{kind}_m_m"], config[f"{kind}_q_s"] = m_m, q_s
+        return config
+
+    def _apply(self, config):
+        for name, value in config.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ParameterError(f"{name}: expected a finite number, got {value}")
+        kind = config["steering_map"]
+        lookaheads = {k: (config[f"{k}_m_m"], config[f"{k}_q_s"]) for k in STEERING_MAPS}
+        m_m, q_s = lookaheads.get(kind, (0.0, 0.0))
+        parameters = _changed(
+            self._controller.parameters,
+            {**config, "m_m": m_m, "q_s": q_s, "v_max_mps": min(config["v_max_mps"], self._v_max)},
+        )
+        limits = _changed(self._supervisor.limits, config)
+        if kind not in self._maps:
+            self._maps[kind] = build_steering_map(kind, self._controller.vehicle, self._v_max)
+        with self._lock:
+            self._lookaheads = lookaheads
+            self._controller.parameters = parameters
+            self._controller.steering_map = self._maps[kind]
+            self._supervisor.limits = limits
+
+
+def _changed(values, config):
+    """A dataclass with the values of the same names in `config`."""
+    names = (field.name for field in fields(values))
+    return replace(values, **{name: config[name] for name in names if name in config})
