@@ -167,7 +167,7 @@ class BagWriter:
         latched=True,
         received=None,
     ):
-        """Raceline as ``f110_msgs/WpntArray``; `rows` are `messages.WAYPOINT_FIELDS`, (n, 10)."""
+        """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
         self._write(
             *(topic, msg.WAYPOINTS, stamp, received, msg.encode_waypoints, frame, rows.tolist()),
             latched=latched,

@@ -144,7 +144,7 @@ class LookaheadVisualizer:
 
     def _draw_raceline(self, raceline):
         self._tracker = RacelineTracker(raceline)
-        rows = waypoint_rows(raceline).tolist()
+        rows = waypoint_rows(raceline)
         self._course.publish(raceline_markers(raceline, rows, self._map))
 
     def _extend_trail(self, x, y, deviation):

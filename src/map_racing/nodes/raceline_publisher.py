@@ -17,12 +17,6 @@ from .waypoints import waypoint_array_class
 __all__ = ["RacelinePublisherNode", "main"]
 
 
-FIELDS = (
-    *("s_m", "d_m", "x_m", "y_m", "d_right", "d_left"),
-    *("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
-)
-
-
 class RacelinePublisherNode:
     """Publish once, latched; and the waypoints again and again, as the public stacks do."""
 
@@ -43,17 +37,19 @@ class RacelinePublisherNode:
             scale,
             load_speed_sectors(sectors, self._raceline) if sectors else None,
         )
-        self._rows = waypoint_rows(self._raceline, spacing, speed).tolist()
+        self._rows = waypoint_rows(self._raceline, spacing, speed)
         rospy.loginfo(
             "%s: %.2f m, %d waypoints, %.2f to %.2f m/s",
-            *(self._raceline.name or self._raceline.source, self._raceline.length),
-            *(len(self._rows), min(row[8] for row in self._rows)),
-            max(row[8] for row in self._rows),
+            self._raceline.name or self._raceline.source,
+            self._raceline.length,
+            self._rows.size,
+            self._rows["vx_mps"].min(),
+            self._rows["vx_mps"].max(),
         )
         self._array, waypoint = waypoint_array_class()
         self._waypoints = [
-            waypoint(number, *(row[FIELDS.index(name)] for name in waypoint.__slots__[1:]))
-            for number, row in enumerate(self._rows)
+            waypoint(number, *row)
+            for number, row in enumerate(self._rows[waypoint.__slots__[1:]].tolist())
         ]
 
     def run(self):
@@ -75,10 +71,11 @@ class RacelinePublisherNode:
     def _path(self):
         path = Path()
         path.header.frame_id = self._frame
-        for row in [*self._rows, self._rows[0]]:
+        poses = self._rows[["x_m", "y_m", "psi_rad"]].tolist()
+        for x, y, psi in [*poses, poses[0]]:
             pose = PoseStamped()
             pose.header.frame_id = self._frame
-            set_plane_pose(pose.pose, row[2], row[3], row[6])
+            set_plane_pose(pose.pose, x, y, psi)
             path.poses.append(pose)
         return path
 

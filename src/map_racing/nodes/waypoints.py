@@ -11,8 +11,8 @@ from std_msgs.msg import Header
 
 from ..bags import messages
 from ..errors import MapRacingError, RacelineError
+from ..track.files.columns import columns_of_waypoints
 from ..track.files.readers import raceline_from_columns
-from ..track.files.waypoints import WAYPOINT_COLUMNS
 from .node import get_parameter
 
 __all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
@@ -79,13 +79,13 @@ def raceline_from_message(message, source):
             array.deserialize(message._buff)
             fields = {
                 field: [float(getattr(waypoint, field)) for waypoint in array.wpnts]
-                for field in WAYPOINT_COLUMNS
+                for field in messages.WAYPOINT_FIELDS
                 if array.wpnts and hasattr(array.wpnts[0], field)
             }
     except Exception as error:
         # genpy raises errors of many kinds for a definition or a message that it cannot digest.
         raise RacelineError(f"{source}: cannot read {kind}: {error}") from error
-    columns = {name: fields[field] for field, name in WAYPOINT_COLUMNS.items() if field in fields}
+    columns = columns_of_waypoints(fields)
     if "x" not in columns or "y" not in columns or not len(columns["x"]):
         raise RacelineError(f"{source}: expected waypoints with x_m and y_m, got none")
     return raceline_from_columns(columns, name=source.rpartition("/")[2], source=source)

@@ -151,14 +151,14 @@ def test_reverse_and_spacing(tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["reference", "a.csv"], "several formats are CSV: say --format map_racing, tum, race"),
+        (["reference", "a.csv"], "expected --format for a .csv file: map_racing, tum, race"),
         (["reference", "a.gpx"], "expected a file named .csv, .json or .bag, or --format"),
-        (["reference", "a.json", "--format", "tum"], "a file of format tum is named .csv"),
+        (["reference", "a.json", "--format", "tum"], "expected a file named .csv for format tum"),
         (["reference", "no/a.json"], "the folder no does not exist"),
         (["reference", "a.json", "--spacing", "0"], "--spacing: expected 0.001 to 100 m, got "),
         (["reference", "a.json", "--spacing", "nan"], "--spacing: expected 0.001 to 100 m, got "),
         (["good.csv", "good.csv", "--format", "tum"], "good.csv: is also an input"),
-        (["good.csv#x,y", "a.json"], "2 names given for 7 columns"),
+        (["good.csv#x,y", "a.json"], "expected 7 names of columns, got 2"),
     ],
 )
 def test_refused(good, monkeypatch, capsys, arguments, message):

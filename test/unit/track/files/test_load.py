@@ -382,9 +382,11 @@ def test_what_a_format_needs(tmp_path):
     table = RacelineTable({"x": AT.x, "y": AT.y})
     bare = raceline_of(table)
     for form in ("tum", "racetracks"):
-        with pytest.raises(RacelineError, match=f"c.csv: expected a track with speeds: .* {form}"):
+        with pytest.raises(
+            RacelineError, match=f"c.csv: expected a raceline with speeds .* {form}"
+        ):
             save_raceline(bare, tmp_path / "c.csv", form, table)
-    with pytest.raises(RacelineError, match="expected a track with walls"):
+    with pytest.raises(RacelineError, match="expected a raceline with walls"):
         save_raceline(bare, tmp_path / "c.csv", "centerline", table)
     assert list(tmp_path.iterdir()) == []
     for name, form in (("c.json", "race_stack"), ("c.bag", "bag")):
@@ -399,11 +401,11 @@ def test_the_format_follows_from_the_name_or_is_asked_for():
     assert choose_format("a.BAG") == "bag"
     assert choose_format("a.txt", "tum") == "tum"
     for name, form, message in (
-        ("a.csv", None, "several formats are CSV: say --format map_racing, tum, racetracks"),
+        ("a.csv", None, "expected --format for a .csv file: map_racing, tum, racetracks"),
         ("a.yaml", None, r"expected a file named .csv, .json or .bag"),
-        ("a.csv", "race_stack", "a file of format race_stack is named .json"),
-        ("a.csv", "bag", "a file of format bag is named .bag"),
-        ("a.json", "tum", "a file of format tum is named .csv"),
+        ("a.csv", "race_stack", "expected a file named .json for format race_stack"),
+        ("a.csv", "bag", "expected a file named .bag for format bag"),
+        ("a.json", "tum", "expected a file named .csv for format tum"),
         ("a.csv", "gpx", "format gpx: expected one of map_racing, tum"),
     ):
         with pytest.raises(ParameterError, match=message):
@@ -416,9 +418,9 @@ def test_the_format_follows_from_the_name_or_is_asked_for():
 @pytest.mark.parametrize(
     "key, message",
     [
-        ("x,y", "2 names given for 3 columns"),
-        ("a,b,c", "expected JSON with the key a,b,c, or names of columns with x and y"),
-        ("x,y,x", "column x is there twice"),
+        ("x,y", "expected 3 names of columns, got 2"),
+        ("a,b,c", "expected JSON with the key a,b,c, or columns with x and y"),
+        ("x,y,x", "expected each column once, got x twice"),
     ],
 )
 def test_wrong_names_of_columns(tmp_path, key, message):
