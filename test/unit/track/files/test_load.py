@@ -418,9 +418,9 @@ def test_the_format_follows_from_the_name_or_is_asked_for():
 @pytest.mark.parametrize(
     "key, message",
     [
-        ("x,y", "2 names given for 3 columns"),
-        ("a,b,c", "expected JSON with the key a,b,c, or names of columns with x and y"),
-        ("x,y,x", "column x is there twice"),
+        ("x,y", "expected 3 names of columns, got 2"),
+        ("a,b,c", "expected JSON with the key a,b,c, or columns with x and y"),
+        ("x,y,x", "expected each column once, got x twice"),
     ],
 )
 def test_wrong_names_of_columns(tmp_path, key, message):
