@@ -30,7 +30,7 @@ SAME = 1e-6
 @pytest.fixture(scope="module")
 def log():
     """Two timed laps of the reference track."""
-    line, plant = load_raceline("reference")("nuc4")
+    line, plant = load_raceline("reference"), load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.8)
     controller = build_controller(parameters, load_vehicle("nuc4"), line)
     return race(Plant(plant), controller, line, Localization(plant, seed=1), laps=2)

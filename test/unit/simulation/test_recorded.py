@@ -18,7 +18,7 @@ from map_racing.vehicle.parameters import load_vehicle
 
 @pytest.fixture(scope="module")
 def raced():
-    raceline, plant = load_raceline("reference")("nuc4")
+    raceline, plant = load_raceline("reference"), load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.7)
     controller = build_controller(parameters, load_vehicle("nuc4"), raceline)
     log = race(Plant(plant), controller, raceline, Localization(plant, 1), laps=1)
