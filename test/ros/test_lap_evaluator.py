@@ -18,6 +18,7 @@ from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import race
 from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline

@@ -10,6 +10,7 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.recorded import EPOCH_NS, GROUND_TRUTH_TOPIC, write_race_bag
 from map_racing.track.files.load import load_raceline
