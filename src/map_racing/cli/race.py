@@ -8,8 +8,7 @@ from ..control.controller import Controller, build_steering_map
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..simulation.plant import Localization, Plant, load_plant_parameters
-from ..simulation.public_simulator import PublicSimulator
+from ..simulation.plants import build_plant, load_plant
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
 from ..track.files.load import load_raceline
@@ -18,7 +17,6 @@ from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle, parameter_hash
 from .outputs import check_outputs
 
-PUBLIC_SIMULATOR = "public_simulator"
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
 LONGEST_LAP = 5000.0  # [m]
@@ -47,16 +45,14 @@ def run(arguments):
     for finding in raceline.findings:
         print(f"{arguments.track}: {finding}")
 
-    if arguments.plant == PUBLIC_SIMULATOR:
-        plant, localization, plant_vehicle = PublicSimulator(load_vehicle("sim")), None, "sim"
-        # It publishes the pose of the center of gravity under the name of base_link.
-        parameters = parameters.with_(reference_point="center_of_gravity")
-    else:
-        plant_parameters = load_plant_parameters(arguments.plant)
-        plant, plant_vehicle = Plant(plant_parameters), plant_parameters.vehicle
-        localization = Localization(plant_parameters, arguments.seed)
-    vehicle = load_vehicle(arguments.vehicle or plant_vehicle)
-    if parameter_hash(vehicle) != parameter_hash(load_vehicle(plant_vehicle)):
+    plant_parameters = load_plant(arguments.plant)
+    plant, localization = build_plant(plant_parameters, arguments.seed)
+    if plant_parameters.reference_point != "rear_axle":
+        parameters = parameters.with_(reference_point=plant_parameters.reference_point)
+    vehicle = plant_parameters.vehicle
+    if arguments.vehicle:
+        vehicle = load_vehicle(arguments.vehicle)
+    if parameter_hash(vehicle) != parameter_hash(plant_parameters.vehicle):
         print(f"the controller knows {vehicle.name}, but the plant is {plant.vehicle.name}")
 
     steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)

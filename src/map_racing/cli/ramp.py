@@ -6,7 +6,7 @@ from tqdm import tqdm
 
 from ..control.steering_ramp import RampParameters
 from ..errors import ParameterError
-from ..simulation.plant import load_plant_parameters
+from ..simulation.plants import load_plant
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
 from .outputs import check_outputs
@@ -26,7 +26,7 @@ def run(arguments):
         )
         for speed in arguments.speed
     ]
-    plant = load_plant_parameters(arguments.plant)
+    plant = load_plant(arguments.plant)
     steers = plant.build_vehicle().delta_max
     if arguments.limit_rad > steers:
         raise ParameterError(

@@ -14,9 +14,7 @@ from typing import NamedTuple
 
 from ..errors import ParameterError
 from ..resources import find_config
-from ..simulation.plant import scaled_tires
 from ..validation import read_parameters
-from ..vehicle.parameters import Vehicle
 
 __all__ = ["Conditions", "Day", "day_of", "load_conditions"]
 
@@ -30,7 +28,7 @@ class Conditions:
     track : str
         Shipped track, raceline file or ``bag[#topic]``.
     plant : str
-        Shipped plant, plant file, or ``public_simulator``.
+        Shipped plant or plant file.
     mu_deviation, front_stiffness_deviation, rear_stiffness_deviation : float
         Standard deviations of the factors by which friction and cornering stiffness of a day differ
         from those of the day of identification.
@@ -105,8 +103,8 @@ class Day(NamedTuple):
     seed : int
     mu_scale, front_stiffness_scale, rear_stiffness_scale : float
         Relative to the day of identification.
-    plant : PlantParameters or Vehicle
-        With these tires; a Vehicle is driven as the public simulator's.
+    plant : PlantParameters or PublicSimulatorParameters
+        With these tires.
     """
 
     seed: int
@@ -132,7 +130,7 @@ def day_of(plant, conditions, seed):
 
     Parameters
     ----------
-    plant : PlantParameters or Vehicle
+    plant : PlantParameters or PublicSimulatorParameters
         On the day of identification.
     conditions : Conditions
     seed : int
@@ -151,8 +149,6 @@ def day_of(plant, conditions, seed):
             conditions.rear_stiffness_deviation,
         )
     )
-    if isinstance(plant, Vehicle):
-        return Day(seed, mu, front, rear, scaled_tires(plant, mu, front, rear))
     changed = replace(
         plant,
         mu_scale=plant.mu_scale * mu,

@@ -27,6 +27,7 @@ from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
 from ..simulation.plant import PlantParameters
 from ..simulation.plants import build_plant
+from ..simulation.public_simulator import PublicSimulatorParameters
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
 from ..track.raceline import Raceline
@@ -53,7 +54,7 @@ class RaceJob:
         With the scale of the speeds.
     vehicle : Vehicle
         The car as the controller knows it.
-    plant : PlantParameters or Vehicle
+    plant : PlantParameters or PublicSimulatorParameters
         The car as it is; a Vehicle is driven as the public simulator's.
     raceline : Raceline
     laps : int
@@ -65,7 +66,7 @@ class RaceJob:
     name: str = field(compare=False)
     controller: ControllerParameters
     vehicle: Vehicle
-    plant: PlantParameters | Vehicle
+    plant: PlantParameters | PublicSimulatorParameters
     raceline: Raceline
     laps: int
     seed: int

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ..simulation.plants import PUBLIC_SIMULATOR, load_plant
+from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
@@ -74,7 +74,7 @@ class Setting:
     ----------
     conditions : Conditions
     raceline : Raceline
-    plant : PlantParameters or Vehicle
+    plant : PlantParameters or PublicSimulatorParameters
         On the day of identification.
     vehicle, linear_vehicle : Vehicle
         The car as controllers know it, with Pacejka and with linear tires.
@@ -110,9 +110,8 @@ class Setting:
     def job(self, label, controller, day, laps):
         """The race of a controller on a day."""
         linear = controller.steering_map == "linear_table"
-        if self.conditions.plant == PUBLIC_SIMULATOR:
-            # It publishes the pose of the center of gravity under the name of base_link.
-            controller = controller.with_(reference_point="center_of_gravity")
+        if self.plant.reference_point != "rear_axle":
+            controller = controller.with_(reference_point=self.plant.reference_point)
         return RaceJob(
             label,
             controller,

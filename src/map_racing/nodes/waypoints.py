@@ -11,7 +11,8 @@ from std_msgs.msg import Header
 
 from ..bags import messages
 from ..errors import MapRacingError, RacelineError
-from ..track.files.readers import columns_of_waypoints, raceline_from_columns
+from ..track.files.columns import columns_of_waypoints
+from ..track.files.readers import raceline_from_columns
 from .node import get_parameter
 
 __all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]

@@ -12,13 +12,12 @@ from typing import Union
 
 from ..control.state import CarState, moved
 from ..errors import ParameterError
-from ..resources import find_config
-from ..validation import finite, positive, read_parameters
+from ..validation import finite, positive
 from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
 from ..vehicle.tires import PacejkaTire
 
-__all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters", "scaled_tires"]
+__all__ = ["Localization", "Plant", "PlantParameters", "check_plant", "scaled_tires"]
 
 
 @dataclass(frozen=True)
@@ -72,39 +71,44 @@ class PlantParameters:
     acceleration_noise_mps2: float = 0.0
     measures_v_y: bool = True
 
+    reference_point = "rear_axle"
+
     def __post_init__(self):
-        if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
-            raise ParameterError(f"vehicle must be a name or a path, not {self.vehicle!r}")
-        for name, value in vars(self).items():
-            if name in ("vehicle", "measures_v_y"):
-                continue
-            if name.endswith("_scale"):
-                if not 0.1 <= finite(name, value) <= 3.0:
-                    raise ParameterError(f"{name}: expected 0.1 to 3, got {value:g}")
-            elif name in _POSITIVE:
-                positive(name, value)
-            elif finite(name, value) < 0.0:
-                raise ParameterError(f"{name}: expected 0 or more, got {value:g}")
-        for name in _DELAYS:  # a larger one is meant in milliseconds
-            if getattr(self, name) > 1.0:
-                raise ParameterError(f"{name}: expected 0 to 1 s, got {getattr(self, name):g}")
-        rate, most = self.localization_rate_hz, 1.0 / Plant.time_step
-        if not 1.0 <= rate <= most:
-            raise ParameterError(f"localization_rate_hz: expected 1 to {most:g} Hz, got {rate:g}")
-        if not isinstance(self.measures_v_y, bool):
-            raise ParameterError(f"measures_v_y must be true or false, not {self.measures_v_y!r}")
+        check_plant(self, Plant.time_step)
 
     def build_vehicle(self):
         """The vehicle with the plant's own tires."""
-        vehicle = self.vehicle
-        if not isinstance(vehicle, Vehicle):
-            vehicle = load_vehicle(vehicle)
         return replace(
             scaled_tires(
-                vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+                self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
             ),
             a_max=float(self.a_max_mps2),
             a_brake_max=float(self.a_brake_max_mps2),
+        )
+
+
+def check_plant(parameters, time_step):
+    """Check the parameters of a plant whose steps are so long [s]; a ParameterError names it."""
+    if not isinstance(parameters.vehicle, (str, Vehicle)) or not parameters.vehicle:
+        raise ParameterError(f"vehicle: expected a name or a path, got {parameters.vehicle!r}")
+    for name, value in vars(parameters).items():
+        if name in ("vehicle", "measures_v_y"):
+            continue
+        if name.endswith("_scale"):
+            if not 0.1 <= finite(name, value) <= 3.0:
+                raise ParameterError(f"{name}: expected 0.1 to 3, got {value:g}")
+        elif name in _POSITIVE:
+            positive(name, value)
+        elif finite(name, value) < 0.0:
+            raise ParameterError(f"{name}: expected 0 or more, got {value:g}")
+        if name in _DELAYS and value > 1.0:  # meant in milliseconds
+            raise ParameterError(f"{name}: expected 0 to 1 s, got {value:g}")
+    rate, most = parameters.localization_rate_hz, 1.0 / time_step
+    if not 1.0 <= rate <= most:
+        raise ParameterError(f"localization_rate_hz: expected 1 to {most:g} Hz, got {rate:g}")
+    if not isinstance(getattr(parameters, "measures_v_y", True), bool):
+        raise ParameterError(
+            f"measures_v_y: expected true or false, got {parameters.measures_v_y!r}"
         )
 
 
@@ -113,7 +117,8 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
 
     Parameters
     ----------
-    vehicle : Vehicle
+    vehicle : Vehicle or str
+        A car, or its name or file.
     mu : float
         Factor on the friction.
     front_stiffness, rear_stiffness : float
@@ -123,6 +128,8 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     -------
     Vehicle
     """
+    if not isinstance(vehicle, Vehicle):
+        vehicle = load_vehicle(vehicle)
     return replace(
         vehicle,
         mu=vehicle.mu * mu,
@@ -140,22 +147,6 @@ def _scaled(tire, factor):
     if isinstance(tire, PacejkaTire):
         return replace(tire, B=tire.B * factor)
     return replace(tire, C_S=tire.C_S * factor)
-
-
-def load_plant_parameters(source):
-    """Read plant parameters from a shipped name or a YAML file.
-
-    A vehicle file that it names is looked for beside it.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is missing, unknown or impossible; the message names file and parameter.
-    """
-    path = find_config("plants", source, (".yaml",))
-    parameters = read_parameters(path, PlantParameters)
-    beside = path.parent / parameters.vehicle
-    return replace(parameters, vehicle=str(beside)) if beside.is_file() else parameters
 
 
 class Plant:

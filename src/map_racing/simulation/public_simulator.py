@@ -8,11 +8,62 @@ Model and figures as published with that simulator; a recording of it obeys them
 
 import math
 from collections import deque
+from dataclasses import dataclass
+from typing import Union
 
 from ..control.state import CarState
+from ..errors import ParameterError
+from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
+from ..vehicle.tires import LinearTire
+from .plant import check_plant, scaled_tires
 
-__all__ = ["PublicSimulator"]
+__all__ = ["PublicSimulator", "PublicSimulatorParameters"]
+
+
+@dataclass(frozen=True)
+class PublicSimulatorParameters:
+    """The car of the public simulator; a plant file with ``model: public_simulator`` holds these.
+
+    Parameters
+    ----------
+    vehicle : str or Vehicle
+        As in `map_racing.simulation.plant.PlantParameters`; its tires must be linear.
+    mu_scale, front_stiffness_scale, rear_stiffness_scale : float
+        Friction and cornering stiffness relative to the vehicle's, 0.1 to 3.
+    h_cg_m : float
+        Height of the center of gravity [m], as the recording shows it. The published model file of
+        the same car says 0.02 m, which would hide most of the load that braking takes off the rear.
+    steering_delay_s : float
+        Dead time of the servo [s], in whole steps of 10 ms.
+    localization_rate_hz : float
+        Poses per second; they are exact.
+
+    Raises
+    ------
+    ParameterError
+        For an impossible value, naming it.
+    """
+
+    vehicle: Union[str, Vehicle]
+    mu_scale: float = 1.0
+    front_stiffness_scale: float = 1.0
+    rear_stiffness_scale: float = 1.0
+    h_cg_m: float = 0.074
+    steering_delay_s: float = 0.05
+    localization_rate_hz: float = 40.0
+
+    # It publishes the pose of the center of gravity under the name of base_link.
+    reference_point = "center_of_gravity"
+
+    def __post_init__(self):
+        check_plant(self, PublicSimulator.time_step)
+
+    def build_vehicle(self):
+        """The vehicle with the plant's own tires."""
+        return scaled_tires(
+            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+        )
 
 
 class PublicSimulator:
@@ -23,30 +74,29 @@ class PublicSimulator:
 
     Parameters
     ----------
-    vehicle : Vehicle
-        A car with linear tires; the figures of the simulator are those of the shipped ``sim``, but
-        for `h_cg`.
+    parameters : PublicSimulatorParameters
+        The shipped plant ``public_simulator`` has the figures of that simulator.
 
     Attributes
     ----------
-    h_cg : float
-        Height of the center of gravity [m], as the recording shows. The published model file of the
-        same car says 0.02 m, which would hide most of the load that braking takes off the rear.
     speed : float
         Magnitude of the velocity, which the simulator calls ``linear.x`` [m/s].
     slip_angle : float
         Angle from heading to velocity [rad].
     """
 
-    h_cg = 0.074
     time_step = 0.01
-    steering_delay_steps = 5
     steering_dead_band = 1e-4
     dynamic_above = 0.53  # m/s, entering the dynamic model ...
     kinematic_below = 0.50  # ... and leaving it
 
-    def __init__(self, vehicle):
-        self.vehicle = vehicle
+    def __init__(self, parameters):
+        self.parameters = parameters
+        self.vehicle = parameters.build_vehicle()
+        if not isinstance(self.vehicle.front, LinearTire):
+            raise ParameterError(
+                f"public_simulator: expected a vehicle with linear tires, got {self.vehicle.name}"
+            )
         self.reset(0.0, 0.0, 0.0)
 
     def reset(self, x, y, psi, speed=0.0):
@@ -56,7 +106,8 @@ class PublicSimulator:
         self.acceleration = (0.0, 0.0)
         self._dynamic = False
         self._steps = 0
-        self._steering_line = deque([0.0] * self.steering_delay_steps)
+        delay = round(self.parameters.steering_delay_s / self.time_step)
+        self._steering_line = deque([0.0] * delay)
 
     def reference_state(self):
         """True state of the published pose; the velocity is given along the car's axes."""
@@ -123,9 +174,9 @@ class PublicSimulator:
     def _dynamic_model(self, v, beta, r, delta, rate, accel):
         """Linear single-track model with load transfer: ``beta'`` and ``r'``."""
         vehicle = self.vehicle
-        l_f, l_r, l_wb = vehicle.l_f, vehicle.l_r, vehicle.l_wb
-        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * self.h_cg) / l_wb
-        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * self.h_cg) / l_wb
+        l_f, l_r, l_wb, h_cg = vehicle.l_f, vehicle.l_r, vehicle.l_wb, self.parameters.h_cg_m
+        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * h_cg) / l_wb
+        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * h_cg) / l_wb
         # Axle forces per mass: stiffness times slip angle, positive to the left.
         force_front = front * (delta - beta - l_f * r / v)
         force_rear = rear * (-beta + l_r * r / v)

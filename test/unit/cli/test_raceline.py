@@ -158,7 +158,7 @@ def test_reverse_and_spacing(tmp_path, capsys):
         (["reference", "a.json", "--spacing", "0"], "--spacing: expected 0.001 to 100 m, got "),
         (["reference", "a.json", "--spacing", "nan"], "--spacing: expected 0.001 to 100 m, got "),
         (["good.csv", "good.csv", "--format", "tum"], "good.csv: is also an input"),
-        (["good.csv#x,y", "a.json"], "2 names given for 7 columns"),
+        (["good.csv#x,y", "a.json"], "expected 7 names of columns, got 2"),
     ],
 )
 def test_refused(good, monkeypatch, capsys, arguments, message):

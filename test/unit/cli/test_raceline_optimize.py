@@ -11,7 +11,8 @@ from map_racing.cli import main
 from map_racing.control.controller import Controller, build_steering_map
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import load_speed_sectors
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
@@ -263,7 +264,7 @@ def test_options_that_cannot_be(tmp_path, capsys, monkeypatch, options, text):
 
 def race_lap(path, speed_scale=0.9):
     """Mean time of the timed lap of MAP on a line, and the log."""
-    plant_parameters = load_plant_parameters("nuc4")
+    plant_parameters = load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=speed_scale)
     vehicle = load_vehicle(plant_parameters.vehicle)
     line = load_raceline(path)

@@ -52,10 +52,11 @@ def test_only_the_tires_differ():
     assert dataclasses.replace(day.plant, **unchanged) == plant
     sim = load_plant("public_simulator")
     day = day_of(sim, PAPER, 3)
-    assert day.plant.mu == pytest.approx(sim.mu * day.mu_scale)
-    assert pytest.approx(sim.front.C_S * day.front_stiffness_scale) == day.plant.front.C_S
-    assert pytest.approx(sim.rear.C_S * day.rear_stiffness_scale) == day.plant.rear.C_S
-    assert dataclasses.replace(day.plant, mu=sim.mu, front=sim.front, rear=sim.rear) == sim
+    driven, car = day.plant.build_vehicle(), sim.build_vehicle()
+    assert driven.mu == pytest.approx(car.mu * day.mu_scale)
+    assert pytest.approx(car.front.C_S * day.front_stiffness_scale) == driven.front.C_S
+    assert pytest.approx(car.rear.C_S * day.rear_stiffness_scale) == driven.rear.C_S
+    assert dataclasses.replace(driven, mu=car.mu, front=car.front, rear=car.rear) == car
 
 
 def test_plants_are_built_as_what_they_are():
@@ -109,3 +110,27 @@ def test_a_file_says_what_is_wrong_with_it(tmp_path):
         load_conditions(tmp_path / "c.yaml")
     with pytest.raises(ParameterError, match="nor one of the shipped experiments .paper."):
         load_conditions("papr")
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("model: rocket\nvehicle: sim\n", "model: expected single_track or public_simulator"),
+        ("model: public_simulator\nvehicle: sim\nmu: 1\n", "unknown parameter mu "),
+        ("model: public_simulator\nvehicle: sim\nh_cg_m: low\n", "h_cg_m: expected a finite"),
+        ("model: public_simulator\nvehicle: sim\nsteering_delay_s: 50\n", "0 to 1 s"),
+        ("model: public_simulator\nvehicle: sim\nlocalization_rate_hz: 200\n", "1 to 100 Hz"),
+    ],
+)
+def test_a_plant_file_says_what_is_wrong_with_it(tmp_path, text, expected):
+    path = tmp_path / "plant.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=f"plant.yaml: .*{expected}"):
+        load_plant(path)
+
+
+def test_the_public_simulator_has_linear_tires(tmp_path):
+    path = tmp_path / "plant.yaml"
+    path.write_text("model: public_simulator\nvehicle: nuc4\n")
+    with pytest.raises(ParameterError, match="expected a vehicle with linear tires, got NUC4"):
+        build_plant(load_plant(path), 1)

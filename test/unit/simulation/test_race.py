@@ -16,8 +16,8 @@ from map_racing.simulation.plant import (
     Localization,
     Plant,
     PlantParameters,
-    load_plant_parameters,
 )
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline
@@ -28,7 +28,7 @@ NUC4 = load_vehicle("nuc4")
 TABLE = build_steering_map("table", NUC4, 12.0)
 MAP = load_controller_parameters("map").with_(speed_scale=1.0)
 REFERENCE = load_raceline("reference")
-PLANT = load_plant_parameters("nuc4")
+PLANT = load_plant("nuc4")
 IDEAL = PlantParameters(vehicle="nuc4")
 
 
@@ -298,13 +298,12 @@ def test_samples_hold_what_localization_and_imu_reported():
 # -- the public simulator -----------------------------------------------------------------------
 
 
-class _AsPublished(PublicSimulator):
-    """With the height of the center of gravity of the published model file."""
+# With the height of the center of gravity of the published model file.
+SIMULATOR = load_plant("public_simulator")
+AS_PUBLISHED = dataclasses.replace(SIMULATOR, h_cg_m=load_vehicle("sim").h_cg)
 
-    h_cg = load_vehicle("sim").h_cg
 
-
-def hangar_race(shared_data, name, simulator=PublicSimulator):
+def hangar_race(shared_data, name, plant=SIMULATOR):
     """Mean RMS lateral error [m] and mean lap time [s] of 12 laps at 40 Hz."""
     raceline = load_raceline(shared_data / "recordings" / "hangar_global_waypoints.bag")
     vehicle = load_vehicle("sim")
@@ -313,7 +312,7 @@ def hangar_race(shared_data, name, simulator=PublicSimulator):
         reference_point="center_of_gravity", speed_scale=1.0
     )
     controller = build_controller(parameters, vehicle, raceline)
-    log = race(simulator(vehicle), controller, raceline, rate=40.0, laps=12)
+    log = race(PublicSimulator(plant), controller, raceline, laps=12)
     assert (log.outcome, log.laps) == (Outcome.COMPLETED, 12)
     laps = [lap for lap in evaluated(log, raceline, vehicle.width).laps if lap.valid]
     assert len(laps) == 12
@@ -324,7 +323,7 @@ def hangar_race(shared_data, name, simulator=PublicSimulator):
 
 
 def test_the_shipped_map_reaches_its_figure_on_the_simulator_as_published(shared_data):
-    error, lap_time = hangar_race(shared_data, "map", _AsPublished)
+    error, lap_time = hangar_race(shared_data, "map", AS_PUBLISHED)
     assert error <= 0.025
     assert lap_time < 5.26
 

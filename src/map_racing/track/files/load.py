@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...bags.reader import read_waypoints
 from ...bags.records import is_bag
 from ...bags.samples import Waypoints
+from ...bags.waypoints import read_waypoints
 from ...bags.writer import BagWriter
 from ...files import refuse_special
 from ..raceline import Raceline
 from .checks import raceline_of
-from .readers import (
-    columns_of_waypoints,
-    find_raceline_file,
-    read_raceline_file,
-    split_source,
-)
+from .columns import columns_of_waypoints
+from .readers import find_raceline_file, read_raceline_file, split_source
 from .table import RacelineTable
 from .writers import closed_rows, raceline_columns, write_raceline_file
 
