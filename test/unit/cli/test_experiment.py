@@ -263,3 +263,11 @@ def test_processes_work_from_the_script_for_rosrun(place, tires, tmp_path):
     done = subprocess.run(list(map(str, arguments)), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert "\n8 races driven" in done.stdout
+
+
+@pytest.mark.parametrize("option", ["--track", "--plant", "--vehicle", "--conditions"])
+def test_a_failed_experiment_leaves_no_folder(tmp_path, capsys, option):
+    output = tmp_path / "results"
+    assert main(["experiment", "tire-models", option, "nowhere", "--output", str(output)]) == 1
+    assert "nowhere: no such file" in capsys.readouterr().err
+    assert not output.exists()
