@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from map_racing.bags.reader import read_recording
+from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
