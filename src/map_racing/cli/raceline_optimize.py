@@ -10,11 +10,12 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
+from ..track.centerline import track_from_map
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
 from ..track.findings import NOTE
-from ..track.map_image import read_map_image, track_from_map
+from ..track.map_image import read_map_image
 from ..track.optimization import (
     fastest_line,
     minimum_curvature,

@@ -150,13 +150,13 @@ def test_an_old_bag_stays_until_the_new_one_is_whole(tmp_path):
 @pytest.mark.parametrize(
     ("fill", "expected"),
     [
-        (lambda bag: bag.pose(0.0, 0.0, 0.0, 0.0), "at or before 0"),
+        (lambda bag: bag.pose(0.0, 0.0, 0.0, 0.0), "expected a time after 0"),
         (lambda bag: bag.pose(math.nan, 0.0, 0.0, 0.0), "/car_state/pose"),
         (lambda bag: bag.pose(T0, "a", 0.0, 0.0), "/car_state/pose"),
         (lambda bag: bag.pose(1e12, 0.0, 0.0, 0.0), "/car_state/pose"),
         (
             lambda bag: (bag.pose(T0, 0.0, 0.0, 0.0), bag.drive(T0, 0, 0, topic="/car_state/pose")),
-            "carries geometry_msgs/PoseStamped",
+            "expected geometry_msgs/PoseStamped",
         ),
     ],
 )
@@ -198,7 +198,7 @@ def test_an_interrupt_at_the_start_leaves_nothing(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("map_racing.bags.writer.get_typestore", interrupt)
+    monkeypatch.setattr("rosbags.typesys.get_typestore", interrupt)
     with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "a.bag"):
         pass
     assert list(tmp_path.iterdir()) == []
@@ -441,7 +441,7 @@ def test_empty_waypoint_arrays_are_passed_over(tmp_path, track):
     with BagWriter(path) as bag:
         for i, rows in enumerate(([], [[0.0] * 10])):
             bag._write(
-                "/global_waypoints", msg.WAYPOINTS, T0 + i, None, msg.encode_waypoints, "", rows
+                "/global_waypoints", msg.WAYPOINTS, T0 + i, None, msg.encode_waypoints, ("", rows)
             )
             if i == 0:
                 bag.waypoints(T0 + 0.5, waypoint_rows(track.raceline()))
@@ -453,7 +453,8 @@ def test_unusable_waypoints_do_not_hide_the_driving(tmp_path):
         bag.pose(t, i, 0.0, 0.0)
         if i == 0:
             rows = [[0.0] * 10, [1.0] * 10]
-            bag._write("/global_waypoints", msg.WAYPOINTS, t, None, msg.encode_waypoints, "", rows)
+            values = ("", rows)
+            bag._write("/global_waypoints", msg.WAYPOINTS, t, None, msg.encode_waypoints, values)
 
     recording = read_recording(write(tmp_path / "a.bag", fill))
     with pytest.raises(RacelineError, match="a.bag: /global_waypoints"):
@@ -537,7 +538,7 @@ def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, track):
     rows[:, 2], rows[:, 3], rows[:, 6] = x, y, psi - math.pi / 2
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
-        bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, "", rows.tolist())
+        bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, ("", rows.tolist()))
     findings = "; ".join(map(str, load_raceline(path).findings))
     assert "+y (north)" in findings
     assert "every speed is 0" in findings

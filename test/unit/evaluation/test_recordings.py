@@ -212,5 +212,5 @@ def test_pipes_are_refused_before_they_are_opened(tmp_path, name):
     for read in (load_recording, load_raceline, read_csv_recording):
         with pytest.raises(FileFormatError, match=f"{name}: expected a file, got a pipe"):
             read(path)
-    with pytest.raises(BagError, match=f"{name}: cannot open the bag: it is neither"):
+    with pytest.raises(BagError, match=f"{name}: expected a bag, got a pipe"):
         read_recording(path)

@@ -217,8 +217,8 @@ def test_the_recorded_simulator_is_this_one(shared_data):
     slope, constant = np.polyfit(a[known], stiffness, 1)
     assert np.ptp(a[known]) > 10.0
     assert constant * L_WB / (9.81 * L_F) == pytest.approx(SIM.mu * C_SR, rel=1e-9)
-    assert slope * L_WB / (SIM.mu * C_SR) == pytest.approx(PublicSimulator.h_cg, rel=1e-9)
-    front = C_SF * SIM.mu * (9.81 * L_R - a * PublicSimulator.h_cg) / L_WB
+    assert slope * L_WB / (SIM.mu * C_SR) == pytest.approx(H_CG, rel=1e-9)
+    front = C_SF * SIM.mu * (9.81 * L_R - a * H_CG) / L_WB
     delta = (L_R * both + turn) / L_WB / front + beta + L_F * r / v
     rate = np.abs(np.diff(delta) / dt[:-1])[known[:-1] & known[1:]]
     servo = np.minimum(rate, np.abs(rate - SIM.delta_rate_max)) < 1e-6

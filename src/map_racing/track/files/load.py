@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...bags.reader import read_waypoints
 from ...bags.records import is_bag
 from ...bags.samples import Waypoints
+from ...bags.waypoints import read_waypoints
 from ...bags.writer import BagWriter
 from ...files import refuse_special
 from ..raceline import Raceline

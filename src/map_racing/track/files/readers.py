@@ -195,9 +195,7 @@ def _csv_table(text, path, key=None):
 def _given_names(key, width, path):
     names = [MEANING.get(name.strip().lower(), "-") for name in key.split(",")]
     if not _complete(names):
-        raise FileFormatError(
-            f"{path}: expected JSON with the key {key}, or columns with x and y"
-        )
+        raise FileFormatError(f"{path}: expected JSON with the key {key}, or columns with x and y")
     if len(names) != width:
         raise FileFormatError(f"{path}: expected {width} names of columns, got {len(names)}")
     return _once(names, key.split(","), f"{path}: ")

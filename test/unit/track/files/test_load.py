@@ -260,7 +260,7 @@ def test_paths_in_bags(tmp_path, oriented):
             [("/local_plan", POSES), ("/path", POSES[:3]), ("/path", POSES), ("/path", POSES[:20])]
         ):
             values = (poses, oriented, ("map", "", "a_longer_frame"))
-            bag._write(topic, msg.PATH, 1.0 + k, None, encode_path, *values)
+            bag._write(topic, msg.PATH, 1.0 + k, None, encode_path, values)
     read = read_raceline(path)
     assert read.layout == "Path on /path"
     same(read, TRACK)
@@ -273,7 +273,7 @@ def test_paths_in_bags(tmp_path, oriented):
 
 def test_waypoints_come_before_paths(tmp_path):
     with BagWriter(tmp_path / "a.bag") as bag:
-        bag._write("/global_path", msg.PATH, 1.0, None, encode_path, POSES)
+        bag._write("/global_path", msg.PATH, 1.0, None, encode_path, (POSES,))
         bag.waypoints(1.0, waypoint_rows(LINE))
     assert read_raceline(tmp_path / "a.bag").layout == "WpntArray on /global_waypoints"
     assert read_raceline(f"{tmp_path / 'a.bag'}#/global_path").layout == "Path on /global_path"
@@ -284,7 +284,7 @@ def test_a_path_cut_short_is_told(tmp_path):
     with pytest.raises(struct.error):
         msg.decode_path(whole[: len(whole) // 2])
     with BagWriter(tmp_path / "a.bag") as bag:
-        bag._write("/p", msg.PATH, 1.0, None, lambda *values: whole[:-900])
+        bag._write("/p", msg.PATH, 1.0, None, lambda *values: whole[:-900], ())
     with pytest.raises(BagError, match="cannot decode nav_msgs/Path"):
         read_raceline(tmp_path / "a.bag")
 
