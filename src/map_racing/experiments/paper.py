@@ -20,7 +20,7 @@ from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 from .campaign import Plan
 from .conditions import Conditions, day_of
-from .jobs import RaceJob
+from .jobs import RaceJob, lap_row
 from .tuning import tune
 
 __all__ = [
@@ -265,7 +265,7 @@ def _over_time(values, time):
 
 
 def lap_frame(races):
-    """One row for each stretch of each race: the columns of `Stretch` after those of the race."""
+    """One row for each stretch of each race: the `LAP_COLUMNS` after those of the race."""
     return _sorted(
         pd.DataFrame(
             [
@@ -274,7 +274,7 @@ def lap_frame(races):
                     "controller": race.label,
                     "seed": race.seed,
                     "outcome": race.result.outcome,
-                    **stretch._asdict(),
+                    **lap_row(stretch),
                 }
                 for race in races
                 for stretch in race.result.stretches

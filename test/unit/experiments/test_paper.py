@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.evaluation.results import Lap
 from map_racing.experiments.conditions import load_conditions
-from map_racing.experiments.jobs import RaceResult, Stretch
+from map_racing.experiments.jobs import RaceResult
 from map_racing.experiments.paper import (
     CONTENDERS,
     Race,
@@ -38,9 +39,19 @@ def setting():
 
 
 def stretch(number, time, rms, mean, largest, valid=True, duration=None):
-    return Stretch(
-        *(number, time, rms, mean, largest, 0.2, 4.0, 5.0, 0.0),
-        *(duration or time, valid, "" if valid else "in-lap"),
+    return Lap(
+        number,
+        time,
+        rms,
+        mean,
+        largest,
+        valid,
+        "" if valid else "in-lap",
+        min_clearance_m=0.2,
+        mean_speed_mps=4.0,
+        max_speed_mps=5.0,
+        start_time_s=0.0,
+        end_time_s=duration or time,
     )
 
 
