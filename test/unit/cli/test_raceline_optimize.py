@@ -264,7 +264,7 @@ def race_lap(path, speed_scale=0.9):
     """Mean time of the timed lap of MAP on a line, and the log."""
     plant_parameters = load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=speed_scale)
-    vehicle = load_vehicle(plant_parameters.vehicle)
+    vehicle = plant_parameters.vehicle
     line = load_raceline(path)
     controller = Controller(
         parameters, build_steering_map("table", vehicle, parameters.v_max_mps), vehicle, line
