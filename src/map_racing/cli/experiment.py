@@ -18,8 +18,8 @@ from ..experiments.paper import (
     single_plan,
     tire_table,
 )
-from ..experiments.session import Session
 from .figures import draw_scaling, draw_trajectories
+from .session import open_session
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
@@ -38,7 +38,7 @@ def run_scaling(arguments):
         raise ParameterError(f"--to: expected {FIRST_SCALE:g} to 2, got {arguments.to}")
     count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
     scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
-    session = Session(arguments, "velocity-scaling")
+    session = open_session(arguments, "velocity-scaling")
     races = session.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
     table = scaling_table(per_race, laps)
@@ -64,7 +64,7 @@ def run_scaling(arguments):
 def run_tires(arguments):
     """Tire models."""
     check_laps(arguments.laps)
-    session = Session(arguments, "tire-models")
+    session = open_session(arguments, "tire-models")
     races = session.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from map_racing.bags.reader import read_recording
+from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
@@ -158,3 +159,11 @@ def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert "\n8 races driven" in done.stdout
+
+
+@pytest.mark.parametrize("option", ["--track", "--plant", "--vehicle", "--conditions"])
+def test_a_failed_experiment_leaves_no_folder(tmp_path, capsys, option):
+    output = tmp_path / "results"
+    assert main(["experiment", "tire-models", option, "nowhere", "--output", str(output)]) == 1
+    assert "nowhere: no such file" in capsys.readouterr().err
+    assert not output.exists()

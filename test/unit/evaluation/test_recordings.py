@@ -128,7 +128,7 @@ def test_malformed_arguments(csv, tmp_path):
             parse_columns(text)
     with pytest.raises(ParameterError, match="field 't' is given twice"):
         parse_columns("t=t,t=x")
-    with pytest.raises(ParameterError, match="has no topic"):
+    with pytest.raises(ParameterError, match="pose topic /odom: expected a bag"):
         load_recording(path, pose_topic="/odom")
     with pytest.raises(FileFormatError, match="No such file"):
         load_recording(tmp_path / "missing.csv")

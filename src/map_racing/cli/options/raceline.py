@@ -23,10 +23,11 @@ def add_check(actions):
     """Add ``raceline check``."""
     check = actions.add_parser(
         "check",
-        help="check and describe a raceline",
+        help="key figures of a raceline, and its errors",
         description="Recompute closure, order, spacing, heading, curvature, arc length, walls and "
-        "speeds from the points, and compare them with the file. Notes are about conventions. "
-        "Exit code 1 if there are warnings or errors, or the file cannot be read, else 0.",
+        "speeds from the points, and compare them with the file. Notes report conventions. "
+        "Exit code 0: no warnings or errors; 1: there are some, or the file cannot be "
+        "read.",
     )
     check.add_argument("source", metavar="FILE", help=SOURCE)
     check.add_argument(
@@ -44,9 +45,9 @@ def add_convert(actions):
     convert = actions.add_parser(
         "convert",
         help="write a raceline in another format",
-        description="Read a track and write it with heading, curvature, arc length and "
-        "accelerations recomputed; its points are unchanged. Unusable racelines are "
-        f"refused. Formats: {described}.",
+        description="Read a raceline and write it with heading, curvature, arc length and "
+        "accelerations recomputed; its points stay as they are. Unusable racelines are "
+        f"rejected. Formats: {described}.",
     )
     convert.add_argument("source", metavar="IN", help=SOURCE)
     convert.add_argument("output", metavar="OUT", help="file to write")
@@ -58,14 +59,12 @@ def add_convert(actions):
     convert.add_argument(
         "--repair",
         action="store_true",
-        help="repair, with a list of repairs: drop points that are repeated, not finite, turn back "
-        "or belong to a second loop, fill gaps, swap sides that are swapped, reverse the order if "
-        "it is reversed, clamp negative widths",
+        help="repair what can be repaired and print each repair: drop points that are repeated, "
+        "not finite, turn back or belong to a second loop, fill gaps, correct reversed or "
+        "exchanged columns, clamp negative widths",
     )
     convert.add_argument(
-        "--reverse",
-        action="store_true",
-        help="reverse the direction of travel, from the same point",
+        "--reverse", action="store_true", help="drive it the other way round, from the same point"
     )
     convert.add_argument(
         "--spacing", type=float, metavar="M", help="resample to points this far apart [m]"
@@ -79,10 +78,10 @@ def add_optimize(actions):
         "optimize",
         help="the fastest line between the walls, from a centerline, a raceline or a map",
         description="Find the path of least squared curvature between the walls, half the car's "
-        "width and a margin away from them, shortened where that makes the lap faster; and the "
-        "highest speeds on it within the vehicle's limits: the lateral acceleration of its lookup "
-        "table, combined with driving and braking in a friction ellipse. Print length, squared "
-        "curvature and estimated lap time before and after.",
+        "width and a margin away from them, shortened as far as that makes the lap faster; and the "
+        "highest speeds on it within the vehicle's limits: lateral acceleration as its lookup "
+        "table can steer it, shared with driving and braking in a friction ellipse. Print length, "
+        "squared curvature and estimated lap time before and after.",
     )
     parser.add_argument(
         "source",
@@ -92,15 +91,13 @@ def add_optimize(actions):
     )
     parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
     parser.add_argument(
-        "--format",
-        choices=tuple(FORMATS),
-        help="format of the output (default: map_racing for .csv)",
+        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
     )
     parser.add_argument(
         "--middle",
         metavar="FILE",
-        help="also write the smooth middle line between the walls, with speeds if the car can "
-        "follow it",
+        help="also write the smooth middle line between the walls, with speeds made alike if the "
+        "car can follow it",
     )
     parser.add_argument(
         "--sectors",
@@ -119,13 +116,13 @@ def add_optimize(actions):
         type=float,
         default=0.1,
         metavar="M",
-        help="margin between the car's side and the walls [m] (default: %(default)s)",
+        help="between the car's side and the walls [m] (default: %(default)s)",
     )
     line.add_argument(
         "--compare",
         metavar="FILE",
-        help="raceline to compare with; the car may come as close to the walls as on this line, "
-        "instead of --margin",
+        help="raceline to compare with; the car may come as close to the walls as on that line, "
+        "whatever --margin says",
     )
     line.add_argument(
         "--curvature-only",
@@ -137,12 +134,12 @@ def add_optimize(actions):
         type=float,
         default=0.1,
         metavar="M",
-        help="spacing of the optimized points [m] (default: %(default)s)",
+        help="distance of the points that are moved [m] (default: %(default)s)",
     )
 
     speed = parser.add_argument_group("speed")
     speed.add_argument(
-        "--lookup-table", metavar="CSV", help="lateral limit from this table, not the vehicle's"
+        "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
     )
     speed.add_argument(
         "--lateral-scale",
@@ -163,11 +160,11 @@ def add_optimize(actions):
         type=float,
         default=1.0,
         metavar="S",
-        help="scale of the resulting speeds (default: %(default)s)",
+        help="scale of the speeds that result (default: %(default)s)",
     )
     speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
     speed.add_argument(
-        "--power", type=float, metavar="W", help="power of the drive [W], limits acceleration"
+        "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
     )
 
     image = parser.add_argument_group("map")
@@ -175,21 +172,21 @@ def add_optimize(actions):
         "--start",
         nargs="+",
         metavar="X,Y,PSI",
-        help="start on the map [m] and heading there [rad] (default: counter-clockwise)",
+        help="start on the map [m] and direction of travel there [rad]; counter-clockwise without",
     )
     image.add_argument(
         "--passage",
         type=float,
         metavar="M",
-        help="close passages narrower than this, such as gaps in walls [m] (default: the car and "
+        help="close what is narrower than this, such as gaps in walls [m] (default: the car and "
         "its margins)",
     )
     image.add_argument(
         "--speckle",
         type=float,
         metavar="M2",
-        help="remove walls of a smaller area [m^2] (default: two cells)",
+        help="remove walls of less area than this [m^2] (default: two cells)",
     )
-    # Otherwise argparse takes -1.5,2 for an option.
+    # Else argparse takes -1.5,2 for an option.
     parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
     parser.set_defaults(run="raceline_optimize.run_optimize")
