@@ -1,7 +1,5 @@
 """Angles in radians, counter-clockwise positive."""
 
-from __future__ import annotations
-
 import math
 
 __all__ = ["wrap", "yaw_from_quaternion"]
@@ -25,7 +23,7 @@ def wrap(angle):
     return (angle + math.pi) % _TWO_PI - math.pi
 
 
-def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
+def yaw_from_quaternion(x, y, z, w):
     """Yaw of a unit quaternion, the rotation about the vertical axis (REP-103).
 
     Parameters

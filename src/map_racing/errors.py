@@ -1,10 +1,11 @@
-"""Errors that a user can cause."""
+"""The one family of errors that a user of the package can cause."""
 
 
 class MapRacingError(Exception):
-    """Base of all errors: one line for the user that says what was expected, what came, and where.
+    """Base of all errors of this package: its text is one line meant for the user.
 
-    The command line prints it and exits with code 1; nodes log it.
+    It says what was expected, what came, and where (file, topic, line). The command line prints it
+    and exits with code 1; nodes log it.
     """
 
     def __str__(self):
@@ -17,7 +18,7 @@ class ParameterError(MapRacingError):
 
 
 class FileFormatError(MapRacingError):
-    """A file has another format than expected."""
+    """A file cannot be read as what it should be."""
 
 
 class RacelineError(MapRacingError):
@@ -25,12 +26,12 @@ class RacelineError(MapRacingError):
 
 
 class BagError(MapRacingError):
-    """A bag cannot be read or written, or lacks a topic."""
+    """A bag cannot be read, or lacks what was asked of it."""
 
 
 class EvaluationError(MapRacingError):
-    """Recorded driving cannot be evaluated on the raceline."""
+    """Recorded driving cannot be evaluated against the given raceline."""
 
 
 class IdentificationError(MapRacingError):
-    """Recorded driving does not identify tires."""
+    """Recorded driving from which no tires can be identified."""

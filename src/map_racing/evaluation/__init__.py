@@ -1,1 +1,1 @@
-"""Evaluation of driving: recordings, laps, statistics and reports."""
+"""From recorded driving to laps: bags and CSV files, lap statistics, reports and plots."""

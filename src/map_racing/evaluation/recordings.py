@@ -1,4 +1,4 @@
-"""Recorded driving from bags and CSV files."""
+"""Recorded driving from whatever file holds it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from ..files import refuse_special
 from ..tables import column_index, read_columns, some_names
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
-from ..track.raceline import Raceline
 
 __all__ = ["load_recording", "parse_columns", "read_csv_recording", "recorded_raceline"]
 
-# Usual names of the columns of a CSV file; the first that is in the file is taken.
+# Names under which columns of a CSV file are known; the first that the file has is taken.
 _ALIASES = {
     "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp"),
     "x": ("x", "x_m", "pose_x", "pos_x", "position_x"),
@@ -33,14 +32,12 @@ _ALIASES = {
     "speed_command": ("speed_command", "v_command", "translational_control"),
 }
 _REQUIRED = ("t", "x", "y")
-# A larger time [s] is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
+# Beyond this [s] a time is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
 _LATEST = 9.2e9
 
 
-def load_recording(
-    source: str | Path, pose_topic: str | None = None, columns: str | dict | None = None
-) -> Recording:
-    """Read the driving recorded in a bag or a CSV file.
+def load_recording(source, pose_topic=None, columns=None):
+    """Driving from a bag or a CSV file.
 
     Parameters
     ----------
@@ -58,20 +55,20 @@ def load_recording(
     Raises
     ------
     BagError, FileFormatError, ParameterError
-        If the file cannot be read.
+        If the file cannot be read as what it is.
     """
     refuse_special(source)
     if not _is_csv(source):
         if columns:
-            raise ParameterError(f"columns: expected a CSV file, got {source}")
+            raise ParameterError(f"{source}: a bag has no columns; they are for CSV files")
         return read_recording(source, pose_topic)
     if pose_topic is not None:
-        raise ParameterError(f"pose topic {pose_topic}: expected a bag, got {source}")
+        raise ParameterError(f"{source}: a CSV file has no topic {pose_topic}")
     return read_csv_recording(source, columns)
 
 
-def recorded_raceline(recording: Recording) -> Raceline:
-    """Raceline in a recording.
+def recorded_raceline(recording):
+    """Raceline that a recording carries.
 
     Parameters
     ----------
@@ -80,33 +77,35 @@ def recorded_raceline(recording: Recording) -> Raceline:
     Returns
     -------
     Raceline
-        With `findings`.
+        With what was noticed as `findings`.
 
     Raises
     ------
     BagError
-        If there is none.
+        If it carries none.
     RacelineError
-        If it is unusable.
+        If something is wrong with it beyond use.
     """
     if recording.waypoints is None:
         raise BagError(f"{recording.source}: no raceline in it; give one with --raceline")
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
 
 
-def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:
-    """Read the driving recorded in a CSV file.
+def read_csv_recording(path, columns=None):
+    """Driving from a CSV file.
 
-    The layout is described at `map_racing.tables.read_columns`. Time is in seconds; rows without
-    time or position are left out.
+    The file may be gzipped; lines that begin with ``#`` are comments. The names of the columns
+    stand in the first other line or, if that holds numbers, in the last comment before it. Cells
+    are separated by comma, semicolon or tab. Time is in seconds; rows without time or position
+    are left out, and so is a last line that was cut off.
 
     Parameters
     ----------
     path : str or pathlib.Path
     columns : str or dict, optional
-        Columns of the fields, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
+        Which column holds what, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
         (required) and ``psi v_x v_y yaw_rate steering speed_command``, in SI units and radians.
-        Other fields are looked for under usual names.
+        What is not given is looked for under usual names.
 
     Returns
     -------
@@ -176,8 +175,8 @@ def _check_times(path, table):
         )
 
 
-def parse_columns(text: str) -> dict[str, str]:
-    """Parse the text form of a column map, ``"t=time,x=pose_x"``.
+def parse_columns(text):
+    """Column map from its text form ``"t=time,x=pose_x"``.
 
     Parameters
     ----------
@@ -190,7 +189,7 @@ def parse_columns(text: str) -> dict[str, str]:
     Raises
     ------
     ParameterError
-        If a part is not ``field=column``, or a field is given twice.
+        If a part is not of the form ``field=column``, or a field is given twice.
     """
     columns = {}
     for part in text.split(","):

@@ -9,10 +9,9 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
-from ..evaluation.results import Lap
 from ..files import replacing, write_json
 from ..simulation.race import Outcome
-from .jobs import LAP_COLUMNS, RaceResult, lap_row, plain
+from .jobs import RaceResult, Stretch, plain
 
 __all__ = ["Store"]
 
@@ -85,7 +84,7 @@ class Store:
             "result": {
                 "outcome": result.outcome,
                 "duration_s": result.duration_s,
-                "stretches": [lap_row(lap) for lap in result.stretches],
+                "stretches": [stretch._asdict() for stretch in result.stretches],
                 "path": result.path,
             },
         }
@@ -105,14 +104,13 @@ def _result(record, path):
     try:
         values = record["result"]
         stretches = tuple(
-            Lap(**{name: math.nan if row[name] is None else row[name] for name in LAP_COLUMNS})
+            Stretch(*(math.nan if row[name] is None else row[name] for name in Stretch._fields))
             for row in values["stretches"]
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
         result = RaceResult(values["outcome"], stretches, values["duration_s"], driven)
         Outcome(result.outcome)
-        # The last column is a text.
-        numbers = [getattr(lap, name) for lap in stretches for name in LAP_COLUMNS[:-1]]
+        numbers = [value for row in stretches for value in row[:-1]]  # the last is a text
         for value in chain([result.duration_s], numbers, *driven):
             math.isnan(value)  # a TypeError for what is no number
         return result

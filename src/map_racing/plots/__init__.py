@@ -1,1 +1,1 @@
-"""Figures, the only room that imports matplotlib."""
+"""Figures; matplotlib is imported here alone."""

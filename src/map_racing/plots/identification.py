@@ -1,12 +1,11 @@
-"""Figures of identified tires: points and curves, coverage, prediction, and drives."""
+"""Figures of identified tires: points and curves, coverage, prediction, and the drives."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from .style import COLORS, finished, new_figure
 
@@ -21,7 +20,7 @@ __all__ = [
 
 
 class AxleFigure(NamedTuple):
-    """Data of the figure of one axle; slip and force are positive in left turns.
+    """What is drawn of one axle; left turns have positive slip and force here.
 
     Parameters
     ----------
@@ -32,7 +31,7 @@ class AxleFigure(NamedTuple):
     curve, linear : callable
         Force [N] of the identified tires over slip [rad].
     covered : float
-        Largest slip in the data [rad].
+        Largest slip that the data cover [rad].
     load : float
         Static load [N].
     """
@@ -48,7 +47,7 @@ class AxleFigure(NamedTuple):
 
 
 class DriveFigure(NamedTuple):
-    """Signals of one drive on one clock, shape (n,), and slices of its steady segments."""
+    """Signals of one drive on one clock, shape (n,), and slices of what is steady in it."""
 
     name: str
     t: np.ndarray
@@ -59,7 +58,7 @@ class DriveFigure(NamedTuple):
     segments: list
 
 
-def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
+def plot_tires(axles):
     """Points, rejected points and fitted curves of each axle at its static load.
 
     Parameters
@@ -76,9 +75,7 @@ def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
         top = 1.25 * float(np.percentile(np.abs(axle.force[axle.inlier]), 99.0))
         widest = 1.35 * max(axle.covered, 1e-4)
         axes.plot(
-            axle.slip[axle.inlier],
-            axle.force[axle.inlier],
-            ".",
+            *(axle.slip[axle.inlier], axle.force[axle.inlier], "."),
             color=COLORS[0],
             ms=4,
             alpha=0.35,
@@ -88,9 +85,7 @@ def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
         if not axle.inlier.all():
             rejected = ~axle.inlier
             axes.plot(
-                axle.slip[rejected],
-                axle.force[rejected],
-                "x",
+                *(axle.slip[rejected], axle.force[rejected], "x"),
                 color=COLORS[4],
                 ms=4,
                 alpha=0.7,
@@ -113,8 +108,8 @@ def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
     return finished(figure)
 
 
-def plot_coverage(v: np.ndarray, delta: np.ndarray, a_y: np.ndarray, largest: float) -> Figure:
-    """Coverage of the data: steering angle over speed, and lateral acceleration.
+def plot_coverage(v, delta, a_y, largest):
+    """Where the data are: steering angle over speed, and how near the limit.
 
     Parameters
     ----------
@@ -152,15 +147,13 @@ def plot_coverage(v: np.ndarray, delta: np.ndarray, a_y: np.ndarray, largest: fl
     return finished(figure)
 
 
-def plot_prediction(
-    runs: Sequence[str], measured, predicted, title: str = "Predicted by the other runs"
-) -> Figure:
+def plot_prediction(runs, measured, predicted, title="Predicted by the other runs"):
     """Predicted against measured yaw rate and lateral acceleration.
 
     Parameters
     ----------
     runs : sequence of str, length n
-        Run of each steady segment.
+        Run of each hold.
     measured, predicted : array_like, shape (n, 2)
         Yaw rate [rad/s] and lateral acceleration [m/s^2]; NaN where nothing is predicted.
     title : str, optional
@@ -182,8 +175,7 @@ def plot_prediction(
         for number, name in enumerate(names):
             own = np.array([run == name for run in runs])
             axes.plot(
-                measured[own, column],
-                predicted[own, column],
+                *(measured[own, column], predicted[own, column]),
                 marker="osD^vP"[number // len(COLORS) % 6],
                 ls="",
                 color=COLORS[number % len(COLORS)],
@@ -203,8 +195,8 @@ def plot_prediction(
     return finished(figure, top=0.98)
 
 
-def plot_drive(drive: DriveFigure) -> Figure:
-    """Speed, steering, yaw rate and lateral acceleration of a drive; steady segments are shaded.
+def plot_drive(drive):
+    """Speed, steering, yaw rate and lateral acceleration of a drive; what is used is shaded.
 
     Parameters
     ----------

@@ -1,21 +1,16 @@
-"""Figures of optimized lines."""
+"""Figures of optimized lines: where they run, and what they gain."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
-from ..track.raceline import Raceline
-from ..track.walls import Walls
 from .style import COLORS, WALL, finished, new_figure, size_for
 
 __all__ = ["plot_optimized"]
 
 
-def plot_optimized(
-    line: Raceline, reference: Raceline, walls: Walls, title: str | None = None
-) -> Figure:
+def plot_optimized(line, reference, walls, title=None):
     """An optimized line colored by speed between the walls; curvature and speed along the lap.
 
     Parameters
@@ -23,7 +18,7 @@ def plot_optimized(
     line : Raceline
         With speeds.
     reference : Raceline
-        Compared with the line at the same share of the lap; with or without speeds.
+        What it is compared with, over the same share of the lap; with or without speeds.
     walls : Walls
     title : str, optional
 
@@ -72,7 +67,7 @@ def plot_optimized(
     track.legend(loc="best", fontsize="small")
     figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
 
-    # Over the share of the lap, since the lines differ in length.
+    # Over the share of the lap, because the lines differ in length.
     for axes, column, label in (
         (top, "kappa", "curvature [1/m]"),
         (bottom, "speed", "speed [m/s]"),
