@@ -303,16 +303,9 @@ def _header(seq, stamp_ns, frame):
 
 def encode_odometry(seq, stamp_ns, frame, child, x, y, psi, v_x, v_y, yaw_rate):
     """``nav_msgs/Odometry`` without covariances."""
-    return b"".join(
-        (
-            _header(seq, stamp_ns, frame),
-            _string(child),
-            _ODOMETRY_OUT.pack(
-                *(x, y, 0.0, 0.0, 0.0, math.sin(0.5 * psi), math.cos(0.5 * psi)),
-                *(v_x, v_y, 0.0, 0.0, 0.0, yaw_rate),
-            ),
-        )
-    )
+    z, w = math.sin(0.5 * psi), math.cos(0.5 * psi)
+    body = _ODOMETRY_OUT.pack(x, y, 0.0, 0.0, 0.0, z, w, v_x, v_y, 0.0, 0.0, 0.0, yaw_rate)
+    return _header(seq, stamp_ns, frame) + _string(child) + body
 
 
 def encode_pose(seq, stamp_ns, frame, x, y, psi):
@@ -344,14 +337,8 @@ def encode_imu(seq, stamp_ns, frame, a_x, a_y, a_z, yaw_rate):
 def encode_transform(seq, stamp_ns, parent, child, x, y, psi):
     """``tf2_msgs/TFMessage`` with one transform."""
     z, w = math.sin(0.5 * psi), math.cos(0.5 * psi)
-    return b"".join(
-        (
-            _U32.pack(1),
-            _header(seq, stamp_ns, parent),
-            _string(child),
-            _POSE.pack(x, y, 0.0, 0.0, 0.0, z, w),
-        )
-    )
+    pose = _POSE.pack(x, y, 0.0, 0.0, 0.0, z, w)
+    return _U32.pack(1) + _header(seq, stamp_ns, parent) + _string(child) + pose
 
 
 def encode_waypoints(seq, stamp_ns, frame, rows):

@@ -68,21 +68,21 @@ class Lap:
 
     lap: int
     lap_time_s: float
-    rms_lateral_error_m: float
-    mean_abs_lateral_error_m: float
-    max_abs_lateral_error_m: float
-    valid: bool
-    reason: str
-    mean_lateral_error_m: float
-    p95_abs_lateral_error_m: float
-    min_clearance_m: float
-    mean_speed_mps: float
-    max_speed_mps: float
-    rms_speed_error_mps: float
-    speed_reference: str
-    mean_steering_rate_radps: float
-    start_time_s: float
-    end_time_s: float
+    rms_lateral_error_m: float = math.nan
+    mean_abs_lateral_error_m: float = math.nan
+    max_abs_lateral_error_m: float = math.nan
+    valid: bool = False
+    reason: str = ""
+    mean_lateral_error_m: float = math.nan
+    p95_abs_lateral_error_m: float = math.nan
+    min_clearance_m: float = math.nan
+    mean_speed_mps: float = math.nan
+    max_speed_mps: float = math.nan
+    rms_speed_error_mps: float = math.nan
+    speed_reference: str = ""
+    mean_steering_rate_radps: float = math.nan
+    start_time_s: float = math.nan
+    end_time_s: float = math.nan
     sector_times_s: tuple = ()
     trace: LapTrace | None = None
 

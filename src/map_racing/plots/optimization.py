@@ -1,16 +1,21 @@
-"""Figures of optimized lines: where they run, and what they gain."""
+"""Figures of optimized lines."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
+from ..track.raceline import Raceline
+from ..track.walls import Walls
 from .style import COLORS, WALL, finished, new_figure, size_for
 
 __all__ = ["plot_optimized"]
 
 
-def plot_optimized(line, reference, walls, title=None):
+def plot_optimized(
+    line: Raceline, reference: Raceline, walls: Walls, title: str | None = None
+) -> Figure:
     """An optimized line colored by speed between the walls; curvature and speed along the lap.
 
     Parameters
@@ -18,7 +23,7 @@ def plot_optimized(line, reference, walls, title=None):
     line : Raceline
         With speeds.
     reference : Raceline
-        What it is compared with, over the same share of the lap; with or without speeds.
+        Compared with the line at the same share of the lap; with or without speeds.
     walls : Walls
     title : str, optional
 
@@ -67,7 +72,7 @@ def plot_optimized(line, reference, walls, title=None):
     track.legend(loc="best", fontsize="small")
     figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
 
-    # Over the share of the lap, because the lines differ in length.
+    # Over the share of the lap, since the lines differ in length.
     for axes, column, label in (
         (top, "kappa", "curvature [1/m]"),
         (bottom, "speed", "speed [m/s]"),
