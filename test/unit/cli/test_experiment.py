@@ -121,8 +121,8 @@ def test_without_tuning_the_files_are_raced(shipped):
     [
         (["--laps", "0"], "--laps: expected 1 to 1000, got 0"),
         (["--jobs", "0"], "jobs: expected at least 1, got 0"),
-        (["--seeds", "1", "1"], "seeds: 1 is given twice"),
-        (["--seeds", "-1"], "a seed must be a whole number from 0, not -1"),
+        (["--seeds", "1", "1"], "seeds: expected different seeds, got 1 twice"),
+        (["--seeds", "-1"], "seeds: expected whole numbers from 0, got [-1]"),
         (["--conditions", "rain"], "nor one of the shipped experiments (paper)"),
         (["--track", "nowhere"], "nor one of the shipped tracks"),
         (["--plant", "nothing"], "nor one of the shipped plants"),
