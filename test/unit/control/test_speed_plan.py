@@ -229,7 +229,7 @@ def test_a_raceline_without_speeds_needs_grip_use():
     bare = Raceline(REFERENCE.x, REFERENCE.y, source="hall.csv")
     subject = Controller(LIMITED, TABLE, NUC4, bare)
     assert subject.step(at_start()).speed == pytest.approx(subject.plan.speed_at(0.0), abs=1e-6)
-    with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):
+    with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         subject.parameters = LIMITED.with_(grip_use=0.0)
     assert subject.parameters == LIMITED
     with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):
