@@ -18,7 +18,8 @@ def test_race_says_how_it_ended(tmp_path, capsys):
 def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
     arguments = ["--laps", "1", "--speed-scale", "1", "--output", str(tmp_path / "a.bag")]
     assert main(["race", "--track", "club", *arguments]) == 0
-    slowed = re.search(r"grip_use 0\.\d+: (slower than the raceline on .*)", capsys.readouterr().out)
+    printed = capsys.readouterr().out
+    slowed = re.search(r"grip_use 0\.\d+: (slower than the raceline on .*)", printed)
     table = tmp_path / "t.csv"
     vehicle = ["--vehicle", "nuc4", "--v-max", "12"]
     assert main(["lookup", "generate", *vehicle, "--output", str(table)]) == 0
