@@ -94,6 +94,12 @@ class Rig:
         wait_for(lambda: [m for m in self.drive[mark:] if m.drive.speed > 1.0], 10.0, "driving")
         self.wait_mode("driving")
 
+    def more(self, count):
+        """Wait for so many more commands; return them."""
+        mark = len(self.drive)
+        wait_for(lambda: len(self.drive) >= mark + count, 10.0, f"{count} more commands")
+        return self.drive[mark:]
+
     def status(self):
         ours = [a.status[0] for a in list(self.diagnostics) if "controller" in a.status[0].name]
         return {pair.key: pair.value for pair in ours[-1].values} if ours else {}
