@@ -8,11 +8,11 @@ and a failure of the controller wait for `Supervisor.resume`.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from ..errors import ParameterError
+from ..validation import POSITIVE, check, documented, parameter
 from .controller import Status
 
 __all__ = ["Decision", "Mode", "PoseMotion", "Reason", "SafetyLimits", "Supervisor"]
@@ -54,56 +54,64 @@ class Reason(Enum):
     GRIP = "grip exceeded for long"
 
 
+@documented
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits of what the car may do and be told.
+    """Limits beyond which the car stops, and how it does."""
 
-    Parameters
-    ----------
-    max_speed_mps : float
-        Largest speed ever commanded [m/s].
-    max_pose_age_s : float
-        Largest age of a pose by its own stamp, and longest time without one [s]. A stamp may be
-        as far in the future.
-    max_jump_m, max_turn_rad : float
-        How much farther than the car can have driven or turned a pose may be from the last one.
-    max_deviation_m : float
-        Largest distance from the raceline [m].
-    max_saturated_s : float
-        Longest time for which the demand may exceed the grip without pause [s]. It does so for up
-        to 1.3 s in simulated races that come to their end.
-    stop_deceleration_mps2 : float
-        Deceleration of a stop [m/s^2].
-    recovery_s : float
-        Time after which a cause that has gone lets the car drive again [s]; at least 0.15.
-    hold_s : float
-        Time for which a stopped car without poses is still told to stand [s].
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
-    """
-
-    max_speed_mps: float = 12.0
-    max_pose_age_s: float = 0.2
-    max_jump_m: float = 0.5
-    max_turn_rad: float = 0.8
-    max_deviation_m: float = 1.5
-    max_saturated_s: float = 1.5
-    stop_deceleration_mps2: float = 4.0
-    recovery_s: float = 0.5
-    hold_s: float = 2.0
+    max_pose_age_s: float = parameter(
+        "Largest age of a pose by its stamp, and longest time without one. A stamp may be as far "
+        "in the future",
+        "s",
+        low=POSITIVE,
+        tuning=(0.02, 2.0),
+        default=0.2,
+    )
+    max_jump_m: float = parameter(
+        "Largest jump of the position beyond what the car can have driven",
+        "m",
+        low=POSITIVE,
+        tuning=(0.05, 10.0),
+        default=0.5,
+    )
+    max_turn_rad: float = parameter(
+        "Largest jump of the heading beyond what the car can have turned",
+        "rad",
+        low=POSITIVE,
+        tuning=(0.05, 3.2),
+        default=0.8,
+    )
+    max_deviation_m: float = parameter(
+        "Largest distance from the raceline", "m", low=POSITIVE, tuning=(0.1, 20.0), default=1.5
+    )
+    max_saturated_s: float = parameter(
+        "Longest uninterrupted demand beyond the grip. It lasts up to 1.3 s in simulated races "
+        "that are finished",
+        "s",
+        low=POSITIVE,
+        tuning=(0.1, 60.0),
+        default=1.5,
+    )
+    stop_deceleration_mps2: float = parameter(
+        "Deceleration of a stop", "m/s^2", low=POSITIVE, tuning=(0.5, 15.0), default=4.0
+    )
+    recovery_s: float = parameter(
+        "Time from the end of a temporary cause until the car drives again",
+        "s",
+        low=SETTLING,
+        tuning=(SETTLING, 10.0),
+        default=0.5,
+    )
+    hold_s: float = parameter(
+        "Time for which a stopped car without poses is still commanded to stand",
+        "s",
+        low=POSITIVE,
+        tuning=(0.1, 10.0),
+        default=2.0,
+    )
 
     def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ParameterError(f"{field.name} must be a number, not {value!r}")
-            least = SETTLING if field.name == "recovery_s" else 0.0
-            if not (math.isfinite(value) and value >= least and value > 0.0):
-                wanted = f"at least {least:g}" if least else "positive and finite"
-                raise ParameterError(f"{field.name} must be {wanted}, but is {value}")
+        check(self)
 
 
 class PoseMotion:
@@ -164,6 +172,8 @@ class Supervisor:
     Parameters
     ----------
     limits : SafetyLimits
+    max_speed : float
+        Largest speed ever commanded [m/s].
 
     Attributes
     ----------
@@ -179,8 +189,9 @@ class Supervisor:
         Age of the last pose when it was observed [s].
     """
 
-    def __init__(self, limits):
+    def __init__(self, limits: SafetyLimits, max_speed: float):
         self.limits = limits
+        self._max_speed = max_speed
         self._requests = set()
         self._failed = self._lost_grip = False
         self._raceline_valid = True
@@ -316,7 +327,7 @@ class Supervisor:
             # The raceline may ask for harder braking; walking pace off the track is no reason to.
             follows = result is not None and result.status in (Status.OK, Status.SATURATED)
             speed = self._stop(now, wanted if follows else None)
-        speed = min(max(speed, 0.0), self.limits.max_speed_mps)
+        speed = min(max(speed, 0.0), self._max_speed)
         self._command, self._commanded = (angle, speed), now
         return Decision(self.mode, self.reason, angle, speed)
 
@@ -354,7 +365,7 @@ class Supervisor:
 
     def _is_jump(self, last, state):
         elapsed = max(state.t - last.t, 0.0)
-        speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self.limits.max_speed_mps)
+        speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self._max_speed)
         moved = math.hypot(state.x - last.x, state.y - last.y)
         turned = abs(math.remainder(state.psi - last.psi, math.tau))
         return (

@@ -11,6 +11,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from ..errors import ParameterError
+from ..validation import POSITIVE, check, documented, parameter
 
 __all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
 
@@ -18,53 +19,40 @@ STANDSTILL = 0.1  # m/s
 SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
 
 
+@documented
 @dataclass(frozen=True)
 class RampParameters:
-    """What is driven.
+    """The maneuver: speed, ramp of the steering angle, and sides.
 
-    Parameters
-    ----------
-    speed_mps : float
-        Constant speed [m/s].
-    rate_radps : float
-        Rate at which the steering angle rises [rad/s].
-    start_rad, limit_rad : float
-        Steering angle at which it begins and ends [rad]. The circle of the first, with its radius
-        of wheelbase by angle, must fit into the area.
-    settle_s : float
-        Time at constant speed and start angle before the ramp [s].
-    acceleration_mps2 : float
-        At which the commanded speed rises [m/s^2]; to stop, it drops at once.
-    sides : {"both", "left", "right"}
-        With "both", left comes first and the car stops in between.
-
-    Raises
-    ------
-    ParameterError
+    The circle of the first steering angle, of radius wheelbase by angle, must fit into the area.
     """
 
-    speed_mps: float = 2.0
-    rate_radps: float = 0.02
-    start_rad: float = 0.1
-    limit_rad: float = 0.4
-    settle_s: float = 1.0
-    acceleration_mps2: float = 2.0
-    sides: str = "both"
+    speed_mps: float = parameter("Constant speed", "m/s", low=POSITIVE, default=2.0)
+    rate_radps: float = parameter("Rate of the steering angle", "rad/s", low=POSITIVE, default=0.02)
+    start_rad: float = parameter("First steering angle", "rad", low=0.0, default=0.1)
+    limit_rad: float = parameter("Last steering angle", "rad", low=POSITIVE, default=0.4)
+    settle_s: float = parameter(
+        "Time at constant speed and first angle before the ramp", "s", low=0.0, default=1.0
+    )
+    acceleration_mps2: float = parameter(
+        "Acceleration to that speed. To stop, the commanded speed drops at once",
+        "m/s^2",
+        low=POSITIVE,
+        default=2.0,
+    )
+    sides: str = parameter(
+        "Sides to which the car turns. With both, left comes first and the car stops in between",
+        choices=tuple(SIDES),
+        default="both",
+    )
 
     def __post_init__(self):
-        for name in ("speed_mps", "rate_radps", "limit_rad", "acceleration_mps2"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ParameterError(f"{name}: expected more than 0, got {value}")
-        if not 0.0 <= self.start_rad < self.limit_rad:
+        check(self)
+        if self.start_rad >= self.limit_rad:
             raise ParameterError(
-                f"start_rad: expected 0 to less than limit_rad, {self.limit_rad}, "
-                f"got {self.start_rad}"
+                f"start_rad: expected less than limit_rad, {self.limit_rad:g}, "
+                f"got {self.start_rad:g}"
             )
-        if not 0.0 <= self.settle_s < math.inf:
-            raise ParameterError(f"settle_s: expected 0 or more, got {self.settle_s}")
-        if self.sides not in SIDES:
-            raise ParameterError(f"sides: expected {', '.join(SIDES)}, got {self.sides!r}")
 
 
 @dataclass(frozen=True)
