@@ -114,6 +114,8 @@ class Rig:
     def stops(self, reason):
         """Wait for the stop; it must have been a ramp at the stated deceleration."""
         self.wait_mode("stopped", reason)
+        # The diagnosis may overtake the last command.
+        wait_for(lambda: self.drive[-1].drive.speed == 0.0, what="the last command")
         messages = list(self.drive)
         end = next(i for i in reversed(range(len(messages))) if messages[i].drive.speed > 0.0)
         begin = end

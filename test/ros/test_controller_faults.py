@@ -269,6 +269,22 @@ def test_without_a_master_it_says_so_and_can_be_interrupted(processes, roscore):
     assert "Traceback" not in node.output
 
 
+def test_an_interrupt_while_it_looks_for_a_master(processes, roscore):
+    """rosgraph takes any exception, KeyboardInterrupt too, for a master that does not answer."""
+    code = """
+import os, signal, rosgraph
+def interrupted(self):
+    os.kill(os.getpid(), signal.SIGINT)
+    raise ConnectionRefusedError
+rosgraph.Master.getPid = interrupted
+from map_racing.nodes import controller
+controller.main()
+"""
+    node = processes([sys.executable, "-c", code])
+    assert node.wait() == 130
+    assert "Traceback" not in node.output
+
+
 def test_the_master_goes_and_comes_again(roscore, processes, tmp_path):
     """What is connected stays so: the car drives on, and the log tells what does not work now."""
     with socket.socket() as probe:
