@@ -64,7 +64,7 @@ def test_the_commands_are_those_of_the_core(rig, listen):
     from map_racing.control.guidance import bearing, lateral_acceleration
     from map_racing.control.state import CarState
 
-    rig = rig({"controller": "map"})
+    rig = rig({"controller": "map", "curvature_feedforward": 0.0})
     guidance = listen("/guidance", Guidance)
     rig.driving()
     last = guidance.wait(lambda m: m.mode == "driving" and m.speed > 1.0)
