@@ -1,12 +1,15 @@
-"""The little of tf that a car in the plane needs, in plain Python.
+"""Transforms in the plane, in plain Python.
 
-tf2's own buffer is compiled for one version of Python; a transform is a message like any other.
+tf2's buffer is compiled for one version of Python only.
 """
+
+from __future__ import annotations
 
 import math
 import threading
 from bisect import bisect_left, bisect_right
 from collections import deque
+from typing import Callable
 
 import rospy
 from geometry_msgs.msg import TransformStamped
@@ -16,13 +19,13 @@ from .conversions import frame, heading, stamp_ns, to_time
 
 __all__ = ["TransformBroadcaster", "TransformListener", "TransformTree"]
 
-KEPT_NS = 5 * 10**9  # as long back as the history of a frame goes
-# A transform that is older by more than this than the last was sent after the clock was set back.
+KEPT_NS = 5 * 10**9  # length of a frame's history
+# A transform this much older than the last one was sent after the clock was set back.
 BACKWARDS_NS = 5 * 10**8
 
 
 class _Edge:
-    """Poses of a frame in its parent frame, the latest few seconds; a static one has no time."""
+    """Poses of a frame in its parent frame over the last seconds; a static one has no time."""
 
     def __init__(self, parent, static):
         self.parent, self.static = parent, static
@@ -40,7 +43,7 @@ class _Edge:
             self.poses.popleft()
 
     def at(self, stamp):
-        """Pose at a time, linear between the two around it; None outside of the history."""
+        """Pose at a time, interpolated linearly; None outside the history."""
         if self.static:
             return self.poses[-1]
         index = bisect_left(self.times, stamp)
@@ -63,27 +66,27 @@ class TransformTree:
     def __init__(self):
         self._edges = {}
 
-    def add(self, parent, child, stamp, pose, static=False):
+    def add(self, parent: str, child: str, stamp: int, pose: tuple, static: bool = False) -> None:
         """Add the pose ``(x, y, psi)`` of `child` in `parent` at a time [ns]."""
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent or edge.static != static:
             edge = self._edges[child] = _Edge(parent, static)
         edge.add(stamp, pose)
 
-    def lookup(self, parent, child, stamp=None):
+    def lookup(self, parent: str, child: str, stamp: int | None = None) -> tuple | None:
         """Pose of a frame in one of its ancestors.
 
         Parameters
         ----------
         parent, child : str
         stamp : int, optional
-            Time [ns]; by default the latest that all transforms in between are known for.
+            Time [ns]; by default the latest at which all transforms in between are known.
 
         Returns
         -------
         (stamp, x, y, psi) or None
-            None where they are not connected, or not at that time. Where all transforms are
-            static the latest time is 0.
+            None if the frames are not connected at that time. If all transforms are static the
+            latest time is 0.
         """
         chain = []
         while child != parent:
@@ -114,7 +117,7 @@ class TransformListener:
         Called without arguments after each message of ``/tf``.
     """
 
-    def __init__(self, on_change=None):
+    def __init__(self, on_change: Callable[[], None] | None = None):
         self._tree, self._on_change = TransformTree(), on_change
         self._lock = threading.Lock()
         self._subscribers = (
@@ -122,7 +125,7 @@ class TransformListener:
             rospy.Subscriber("/tf", TFMessage, self._receive, False, tcp_nodelay=True),
         )
 
-    def lookup(self, parent, child, stamp=None):
+    def lookup(self, parent: str, child: str, stamp: int | None = None) -> tuple | None:
         """As `TransformTree.lookup`."""
         with self._lock:
             return self._tree.lookup(parent, child, stamp)
@@ -141,13 +144,13 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Send transforms of the plane on ``/tf``, or latched on ``/tf_static``."""
+    """Sends transforms in the plane on ``/tf``, or latched on ``/tf_static``."""
 
-    def __init__(self, static=False):
+    def __init__(self, static: bool = False):
         topic = "/tf_static" if static else "/tf"
         self._publisher = rospy.Publisher(topic, TFMessage, queue_size=10, latch=static)
 
-    def send(self, parent, child, stamp, x, y, psi):
+    def send(self, parent: str, child: str, stamp: int, x: float, y: float, psi: float) -> None:
         """Send the pose of `child` in `parent` [m, m, rad] at a time [ns]."""
         transform = TransformStamped()
         transform.header.stamp = to_time(stamp)
