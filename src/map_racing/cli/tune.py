@@ -16,7 +16,7 @@ def run(arguments):
     names = list(dict.fromkeys(arguments.controller))
     stems = [Path(name).stem for name in names]
     if len(set(stems)) < len(stems):
-        raise ParameterError("--controller: two files of one name would give one result")
+        raise ParameterError("--controller: expected files of different names, got one name twice")
     controllers = {
         stem: (stem, load_controller_parameters(name)) for stem, name in zip(stems, names)
     }
