@@ -127,6 +127,9 @@ def run(name: str, make: Callable[[], object]) -> None:
 
 def _wait_for_master():
     """Wait for the master; Ctrl-C works here, but not in ``init_node`` without a master."""
+    # An exception would look like a missing master to `is_master_online`.
+    interrupted = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     try:
         while not rosgraph.is_master_online():
             print(
@@ -137,11 +140,12 @@ def _wait_for_master():
             )
             end = time.monotonic() + 10.0
             while time.monotonic() < end and not rosgraph.is_master_online():
-                time.sleep(0.2)
+                if interrupted.wait(0.2):
+                    raise SystemExit(130)
     except ValueError as error:
         raise SystemExit(f"ROS_MASTER_URI: {error}") from None
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+    if interrupted.is_set():
+        raise SystemExit(130)
 
 
 def _watch_master():
