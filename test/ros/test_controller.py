@@ -4,7 +4,7 @@ import math
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -19,11 +19,17 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
 
-from map_racing.control.parameters import load_controller_parameters, load_safety_limits
+from map_racing.control.parameters import (
+    STEERING_MAPS,
+    ControllerParameters,
+    load_controller_parameters,
+    load_safety_limits,
+)
 from map_racing.control.safety import SafetyLimits
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.files.load import load_raceline
+from map_racing.validation import meaning
 from map_racing.vehicle.lookup import default_grid, load_table
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
@@ -189,9 +195,9 @@ def test_stamps_of_zero_are_the_time_of_arrival(rig):
     rig = rig()
     rig.car.change = unstamped
     rig.driving()
-    time.sleep(0.5)
+    after = rig.more(25)
     assert rig.status()["mode"] == "driving"
-    assert rig.drive[-1].header.frame_id == "map"
+    assert after[-1].header.frame_id == "map"
 
 
 # -- each reason to stop -------------------------------------------------------------------------
@@ -279,8 +285,7 @@ def test_stop_requested(rig, ros, advertise, how):
     assert deceleration == pytest.approx(3.0, rel=0.02)
     # Steering goes on meanwhile, and the car stays where it is until it is let go.
     assert len({m.drive.steering_angle for m in ramp}) > 1
-    time.sleep(1.0)
-    assert rig.drive[-1].drive.speed == 0.0
+    assert {m.drive.speed for m in rig.more(50)} == {0.0}
     assert "stopping: stop requested" in rig.node.output
     assert rig.node.output.count("stop requested") == 1
     if how == "topic":
@@ -304,7 +309,7 @@ def test_grip_exceeded_for_long(rig, ros):
     rig.car.change = skew
     rig.stops("grip exceeded for long")
     rig.car.change = lambda message: message
-    time.sleep(1.0)
+    rig.more(50)
     rig.wait_mode("stopped", "grip exceeded for long")
     assert rig.call(ros, "resume").success
     rig.driving()
@@ -315,7 +320,7 @@ def test_no_speed_above_the_limit(rig):
     client = Client("/controller/tuning", timeout=10.0)
     client.update_configuration({"v_max_mps": 9.0})
     rig.driving()
-    time.sleep(2.0)
+    rig.more(100)
     assert max(m.drive.speed for m in rig.drive) == pytest.approx(1.5)
 
 
@@ -342,7 +347,7 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
     # Nor does the same line with other points, but for its 0.1 mm.
     publisher.publish(waypoints(raceline, points=211))
     wait_for(lambda: rig.node.output.count("raceline of /global_waypoints") == 2)
-    time.sleep(0.3)
+    rig.more(15)
     during = [m.drive for m in rig.drive[mark:]]
     assert min(d.speed for d in during) > 1.0
     steps = [abs(b.steering_angle - a.steering_angle) for a, b in zip(during, during[1:])]
@@ -354,7 +359,7 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
     rig.stops("raceline not drivable")
     assert "expected a finite x, got nan, at point 7:" in rig.node.output
     publisher.publish(waypoint_array_class()[0]())
-    time.sleep(0.3)
+    rig.more(15)
     rig.wait_mode("stopped", "raceline not drivable")
     publisher.publish(waypoints(raceline))
     rig.driving()
@@ -442,7 +447,7 @@ controller.main()
     try:
         rig.stops("controller failed")
         assert "ZeroDivisionError: a fault" in node.output
-        time.sleep(1.0)
+        rig.more(50)
         rig.wait_mode("stopped", "controller failed")
         assert rig.call(ros, "resume").success
         rig.driving()
@@ -485,7 +490,7 @@ def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
         ({"controller": "nonsense"}, "nonsense: no such file"),
         ({"pose_source": "gps"}, "~pose_source: expected odom, pose or tf"),
         ({"v_max_mps": "fast"}, "~v_max_mps: expected float"),
-        ({"v_max_mps": -1.0}, "v_max_mps must be positive"),
+        ({"v_max_mps": -1.0}, "v_max_mps: expected a positive number, got -1"),
         ({"raceline": "nowhere.csv"}, "nowhere.csv: no such file"),
         ({"sectors": "nowhere.yaml"}, "nowhere.yaml: cannot read"),
     ],
@@ -541,10 +546,38 @@ def test_tuning_and_saving(rig, ros, tmp_path):
     assert saved["q_s"] == shipped["pure_pursuit"].q_s
     rig.driving()
 
-    # What cannot be is not taken over, and the answer says so.
+    # An impossible change is rejected, and the answer has the values in use.
     answer = client.update_configuration({"lookahead_min_m": 4.0, "lookahead_max_m": 1.0})
     assert answer["lookahead_min_m"] == shipped["map"].lookahead_min_m
     assert "reconfigure rejected" in rig.node.output
+
+
+def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders(ros, rig):
+    """Whatever an earlier run left on the parameter server; no slider clamps another value."""
+    ros.set_param("/controller/tuning/speed_scale", 1.5)
+    rig = rig({"delay_s": 0.7, "speed_scale": 0.6})
+    client = Client("/controller/tuning", timeout=10.0)
+    assert client.get_configuration(timeout=10.0)["speed_scale"] == 0.6
+    answer = client.update_configuration({"speed_scale": 0.5})
+    assert (answer["delay_s"], answer["speed_scale"]) == (0.7, 0.5)
+    assert "rejected" not in rig.node.output
+    assert "~delay_s = 0.7 (Delay compensation" in rig.node.output
+    assert "~hold_s = 2.0 (Time for which" in rig.node.output
+    assert "commanded to stand [s], default)" in rig.node.output
+
+
+def test_sliders_are_those_of_the_parameters(rig):
+    rig({})
+    client = Client("/controller/tuning", timeout=10.0)
+    offered = {d["name"]: d for d in client.get_parameter_descriptions(timeout=10.0)}
+    known = {f.name: f for kind in (ControllerParameters, SafetyLimits) for f in fields(kind)}
+    expected = {name for name, f in known.items() if f.metadata["tuning"]} - {"m_m", "q_s"}
+    expected |= {f"{kind}_{name}" for kind in STEERING_MAPS for name in ("m_m", "q_s")}
+    assert set(offered) == expected | {"steering_map"}
+    for name in expected:
+        field = known[name if name in known else name[-3:]]
+        assert (offered[name]["min"], offered[name]["max"]) == field.metadata["tuning"], name
+        assert offered[name]["description"] == meaning(field)
 
 
 def test_the_latency_script(roscore, processes, request):

@@ -23,11 +23,11 @@ def run_generate(arguments):
     vehicle = _vehicle(arguments)
     if arguments.published_grid:
         if arguments.v_max is not None:
-            raise ParameterError("--published-grid goes to 7 m/s: give it or --v-max, not both")
+            raise ParameterError("expected --published-grid (7 m/s) or --v-max, got both")
         speeds, angles = published_grid()
     else:
         if arguments.v_max is not None and not 0.5 <= arguments.v_max <= 100.0:
-            raise ParameterError(f"--v-max must be from 0.5 to 100 m/s, not {arguments.v_max}")
+            raise ParameterError(f"--v-max: expected 0.5 to 100 m/s, got {arguments.v_max}")
         speeds, angles = default_grid(vehicle, v_max=arguments.v_max)
     table = steady_state_table(vehicle, speeds, angles)
     table.save(arguments.output)

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from tqdm import tqdm
-
 from ..control.controller import Controller, build_steering_map
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
@@ -16,6 +14,7 @@ from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle, parameter_hash
 from .outputs import check_outputs
+from .progress import progress_bar
 
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
@@ -25,71 +24,76 @@ LONGEST_LAP = 5000.0  # [m]
 def run(arguments):
     """Race and record."""
     if not 1 <= arguments.laps <= MOST_LAPS:
-        raise ParameterError(f"--laps must be 1 to {MOST_LAPS}, not {arguments.laps}")
-    output = Path(arguments.output)
-    inputs = (
+        raise ParameterError(f"--laps: expected 1 to {MOST_LAPS}, got {arguments.laps}")
+    inputs = [
         split_source(arguments.track)[0],
-        *(arguments.controller, arguments.plant, arguments.vehicle),
-        *(arguments.lookup_table, arguments.speed_sectors),
-    )
+        arguments.controller,
+        arguments.plant,
+        arguments.vehicle,
+        arguments.lookup_table,
+        arguments.speed_sectors,
+    ]
     check_outputs([arguments.output], inputs)
     parameters = load_controller_parameters(arguments.controller)
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
-    raceline = load_raceline(arguments.track)
-    if raceline.length > LONGEST_LAP:
-        raise ParameterError(
-            f"{arguments.track}: expected a lap of at most {LONGEST_LAP:g} m, got "
-            f"{raceline.length:.0f} m: is it in meters?"
-        )
-    for finding in raceline.findings:
-        print(f"{arguments.track}: {finding}")
-
+    raceline = load_track(arguments.track)
     plant_parameters = load_plant(arguments.plant)
     plant, localization = build_plant(plant_parameters, arguments.seed)
     if plant_parameters.reference_point != "rear_axle":
         parameters = parameters.with_(reference_point=plant_parameters.reference_point)
-    vehicle = plant_parameters.vehicle
-    if arguments.vehicle:
-        vehicle = load_vehicle(arguments.vehicle)
-    if parameter_hash(vehicle) != parameter_hash(plant_parameters.vehicle):
-        print(f"the controller knows {vehicle.name}, but the plant is {plant.vehicle.name}")
+    controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
+    output = Path(arguments.output)
+    with progress_bar(output.name, arguments.laps + 1, "laps") as show:
+        log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
+    write_race_bag(output, log, raceline)
+    if raceline.d_left is None:
+        print(f"{arguments.track}: no walls are known, so crashes are not detected")
+    print(
+        f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
+        f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
+        f"{log.duration:.1f} s{place_of_end(log, raceline)}"
+    )
 
+
+def load_track(source):
+    """The raceline to drive, with its findings printed."""
+    raceline = load_raceline(source)
+    if raceline.length > LONGEST_LAP:
+        raise ParameterError(
+            f"{source}: expected a lap of at most {LONGEST_LAP:g} m, got "
+            f"{raceline.length:.0f} m: is it in meters?"
+        )
+    for finding in raceline.findings:
+        print(f"{source}: {finding}")
+    return raceline
+
+
+def controller_of(arguments, parameters, plant_vehicle, raceline):
+    """The controller, with a note where its model of the car is not the plant's."""
+    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
+    if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
+        print(f"the controller knows {vehicle.name}, but the plant is {plant_vehicle.name}")
     steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
     if arguments.lookup_table:
         steering_map = given_table(arguments.lookup_table, parameters, vehicle, steering_map)
     sectors = None
     if arguments.speed_sectors:
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)
-    controller = Controller(parameters, steering_map, vehicle, raceline, sectors)
+    return Controller(parameters, steering_map, vehicle, raceline, sectors)
 
-    bar_format = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} laps [{elapsed}]"
-    with tqdm(
-        total=arguments.laps + 1, desc=output.name, disable=None, bar_format=bar_format, leave=False
-    ) as bar:
 
-        def show(laps):
-            bar.update(min(laps, bar.total) - bar.n)
-
-        log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
-    write_race_bag(output, log, raceline)
-    if raceline.d_left is None:
-        print(f"{arguments.track}: no walls are known, so no crash is seen")
-    end = ""
-    if log.outcome is not Outcome.COMPLETED and log.samples:
-        x, y = log.samples[-1].true[1:3]
-        place = raceline.project(x, y)
-        side = "left" if place.d > 0.0 else "right"
-        end = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
-    print(
-        f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
-        f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
-        f"{log.duration:.1f} s{end}"
-    )
+def place_of_end(log, raceline):
+    """The place where a race ended that was not completed, in words."""
+    if log.outcome is Outcome.COMPLETED or not log.samples:
+        return ""
+    place = raceline.project(*log.samples[-1].true[1:3])
+    side = "left" if place.d > 0.0 else "right"
+    return f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
 
 
 def given_table(path, parameters, vehicle, own):
-    """The table of a file, after a look at whether it can be that of the vehicle."""
+    """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
     table = load_table(path)
@@ -98,6 +102,6 @@ def given_table(path, parameters, vehicle, own):
     angles = [steering_map.steering(v, a_lat)[0] for steering_map in (table, own)]
     print(
         f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
-        f"that of {vehicle.name} has {angles[1]:.4f} rad"
+        f"the table of {vehicle.name} has {angles[1]:.4f} rad"
     )
     return table

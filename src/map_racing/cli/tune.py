@@ -6,7 +6,7 @@ import pandas as pd
 
 from ..control.parameters import load_controller_parameters
 from ..errors import ParameterError
-from ..experiments.session import Session
+from .session import open_session
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
 
@@ -16,11 +16,11 @@ def run(arguments):
     names = list(dict.fromkeys(arguments.controller))
     stems = [Path(name).stem for name in names]
     if len(set(stems)) < len(stems):
-        raise ParameterError("--controller: two files of one name would give one result")
+        raise ParameterError("--controller: expected files of different names, got one name twice")
     controllers = {
         stem: (stem, load_controller_parameters(name)) for stem, name in zip(stems, names)
     }
-    session = Session(arguments, "tune")
+    session = open_session(arguments, "tune")
     tuned = session.tune(controllers)
     session.controllers = {label: found.controller for label, found in tuned.items()}
     conditions = session.setting.conditions

@@ -1,6 +1,6 @@
 """Controller parameters and their files."""
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import yaml
@@ -8,7 +8,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from ..validation import finite, read_parameters
+from ..validation import POSITIVE, check, documented, parameter, read_parameters
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
@@ -19,83 +19,78 @@ __all__ = [
     "save_controller_parameters",
 ]
 
-STEERING_MAPS = ("ackermann", "linear_table", "table")
+# Each with the shipped controller that holds the lookahead usual with it.
+STEERING_MAPS = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
 SPEED_SOURCES = ("measured", "command")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
+@documented
 @dataclass(frozen=True)
 class ControllerParameters:
     """All that tunes a controller; a file in ``config/controllers`` holds the same names.
 
-    Parameters
-    ----------
-    steering_map : {"ackermann", "linear_table", "table"}
-        Pure pursuit; MAP with the vehicle's tires linearized; MAP with its tires as they are.
-    m_m, q_s : float
-        ``L_d = m + q v``: offset [m] and gain [s] (the paper's letters).
-    lookahead_min_m, lookahead_max_m : float
-        Bounds of the lookahead distance [m].
-    delay_s : float
-        Delay compensation: from the time at which the pose holds to the time at which the steering
-        acts on the car [s]. 0 as in the paper: no compensation.
-    speed_source : {"measured", "command"}
-        Speed in guidance law and steering map: the measured one, or, as in the paper, the one that
-        the controller commands.
-    speed_lookahead_s : float
-        The raceline's speed is read where the car will be after this time [s].
-    speed_scale : float
-        Scale of the raceline's speeds.
-    v_max_mps : float
-        Largest speed commanded, whatever the raceline asks [m/s].
-    reference_point : {"rear_axle", "center_of_gravity"}
-        Point of the car whose pose the localization gives, and which follows the raceline. The
-        rear axle is ``base_link``.
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
+    The lookahead distance is ``L_d = m + q v``, with the letters of the paper.
     """
 
-    steering_map: str
-    m_m: float
-    q_s: float
-    lookahead_min_m: float = 0.3
-    lookahead_max_m: float = 5.0
-    delay_s: float = 0.0
-    speed_source: str = "measured"
-    speed_lookahead_s: float = 0.0
-    speed_scale: float = 1.0
-    v_max_mps: float = 12.0
-    reference_point: str = "rear_axle"
+    steering_map: str = parameter(
+        "What turns a lateral acceleration into a steering angle: MAP's table of the vehicle's "
+        "tires, the same with linear tires, or the kinematics of pure pursuit",
+        choices=tuple(STEERING_MAPS),
+    )
+    m_m: float = parameter("Offset m of the lookahead distance", "m", tuning=(-1.0, 3.0))
+    q_s: float = parameter("Gain q of the lookahead distance", "s", tuning=(0.0, 2.0))
+    lookahead_min_m: float = parameter(
+        "Shortest lookahead distance", "m", low=POSITIVE, tuning=(0.05, 5.0), default=0.3
+    )
+    lookahead_max_m: float = parameter(
+        "Longest lookahead distance", "m", low=POSITIVE, tuning=(0.1, 20.0), default=5.0
+    )
+    delay_s: float = parameter(
+        "Delay compensation: age of a pose when it is used plus dead time of the steering. 0 for "
+        "none, as in the paper. Too short and the car oscillates, too long and it cuts corners",
+        "s",
+        low=0.0,
+        high=1.0,
+        tuning=(0.0, 0.5),
+        default=0.0,
+    )
+    speed_source: str = parameter(
+        "Speed in guidance law and steering map: measured, or commanded as in the paper",
+        choices=SPEED_SOURCES,
+        default="measured",
+    )
+    speed_lookahead_s: float = parameter(
+        "Time ahead at which the speed of the raceline is read, to make up for lag of the drive",
+        "s",
+        low=0.0,
+        high=1.0,
+        tuning=(0.0, 1.0),
+        default=0.0,
+    )
+    speed_scale: float = parameter(
+        "Scale of the speeds, 1 for 100 % of the raceline",
+        low=0.0,
+        high=2.0,
+        tuning=(0.0, 2.0),
+        default=1.0,
+    )
+    v_max_mps: float = parameter(
+        "Largest speed commanded", "m/s", low=POSITIVE, tuning=(0.1, 30.0), default=12.0
+    )
+    reference_point: str = parameter(
+        "Point of the car that localization reports and that follows the raceline. The rear axle "
+        "is base_link",
+        choices=REFERENCE_POINTS,
+        default="rear_axle",
+    )
 
     def __post_init__(self):
-        for field in fields(self):
-            if field.type in ("float", float):
-                finite(field.name, getattr(self, field.name))
-        for name, allowed in (
-            ("steering_map", STEERING_MAPS),
-            ("speed_source", SPEED_SOURCES),
-            ("reference_point", REFERENCE_POINTS),
-        ):
-            if getattr(self, name) not in allowed:
-                raise ParameterError(
-                    f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}"
-                )
-        if not 0 <= self.speed_scale <= 2:
+        check(self)
+        if self.lookahead_min_m > self.lookahead_max_m:
             raise ParameterError(
-                f"speed_scale must be 0 to 2 (0.7 is 70 %), but is {self.speed_scale:g}"
-            )
-        for name in ("delay_s", "speed_lookahead_s"):  # a larger one is meant in milliseconds
-            if not 0 <= getattr(self, name) <= 1:
-                raise ParameterError(f"{name} must be 0 to 1 s, but is {getattr(self, name)}")
-        if self.v_max_mps <= 0:
-            raise ParameterError(f"v_max_mps must be positive, but is {self.v_max_mps}")
-        if not 0 < self.lookahead_min_m <= self.lookahead_max_m:
-            raise ParameterError(
-                "expected 0 < lookahead_min_m <= lookahead_max_m, but they are "
-                f"{self.lookahead_min_m} and {self.lookahead_max_m}"
+                f"lookahead_min_m: expected at most lookahead_max_m, {self.lookahead_max_m:g}, "
+                f"got {self.lookahead_min_m:g}"
             )
 
     @cached_property
@@ -132,17 +127,17 @@ def load_controller_parameters(source):
 
 
 def load_safety_limits(source):
-    """Read the safety limits of a controller's file, which are those of its mapping ``safety``.
+    """Read the mapping ``safety`` of a controller's file.
 
     Parameters
     ----------
     source : str or pathlib.Path
-        As of `load_controller_parameters`.
+        As for `load_controller_parameters`.
 
     Returns
     -------
     SafetyLimits
-        The default of each limit that the file does not have.
+        With the default of each limit that the file does not have.
 
     Raises
     ------
@@ -152,12 +147,12 @@ def load_safety_limits(source):
     path = find_config("controllers", source, (".yaml",))
     values = read_yaml_mapping(path).get("safety", {})
     if not isinstance(values, dict):
-        raise ParameterError(f"{path}: safety: expected names and values, not {values!r}")
+        raise ParameterError(f"{path}: safety: expected names and values, got {values!r}")
     return read_parameters(f"{path}: safety", SafetyLimits, values)
 
 
 def save_controller_parameters(parameters, path, limits=None):
-    """Write controller parameters to YAML, such that `load_controller_parameters` reads the same.
+    """Write controller parameters to YAML that `load_controller_parameters` reads back.
 
     Parameters
     ----------
@@ -165,7 +160,7 @@ def save_controller_parameters(parameters, path, limits=None):
     path : str or pathlib.Path
         A file there is replaced when the new one is complete.
     limits : SafetyLimits, optional
-        Written, too, for `load_safety_limits`; but for the largest speed, which is ``v_max_mps``.
+        Written, too, for `load_safety_limits`.
 
     Raises
     ------
@@ -176,6 +171,4 @@ def save_controller_parameters(parameters, path, limits=None):
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
         yaml.safe_dump(asdict(parameters), file, sort_keys=False)
         if limits is not None:
-            values = asdict(limits)
-            del values["max_speed_mps"]
-            yaml.safe_dump({"safety": values}, file, sort_keys=False)
+            yaml.safe_dump({"safety": asdict(limits)}, file, sort_keys=False)

@@ -1,4 +1,4 @@
-"""Recorded driving from whatever file holds it."""
+"""Recorded driving from bags and CSV files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from ..files import refuse_special
 from ..tables import column_index, read_columns, some_names
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
+from ..track.raceline import Raceline
 
 __all__ = ["load_recording", "parse_columns", "read_csv_recording", "recorded_raceline"]
 
-# Names under which columns of a CSV file are known; the first that the file has is taken.
+# Usual names of the columns of a CSV file; the first that is in the file is taken.
 _ALIASES = {
     "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp"),
     "x": ("x", "x_m", "pose_x", "pos_x", "position_x"),
@@ -32,12 +33,14 @@ _ALIASES = {
     "speed_command": ("speed_command", "v_command", "translational_control"),
 }
 _REQUIRED = ("t", "x", "y")
-# Beyond this [s] a time is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
+# A larger time [s] is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
 _LATEST = 9.2e9
 
 
-def load_recording(source, pose_topic=None, columns=None):
-    """Driving from a bag or a CSV file.
+def load_recording(
+    source: str | Path, pose_topic: str | None = None, columns: str | dict | None = None
+) -> Recording:
+    """Read the driving recorded in a bag or a CSV file.
 
     Parameters
     ----------
@@ -55,20 +58,20 @@ def load_recording(source, pose_topic=None, columns=None):
     Raises
     ------
     BagError, FileFormatError, ParameterError
-        If the file cannot be read as what it is.
+        If the file cannot be read.
     """
     refuse_special(source)
     if not _is_csv(source):
         if columns:
-            raise ParameterError(f"{source}: a bag has no columns; they are for CSV files")
+            raise ParameterError(f"columns: expected a CSV file, got {source}")
         return read_recording(source, pose_topic)
     if pose_topic is not None:
-        raise ParameterError(f"{source}: a CSV file has no topic {pose_topic}")
+        raise ParameterError(f"pose topic {pose_topic}: expected a bag, got {source}")
     return read_csv_recording(source, columns)
 
 
-def recorded_raceline(recording):
-    """Raceline that a recording carries.
+def recorded_raceline(recording: Recording) -> Raceline:
+    """Raceline in a recording.
 
     Parameters
     ----------
@@ -77,35 +80,33 @@ def recorded_raceline(recording):
     Returns
     -------
     Raceline
-        With what was noticed as `findings`.
+        With `findings`.
 
     Raises
     ------
     BagError
-        If it carries none.
+        If there is none.
     RacelineError
-        If something is wrong with it beyond use.
+        If it is unusable.
     """
     if recording.waypoints is None:
         raise BagError(f"{recording.source}: no raceline in it; give one with --raceline")
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
 
 
-def read_csv_recording(path, columns=None):
-    """Driving from a CSV file.
+def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:
+    """Read the driving recorded in a CSV file.
 
-    The file may be gzipped; lines that begin with ``#`` are comments. The names of the columns
-    stand in the first other line or, if that holds numbers, in the last comment before it. Cells
-    are separated by comma, semicolon or tab. Time is in seconds; rows without time or position
-    are left out, and so is a last line that was cut off.
+    The layout is described at `map_racing.tables.read_columns`. Time is in seconds; rows without
+    time or position are left out.
 
     Parameters
     ----------
     path : str or pathlib.Path
     columns : str or dict, optional
-        Which column holds what, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
+        Columns of the fields, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
         (required) and ``psi v_x v_y yaw_rate steering speed_command``, in SI units and radians.
-        What is not given is looked for under usual names.
+        Other fields are looked for under usual names.
 
     Returns
     -------
@@ -175,8 +176,8 @@ def _check_times(path, table):
         )
 
 
-def parse_columns(text):
-    """Column map from its text form ``"t=time,x=pose_x"``.
+def parse_columns(text: str) -> dict[str, str]:
+    """Parse the text form of a column map, ``"t=time,x=pose_x"``.
 
     Parameters
     ----------
@@ -189,7 +190,7 @@ def parse_columns(text):
     Raises
     ------
     ParameterError
-        If a part is not of the form ``field=column``, or a field is given twice.
+        If a part is not ``field=column``, or a field is given twice.
     """
     columns = {}
     for part in text.split(","):

@@ -14,8 +14,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ..simulation.plants import load_plant
-from ..track.files.load import load_raceline
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 from .campaign import Plan
@@ -85,23 +83,6 @@ class Setting:
     plant: object
     vehicle: Vehicle
     linear_vehicle: Vehicle
-
-    @classmethod
-    def load(cls, conditions, identified):
-        """Load track and plant.
-
-        Parameters
-        ----------
-        conditions : Conditions
-        identified : callable
-            ``identified(plant) -> (vehicle, linear_vehicle)``.
-
-        Returns
-        -------
-        Setting
-        """
-        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
-        return cls(conditions, raceline, plant, *identified(plant))
 
     def day(self, seed):
         """The plant on the day of a seed."""

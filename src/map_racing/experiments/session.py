@@ -1,16 +1,16 @@
-"""What the commands that run many races share: setting, result directory, tuning, racing."""
+"""What commands that run many races share: setting, result directory, tuning, races."""
 
 import math
-from dataclasses import replace
 from time import monotonic
 
 from ..control.parameters import load_controller_parameters, save_controller_parameters
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data
+from ..simulation.plants import load_plant
+from ..track.files.load import load_raceline
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
 from .campaign import Effort, carry_out
-from .conditions import load_conditions
 from .executors import open_executor
 from .identification_day import identify_on
 from .paper import CONTENDERS, Setting, tuning_plan
@@ -22,40 +22,67 @@ __all__ = ["Session"]
 
 
 class Session:
-    """What the commands share: setting, tuned controllers, races, and where results go.
+    """Setting, tuned controllers, races and results of one command, in a result directory.
+
+    Nothing is written if track, plant or vehicle cannot be loaded.
 
     Parameters
     ----------
-    arguments : argparse.Namespace
     kind : str
-        Of the results.
+        Kind of the results, such as ``"tune"``.
+    folder : str or pathlib.Path
+        Result directory; an existing one is continued.
+    conditions : Conditions
+    vehicle : str, optional
+        The controllers' model of the car; by default it is identified from ramps on the plant.
+    tuning : bool
+        Whether the contenders are tuned.
+    jobs : int, optional
+        Processes.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+    reuse : sequence of str
+        Result directories whose races are taken over.
+
+    Attributes
+    ----------
+    notes : list of str
+        What the user should know about track and car.
     """
 
-    def __init__(self, arguments, kind):
+    def __init__(
+        self,
+        kind,
+        folder,
+        conditions,
+        *,
+        vehicle=None,
+        tuning=True,
+        jobs=None,
+        scheduler=None,
+        reuse=(),
+    ):
         self.kind = kind
-        given = {
-            name: getattr(arguments, name, None)
-            for name in ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
-        }
-        given = {name: value for name, value in given.items() if value is not None}
-        conditions = replace(load_conditions(arguments.conditions), **given)
-        self.folder = make_folder(arguments.output)
+        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
+        given = None if vehicle is None else load_vehicle(vehicle)
+        self.folder = make_folder(folder)
         if (self.folder / "results.json").exists():
             other = read_results(self.folder).kind
             if other != kind:
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
         self.figures = make_folder(self.folder / "figures")
-        self.store = Store(self.folder, arguments.reuse)
+        self.store = Store(self.folder, reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
-        self._jobs, self._scheduler = arguments.jobs, arguments.scheduler
-        self._tuning = not getattr(arguments, "no_tuning", False)
-        self.setting = Setting.load(
-            conditions, lambda plant: self._car(plant, arguments.vehicle, conditions)
-        )
-        for finding in self.setting.raceline.findings:
-            print(f"{conditions.track}: {finding}")
-        if self.setting.raceline.d_left is None:
-            print(f"{conditions.track}: no walls are known, so no crash is seen")
+        self._jobs, self._scheduler, self._tuning = jobs, scheduler, tuning
+        self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
+        if raceline.d_left is None:
+            self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
+        if given is None:
+            cars = self._identify(plant, conditions.identification_seed)
+        else:
+            cars = given, linearized(given)
+            self.identification = {"vehicle": vehicle, "parameters": parameter_hash(given)}
+        self.setting = Setting(conditions, raceline, plant, *cars)
         self.controllers = {}
 
     @property
@@ -70,13 +97,8 @@ class Session:
         count = len(self.setting.conditions.seeds)
         return f"{count} race day" + ("s" if count != 1 else "")
 
-    def _car(self, plant, given, conditions):
-        """The car as controllers know it, with Pacejka and with linear tires."""
-        if given:
-            vehicle = load_vehicle(given)
-            self.identification = {"vehicle": given, "parameters": parameter_hash(vehicle)}
-            return vehicle, linearized(vehicle)
-        seed = conditions.identification_seed
+    def _identify(self, plant, seed):
+        """Identify the car on the plant, with Pacejka and with linear tires."""
         found = identify_on(plant, seed, self.folder / "ramps.bag")
         save_vehicle(found.vehicle, self.folder / "identified.yaml")
         save_vehicle(found.linear_vehicle, self.folder / "identified_linear.yaml")
@@ -89,7 +111,7 @@ class Session:
             "linear_vehicle": "identified_linear.yaml",
             "linear_parameters": parameter_hash(found.linear_vehicle),
         }
-        print(
+        self.notes.append(
             f"identified {found.base.name} from steering ramps (seed {seed}): up to "
             f"{found.largest_a_y:.1f} m/s^2, {self.folder / 'identified.yaml'}"
         )

@@ -9,7 +9,6 @@ import os
 import sys
 import threading
 import time
-from dataclasses import fields, replace
 from pathlib import Path
 
 import rospy
@@ -37,7 +36,7 @@ from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
-from .node import FirstSender, SteadyClock, get_parameter, run
+from .node import FirstSender, SteadyClock, get_parameter, overridden, run
 from .transforms import TransformListener
 from .tuning import TuningServer
 from .waypoints import RacelineSubscriber
@@ -53,32 +52,19 @@ LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
 
 POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
-UNITS = {"_m": "[m]", "_s": "[s]", "_rad": "[rad]", "_mps": "[m/s]", "_mps2": "[m/s^2]"}
-
-
-def _overridden(values):
-    """The dataclass with those values replaced that the node has as private parameters."""
-    changes = {}
-    for field in fields(values):
-        unit = UNITS.get("_" + field.name.rpartition("_")[2], "")
-        default = getattr(values, field.name)
-        default = float(default) if isinstance(default, int) else default
-        changes[field.name] = get_parameter(field.name, default, unit)
-    return replace(values, **changes)
-
 
 def _build():
     """Controller and supervisor from the node's parameters."""
     source = get_parameter("controller", "map", "shipped name or file")
     vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
-    parameters = _overridden(load_controller_parameters(source))
+    parameters = overridden(load_controller_parameters(source))
     kind, v_max = parameters.steering_map, parameters.v_max_mps
     if table and kind == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
-    limits = replace(_overridden(load_safety_limits(source)), max_speed_mps=v_max)
+    limits = overridden(load_safety_limits(source))
     steering_map = load_table(table) if table else build_steering_map(kind, vehicle, v_max)
-    return Controller(parameters, steering_map, vehicle), Supervisor(limits)
+    return Controller(parameters, steering_map, vehicle), Supervisor(limits, v_max)
 
 
 def _publisher(topic, kind, queue_size=10):

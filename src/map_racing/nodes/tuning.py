@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TuningServer"]
 
-# Shipped controllers that supply m and q for the inactive steering maps.
-FILES = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
-
 
 class TuningServer:
     """Changes parameters, steering map and safety limits while the car drives.
@@ -47,24 +44,34 @@ class TuningServer:
         parameters = controller.parameters
         self._v_max = parameters.v_max_mps
         self._maps = {parameters.steering_map: controller.steering_map}
-        shipped = {kind: load_controller_parameters(FILES[kind]) for kind in STEERING_MAPS}
+        shipped = {kind: load_controller_parameters(f) for kind, f in STEERING_MAPS.items()}
         shipped[parameters.steering_map] = parameters
         self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
-        self._started = False
+        # Start with the values in use, not with those that an earlier run left on the parameter
+        # server, and with ranges that include them: the server clamps all values at each call.
+        values = self._in_use()
+        ControllerConfig.defaults.update(values)
+        for name, value in values.items():
+            if isinstance(value, float):
+                ControllerConfig.min[name] = min(ControllerConfig.min[name], value)
+                ControllerConfig.max[name] = max(ControllerConfig.max[name], value)
+        rospy.set_param("~tuning", values)
         self._server = Server(ControllerConfig, self._reconfigure, namespace="tuning")
-        self._started = True
+
+    def _in_use(self):
+        """The values in use, by the names of the configuration."""
+        values = {**vars(self._controller.parameters), **vars(self._supervisor.limits)}
+        for kind, (m_m, q_s) in self._lookaheads.items():
+            values[f"{kind}_m_m"], values[f"{kind}_q_s"] = m_m, q_s
+        return {name: values[name] for name in ControllerConfig.defaults}
 
     def _reconfigure(self, config, _):
         """Apply a requested configuration; return the one in use."""
-        if self._started:  # The first call brings the defaults of the server, not of the files.
-            try:
-                self._apply(config)
-            except MapRacingError as error:
-                rospy.logwarn("reconfigure rejected: %s", error)
-        for values in (self._controller.parameters, self._supervisor.limits):
-            config.update((f, v) for f, v in vars(values).items() if f in config)
-        for kind, (m_m, q_s) in self._lookaheads.items():
-            config[f"{kind}_m_m"], config[f"{kind}_q_s"] = m_m, q_s
+        try:
+            self._apply(config)
+        except MapRacingError as error:
+            rospy.logwarn("reconfigure rejected: %s", error)
+        config.update(self._in_use())
         return config
 
     def _apply(self, config):

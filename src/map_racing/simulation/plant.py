@@ -4,112 +4,102 @@ The plant has its own parameters. A controller that only ever meets its own mode
 a plant file names a vehicle and by how much its tires differ from it.
 """
 
+from __future__ import annotations
+
 import math
 import random
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Union
 
 from ..control.state import CarState, moved
 from ..errors import ParameterError
-from ..validation import finite, positive
+from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
 from ..vehicle.tires import PacejkaTire
 
-__all__ = ["Localization", "Plant", "PlantParameters", "check_plant", "scaled_tires"]
+__all__ = ["Localization", "Plant", "PlantParameters", "ScaledVehicle", "scaled_tires"]
+
+TIME_STEP = 0.002  # of the integration [s]
+
+
+def _scale(what):
+    return parameter(f"{what}, relative to the vehicle's", low=0.1, high=3.0, default=1.0)
+
+
+def _delay(what):
+    return parameter(what, "s", low=0.0, high=1.0, default=0.0)
+
+
+def _noise(what, unit):
+    return parameter(f"Standard deviation of white noise on {what}", unit, low=0.0, default=0.0)
 
 
 @dataclass(frozen=True)
-class PlantParameters:
+class ScaledVehicle:
+    """What all plants have: a vehicle, and how far its tires differ from the vehicle file."""
+
+    vehicle: str | Vehicle = parameter(
+        "Geometry, masses, limits and nominal tires: a Vehicle, or in files the name of a shipped "
+        "vehicle or the path of a vehicle file, relative to the plant's own file"
+    )
+    mu_scale: float = _scale("Friction coefficient")
+    front_stiffness_scale: float = _scale("Cornering stiffness of the front tires")
+    rear_stiffness_scale: float = _scale("Cornering stiffness of the rear tires")
+
+    def __post_init__(self):
+        check(self)
+        if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
+            raise ParameterError(f"vehicle: expected a name or a path, got {self.vehicle!r}")
+
+    def build_vehicle(self) -> Vehicle:
+        """The vehicle with the plant's own tires."""
+        return scaled_tires(
+            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+        )
+
+
+@documented
+@dataclass(frozen=True)
+class PlantParameters(ScaledVehicle):
     """A simulated car; a file in ``config/plants`` holds the same names.
 
-    Parameters
-    ----------
-    vehicle : str or Vehicle
-        Geometry, masses, limits and nominal tires: a car, or in files the name of a shipped vehicle
-        or of a vehicle file, by a path from the plant's own file.
-    mu_scale, front_stiffness_scale, rear_stiffness_scale : float
-        Friction and cornering stiffness of the plant's tires relative to the vehicle's, 0.1 to 3.
-    steering_delay_s, steering_time_constant_s : float
-        Dead time and lag of the servo; its rate limit is the vehicle's.
-    drive_delay_s, drive_time_constant_s : float
-        Dead time and lag of the speed controller.
-    a_max_mps2, a_brake_max_mps2 : float
-        Largest acceleration and deceleration of the drive.
-    localization_rate_hz, localization_latency_s : float
-        Poses per second, 1 to 500; time from the instant at which a pose holds to its arrival.
-    position_noise_m, heading_noise_rad, velocity_noise_mps, yaw_rate_noise_radps : float
-        Standard deviations of white noise on what localization reports.
-    acceleration_noise_mps2 : float
-        Standard deviation of white noise on what the IMU reports.
-    measures_v_y : bool
-        Whether the odometry reports the lateral velocity; else it is NaN.
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
+    Rate and lock of the steering are the vehicle's.
     """
 
-    vehicle: Union[str, Vehicle]
-    mu_scale: float = 1.0
-    front_stiffness_scale: float = 1.0
-    rear_stiffness_scale: float = 1.0
-    steering_delay_s: float = 0.0
-    steering_time_constant_s: float = 0.0
-    drive_delay_s: float = 0.0
-    drive_time_constant_s: float = 0.1
-    a_max_mps2: float = 7.51
-    a_brake_max_mps2: float = 8.26
-    localization_rate_hz: float = 40.0
-    localization_latency_s: float = 0.0
-    position_noise_m: float = 0.0
-    heading_noise_rad: float = 0.0
-    velocity_noise_mps: float = 0.0
-    yaw_rate_noise_radps: float = 0.0
-    acceleration_noise_mps2: float = 0.0
-    measures_v_y: bool = True
+    steering_delay_s: float = _delay("Dead time of the steering servo")
+    steering_time_constant_s: float = parameter(
+        "First-order lag of the steering servo", "s", low=0.0, default=0.0
+    )
+    drive_delay_s: float = _delay("Dead time of the speed controller")
+    drive_time_constant_s: float = parameter(
+        "First-order lag of the speed controller", "s", low=POSITIVE, default=0.1
+    )
+    a_max_mps2: float = parameter(
+        "Largest acceleration of the drive", "m/s^2", low=POSITIVE, default=7.51
+    )
+    a_brake_max_mps2: float = parameter(
+        "Largest deceleration of the drive", "m/s^2", low=POSITIVE, default=8.26
+    )
+    localization_rate_hz: float = parameter(
+        "Poses per second", "Hz", low=1.0, high=1.0 / TIME_STEP, default=40.0
+    )
+    localization_latency_s: float = _delay("Age of a pose on arrival")
+    position_noise_m: float = _noise("the position", "m")
+    heading_noise_rad: float = _noise("the heading", "rad")
+    velocity_noise_mps: float = _noise("the velocity", "m/s")
+    yaw_rate_noise_radps: float = _noise("the yaw rate", "rad/s")
+    acceleration_noise_mps2: float = _noise("the acceleration that the IMU reports", "m/s^2")
+    measures_v_y: bool = parameter(
+        "Whether the odometry reports the lateral velocity; else it is NaN", default=True
+    )
 
     reference_point = "rear_axle"
 
-    def __post_init__(self):
-        check_plant(self, Plant.time_step)
-
-    def build_vehicle(self):
-        """The vehicle with the plant's own tires."""
-        return replace(
-            scaled_tires(
-                self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
-            ),
-            a_max=float(self.a_max_mps2),
-            a_brake_max=float(self.a_brake_max_mps2),
-        )
-
-
-def check_plant(parameters, time_step):
-    """Check the parameters of a plant whose steps are so long [s]; a ParameterError names it."""
-    if not isinstance(parameters.vehicle, (str, Vehicle)) or not parameters.vehicle:
-        raise ParameterError(f"vehicle: expected a name or a path, got {parameters.vehicle!r}")
-    for name, value in vars(parameters).items():
-        if name in ("vehicle", "measures_v_y"):
-            continue
-        if name.endswith("_scale"):
-            if not 0.1 <= finite(name, value) <= 3.0:
-                raise ParameterError(f"{name}: expected 0.1 to 3, got {value:g}")
-        elif name in _POSITIVE:
-            positive(name, value)
-        elif finite(name, value) < 0.0:
-            raise ParameterError(f"{name}: expected 0 or more, got {value:g}")
-        if name in _DELAYS and value > 1.0:  # meant in milliseconds
-            raise ParameterError(f"{name}: expected 0 to 1 s, got {value:g}")
-    rate, most = parameters.localization_rate_hz, 1.0 / time_step
-    if not 1.0 <= rate <= most:
-        raise ParameterError(f"localization_rate_hz: expected 1 to {most:g} Hz, got {rate:g}")
-    if not isinstance(getattr(parameters, "measures_v_y", True), bool):
-        raise ParameterError(
-            f"measures_v_y: expected true or false, got {parameters.measures_v_y!r}"
-        )
+    def build_vehicle(self) -> Vehicle:
+        """The vehicle with the plant's own tires and drive."""
+        vehicle = super().build_vehicle()
+        return replace(vehicle, a_max=self.a_max_mps2, a_brake_max=self.a_brake_max_mps2)
 
 
 def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
@@ -138,10 +128,6 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     )
 
 
-_POSITIVE = ("drive_time_constant_s", "a_max_mps2", "a_brake_max_mps2")
-_DELAYS = ("steering_delay_s", "drive_delay_s", "localization_latency_s")
-
-
 def _scaled(tire, factor):
     """The tire with its cornering stiffness scaled and its peak kept."""
     if isinstance(tire, PacejkaTire):
@@ -168,7 +154,7 @@ class Plant:
         True longitudinal and lateral acceleration of the center of gravity [m/s^2].
     """
 
-    time_step = 0.002
+    time_step = TIME_STEP
 
     def __init__(self, parameters):
         self.parameters = parameters

@@ -9,61 +9,49 @@ Model and figures as published with that simulator; a recording of it obeys them
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Union
 
 from ..control.state import CarState
 from ..errors import ParameterError
-from ..vehicle.parameters import Vehicle
+from ..validation import documented, parameter
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import LinearTire
-from .plant import check_plant, scaled_tires
+from .plant import ScaledVehicle
 
 __all__ = ["PublicSimulator", "PublicSimulatorParameters"]
 
 
+TIME_STEP = 0.01  # of the integration [s]
+
+
+@documented
 @dataclass(frozen=True)
-class PublicSimulatorParameters:
+class PublicSimulatorParameters(ScaledVehicle):
     """The car of the public simulator; a plant file with ``model: public_simulator`` holds these.
 
-    Parameters
-    ----------
-    vehicle : str or Vehicle
-        As in `map_racing.simulation.plant.PlantParameters`; its tires must be linear.
-    mu_scale, front_stiffness_scale, rear_stiffness_scale : float
-        Friction and cornering stiffness relative to the vehicle's, 0.1 to 3.
-    h_cg_m : float
-        Height of the center of gravity [m], as the recording shows it. The published model file of
-        the same car says 0.02 m, which would hide most of the load that braking takes off the rear.
-    steering_delay_s : float
-        Dead time of the servo [s], in whole steps of 10 ms.
-    localization_rate_hz : float
-        Poses per second; they are exact.
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
+    The vehicle's tires must be linear, and its poses are exact.
     """
 
-    vehicle: Union[str, Vehicle]
-    mu_scale: float = 1.0
-    front_stiffness_scale: float = 1.0
-    rear_stiffness_scale: float = 1.0
-    h_cg_m: float = 0.074
-    steering_delay_s: float = 0.05
-    localization_rate_hz: float = 40.0
+    h_cg_m: float = parameter(
+        "Height of the center of gravity, as the recording shows it. The published model file of "
+        "the same car has 0.02 m, which would hide most of the load that braking takes off the "
+        "rear",
+        "m",
+        low=0.0,
+        default=0.074,
+    )
+    steering_delay_s: float = parameter(
+        "Dead time of the steering servo, in whole steps of 10 ms",
+        "s",
+        low=0.0,
+        high=1.0,
+        default=0.05,
+    )
+    localization_rate_hz: float = parameter(
+        "Poses per second", "Hz", low=1.0, high=1.0 / TIME_STEP, default=40.0
+    )
 
     # It publishes the pose of the center of gravity under the name of base_link.
     reference_point = "center_of_gravity"
-
-    def __post_init__(self):
-        check_plant(self, PublicSimulator.time_step)
-
-    def build_vehicle(self):
-        """The vehicle with the plant's own tires."""
-        return scaled_tires(
-            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
-        )
 
 
 class PublicSimulator:
@@ -85,7 +73,7 @@ class PublicSimulator:
         Angle from heading to velocity [rad].
     """
 
-    time_step = 0.01
+    time_step = TIME_STEP
     steering_dead_band = 1e-4
     dynamic_above = 0.53  # m/s, entering the dynamic model ...
     kinematic_below = 0.50  # ... and leaving it

@@ -61,7 +61,7 @@ def run(place):
     def command(*arguments):
         conditions = ["--conditions", place / "conditions.yaml", "--jobs", 1]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(tuning, "GRID", range(8, 25, 8))
+            patch.setattr(tuning, "GRID", (8, 16))
             patch.setattr(tuning, "COARSE", 2)
             return main([str(argument) for argument in (*arguments, *conditions)])
 

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from map_racing.bags.reader import read_recording
+from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
@@ -118,10 +119,10 @@ def test_without_tuning_the_files_are_raced(shipped):
 @pytest.mark.parametrize(
     "options, expected",
     [
-        (["--laps", "0"], "--laps must be 1 to 1000, not 0"),
+        (["--laps", "0"], "--laps: expected 1 to 1000, got 0"),
         (["--jobs", "0"], "jobs: expected at least 1, got 0"),
-        (["--seeds", "1", "1"], "seeds: 1 is given twice"),
-        (["--seeds", "-1"], "a seed must be a whole number from 0, not -1"),
+        (["--seeds", "1", "1"], "seeds: expected different seeds, got 1 twice"),
+        (["--seeds", "-1"], "seeds: expected whole numbers from 0, got [-1]"),
         (["--conditions", "rain"], "nor one of the shipped experiments (paper)"),
         (["--track", "nowhere"], "nor one of the shipped tracks"),
         (["--plant", "nothing"], "nor one of the shipped plants"),
@@ -141,7 +142,7 @@ def test_mistakes_are_one_line(tmp_path, refused, monkeypatch, options, expected
 @pytest.mark.parametrize("to", ["0.5", "2.1", "nan"])
 def test_impossible_scales(tmp_path, refused, to):
     command = ["experiment", "velocity-scaling", "--output", tmp_path / "out", "--to", to]
-    assert "--to must be 0.6 to 2" in refused(*command)
+    assert "--to: expected 0.6 to 2" in refused(*command)
 
 
 def test_results_of_another_kind_are_not_overwritten(tires, refused):
@@ -158,3 +159,11 @@ def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert "\n8 races driven" in done.stdout
+
+
+@pytest.mark.parametrize("option", ["--track", "--plant", "--vehicle", "--conditions"])
+def test_a_failed_experiment_leaves_no_folder(tmp_path, capsys, option):
+    output = tmp_path / "results"
+    assert main(["experiment", "tire-models", option, "nowhere", "--output", str(output)]) == 1
+    assert "nowhere: no such file" in capsys.readouterr().err
+    assert not output.exists()

@@ -171,7 +171,7 @@ def test_refusals(tmp_path, refused, capsys):
     ramp = ["ramp", "--output", tmp_path / "b.bag"]
     for option, value, expected in (
         ("--speed", "-1", "speed_mps: expected more than 0"),
-        ("--rate", "1e-6", "--rate: the drive would take"),
+        ("--rate", "1e-6", "--rate: expected a drive of at most an hour"),
         ("--sides", "up", "sides: expected both, left, right"),
         ("--plant", "nowhere", "nowhere"),
     ):

@@ -54,7 +54,7 @@ def test_race_with_a_table_and_sectors(tmp_path):
         (["--vehicle", "nowhere"], "nowhere: .*nuc4"),
         (["--controller", "nowhere"], "nowhere: .*pure_pursuit"),
         (["--plant", "nowhere"], "nowhere: "),
-        (["--laps", "0"], "--laps must be 1 to 1000"),
+        (["--laps", "0"], "--laps: expected 1 to 1000, got 0"),
         (["--speed-scale", "-1"], "speed_scale"),
         (["--speed-scale", "nan"], "speed_scale"),
         (["--lookup-table", "nowhere.csv"], "nowhere.csv"),

@@ -85,23 +85,21 @@ def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys
 def test_speed_options(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
 
-    def lap(*options):
+    def optimized(*options):
         assert run(source, "--curvature-only", *options) == 0
-        return float(table_of(capsys.readouterr().out)["optimized"][4])
+        return [float(cell) for cell in table_of(capsys.readouterr().out)["optimized"]]
 
-    full = lap()
+    def lap(*options):
+        return optimized(*options)[4]
+
+    length, _, _, _, full = optimized()
     assert lap("--speed-scale", "0.5") == pytest.approx(2.0 * full, abs=2e-3)
     # The top speed is not reached here: all accelerations by half make all speeds slower by
     # no more than sqrt(1/2), less where the limit falls with speed.
     half = lap("--lateral-scale", "0.5", "--longitudinal-scale", "0.5")
     assert 1.2 * full < half < 1.5 * full
     assert lap("--power", "5") > 1.02 * full
-    assert lap("--v-max", "2") == pytest.approx(float(lap_length(source, capsys)) / 2.0, rel=1e-3)
-
-
-def lap_length(source, capsys):
-    run(source, "--curvature-only")
-    return table_of(capsys.readouterr().out)["optimized"][0]
+    assert lap("--v-max", "2") == pytest.approx(length / 2.0, rel=1e-3)
 
 
 def test_compare_gives_the_same_room(tmp_path, capsys):
@@ -266,7 +264,7 @@ def race_lap(path, speed_scale=0.9):
     """Mean time of the timed lap of MAP on a line, and the log."""
     plant_parameters = load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=speed_scale)
-    vehicle = load_vehicle(plant_parameters.vehicle)
+    vehicle = plant_parameters.vehicle
     line = load_raceline(path)
     controller = Controller(
         parameters, build_steering_map("table", vehicle, parameters.v_max_mps), vehicle, line

@@ -24,6 +24,8 @@ from map_racing.experiments.paper import (
     tire_table,
     tuning_plan,
 )
+from map_racing.simulation.plants import load_plant
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import linearized
 
 NAN = math.nan
@@ -32,10 +34,15 @@ MAP, PURE_PURSUIT = "MAP Pacejka", "pure pursuit"
 
 @pytest.fixture(scope="module")
 def setting():
-    def identified(plant):
-        return plant.build_vehicle(), linearized(plant.build_vehicle())
+    return setting_of(load_conditions("paper"))
 
-    return Setting.load(load_conditions("paper"), identified)
+
+def setting_of(conditions):
+    """Setting in which the tires of the plant are known."""
+    plant = load_plant(conditions.plant)
+    vehicle = plant.build_vehicle()
+    raceline = load_raceline(conditions.track)
+    return Setting(conditions, raceline, plant, vehicle, linearized(vehicle))
 
 
 def stretch(number, time, rms, mean, largest, valid=True, duration=None):
@@ -148,7 +155,7 @@ def test_tuning_races_on_practice_days_at_its_own_speed(setting):
 
 def test_the_public_simulator_is_driven_at_the_center_of_gravity(setting):
     conditions = replace(setting.conditions, plant="public_simulator")
-    there = Setting.load(conditions, lambda plant: (plant, plant))
+    there = setting_of(conditions)
     controller = load_controller_parameters("map_paper")
     job = there.job(MAP, controller, there.day(1), 1)
     assert job.controller.reference_point == "center_of_gravity"

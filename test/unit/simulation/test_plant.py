@@ -320,7 +320,7 @@ def test_other_impossible_values_are_refused_by_name(tmp_path):
         message = refusal(tmp_path, {"vehicle": "nuc4", "measures_v_y": value})
         assert "measures_v_y: expected true or false" in message
     for value in (4, None, ["nuc4"], ""):
-        assert "vehicle must be" in refusal(tmp_path, {"vehicle": value})
+        assert "vehicle: expected a name or a path" in refusal(tmp_path, {"vehicle": value})
     with pytest.raises(ParameterError, match="nuc5"):
         PlantParameters(vehicle="nuc5").build_vehicle()
 

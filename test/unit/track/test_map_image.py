@@ -1,6 +1,7 @@
 """Centerlines from maps: drawn ones whose track is known, and real ones beside theirs."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -18,20 +19,26 @@ CELL = 0.05
 HALF = 0.8  # half the width of the drawn track [m]
 
 
+@lru_cache(maxsize=None)
 def bean():
     angle = np.linspace(0.0, 2.0 * math.pi, 300, endpoint=False)
     radius = 5.0 + 1.2 * np.cos(3.0 * angle)
     return Raceline(radius * np.cos(angle), radius * np.sin(angle))
 
 
-def drawn(track=None, outside=OCCUPIED):
-    """Gray values of the track's free space, first row on top, 16 m wide around the origin."""
-    track = track or bean()
+@lru_cache(maxsize=None)
+def distances(track):
+    """Distance of each cell from the track's line [m]: 16 m wide around the origin."""
     axis = (np.arange(320) + 0.5) * CELL - 8.0
     x, y = np.meshgrid(axis, axis[::-1])
     at = track.sample(np.linspace(0.0, track.length, 4000, endpoint=False))
-    distance, _ = cKDTree(np.stack((at.x, at.y), axis=1)).query(np.stack((x, y), axis=-1))
-    gray = np.full(x.shape, outside, dtype=np.uint8)
+    return cKDTree(np.stack((at.x, at.y), axis=1)).query(np.stack((x, y), axis=-1))[0]
+
+
+def drawn(track=None, outside=OCCUPIED):
+    """Gray values of the track's free space, first row on top."""
+    distance = distances(track or bean())
+    gray = np.full(distance.shape, outside, dtype=np.uint8)
     gray[distance < HALF + 2.0 * CELL] = OCCUPIED
     gray[distance < HALF] = FREE
     return gray

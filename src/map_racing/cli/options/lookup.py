@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
     check = actions.add_parser(
         "check",
-        help="what a table holds, and whether it fits a vehicle",
+        help="describe a table, compare it with a vehicle",
         description="Report the grid, the largest lateral acceleration and defects of a table. "
         "With --vehicle, compare it with the vehicle's table; a difference of more than "
         f"{LARGEST_DIFFERENCE:g} m/s^2 is an error.",
