@@ -1,6 +1,6 @@
 """Write the tables of parameters in these pages: ``python doc/tables.py``.
 
-A table stands between ``<!-- table: KIND -->`` and ``<!-- end -->``; it is made of the fields of KIND.
+A table stands between ``<!-- table: KIND -->`` and ``<!-- end -->`` and is made of the fields of KIND.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ from map_racing.control.safety import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.experiments.conditions import Conditions
 from map_racing.simulation.plant import PlantParameters
+from map_racing.simulation.public_simulator import PublicSimulatorParameters
 from map_racing.validation import parameter_table
 
 KINDS = {
     "Conditions": parameter_table(Conditions),
     "ControllerParameters": parameter_table(ControllerParameters),
     "PlantParameters": parameter_table(PlantParameters),
+    "PublicSimulatorParameters": parameter_table(PublicSimulatorParameters),
     "RampParameters": parameter_table(RampParameters, "~"),
     "SafetyLimits": parameter_table(SafetyLimits, "~"),
 }
