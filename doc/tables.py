@@ -1,7 +1,7 @@
 """Write the tables of parameters in these pages: ``python doc/tables.py``.
 
-A table stands between ``<!-- table: KIND -->`` and ``<!-- end -->``. It is made of the fields of the
-class KIND.
+A table stands between ``<!-- table: KIND -->`` and ``<!-- end -->``; its rows are the fields of
+the class KIND.
 """
 
 from __future__ import annotations
