@@ -35,12 +35,12 @@ from map_racing.vehicle.lookup import published_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
-RECORDING = Path(__file__).resolve().parents[2] / "shared/data/recordings/hangar_map_12laps.bag"
 SYSTEM_PYTHON = "/usr/bin/python3"  # where Debian's and ROS's rosbag package is
+EVALUATE = "--evaluate"  # how this program calls itself, to evaluate a bag in a new process
 SPEED_SCALE = 0.7  # a pace at which the shipped controllers lap the reference track cleanly
 
 
-def main():
+def main(recording=None):
     """Run all comparisons and print one table."""
     rows, remarks = [], []
     vehicle, raceline = load_vehicle("nuc4"), load_raceline("reference")
@@ -48,7 +48,7 @@ def main():
         for compare in (
             lambda: compare_table(vehicle),
             lambda: compare_controller(vehicle, raceline),
-            lambda: compare_recording(vehicle, raceline, Path(folder)),
+            lambda: compare_recording(vehicle, raceline, Path(folder), recording),
             lambda: compare_hour(raceline, Path(folder)),
             lambda: compare_simulation(vehicle, raceline),
         ):
@@ -309,15 +309,16 @@ def run(command):
 
 def run_evaluation(path):
     """Figures of `evaluate_bag`."""
-    return run([sys.executable, __file__, path])
+    return run([sys.executable, __file__, EVALUATE, path])
 
 
-def compare_recording(vehicle, raceline, folder):
-    """Evaluating a recording, against only reading its poses."""
-    bag, what = RECORDING, "a recorded race"
-    if not bag.is_file():
-        bag, what = folder / "race.bag", "a simulated race (no recording beside the repository)"
-        write_race_bag(bag, drive(vehicle, raceline, laps=7), raceline)
+def compare_recording(vehicle, raceline, folder, recording=None):
+    """Evaluating a bag (by default of a simulated race), against only reading its poses."""
+    bag, what = recording, f"{recording}"
+    if recording is None:
+        bag, what = folder / "race.bag", "a simulated race"
+        # As many poses as a recording of some twelve laps with a pose at 100 Hz.
+        write_race_bag(bag, drive(vehicle, raceline, laps=15), raceline)
     can_rosbag = [SYSTEM_PYTHON, "-c", "import rosbag"]
     has_rosbag = (
         Path(SYSTEM_PYTHON).exists()
@@ -406,7 +407,7 @@ def compare_simulation(vehicle, raceline):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        evaluate_bag(sys.argv[1])
+    if sys.argv[1:2] == [EVALUATE]:
+        evaluate_bag(sys.argv[2])
     else:
-        main()
+        main(*sys.argv[1:2])

@@ -94,6 +94,12 @@ class Rig:
         wait_for(lambda: [m for m in self.drive[mark:] if m.drive.speed > 1.0], 10.0, "driving")
         self.wait_mode("driving")
 
+    def more(self, count):
+        """Wait for so many more commands; return them."""
+        mark = len(self.drive)
+        wait_for(lambda: len(self.drive) >= mark + count, 10.0, f"{count} more commands")
+        return self.drive[mark:]
+
     def status(self):
         ours = [a.status[0] for a in list(self.diagnostics) if "controller" in a.status[0].name]
         return {pair.key: pair.value for pair in ours[-1].values} if ours else {}
@@ -108,6 +114,8 @@ class Rig:
     def stops(self, reason):
         """Wait for the stop; it must have been a ramp at the stated deceleration."""
         self.wait_mode("stopped", reason)
+        # The diagnosis may overtake the last command.
+        wait_for(lambda: self.drive[-1].drive.speed == 0.0, what="the last command")
         messages = list(self.drive)
         end = next(i for i in reversed(range(len(messages))) if messages[i].drive.speed > 0.0)
         begin = end

@@ -5,7 +5,6 @@ import os
 import signal
 import socket
 import sys
-import time
 
 import pytest
 from dynamic_reconfigure.client import Client
@@ -49,8 +48,7 @@ def test_frozen_poses_without_velocity(poses_only):
     rig = poses_only()
     rig.driving()
     for stamped in (True, False):
-        mark = len(rig.drive)
-        wait_for(lambda start=mark: len(rig.drive) > start + 40)
+        rig.more(40)
         at = rig.car.message().pose
 
         def freeze(message, at=at, stamped=stamped):
@@ -72,8 +70,7 @@ def test_poses_of_two_nodes(rig, start):
     start("simulator", {"start_s": 20.0})
     text = "/odom: /simulator publishes it, too; only /test"
     wait_for(lambda: text in rig.node.output, what="the error")
-    mark = len(rig.drive)
-    wait_for(lambda: len(rig.drive) > mark + 100)
+    rig.more(100)
     rig.wait_mode("driving")
     assert_sane(rig)
 
@@ -105,7 +102,7 @@ def test_poses_out_of_order(rig):
         return held.pop(0) if len(held) > 1 and len(held) % 2 else held.pop()
 
     rig.car.change = shuffle
-    time.sleep(1.0)
+    rig.more(50)
     assert_sane(rig)
 
 
@@ -121,8 +118,7 @@ def test_nonsense_by_live_tuning(rig):
     held = client.get_configuration(timeout=5.0)
     assert all(math.isfinite(held[name]) for name in names), held
     client.update_configuration({"steering_map": "magic"})
-    mark = len(rig.drive)
-    wait_for(lambda: len(rig.drive) > mark + 50)
+    rig.more(50)
     assert_sane(rig, 3.0)
 
 
@@ -232,7 +228,7 @@ def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step
         temporary.write_text(str(step))
         temporary.rename(file)
         car.now = lambda: now() + ros.Duration.from_sec(step)
-        time.sleep(1.0)
+        rig.more(50)
         rig.driving()
         # A stop begins at the speed that the car has, if it was told to be faster.
         speeds = [min(m.drive.speed, car.speed) for m in rig.drive]
@@ -269,6 +265,22 @@ def test_without_a_master_it_says_so_and_can_be_interrupted(processes, roscore):
     node = processes([sys.executable, ROOT / "scripts/controller"], environment)
     wait_for(lambda: "no ROS master at http://127.0.0.1:9" in node.output)
     node.signal(signal.SIGINT)
+    assert node.wait() == 130
+    assert "Traceback" not in node.output
+
+
+def test_an_interrupt_while_it_looks_for_a_master(processes, roscore):
+    """rosgraph takes any exception, KeyboardInterrupt too, for a master that does not answer."""
+    code = """
+import os, signal, rosgraph
+def interrupted(self):
+    os.kill(os.getpid(), signal.SIGINT)
+    raise ConnectionRefusedError
+rosgraph.Master.getPid = interrupted
+from map_racing.nodes import controller
+controller.main()
+"""
+    node = processes([sys.executable, "-c", code])
     assert node.wait() == 130
     assert "Traceback" not in node.output
 

@@ -1,9 +1,11 @@
-"""The drive from which tires are identified: constant speed, slowly tightening circles.
+"""The maneuver for tire identification: slowly tightening circles at constant speed.
 
-The car settles at a constant speed, then the steering angle rises so slowly that each instant is a
-steady state: from rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
+The car settles at a constant speed, then the steering angle rises so slowly that every instant is a
+steady state, from rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
 section on the identification of the tires).
 """
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -57,7 +59,7 @@ class RampParameters:
 
 @dataclass(frozen=True)
 class Circle:
-    """Area within a radius [m] of a center [m]."""
+    """Area within a radius [m] around a center [m]."""
 
     x: float
     y: float
@@ -67,8 +69,8 @@ class Circle:
         if not (math.isfinite(self.x + self.y) and 0.0 < self.radius < math.inf):
             raise ParameterError(f"area: expected a circle, got {self}")
 
-    def contains(self, x, y):
-        """Whether a position [m] lies within; one that is not finite does not."""
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a position [m] is inside; one that is not finite is not."""
         return math.hypot(x - self.x, y - self.y) <= self.radius
 
 
@@ -83,15 +85,15 @@ class Box:
 
     def __post_init__(self):
         if not (self.x_min < self.x_max and self.y_min < self.y_max):
-            raise ParameterError(f"area: expected a box of some size, got {self}")
+            raise ParameterError(f"area: expected a box, got {self}")
 
-    def contains(self, x, y):
-        """Whether a position [m] lies within; one that is not finite does not."""
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a position [m] is inside; one that is not finite is not."""
         return self.x_min <= x <= self.x_max and self.y_min <= y <= self.y_max
 
 
 class Phase(Enum):
-    """What the car is doing."""
+    """Phase of the maneuver."""
 
     WAITING = "waiting for the dead-man button"
     OUTSIDE = "outside of the area"
@@ -110,10 +112,10 @@ class RampCommand(NamedTuple):
 
 
 class SteeringRamp:
-    """Steering ramps to either side within an area, as long as somebody holds the button.
+    """Steering ramps to either side within an area, while somebody holds the dead-man button.
 
-    Letting go of the button, or leaving the area, stops the car. When both are in order again and
-    the car stands, the ramp that was cut short begins anew.
+    Releasing the button, or leaving the area, stops the car. Once the button is held again, inside
+    the area and at standstill, the interrupted ramp starts over.
 
     Parameters
     ----------
@@ -123,10 +125,10 @@ class SteeringRamp:
     Attributes
     ----------
     completed : int
-        Ramps driven to their end.
+        Number of completed ramps.
     """
 
-    def __init__(self, parameters, area):
+    def __init__(self, parameters: RampParameters, area: Circle | Box):
         self.parameters = parameters
         self.area = area
         self.completed = 0
@@ -137,8 +139,8 @@ class SteeringRamp:
         self._since = 0.0
         self._last_t = None
 
-    def update(self, t, x, y, v, enabled):
-        """The command for one pose.
+    def update(self, t: float, x: float, y: float, v: float, enabled: bool) -> RampCommand:
+        """Command for one pose.
 
         Parameters
         ----------
@@ -175,7 +177,7 @@ class SteeringRamp:
         return RampCommand(self._angle, self._speed, self._phase)
 
     def _rest(self, v):
-        """Once it stands: to the next ramp, or to the end."""
+        """At standstill: on to the next ramp, or done."""
         self._speed = 0.0
         if abs(v) > STANDSTILL:
             return

@@ -423,11 +423,11 @@ def evaluate(
 def _check_followed(recording, result, progress, max_deviation):
     """Refuse driving on another track than the raceline."""
     raceline = result.raceline
-    s, d = (np.concatenate([getattr(lap.trace, k) for lap in result.laps]) for k in ("s", "d"))
+    d = np.concatenate([lap.trace.d for lap in result.laps])
     deviation = np.abs(d)
     allowed = max_deviation
     if allowed is None and raceline.d_left is not None:
-        curve = raceline.sample(s + result.start_s)
+        curve = raceline.sample(np.concatenate([_places(lap, result) for lap in result.laps]))
         allowed = np.where(d > 0.0, curve.d_left, curve.d_right)
     elif allowed is None:
         allowed = _NO_WALLS
@@ -443,6 +443,14 @@ def _check_followed(recording, result, progress, max_deviation):
             f"{recording.source}: the car drove elsewhere: of {driven:.0f} m it came "
             f"{abs(progress):.0f} m along the raceline {_name(raceline)}"
         )
+
+
+def _places(lap, result):
+    """Arc lengths [m] along the raceline of the samples of a lap."""
+    trace, begin = lap.trace, result.start_s
+    if lap.reason.startswith("out-lap"):
+        begin = result.raceline.project(trace.x[0], trace.y[0]).s
+    return begin + trace.s
 
 
 def _name(raceline):

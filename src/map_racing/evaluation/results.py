@@ -16,8 +16,9 @@ __all__ = ["Lap", "LapTrace", "RunResult", "Summary"]
 class LapTrace(NamedTuple):
     """Samples of a lap, for plots; the first and last are the interpolated crossings.
 
-    Time ``t`` [s] on the recording's clock, position ``x, y`` [m], distance from the start line
-    ``s`` along the track [m], deviation ``d`` [m] left positive, speed ``v`` [m/s].
+    Time ``t`` [s] on the recording's clock, position ``x, y`` [m], distance ``s`` along the track
+    [m] from the start line, in an out-lap from its first sample, deviation ``d`` [m] left positive,
+    speed ``v`` [m/s].
     """
 
     t: np.ndarray

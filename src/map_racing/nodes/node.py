@@ -124,6 +124,9 @@ def run(name, make):
 
 def _wait_for_master():
     """Wait for the master where Ctrl-C works; ``init_node`` without one can only be killed."""
+    # Not by an exception, which `is_master_online` would take for a master that is not there.
+    interrupted = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     try:
         while not rosgraph.is_master_online():
             print(
@@ -134,11 +137,12 @@ def _wait_for_master():
             )
             end = time.monotonic() + 10.0
             while time.monotonic() < end and not rosgraph.is_master_online():
-                time.sleep(0.2)
+                if interrupted.wait(0.2):
+                    raise SystemExit(130)
     except ValueError as error:
         raise SystemExit(f"ROS_MASTER_URI: {error}") from None
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+    if interrupted.is_set():
+        raise SystemExit(130)
 
 
 def _watch_master():

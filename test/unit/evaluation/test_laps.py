@@ -517,12 +517,60 @@ def test_walls_drawn_too_tight_are_not_elsewhere(drive, line, off, elsewhere):
         assert "off track by 0.30 m" in evaluate(recording(t, x, y), line).laps[1].reason
 
 
-def test_car_that_never_came_along_drove_elsewhere(track, line):
-    t = np.arange(800) / 40.0
+@pytest.mark.parametrize(
+    "walls, limit, off, elsewhere",
+    [
+        ((1.0, 2.2), None, 1.4, False),
+        ((1.0, 2.2), None, 1.6, True),
+        ((1.0, 2.2), None, -2.6, False),
+        ((1.0, 2.2), None, -2.8, True),
+        (None, None, 2.4, False),
+        (None, None, -2.6, True),
+        ((1.0, 1.0), 2.0, 2.4, False),
+        ((1.0, 1.0), 2.0, 2.6, True),
+    ],
+)
+def test_elsewhere_is_half_a_meter_beyond_walls_or_limit(drive, line, walls, limit, off, elsewhere):
+    t, x, y = drive(12.0, d=lambda s: np.full_like(s, off))
+    widths = {} if walls is None else dict(zip(("d_left_m", "d_right_m"), walls))
+    columns = {name: np.full(line.x.size, width) for name, width in widths.items()}
+    raceline, limits = Raceline(line.x, line.y, **columns), LapLimits(max_deviation=limit)
+    if elsewhere:
+        with pytest.raises(EvaluationError, match="drove elsewhere.* the raceline raceline$"):
+            evaluate(recording(t, x, y), raceline, limits=limits)
+    else:
+        assert evaluate(recording(t, x, y), raceline, limits=limits).laps
+
+
+@pytest.mark.parametrize("begin, elsewhere", [(0.1, False), (0.6, True)])
+def test_walls_are_those_where_the_car_is(drive, track, line, begin, elsewhere):
+    """Wide ones in the first half of the track, narrow ones in the second."""
+    width = np.where(line.s_points < 0.5 * track.length, 1.0, 0.1)
+    raceline = Raceline(line.x, line.y, d_left_m=width, d_right_m=width)
+    duration = 0.3 * track.length / V
+    driven = recording(
+        *drive(duration, lambda t: begin * track.length + V * t, lambda s: 0 * s + 0.65)
+    )
+    if elsewhere:
+        with pytest.raises(EvaluationError, match="drove elsewhere"):
+            evaluate(driven, raceline, start_s=0.35 * track.length)
+    else:
+        assert evaluate(driven, raceline, start_s=0.35 * track.length).laps
+
+
+@pytest.mark.parametrize("share", [0.4, 0.7, 3.0])
+def test_car_that_never_came_along_drove_elsewhere(track, line, share):
+    """Circles of 4 m/s beside the line; what is less than half a lap may be a start."""
+    t = np.arange(0.0, share * track.length / 4.0, 1.0 / 40.0)
     x, y, psi = track.place(10.0)
     circle = recording(t, x + 0.5 * np.cos(8.0 * t), y + 0.5 * np.sin(8.0 * t))
-    with pytest.raises(EvaluationError, match=r"of \d+ m it came \d m along the raceline bean"):
+    if share < 0.5:
+        assert not evaluate(circle, line).summary.laps_completed
+        return
+    with pytest.raises(EvaluationError) as error:
         evaluate(circle, line)
+    found = re.search(r": of (\d+) m it came \d m along the raceline bean$", str(error.value))
+    assert int(found.group(1)) == pytest.approx(share * track.length, rel=0.1)
 
 
 def test_car_that_drove_against_the_direction(drive, line):
@@ -530,6 +578,13 @@ def test_car_that_drove_against_the_direction(drive, line):
     assert result.summary.laps_completed == 0
     assert result.laps[0].reason.startswith("out-lap; reverse")
     assert any("against the direction" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("share, noted", [(-0.3, False), (-0.7, True), (0.7, False)])
+def test_half_a_lap_backwards_is_against_the_direction(drive, track, line, share, noted):
+    t, x, y = drive(abs(share) * track.length / V, s=lambda t: math.copysign(V, share) * t + 5.0)
+    notes = evaluate(recording(t, x, y), line).notes
+    assert bool(notes) is noted
 
 
 def test_hangar_recording(shared_data):

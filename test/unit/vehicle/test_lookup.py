@@ -149,7 +149,12 @@ def test_default_grid_ends_at_the_limits_of_the_car():
     assert angle_axis.size == 257
 
 
-@pytest.mark.parametrize("v_max", [0.0, -3.0, 1e9, math.inf, math.nan])
+@pytest.mark.parametrize("v_max", [0.2, 8.0, 100.0])
+def test_default_grid_has_a_column_every_tenth(v_max):
+    np.testing.assert_allclose(default_grid(NUC4, v_max)[0], 0.1 * np.arange(1, 10 * v_max + 1))
+
+
+@pytest.mark.parametrize("v_max", [0.0, 0.19, -3.0, 100.5, 1e9, math.inf, math.nan])
 def test_default_grid_refuses_impossible_speeds(v_max):
     with pytest.raises(ParameterError, match="^v_max: expected"):
         default_grid(NUC4, v_max)
@@ -159,6 +164,24 @@ def test_wheelbase_is_recovered_from_a_table_without_provenance():
     bare = LookupTable(SPEEDS, ANGLES, TABLE.a_lat)
     assert bare.l_wb == pytest.approx(NUC4.l_wb, abs=1e-5)
     assert bare.steering(12.0, 5.0)[0] == pytest.approx(TABLE.steering(12.0, 5.0)[0], abs=1e-6)
+
+
+def test_wheelbase_is_that_of_the_provenance():
+    provenance = dataclasses.replace(TABLE.provenance, l_wb=0.4)
+    assert LookupTable(SPEEDS, ANGLES, TABLE.a_lat, provenance).l_wb == 0.4
+
+
+def one_column(l_wb, v=2.0):
+    """Table of one speed, of a car that drives as geometry has it."""
+    return LookupTable([v], [0.0, 0.1, 0.2], np.array([[0.0, 0.1, 0.2]]).T * v**2 / l_wb)
+
+
+def test_a_table_of_one_speed():
+    table = one_column(0.4)
+    assert table.l_wb == pytest.approx(0.4)
+    assert table.acceleration(2.0, 0.1) == pytest.approx(1.0)
+    assert table.acceleration(2.0, -0.15) == pytest.approx(-1.5)
+    assert table.steering(2.0, 1.5) == (pytest.approx(0.15), False)
 
 
 @any_table
@@ -178,6 +201,19 @@ def test_acceleration_is_bilinear():
     np.testing.assert_allclose(
         TABLE.acceleration([[v], [-v]], [delta, -delta]), expected * np.array([[1, -1], [1, -1]])
     )
+
+
+def test_acceleration_at_nodes_is_that_of_the_cells():
+    for i, j in itertools.product((0, 1, 30, 59), (0, 1, 63, 64)):
+        expected = pytest.approx(TABLE.a_lat[i, j], rel=1e-12)
+        assert TABLE.acceleration(SPEEDS[j], ANGLES[i]) == expected
+    within = TABLE.acceleration(0.5 * (SPEEDS[0] + SPEEDS[1]), ANGLES[30])
+    assert within == pytest.approx(TABLE.a_lat[30, :2].mean(), rel=1e-12)
+
+
+def test_numbers_give_numbers():
+    assert type(TABLE.acceleration(2.0, 0.1)) is float
+    assert type(TABLE.max_lateral_acceleration(2.0)) is float
 
 
 def test_acceleration_beyond_the_table_is_not_a_number():
@@ -212,17 +248,23 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
     ("arguments", "message"),
     [
         (([1.0, 1.0], [0.1], [[1, 1]]), "speeds: expected ascending values, got 1 before 1"),
-        (([0.0, 1.0], [0.1], [[1, 1]]), "speeds: expected positive ones"),
-        (([1.0], [0.2, 0.1], [[1], [2]]), "angles: expected ascending values, got 0.2 before 0.1"),
+        (([0.0, 1.0], [0.1], [[1, 1]]), "^speeds: expected positive ones, got 0 m/s"),
+        (
+            ([1.0], [0.1, 0.3, 0.2, 0.4], np.ones((4, 1))),
+            "^angles: expected ascending values, got 0.3 before 0.2",
+        ),
         (
             ([1.0], [-0.1, 0.1], [[1], [2]]),
-            r"angles: expected them within \[0, pi/2\) rad, got -0.1",
+            r"angles: expected them within \[0, pi/2\) rad, got -0.1 to 0.1",
         ),
         (([1.0], [0.1, 2.0], [[1], [2]]), r"angles: expected them within .* got 0.1 to 2"),
+        (([1.0], [0.1, 0.5 * math.pi], [[1], [2]]), r"angles: expected them within"),
         (([1.0], [0.1], [[1, 2]]), r"a_lat: expected shape \(1, 1\), got \(1, 2\)"),
-        (([1.0], [0.1], [[np.inf]]), "a_lat: expected finite values or NaN, got inf"),
-        (([1.0], [0.1], [[np.nan]]), "a_lat: expected cells that rise"),
+        (([1.0], [0.1], [[np.inf]]), "^a_lat: expected finite values or NaN, got inf$"),
+        (([1.0], [0.1], [[np.nan]]), "^a_lat: expected cells that rise .* got none$"),
         (([np.nan], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
+        (([], [0.1], [[]]), "speeds: expected a list of finite numbers"),
+        (([[1.0]], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
     ],
 )
 def test_impossible_tables_are_refused(arguments, message):
@@ -231,8 +273,10 @@ def test_impossible_tables_are_refused(arguments, message):
 
 
 def test_the_table_cannot_be_changed_under_its_inverse():
-    with pytest.raises(ValueError, match="read-only"):
-        TABLE.a_lat[1, 1] = 3.0
+    table = one_column(0.4)
+    for values in (table.a_lat, table.speeds, table.angles):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 3.0
 
 
 @any_table
@@ -265,7 +309,7 @@ def test_a_table_without_provenance_does_not_inherit_an_old_one(tmp_path):
         ("0,1,2\n0.1,1\n", "table.csv:2: expected 3 columns, got 2"),
         ("0,1,2\n0.1,1,2\n\n0.2,x,4\n", "table.csv:4: column 2: expected a number, got 'x'"),
         ("0;1;2\n0.1;1;2\n", "table.csv: expected speeds, then rows of angles, with commas"),
-        ("1,1,2\n0.1,1,2\n", "table.csv:1: expected 0 in the first cell, got 1"),
+        ("3,1,2\n0.1,1,2\n", "table.csv:1: expected 0 in the first cell, got 3"),
         ("0,2,1\n0.1,1,2\n", "speeds: expected ascending values, got 2 before 1"),
         ("0,1\n0.2,1\n0.1,2\n", "angles: expected ascending values, got 0.2 before 0.1"),
         ("0,1\n0.1,inf\n", "a_lat: expected finite values or NaN"),
@@ -323,3 +367,7 @@ def test_cells_that_give_no_wheelbase_are_no_table():
     cells = np.outer(angles, [10.0, 9.0, 8.0, 7.0, 6.0])
     with pytest.raises(ParameterError, match="wheelbase"):
         LookupTable([1.0, 2.0, 3.0, 4.0, 5.0], angles, cells)
+    for impossible in (0.009, 10.5):
+        with pytest.raises(ParameterError, match="^a_lat: expected a steady-state table, .*wheelb"):
+            one_column(impossible)
+    assert one_column(9.5).l_wb == pytest.approx(9.5)
