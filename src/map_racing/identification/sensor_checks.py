@@ -17,7 +17,7 @@ import numpy as np
 from ..vehicle.single_track import GRAVITY
 from .cornering import RATE_HZ, STANDSTILL_MPS
 
-__all__ = ["Finding", "check", "correct", "reason_to_refuse"]
+__all__ = ["SensorFinding", "check", "correct", "reason_to_refuse"]
 
 TURNING_RADPS = 0.3
 LEAST_USABLE_S = 2.0
@@ -37,7 +37,7 @@ PICK = 5  # samples per point: the low-pass leaves neighbors dependent
 
 
 @dataclass(frozen=True)
-class Finding:
+class SensorFinding:
     """What one check says.
 
     Parameters
@@ -48,24 +48,24 @@ class Finding:
         The measurement, in one line.
     fix : dict
         Changes of the `SensorSetup` that would repair a contradiction; empty if all is well.
-    grave : bool
+    critical : bool
         Whether tires identified without the repair would be wrong from the ground up.
     """
 
     check: str
     text: str
     fix: dict = field(default_factory=dict)
-    grave: bool = False
+    critical: bool = False
 
     def __post_init__(self):
         plain = {k: v if isinstance(v, str) else float(v) for k, v in self.fix.items()}
         object.__setattr__(self, "fix", plain)
-        object.__setattr__(self, "grave", bool(self.grave))
+        object.__setattr__(self, "critical", bool(self.critical))
 
     @property
     def contradiction(self):
         """Whether there is something to repair."""
-        return bool(self.fix) or self.grave
+        return bool(self.fix) or self.critical
 
 
 def reason_to_refuse(motion):
@@ -154,7 +154,7 @@ def check(motions, setup, vehicle):
 
     Returns
     -------
-    list of Finding
+    list of SensorFinding
         In the order in which repairs must be made.
     """
     motions = [
@@ -167,7 +167,7 @@ def check(motions, setup, vehicle):
     findings = []
     for checker in (_heading, _rates):
         findings += checker(motions, setup, vehicle)
-        if any(finding.grave for finding in findings):
+        if any(finding.critical for finding in findings):
             # All that follows is judged by speed, yaw rate and heading.
             return findings
     for checker in (
@@ -191,7 +191,7 @@ def correct(motions_with, setup, vehicle):
     Returns
     -------
     setup : SensorSetup
-    corrections : list of Finding
+    corrections : list of SensorFinding
     """
     corrections = []
     while len(corrections) < MOST_CORRECTIONS:
@@ -215,12 +215,12 @@ def _heading(motions, setup, vehicle):
         return []
     turned = math.remainder(setup.heading_offset_rad + math.pi, 2.0 * math.pi)
     return [
-        Finding(
+        SensorFinding(
             "heading",
             f"heading: the pose moves {np.median(beta):.2f} rad off its own heading: it points "
             "backwards",
             {"heading_offset_rad": turned},
-            grave=True,
+            critical=True,
         )
     ]
 
@@ -241,14 +241,14 @@ def _rates(motions, setup, vehicle):
             f"{what}: {min(abs(yaw), abs(speed)):.2f} times what the poses say: it measures "
             "something else, and can be left out of the channel map, unless a unit is wrong"
         )
-        return [Finding(what, text, grave=True)]
+        return [SensorFinding(what, text, critical=True)]
     if yaw < 0.0:
         text = "yaw rate: its sign is not that of the heading's turning"
         fix = {"yaw_rate_scale": -setup.yaw_rate_scale}
-        return [Finding("yaw rate", text, fix, grave=True)]
+        return [SensorFinding("yaw rate", text, fix, critical=True)]
     if speed < 0.0:
         text = "speed: negative where the car drives forwards"
-        return [Finding("speed", text, {"speed_scale": -setup.speed_scale}, grave=True)]
+        return [SensorFinding("speed", text, {"speed_scale": -setup.speed_scale}, critical=True)]
     yaw_off, speed_off = abs(yaw - 1.0), abs(speed - 1.0)
     if min(yaw_off, speed_off) > 0.05 and abs(yaw - speed) < 0.5 * min(yaw_off, speed_off):
         text = (
@@ -256,13 +256,13 @@ def _rates(motions, setup, vehicle):
             f"the path per time: a second of the recording lasts {1.0 / yaw:.3f} s"
         )
         fix = {"time_scale": round(setup.time_scale / yaw, 4)}
-        return [Finding("time", text, fix, grave=True)]
+        return [SensorFinding("time", text, fix, critical=True)]
     text = f"yaw rate: {yaw:.3f} times the turning of the heading"
     fix = {"yaw_rate_scale": round(setup.yaw_rate_scale / yaw, 4)} if yaw_off > 0.05 else {}
-    findings.append(Finding("yaw rate", text, fix, grave=yaw_off > 0.2))
+    findings.append(SensorFinding("yaw rate", text, fix, critical=yaw_off > 0.2))
     text = f"speed: {speed:.3f} times the path per time"
     fix = {"speed_scale": round(setup.speed_scale / speed, 4)} if speed_off > 0.05 else {}
-    findings.append(Finding("speed", text, fix, grave=speed_off > 0.2))
+    findings.append(SensorFinding("speed", text, fix, critical=speed_off > 0.2))
     return findings
 
 
@@ -275,7 +275,11 @@ def _steering_sign(motions, setup, vehicle):
         "steering_gain": -setup.steering_gain,
         "steering_offset_rad": -setup.steering_offset_rad,
     }
-    return [Finding("steering", "steering: its sign is not that of the yaw rate", fix, grave=True)]
+    return [
+        SensorFinding(
+            "steering", "steering: its sign is not that of the yaw rate", fix, critical=True
+        )
+    ]
 
 
 def _lateral_axis(motions, setup, vehicle):
@@ -304,7 +308,7 @@ def _lateral_axis(motions, setup, vehicle):
         text = f"lateral acceleration: a_{own} does not follow speed times yaw rate{why}, "
         if best is None:
             text += "nor does another axis: take it from these (--acceleration yaw_rate)"
-            return [Finding("lateral acceleration", text, grave=True)]
+            return [SensorFinding("lateral acceleration", text, critical=True)]
         slope = fits[best][0]
         fix = {
             "lateral_axis": best,
@@ -312,7 +316,7 @@ def _lateral_axis(motions, setup, vehicle):
             "lateral_offset_mps2": 0.0,
         }
         text += f"a_{best} does, {slope:.2f} times"
-        return [Finding("lateral acceleration", text, fix, grave=True)]
+        return [SensorFinding("lateral acceleration", text, fix, critical=True)]
     slope = fits[own][0] * setup.lateral_scale
     if slope > 0.0:
         return []
@@ -322,7 +326,7 @@ def _lateral_axis(motions, setup, vehicle):
         "lateral_scale": -setup.lateral_scale,
         "lateral_offset_mps2": -setup.lateral_offset_mps2,
     }
-    return [Finding("lateral acceleration", text, fix, grave=True)]
+    return [SensorFinding("lateral acceleration", text, fix, critical=True)]
 
 
 def _lateral_scale(motions, setup, vehicle):
@@ -351,8 +355,8 @@ def _lateral_scale(motions, setup, vehicle):
         if 0.0 < slope - 1.0 < 0.2:
             roll = (slope - 1.0) / GRAVITY
             text += f", as of a body that rolls {math.degrees(roll):.2f} degrees per m/s^2"
-    grave = abs(slope - 1.0) > 0.25 or abs(offset) > 0.75
-    return [Finding("lateral acceleration", text, fix, grave)]
+    critical = abs(slope - 1.0) > 0.25 or abs(offset) > 0.75
+    return [SensorFinding("lateral acceleration", text, fix, critical)]
 
 
 def _pose_point(motions, setup, vehicle):
@@ -379,13 +383,13 @@ def _pose_point(motions, setup, vehicle):
             near = min(guesses, key=lambda guess: abs(guess - d))
             fix = {"pose_x_m": round(near if abs(near - d) < 0.05 else d, 4)}
             text += f", not {setup.pose_x_m:.3f} m"
-        findings.append(Finding("pose", text, fix, grave=bool(fix)))
+        findings.append(SensorFinding("pose", text, fix, critical=bool(fix)))
     else:
         text = (
             f"pose: driven at one speed only, its point (here {setup.pose_x_m:.3f} m ahead of the "
             "rear axle) cannot be told from the slip of the rear axle"
         )
-        findings.append(Finding("pose", text))
+        findings.append(SensorFinding("pose", text))
     if both and error[-1] < 0.01:
         offset = solution[-1]
         fix = {}
@@ -394,7 +398,7 @@ def _pose_point(motions, setup, vehicle):
         text = (
             f"heading: {offset:+.4f} +- {error[-1]:.4f} rad off the car's axis, left against right"
         )
-        findings.append(Finding("heading", text, fix))
+        findings.append(SensorFinding("heading", text, fix))
     return findings
 
 
@@ -412,10 +416,10 @@ def _steering_gain(motions, setup, vehicle):
             "steering: gain and offset cannot be told apart: no slow cornering (below "
             f"{LOW_SHARE:.0%} of the largest acceleration) to both sides"
         )
-        return [Finding("steering", text)]
+        return [SensorFinding("steering", text)]
     if _one_speed(cornering["v"]):
         text = "steering: driven at one speed only, its gain cannot be told from understeer"
-        return [Finding("steering", text)]
+        return [SensorFinding("steering", text)]
     gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
     text = (
         f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
@@ -430,7 +434,9 @@ def _steering_gain(motions, setup, vehicle):
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
     elif "steering_gain" in fix:
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * gain, 4)
-    return [Finding("steering", text, fix, grave=abs(gain - 1.0) > 0.3 and gain_error < 0.1)]
+    return [
+        SensorFinding("steering", text, fix, critical=abs(gain - 1.0) > 0.3 and gain_error < 0.1)
+    ]
 
 
 def _steering(columns, vehicle, with_offset):
@@ -480,7 +486,7 @@ def _front_slip(motions, setup, vehicle):
             "times as much"
         )
         fix = {"steering_gain": round(setup.steering_gain * gain, 4)}
-    return [Finding("front slip", text, fix, grave=True)]
+    return [SensorFinding("front slip", text, fix, critical=True)]
 
 
 def _lateral_velocity(motions, setup, vehicle):
@@ -496,7 +502,7 @@ def _lateral_velocity(motions, setup, vehicle):
         f"lateral velocity: the odometry's differs from the poses', which is used, by "
         f"{np.sqrt(np.mean((own - poses) ** 2)):.3f} m/s RMS"
     )
-    return [Finding("lateral velocity", text)]
+    return [SensorFinding("lateral velocity", text)]
 
 
 def _sides(motions, setup, vehicle):
@@ -505,7 +511,7 @@ def _sides(motions, setup, vehicle):
         return []
     side = "left" if np.median(r) > 0.0 else "right"
     text = f"sides: driven to the {side} only, so that no offset of a sensor can be seen"
-    return [Finding("sides", text)]
+    return [SensorFinding("sides", text)]
 
 
 def _localization(motions, setup, vehicle):
@@ -518,17 +524,19 @@ def _localization(motions, setup, vehicle):
                 f"localization: {motion.run.label}: speed or yaw rate disagree with the car's "
                 f"sensors in {lost:.1f} of {driven:.1f} s, which are left out"
             )
-            findings.append(Finding("localization", text))
+            findings.append(SensorFinding("localization", text))
         spikes = {name: share for name, share in motion.spikes.items() if share > 0.02}
         if spikes:
             shares = ", ".join(f"{share:.0%} of {name}" for name, share in spikes.items())
-            findings.append(Finding("spikes", f"spikes: {motion.run.label}: {shares} left out"))
+            findings.append(
+                SensorFinding("spikes", f"spikes: {motion.run.label}: {shares} left out")
+            )
         if abs(motion.clock_offset_s) > 0.03 and motion.segments():
             text = (
                 f"clock: {motion.run.label}: the pose's clock was shifted by "
                 f"{motion.clock_offset_s:+.2f} s to the yaw rate's"
             )
-            findings.append(Finding("clock", text))
+            findings.append(SensorFinding("clock", text))
     return findings
 
 
