@@ -22,7 +22,8 @@ from ..vehicle.tires import PacejkaTire
 from .cornering import Motion, motion_of
 from .data import Run, SensorSetup
 from .limits import RATE_HZ, SteadyLimits
-from .sensor_checks import SensorFinding, check, correct, reason_to_refuse
+from .sensor_checks import check, correct, reason_to_refuse
+from .sensor_findings import SensorFinding
 from .tire_fit import AxlePoints, LinearFit, PacejkaFit, axle_points, fit_linear, fit_pacejka
 
 __all__ = [
