@@ -327,7 +327,8 @@ def on_common_days(races: pd.DataFrame, first: str, second: str) -> pd.DataFrame
     -------
     pandas.DataFrame
         ``speed_scale``; number of ``days``, and of ``days_closer`` on which the first had the
-        smaller RMS error; ``error_ratio`` of the mean RMS errors, first to second; ``gain_s`` [s] per lap.
+        smaller RMS error; ``error_ratio`` of the mean RMS errors, first to second;
+        ``gain_s`` [s] per lap.
     """
     completed = races[races.outcome == "completed"]
     a, b = (
