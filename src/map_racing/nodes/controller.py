@@ -57,6 +57,8 @@ def _build():
     """Controller and supervisor from the node's parameters."""
     source = get_parameter("controller", "map", "shipped name or file")
     vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
+    for note in vehicle.notes:
+        rospy.logwarn("~vehicle: %s", note)
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
     parameters = overridden(load_controller_parameters(source))
     kind, v_max = parameters.steering_map, parameters.v_max_mps

@@ -6,8 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 import genpy
+import rospy
 
 from ..angles import yaw_from_quaternion
+from ..bags.messages import SHORTEST_QUATERNION, UNIT_QUATERNION
 from ..control.motion import MotionEstimate
 from ..control.state import CarState
 from ..validation import FARTHEST
@@ -52,8 +54,12 @@ def frame(name: str) -> str:
 
 def heading(q: Quaternion) -> float:
     """Heading [rad] of a quaternion; NaN for zeros, which nobody filled in."""
-    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-    return yaw_from_quaternion(q.x, q.y, q.z, q.w) if norm > 0.01 else math.nan
+    length = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
+    if not length > SHORTEST_QUATERNION:
+        return math.nan
+    if not UNIT_QUATERNION[0] < length < UNIT_QUATERNION[1]:
+        rospy.logwarn_once("quaternions of length %.3f: normalized", length)
+    return yaw_from_quaternion(q.x, q.y, q.z, q.w)
 
 
 def plane_pose(pose: Pose) -> tuple:
