@@ -235,7 +235,7 @@ def test_speeds_within_the_grip_are_told_published_driven_and_changed(rig, liste
     # What does not change the speeds is not told again.
     client.update_configuration({"table_m_m": 0.25})
     client.update_configuration({"grip_use": 0.05})
-    told(rig, "not taken over: grip_use must be 0 (off) or 0.1 to 1.2")
+    told(rig, "reconfigure rejected: grip_use: expected 0 (off) or 0.1 to 1.2")
     assert rig.node.output.count("grip_use 0.5: ") == 1 and len(driven) == 2
     client.update_configuration({"grip_use": 0.0})
     told(rig, "grip_use 0: speeds are the raceline's, whatever the grip")
@@ -254,7 +254,7 @@ def test_a_raceline_without_speeds_is_driven_by_the_grip_alone(rig, start, tmp_p
     told(rig, "the raceline has no speeds: driven as fast as the grip allows, ")
     node = start("controller", {"raceline": str(path), "grip_use": 0.0}, wait=False)
     assert node.wait() == 1
-    assert "bare.csv: the raceline has no speeds" in node.output
+    assert "bare.csv: expected speeds, got none" in node.output
     assert "Traceback" not in node.output
 
 

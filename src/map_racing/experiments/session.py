@@ -1,11 +1,18 @@
-"""What commands that run many races share: setting, result directory, tuning, races."""
+"""Setting, result directory, tuning and races of a command that runs many races."""
+
+from __future__ import annotations
 
 import math
 from time import monotonic
+from typing import Callable, Iterable
 
 import pandas as pd
 
-from ..control.parameters import load_controller_parameters, save_controller_parameters
+from ..control.parameters import (
+    ControllerParameters,
+    load_controller_parameters,
+    save_controller_parameters,
+)
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data
@@ -15,7 +22,7 @@ from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_
 from .campaign import Effort, carry_out
 from .executors import open_executor
 from .identification_day import identify_on
-from .paper import CONTENDERS, Setting, tuning_plan
+from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
 from .robustness import (
     Grid,
@@ -24,7 +31,7 @@ from .robustness import (
     race_rows,
 )
 from .store import Store
-from .tuning import frame_of
+from .tuning import Tuned, frame_of
 
 __all__ = ["GridSession", "Session"]
 
@@ -147,18 +154,19 @@ class Session(Races):
             cars = self._identify(plant, conditions.identification_seed)
         else:
             cars = given, linearized(given)
+            self.notes += [f"{vehicle}: {note}" for note in given.notes]
             self.identification = {"vehicle": vehicle, "parameters": parameter_hash(given)}
         self.setting = Setting(conditions, raceline, plant, *cars)
         self.controllers = {}
 
     @property
-    def where(self):
+    def where(self) -> str:
         """Track and plant, for titles."""
         conditions = self.setting.conditions
         return f"{self.setting.raceline.name or conditions.track}, plant {conditions.plant}"
 
     @property
-    def days(self):
+    def days(self) -> str:
         """How many race days, in words."""
         count = len(self.setting.conditions.seeds)
         return f"{count} race day" + ("s" if count != 1 else "")
@@ -183,17 +191,10 @@ class Session(Races):
         )
         return found.vehicle, found.linear_vehicle
 
-    def tune(self, controllers):
+    def tune(self, controllers: dict[str, tuple[str, ControllerParameters]]) -> dict[str, Tuned]:
         """Tune controllers; write files, maps and tables.
 
-        Parameters
-        ----------
-        controllers : dict of str to (str, ControllerParameters)
-            Label to the stem of its files and what is tuned.
-
-        Returns
-        -------
-        dict of str to Tuned
+        `controllers` has for each label the stem of its files and the parameters to start from.
         """
         if not controllers:
             return {}
@@ -223,8 +224,8 @@ class Session(Races):
             )
         return tuned
 
-    def race(self, plan, laps, scales, **needs):
-        """Tune the contenders that are to be tuned, and race all of them on all days."""
+    def race(self, plan: Callable, laps: int, scales: Iterable[float], **needs: bool) -> list[Race]:
+        """Tune the contenders as configured, and race all of them on all days."""
         shipped = {c.label: load_controller_parameters(c.controller) for c in CONTENDERS}
         to_tune = {c.label: c.controller for c in CONTENDERS if c.tuned and self._tuning}
         tuned = self.tune({label: (stem, shipped[label]) for label, stem in to_tune.items()})
@@ -239,17 +240,7 @@ class Session(Races):
         ]
         return [race for races in self.carry_out(plans, "races", **needs) for race in races]
 
-    def write(self, table, timed_laps, **frames):
-        """Write tables and provenance.
-
-        Parameters
-        ----------
-        table : pandas.DataFrame
-            The table of the results.
-        timed_laps : int
-            Laps of each race.
-        **frames : pandas.DataFrame
-            Further tables.
-        """
+    def write(self, table: pd.DataFrame, timed_laps: int, **frames: pd.DataFrame) -> None:
+        """Write the table of the results, further tables, and the provenance."""
         provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
