@@ -38,6 +38,8 @@ MOST_MOVES = 20
 # times the best one's on the same races: as means of more races tell more. On days and cars that
 # differ as much as those of the experiments, errors of neighboring candidates change alike.
 GIVE_UP = 0.3
+# Of the hardest races of a grid, where cars slide, a few say little: that many are always driven.
+FEWEST = 12
 # Steps of the robust search: m [m], q [s] and delay [s]; it begins with twice these.
 ROBUST_STEPS = (("m_m", 0.025), ("q_s", 0.0125), ("delay_s", 0.005))
 
@@ -181,7 +183,7 @@ def tune(jobs_for, controller):
     return Tuned(with_pair(*best), errors[best], pairs)
 
 
-def _compare(groups, reference):
+def _compare(groups, reference, first=1):
     """Drive groups of races, each as far as it may become the best.
 
     Parameters
@@ -190,6 +192,8 @@ def _compare(groups, reference):
         Of each candidate, all in the same order.
     reference : list of RaceResult
         Of the best candidate so far; empty if there is none.
+    first : int, optional
+        Races before any candidate is given up for its error.
 
     Yields
     ------
@@ -202,7 +206,7 @@ def _compare(groups, reference):
     """
     found = [[] for _ in groups]
     going = list(range(len(groups)))
-    for begin, end in zip(*_stages(len(groups[0]))) if groups else ():
+    for begin, end in zip(*_stages(len(groups[0]), first)) if groups else ():
         results = iter((yield [job for k in going for job in groups[k][begin:end]]))
         for k in going:
             found[k] += [next(results) for _ in range(begin, end)]
@@ -213,11 +217,11 @@ def _compare(groups, reference):
     return found
 
 
-def _stages(total):
-    """Beginnings and ends of the rounds in which races are driven: 1, 1, 2, 4, ..."""
+def _stages(total, first):
+    """Beginnings and ends of the rounds in which races are driven: 1, 1, 2, 4, ..., if from 1."""
     ends = []
     while not ends or ends[-1] < total:
-        ends.append(min(total, max(1, 2 * ends[-1]) if ends else 1))
+        ends.append(min(total, 2 * ends[-1] if ends else first))
     return [0, *ends[:-1]], ends
 
 
@@ -277,7 +281,7 @@ def tune_robust(jobs_for, controller):
             groups = [[jobs_for(near)[k] for k in order] for near in around]
             # Until something completes all races, the search goes for what completes most.
             begun = reference if math.isfinite(best.error) else []
-            found = yield from _compare(groups, begun)
+            found = yield from _compare(groups, begun, FEWEST)
             for near, results in zip(around, found):
                 driven = Candidate(near, lap_error(results), _worst(results), len(results))
                 candidates[_key(near)] = driven
