@@ -24,7 +24,8 @@ from map_racing.control.controller import Controller, build_controller, build_st
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import race
 from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
@@ -379,7 +380,7 @@ def compare_hour(raceline, folder):
 def drive(vehicle, raceline, laps):
     """A race of MAP with the shipped plant."""
     parameters = load_controller_parameters("map").with_(speed_scale=SPEED_SCALE)
-    plant = load_plant_parameters("nuc4")
+    plant = load_plant("nuc4")
     controller = build_controller(parameters, vehicle, raceline)
     return race(Plant(plant), controller, raceline, Localization(plant, seed=1), laps=laps)
 

@@ -1,5 +1,7 @@
 """Angles in radians, counter-clockwise positive."""
 
+from __future__ import annotations
+
 import math
 
 __all__ = ["wrap", "yaw_from_quaternion"]
@@ -23,7 +25,7 @@ def wrap(angle):
     return (angle + math.pi) % _TWO_PI - math.pi
 
 
-def yaw_from_quaternion(x, y, z, w):
+def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Yaw of a unit quaternion, the rotation about the vertical axis (REP-103).
 
     Parameters

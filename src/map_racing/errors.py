@@ -1,11 +1,10 @@
-"""The one family of errors that a user of the package can cause."""
+"""Errors that a user can cause."""
 
 
 class MapRacingError(Exception):
-    """Base of all errors of this package: its text is one line meant for the user.
+    """Base of all errors: one line for the user that says what was expected, what came, and where.
 
-    It says what was expected, what came, and where (file, topic, line). The command line prints it
-    and exits with code 1; nodes log it.
+    The command line prints it and exits with code 1; nodes log it.
     """
 
     def __str__(self):
@@ -18,7 +17,7 @@ class ParameterError(MapRacingError):
 
 
 class FileFormatError(MapRacingError):
-    """A file cannot be read as what it should be."""
+    """A file has another format than expected."""
 
 
 class RacelineError(MapRacingError):
@@ -26,12 +25,12 @@ class RacelineError(MapRacingError):
 
 
 class BagError(MapRacingError):
-    """A bag cannot be read, or lacks what was asked of it."""
+    """A bag cannot be read or written, or lacks a topic."""
 
 
 class EvaluationError(MapRacingError):
-    """Recorded driving cannot be evaluated against the given raceline."""
+    """Recorded driving cannot be evaluated on the raceline."""
 
 
 class IdentificationError(MapRacingError):
-    """Recorded driving from which no tires can be identified."""
+    """Recorded driving does not identify tires."""

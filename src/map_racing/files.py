@@ -1,4 +1,4 @@
-"""Reading and writing of small files, for all rooms of the package."""
+"""Read and write small files."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import re
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO, Iterator
 
 import yaml
 
@@ -23,8 +24,8 @@ __all__ = [
 ]
 
 
-def read_yaml_mapping(path):
-    """Read a YAML file that holds one mapping.
+def read_yaml_mapping(path: str | Path) -> dict:
+    """Read a YAML file with one mapping.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def read_yaml_mapping(path):
     Raises
     ------
     FileFormatError
-        If it is something else; the message is one line and names file and line.
+        If it is something else; names file and line.
     """
     try:
         values = yaml.load(Path(path).read_text(encoding="utf-8"), _UniqueKeyLoader)
@@ -58,10 +59,7 @@ def read_yaml_mapping(path):
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe loader that refuses a key given twice, of which YAML would take the last.
-
-    It reads 1e-3 as a number, as YAML 1.2 does; PyYAML's 1.1 wants 1.0e-3.
-    """
+    """Safe loader that refuses duplicate keys and reads 1e-3 as a number, as YAML 1.2 does."""
 
     def construct_mapping(self, node, deep=False):
         seen = set()
@@ -83,18 +81,18 @@ _UniqueKeyLoader.add_implicit_resolver(
 
 
 @contextmanager
-def replacing(path, binary=False):
+def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
     """Open a file for writing that appears under its name only when it is complete.
 
-    It is written under a temporary name beside it and renamed at the end; after an error nothing is
-    left behind, and an existing file stays as it was. A link stays a link to the file replaced; a
-    device or pipe is written to as it is.
+    It is written under a temporary name beside it and renamed at the end; after an error an
+    existing file is unchanged. The target of a link is replaced; devices and pipes are written
+    directly.
 
     Parameters
     ----------
     path : str or pathlib.Path
     binary : bool
-        Whether bytes are written instead of text.
+        Write bytes instead of text.
 
     Raises
     ------
@@ -107,7 +105,7 @@ def replacing(path, binary=False):
     special = target.exists() and not target.is_file()
     temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        # Names of files that are not UTF-8 are written as they are.
+        # File names that are not UTF-8 are written unchanged.
         text = {"encoding": "utf-8", "errors": "surrogateescape", "newline": ""}
         with open(temporary, "wb" if binary else "w", **({} if binary else text)) as file:
             yield file
@@ -152,8 +150,8 @@ def for_json(content: object) -> object:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
-def make_folder(path):
-    """Make a folder for results, with those above it, if it is not there.
+def make_folder(path: str | Path) -> Path:
+    """Make a folder with its parents, if it does not exist.
 
     Parameters
     ----------
@@ -168,7 +166,7 @@ def make_folder(path):
     MapRacingError
         If it cannot be made.
     """
-    if not str(path):  # such as that of a variable of the shell that is not set
+    if not str(path):  # such as an unset variable of the shell
         raise MapRacingError(f"{path!r}: expected the name of a folder")
     folder = Path(path)
     try:
@@ -178,8 +176,8 @@ def make_folder(path):
     return folder
 
 
-def refuse_special(path):
-    """Refuse pipes and devices, since reading one may never end, and no name at all."""
+def refuse_special(path: str | Path) -> None:
+    """Refuse pipes and devices, since reading may never end, and an empty name."""
     if not str(path):
         raise FileFormatError("'': expected the name of a file")
     path = Path(path)

@@ -1,5 +1,7 @@
 """The data files shipped with the package: vehicles, tracks, controllers, plants."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from .errors import ParameterError
@@ -7,11 +9,11 @@ from .errors import ParameterError
 __all__ = ["config_directory", "find_config", "list_config"]
 
 
-def config_directory():
+def config_directory() -> Path:
     """Directory of the shipped data files.
 
-    It is ``config/`` of the source tree, or ``share/map_racing/config`` of the prefix into which
-    pip or catkin installed the package.
+    It is ``config/`` of the source tree, or ``share/map_racing/config`` where pip or catkin
+    installed the package.
 
     Returns
     -------
@@ -31,13 +33,13 @@ def config_directory():
     raise ParameterError(f"the data files of map_racing are missing: no config/ above {here}")
 
 
-def list_config(kind):
+def list_config(kind: str) -> list[str]:
     """Names of the shipped files of one kind (``"vehicles"``, ``"tracks"``, ...), sorted."""
     directory = config_directory() / kind
     return sorted({path.name.split(".")[0] for path in directory.iterdir() if path.is_file()})
 
 
-def find_config(kind, source, suffixes):
+def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Path:
     """Resolve a shipped name or a path to a file.
 
     Parameters

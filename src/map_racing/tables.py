@@ -1,4 +1,4 @@
-"""Delimited text: columns of numbers under names."""
+"""Delimited text: recordings, racelines and lookup tables are read with these functions."""
 
 from __future__ import annotations
 
@@ -7,50 +7,81 @@ import math
 import zlib
 from contextlib import contextmanager
 from itertools import chain
+from pathlib import Path
+from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, TextIO
 
 import numpy as np
 
 from .errors import FileFormatError
 from .files import refuse_special
 
-__all__ = ["column_index", "open_text", "parse_rows", "read_table", "some_names", "split_header"]
+__all__ = [
+    "Columns",
+    "column_index",
+    "is_number",
+    "open_text",
+    "parse_rows",
+    "read_columns",
+    "some_names",
+]
 
 
-def read_table(path, columns):
-    """Some columns of a CSV file, row by row as they are.
+class Columns(NamedTuple):
+    """Columns of a table with named columns.
 
-    The file may be gzipped; lines that begin with ``#`` are comments. The names of the columns
-    are in the first other line or, if that holds numbers, in the last comment before it. Cells
-    are separated by comma, semicolon or tab.
+    Parameters
+    ----------
+    values : dict of str to ndarray, shape (n,)
+        Empty cells are NaN.
+    names : dict of str to str
+        Name in the file of each column.
+    lines : list of int, length n
+        Line number of each row.
+    notes : list of str
+        What was left out.
+    """
+
+    values: dict
+    names: dict
+    lines: list
+    notes: list
+
+
+def read_columns(path: str | Path, locate: Callable[[list[str]], dict[str, int]]) -> Columns:
+    """Read some columns of a CSV file, which may be gzipped.
+
+    Lines that begin with ``#`` are comments. The names of the columns are in the first other line
+    or, if that holds numbers, in the last comment before it. Cells are separated by comma,
+    semicolon or tab. A last line that was cut off is left out.
 
     Parameters
     ----------
     path : str or pathlib.Path
-    columns : iterable of str
-        Names of columns.
+    locate : callable
+        Given the names of the columns, returns the index of each column to read under the key that
+        it has in the result.
 
     Returns
     -------
-    table : dict of str to ndarray, shape (n,)
-        Empty cells are NaN.
-    notes : list of str
-        What was left out.
+    Columns
 
     Raises
     ------
     FileFormatError
-        If there is no such column, or a cell is not a number; with file, line and column.
+        If the file cannot be read or a cell is not a number; names file, line and column.
     """
     with open_text(path) as file:
-        names, delimiter, rows = split_header(path, file)
-        where = {column: column_index(path, names, column) for column in columns}
-        table, _, notes = parse_rows(path, rows, delimiter, names, where)
-    return dict(zip(where, table.T)), notes
+        names, delimiter, rows = _split_header(path, file)
+        where = locate(names)
+        rows = ((number, line.split(delimiter)) for number, line in rows)
+        table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
+    named = {key: names[index] for key, index in where.items()}
+    return Columns(dict(zip(where, table.T)), named, lines, notes)
 
 
 @contextmanager
-def open_text(path):
-    """Open a text file, also a gzipped one; what goes wrong while it is read names it, too."""
+def open_text(path: str | Path) -> Iterator[TextIO]:
+    """Open a UTF-8 text file, which may be gzipped; errors while it is read name the file."""
     refuse_special(path)
     try:
         with open(path, "rb") as file:
@@ -60,13 +91,13 @@ def open_text(path):
             yield file
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
-        raise FileFormatError(f"{path}: cannot read the recording: {reason}") from None
+        raise FileFormatError(f"{path}: cannot read: {reason}") from None
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected UTF-8 text (CSV) or a ROS 1 bag") from None
+        raise FileFormatError(f"{path}: expected UTF-8 text") from None
 
 
-def split_header(path, file):
-    """Names of the columns, delimiter and numbered rows of an open file."""
+def _split_header(path, file):
+    """Names of the columns, delimiter and numbered lines of an open file."""
     comment = ""
     lines = ((number, line.strip()) for number, line in enumerate(file, 1))
     lines = ((number, line) for number, line in lines if line)
@@ -77,64 +108,102 @@ def split_header(path, file):
     else:
         raise FileFormatError(f"{path}: expected rows of numbers, got none")
     delimiter = max(",;\t", key=first[1].count)
-    numeric = _is_number(first[1].split(delimiter)[0])
+    numeric = is_number(first[1].split(delimiter)[0])
     header = comment if numeric else first[1]
     if not header:
-        raise FileFormatError(f"{path}: expected names of columns above the numbers, found none")
+        raise FileFormatError(f"{path}: expected names of columns above the numbers, got none")
     names = [name.strip().strip('"') for name in header.split(delimiter)]
     data = (row for row in lines if not row[1].startswith("#"))
     return names, delimiter, chain([first], data) if numeric else data
 
 
-def column_index(path, names, column):
+def column_index(path: str | Path, names: list[str], column: str) -> int:
+    """Index of a column; an error lists the names that the file has."""
     if column not in names:
         raise FileFormatError(f"{path}: no column {column!r}; it has {some_names(names)}")
     return names.index(column)
 
 
-def some_names(names):
+def some_names(names: list[str]) -> str:
+    """The first names, for an error."""
     return ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
 
 
-def parse_rows(path, rows, delimiter, names, where):
-    """Values of the located columns, shape (rows, fields), numbers of their lines, and notes."""
-    table, numbers, notes, short = [], [], [], None
-    for number, line in rows:
+def parse_rows(
+    path: str | Path,
+    rows: Iterable[tuple[int, list[str]]],
+    names: Sequence[str],
+    picked: Sequence[int] | None = None,
+    recorded: bool = False,
+) -> tuple[np.ndarray, list[int], list[str]]:
+    """Numbers in rows of cells.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File, for errors.
+    rows : iterable of (int, list of str)
+        Number of the line and its cells.
+    names : sequence of str
+        Names of the columns.
+    picked : sequence of int, optional
+        Indices of the columns to read; all by default.
+    recorded : bool, optional
+        Whether the table was recorded: cells may be empty (NaN) or quoted, rows may be longer, and
+        the last may be short, since the recorder was stopped while writing it.
+
+    Returns
+    -------
+    table : ndarray, shape (n, columns)
+    lines : list of int
+        Number of the line of each row.
+    notes : list of str
+        What was left out.
+
+    Raises
+    ------
+    FileFormatError
+        If a row has too few or too many cells or a cell is not a number.
+    """
+    picked = range(len(names)) if picked is None else picked
+    table, lines, short = [], [], None
+    for number, cells in rows:
         if short is not None:
-            raise FileFormatError(
-                f"{path}:{short[0]}: expected {len(names)} columns, got {short[1]}"
-            )
-        cells = line.split(delimiter)
-        if len(cells) < len(names):
-            # Only a last line may be short: the recorder was stopped while writing it.
+            break
+        if len(cells) < len(names) or (len(cells) > len(names) and not recorded):
             short = number, len(cells)
-            continue
+            if recorded:
+                continue
+            break
         values = []
-        for index in where.values():
+        for index in picked:
             try:
                 values.append(float(cells[index]))
             except ValueError:
-                values.append(_number(path, number, names[index], cells[index]))
+                values.append(_number(path, number, names[index], cells[index], recorded))
         table.append(values)
-        numbers.append(number)
-    if short is not None:
-        notes.append(f"line {short[0]}, the last, is cut off: left out")
-    return np.array(table, dtype=float).reshape(len(table), len(where)), numbers, notes
+        lines.append(number)
+    else:
+        notes = [f"line {short[0]}, the last, is cut off: left out"] if short else []
+        return np.array(table, dtype=float).reshape(len(table), len(picked)), lines, notes
+    raise FileFormatError(f"{path}:{short[0]}: expected {len(names)} columns, got {short[1]}")
 
 
-def _number(path, line, name, cell):
+def _number(path, line, name, cell, recorded):
     """Value of a cell that is not simply a number: quoted, empty or wrong."""
-    text = cell.strip().strip('"').strip()
-    try:
-        return float(text) if text else math.nan
-    except ValueError:
-        shown = repr(text if len(text) < 40 else text[:37] + "...")
-        raise FileFormatError(
-            f"{path}:{line}: column {name}: expected a number, got {shown}"
-        ) from None
+    text = cell.strip()
+    if recorded:
+        text = text.strip('"').strip()
+        if not text:
+            return math.nan
+        if is_number(text):
+            return float(text)
+    shown = repr(text if len(text) < 40 else text[:37] + "...")
+    raise FileFormatError(f"{path}:{line}: column {name}: expected a number, got {shown}")
 
 
-def _is_number(text):
+def is_number(text: str) -> bool:
+    """Whether a text is a number, or ``nan`` or ``inf``."""
     try:
         float(text)
     except ValueError:

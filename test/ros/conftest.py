@@ -19,6 +19,15 @@ from harness import ROOT, Car, Rig, wait_for
 from nav_msgs.msg import Odometry
 
 
+def default_signals():
+    """Let the process be interrupted, even where a script runs the tests in the background.
+
+    There the shell has SIGINT ignored, which a child inherits.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+
+
 class Process:
     """A child process with its output in a file.
 
@@ -40,6 +49,7 @@ class Process:
                 stdin=subprocess.DEVNULL,
                 env=environment,
                 start_new_session=True,
+                preexec_fn=default_signals,
             )
         self.pid = self._process.pid
 

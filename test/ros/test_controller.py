@@ -4,7 +4,7 @@ import math
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -20,11 +20,17 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
 
 from map_racing.control.controller import build_controller
-from map_racing.control.parameters import load_controller_parameters, load_safety_limits
+from map_racing.control.parameters import (
+    STEERING_MAPS,
+    ControllerParameters,
+    load_controller_parameters,
+    load_safety_limits,
+)
 from map_racing.control.safety import SafetyLimits
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.files.load import load_raceline
+from map_racing.validation import meaning
 from map_racing.vehicle.lookup import default_grid, load_table
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
@@ -245,7 +251,7 @@ def test_a_raceline_without_speeds_is_driven_by_the_grip_alone(rig, start, tmp_p
     )
     rig = rig({"raceline": str(path), "speed_scale": 1.0})
     rig.driving()
-    told(rig, "the raceline has no speeds: driven as fast as the grip allows, 1.")
+    told(rig, "the raceline has no speeds: driven as fast as the grip allows, ")
     node = start("controller", {"raceline": str(path), "grip_use": 0.0}, wait=False)
     assert node.wait() == 1
     assert "bare.csv: the raceline has no speeds" in node.output
@@ -557,7 +563,7 @@ def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
         ({"controller": "nonsense"}, "nonsense: no such file"),
         ({"pose_source": "gps"}, "~pose_source: expected odom, pose or tf"),
         ({"v_max_mps": "fast"}, "~v_max_mps: expected float"),
-        ({"v_max_mps": -1.0}, "v_max_mps must be positive"),
+        ({"v_max_mps": -1.0}, "v_max_mps: expected a positive number, got -1"),
         ({"raceline": "nowhere.csv"}, "nowhere.csv: no such file"),
         ({"sectors": "nowhere.yaml"}, "nowhere.yaml: cannot read"),
     ],
@@ -613,10 +619,38 @@ def test_tuning_and_saving(rig, ros, tmp_path):
     assert saved["q_s"] == shipped["pure_pursuit"].q_s
     rig.driving()
 
-    # What cannot be is not taken over, and the answer says so.
+    # An impossible change is rejected, and the answer has the values in use.
     answer = client.update_configuration({"lookahead_min_m": 4.0, "lookahead_max_m": 1.0})
     assert answer["lookahead_min_m"] == shipped["map"].lookahead_min_m
-    assert "not taken over" in rig.node.output
+    assert "reconfigure rejected" in rig.node.output
+
+
+def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders(ros, rig):
+    """Whatever an earlier run left on the parameter server; no slider clamps another value."""
+    ros.set_param("/controller/tuning/speed_scale", 1.5)
+    rig = rig({"delay_s": 0.7, "speed_scale": 0.6})
+    client = Client("/controller/tuning", timeout=10.0)
+    assert client.get_configuration(timeout=10.0)["speed_scale"] == 0.6
+    answer = client.update_configuration({"speed_scale": 0.5})
+    assert (answer["delay_s"], answer["speed_scale"]) == (0.7, 0.5)
+    assert "rejected" not in rig.node.output
+    assert "~delay_s = 0.7 (Delay compensation" in rig.node.output
+    assert "~hold_s = 2.0 (Time for which" in rig.node.output
+    assert "commanded to stand [s], default)" in rig.node.output
+
+
+def test_sliders_are_those_of_the_parameters(rig):
+    rig({})
+    client = Client("/controller/tuning", timeout=10.0)
+    offered = {d["name"]: d for d in client.get_parameter_descriptions(timeout=10.0)}
+    known = {f.name: f for kind in (ControllerParameters, SafetyLimits) for f in fields(kind)}
+    expected = {name for name, f in known.items() if f.metadata["tuning"]} - {"m_m", "q_s"}
+    expected |= {f"{kind}_{name}" for kind in STEERING_MAPS for name in ("m_m", "q_s")}
+    assert set(offered) == expected | {"steering_map"}
+    for name in expected:
+        field = known[name if name in known else name[-3:]]
+        assert (offered[name]["min"], offered[name]["max"]) == field.metadata["tuning"], name
+        assert offered[name]["description"] == meaning(field)
 
 
 def test_the_latency_script(roscore, processes, request):

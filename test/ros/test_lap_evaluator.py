@@ -17,7 +17,8 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.nodes.waypoints import waypoint_array_class
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import race
 from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
@@ -30,7 +31,7 @@ SAME = 1e-6
 @pytest.fixture(scope="module")
 def log():
     """Two timed laps of the reference track."""
-    line, plant = load_raceline("reference"), load_plant_parameters("nuc4")
+    line, plant = load_raceline("reference"), load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.8)
     controller = build_controller(parameters, load_vehicle("nuc4"), line)
     return race(Plant(plant), controller, line, Localization(plant, seed=1), laps=2)

@@ -229,8 +229,8 @@ def test_the_raceline_has_the_colors_of_the_speeds_that_are_driven(start, listen
         line = next(m for m in drawn[-1].markers if m.ns == "raceline")
         return {(round(c.r, 2), round(c.g, 2), round(c.b, 2)) for c in line.colors}
 
-    # Two speeds, and what lies between two waypoints.
-    wait_for(lambda: drawn and len(colors()) <= 4, what="the colors of two speeds")
+    # Two speeds, and where they change those between two waypoints.
+    wait_for(lambda: drawn and len(colors()) <= 8, what="the colors of two speeds")
     # Speeds on another course are none of this one.
     topics["driven_waypoints"].publish(array(wpnts=driven.wpnts[:100]))
     wait_for(lambda: len(colors()) > 20, what="the colors of the raceline's own speeds")

@@ -16,7 +16,8 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.state import CarState
 from map_racing.evaluation.laps import LapEvaluator
 from map_racing.nodes.conversions import plane_pose, set_plane_pose
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import START_S, race
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
@@ -155,7 +156,7 @@ def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
     """The same controller, car and noise give the same laps; only commands are float32 here."""
     raceline, vehicle = load_raceline("reference"), load_vehicle("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.7)
-    plant_parameters = load_plant_parameters("nuc4")
+    plant_parameters = load_plant("nuc4")
     log = race(
         Plant(plant_parameters),
         build_controller(parameters, vehicle, raceline),

@@ -165,7 +165,7 @@ def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({"speed_mps": -1.0}, "speed_mps: expected more than 0"),
+        ({"speed_mps": -1.0}, "speed_mps: expected a positive number, got -1"),
         ({"box": [0, 1, 2]}, "~box: expected x_min"),
         ({"radius": 0.0}, "~radius: expected more than 0"),
     ],

@@ -11,7 +11,6 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.experiments.jobs import RaceJob
 from map_racing.identification.data import load_run
-from map_racing.simulation.plant import load_plant_parameters
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag
@@ -139,7 +138,7 @@ def moderate(vehicle):
 @pytest.fixture(scope="session")
 def ramps(tmp_path_factory):
     """Ramps of the shipped plant, with its noise and delays, as samples, as bag and as run."""
-    parameters = load_plant_parameters("nuc4")
+    parameters = load_plant("nuc4")
     samples = drive_ramps(parameters, [RampParameters(speed_mps=v) for v in SPEEDS], seed=5)
     path = tmp_path_factory.mktemp("ramps") / "ramps.bag"
     write_ramp_bag(path, samples)

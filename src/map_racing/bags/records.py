@@ -1,8 +1,8 @@
 """The records of a ROS 1 bag (format 2.0), read front to back.
 
-A bag that was cut off, was never closed (``.bag.active``) or has a corrupt chunk gives every
-complete message that is still in it, and says what is missing. An index is only a short cut: where
-there is none, or it does not lead to the messages it promises, the records are walked through.
+A bag that was cut off, was never closed (``.bag.active``) or has a corrupt chunk still gives every
+complete message, with notes on what is missing. The index is only a shortcut: without it, or where
+it does not lead to the messages that it lists, the records are walked through.
 
 Format: http://wiki.ros.org/Bags/Format/2.0
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bz2
 import struct
+from enum import IntEnum
 from itertools import permutations
 from pathlib import Path
 from typing import Callable, Iterator, NamedTuple
@@ -23,27 +24,84 @@ from ..errors import BagError
 __all__ = ["BagFile", "Connection", "Message", "is_bag"]
 
 _MAGIC = b"#ROSBAG V2.0\n"
-_OP_MESSAGE, _OP_BAG, _OP_INDEX, _OP_CHUNK, _OP_CHUNK_INFO, _OP_CONNECTION = 2, 3, 4, 5, 6, 7
-_OPS = range(_OP_MESSAGE, _OP_CONNECTION + 1)
 _MAX_HEADER = 1 << 16
 _MAX_OPEN_CHUNK = 1 << 28
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
+_COUNT = struct.Struct("<II")  # connection and number of its messages
 _INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
 # The header of a message has three fields: conn (13 bytes), op (8) and time (17), in an order that
-# differs from one recorder to another. A fixed layout per order makes the walk three times as
-# fast as parsing field by field. Enough is compared to know the order: the whole field op, and the
-# length of conn.
+# depends on the recorder. A fixed layout per order makes the walk three times as fast as parsing
+# field by field. The whole field op and the length of conn identify the order.
 _HEADER_SIZE, _RECORD_SIZE = 38, 38 + 8
 _MESSAGE_FIELDS = {"conn": ("I5xI", 13), "op": ("Q", 8), "time": ("17x", 17)}
 (_OP_FIELD,) = struct.unpack("<Q", b"\x04\0\0\0op=\x02")
 _CONN_LENGTH = 9
 
 
+class _Op(IntEnum):
+    """Type of a record."""
+
+    MESSAGE = 2
+    BAG = 3
+    INDEX = 4
+    CHUNK = 5
+    CHUNK_INFO = 6
+    CONNECTION = 7
+
+
+class _Header(dict):
+    """Fields of a record header, bytes to bytes, with typed access; None where not as expected."""
+
+    @property
+    def op(self) -> _Op | None:
+        """Type of the record."""
+        value = self.get(b"op", b"")
+        try:
+            return _Op(value[0]) if len(value) == 1 else None
+        except ValueError:
+            return None
+
+    def u32(self, name: bytes) -> int | None:
+        """A field of 4 bytes."""
+        value = self.get(name, b"")
+        return _U32.unpack(value)[0] if len(value) == 4 else None
+
+    def u64(self, name: bytes) -> int | None:
+        """A field of 8 bytes."""
+        value = self.get(name, b"")
+        return _U64.unpack(value)[0] if len(value) == 8 else None
+
+    def time_ns(self, name: bytes) -> int | None:
+        """A time [ns]."""
+        value = self.get(name, b"")
+        if len(value) != 8:
+            return None
+        sec, nsec = _TIME.unpack(value)
+        return sec * 1000000000 + nsec
+
+    def text(self, name: bytes) -> str:
+        """A text; empty without the field."""
+        return self.get(name, b"").decode("utf-8", "replace")
+
+
+class _Record(NamedTuple):
+    """A record of the file, with the place of its data."""
+
+    op: _Op
+    header: _Header
+    start: int
+    length: int
+
+    @property
+    def end(self):
+        return self.start + self.length
+
+
 class _Layout(NamedTuple):
-    """Byte layout of a message record: where its values are in the unpacked tuple and the bytes."""
+    """Byte layout of a message record: indices in the unpacked tuple, and offset of the time."""
 
     unpack: Callable
     op: int
@@ -61,7 +119,7 @@ class _Layout(NamedTuple):
         return cls(struct.Struct(form + "I").unpack_from, where["op"], where["conn"], where["time"])
 
     def read(self, buffer, at):
-        """The unpacked record, or None if it is not one of this layout."""
+        """The unpacked record, or None if it has another layout."""
         if at + _RECORD_SIZE > len(buffer):
             return None
         values = self.unpack(buffer, at)
@@ -74,9 +132,8 @@ class _Layout(NamedTuple):
         return None
 
 
-# How far the field "op" can lie behind the beginning of a record: it is preceded by the header's
-# length and by none, one or both of the other fields (conn 13 bytes, time 17; size 13,
-# compression 19 or 20).
+# Possible offsets of the field op in a record: before it are the length of the header and none, one
+# or both of the other fields (conn 13 bytes, time 17; size 13, compression 19 or 20).
 _OP_OFFSETS_MESSAGE = (4, 4 + 13, 4 + 17, 4 + 30)
 _OP_OFFSETS_CHUNK = (4, 4 + 13, 4 + 19, 4 + 20, 4 + 32, 4 + 33)
 
@@ -84,7 +141,7 @@ _LAYOUTS = [_Layout.of(order) for order in permutations(_MESSAGE_FIELDS)]
 
 
 class Connection(NamedTuple):
-    """One publisher's topic: what it sends and how that is laid out."""
+    """A publisher on a topic, with type and definition of its messages."""
 
     topic: str
     type: str
@@ -110,7 +167,7 @@ class BagFile:
     connections : dict of int to Connection
         Connections that the bag declares.
     counts : dict of int to int
-        Messages of each connection: as the index says, or as found where there is no index.
+        Number of messages of each connection, from the index or, without one, as found.
     start_ns, end_ns : int
         Receive times of the first and last message [ns]; 0 in a bag without messages.
 
@@ -121,20 +178,20 @@ class BagFile:
     Raises
     ------
     BagError
-        If the file is missing, is no regular file, is empty or is no bag of format 2.0.
+        If the file is missing, no regular file, empty or no bag of format 2.0.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path):
         self.path = Path(path)
         self.connections: dict[int, Connection] = {}
         self.counts: dict[int, int] = {}
         self.start_ns = self.end_ns = 0
         self._damage = set()
-        # Messages that the poorest complete run of `messages` found; None before the first.
+        # Least number of messages that a complete run of `messages` found; None before the first.
         self._found = None
         if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
             # Opening a pipe would wait for a writer.
-            raise BagError(f"{path}: cannot open the bag: it is neither a file nor a directory")
+            raise BagError(f"{path}: expected a bag, got a pipe or a device")
         try:
             self._file = self.path.open("rb")
         except OSError as error:
@@ -144,8 +201,8 @@ class BagFile:
             self._file.seek(0)
             magic = self._file.read(len(_MAGIC))
             if magic != _MAGIC:
-                what = "is empty" if not magic else "is no ROS 1 bag (format 2.0)"
-                raise BagError(f"{path}: the file {what}")
+                what = "another file" if magic else "an empty file"
+                raise BagError(f"{path}: expected a ROS 1 bag (format 2.0), got {what}")
             self.indexed = self._read_index()
             if not self.indexed:
                 self._take_inventory()
@@ -162,7 +219,7 @@ class BagFile:
     def __exit__(self, *_):
         self._file.close()
 
-    def messages(self, wanted=None) -> Iterator[Message]:
+    def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
         """Complete messages in the order of the file.
 
         Parameters
@@ -176,8 +233,8 @@ class BagFile:
             yield from self._walk(buffer, position, wanted) if picked is None else picked
         self._found = self._read if self._found is None else min(self._found, self._read)
 
-    def notes(self):
-        """Lines that say what the runs of `messages` could not read; none if the bag is sound."""
+    def notes(self) -> list[str]:
+        """What the runs of `messages` could not read; empty for a sound bag."""
         notes = []
         expected = sum(self.counts.values())
         if self._damage:
@@ -198,43 +255,37 @@ class BagFile:
     # -- index ---------------------------------------------------------------------------------
 
     def _read_index(self):
-        """Read connections and counts from the end of the bag; False if there is no whole index."""
+        """Read connections and counts from the end of the bag; False without a complete index."""
         record = self._record_at(len(_MAGIC))
-        if record is None or record[0] != _OP_BAG or len(record[1].get(b"index_pos", b"")) != 8:
+        position = record.header.u64(b"index_pos") if record and record.op is _Op.BAG else None
+        if position is None:
             return False
-        (position,) = _U64.unpack(record[1][b"index_pos"])
         if not len(_MAGIC) < position < self._size:
-            # A bag without messages has an index that is empty.
+            # The index of a bag without messages is empty.
             return position == self._size
         times = []
         while position < self._size:
             record = self._record_at(position)
-            if record is None:
+            if record is None or record.end > self._size:
                 return False
-            op, fields, start, length = record
-            if start + length > self._size:
-                return False
-            data = self._read_at(start, length)
-            if op == _OP_CONNECTION:
-                if not self._add_connection(fields, data, 0, len(data)):
+            data = self._read_at(record.start, record.length)
+            if record.op is _Op.CONNECTION:
+                if not self._add_connection(record.header, data, 0, len(data)):
                     return False
-            elif op == _OP_CHUNK_INFO:
-                for at in range(0, length - 7, 8):
-                    connection, count = _TIME.unpack_from(data, at)
+            elif record.op is _Op.CHUNK_INFO:
+                for at in range(0, record.length - 7, 8):
+                    connection, count = _COUNT.unpack_from(data, at)
                     self.counts[connection] = self.counts.get(connection, 0) + count
-                times += [
-                    _nanoseconds(fields.get(b"start_time")),
-                    _nanoseconds(fields.get(b"end_time")),
-                ]
+                times += [record.header.time_ns(b"start_time"), record.header.time_ns(b"end_time")]
             else:
                 return False
-            position = start + length
+            position = record.end
         times = [time for time in times if time]
         self.start_ns, self.end_ns = (min(times), max(times)) if times else (0, 0)
         return True
 
     def _take_inventory(self):
-        """Find connections and counts in the messages themselves."""
+        """Collect connections and counts from the messages."""
         self.counts = {}
         times = []
         for message in self.messages():
@@ -243,22 +294,16 @@ class BagFile:
         if times:
             self.start_ns, self.end_ns = times[0], times[-1]
 
-    def _add_connection(self, fields, buffer, start, stop):
-        about = _fields(buffer, start, stop)
-        if about is None or b"conn" not in fields or len(fields[b"conn"]) != 4:
+    def _add_connection(self, header, buffer, start, stop):
+        number, about = header.u32(b"conn"), _header(buffer, start, stop)
+        if about is None or number is None:
             return False
-        (number,) = _U32.unpack(fields[b"conn"])
-        # The record's topic is the remapped one; the publisher's own is in the data.
+        # The header's topic is after remapping, the data's before.
         self.connections[number] = Connection(
-            *(
-                value.decode("utf-8", "replace")
-                for value in (
-                    fields.get(b"topic") or about.get(b"topic", b""),
-                    about.get(b"type", b""),
-                    about.get(b"md5sum", b""),
-                    about.get(b"message_definition", b""),
-                )
-            )
+            topic=header.text(b"topic") or about.text(b"topic"),
+            type=about.text(b"type"),
+            md5sum=about.text(b"md5sum"),
+            definition=about.text(b"message_definition"),
         )
         return True
 
@@ -268,8 +313,8 @@ class BagFile:
         self._file.seek(position)
         return self._file.read(length)
 
-    def _record_at(self, position) -> tuple[int, dict, int, int] | None:
-        """``(op, header fields, start of the data, length of the data)``; None if implausible."""
+    def _record_at(self, position) -> _Record | None:
+        """The record that begins at ``position``; None if implausible."""
         head = self._read_at(position, 4)
         if len(head) < 4:
             return None
@@ -279,10 +324,10 @@ class BagFile:
         head = self._file.read(length + 4)
         if len(head) < length + 4:
             return None
-        fields = _fields(head, 0, length)
-        if not fields or len(fields.get(b"op", b"")) != 1 or fields[b"op"][0] not in _OPS:
+        header = _header(head, 0, length)
+        if header is None or header.op is None:
             return None
-        return fields[b"op"][0], fields, position + length + 8, _U32.unpack_from(head, length)[0]
+        return _Record(header.op, header, position + length + 8, _U32.unpack_from(head, length)[0])
 
     def _chunks(self):
         """Yield the contents of each chunk, the position of its data in the file, and its index.
@@ -296,26 +341,26 @@ class BagFile:
                 self._add_damage(position)
                 position = self._find_chunk(position + 1)
                 continue
-            op, fields, start, length = record
-            end = start + length
-            if op == _OP_CHUNK:
+            op, header, start, length = record
+            end = record.end
+            if op is _Op.CHUNK:
                 # A recorder fills in the length when it closes the chunk: 0 means open.
                 whole = length > 0 and end <= self._size
                 length = length if whole else min(self._size - start, _MAX_OPEN_CHUNK)
                 contents, sound = _decompress(
-                    fields.get(b"compression", b""), self._read_at(start, length)
+                    header.get(b"compression", b""), self._read_at(start, length)
                 )
                 index = {}
-                if whole and sound and _U32.pack(len(contents)) == fields.get(b"size"):
+                if whole and sound and len(contents) == header.u32(b"size"):
                     index = self._chunk_index(end) if self.indexed else {}
                 else:
                     self._add_damage(start)
                 yield contents, start, index
                 position = end if whole else self._find_chunk(start)
             else:
-                if op == _OP_CONNECTION:
+                if op is _Op.CONNECTION:
                     data = self._read_at(start, length)
-                    self._add_connection(fields, data, 0, len(data))
+                    self._add_connection(header, data, 0, len(data))
                 if end > self._size:
                     self._add_damage(position)
                 position = end
@@ -324,14 +369,13 @@ class BagFile:
         """Offsets of the messages of each connection in the chunk that ends at ``position``."""
         index = {}
         record = self._record_at(position)
-        while record is not None and record[0] == _OP_INDEX:
-            _, fields, start, length = record
-            data = self._read_at(start, length)
-            if len(fields.get(b"conn", b"")) != 4 or len(data) % _INDEX_ENTRY.itemsize:
+        while record is not None and record.op is _Op.INDEX:
+            data = self._read_at(record.start, record.length)
+            number = record.header.u32(b"conn")
+            if number is None or len(data) % _INDEX_ENTRY.itemsize:
                 return {}
-            entries = np.frombuffer(data, _INDEX_ENTRY)
-            index[_U32.unpack(fields[b"conn"])[0]] = entries["offset"].tolist()
-            record = self._record_at(start + length)
+            index[number] = np.frombuffer(data, _INDEX_ENTRY)["offset"].tolist()
+            record = self._record_at(record.end)
         return index
 
     def _find_chunk(self, position):
@@ -344,7 +388,7 @@ class BagFile:
                 for offset in _OP_OFFSETS_CHUNK:
                     candidate = position + at - offset
                     record = self._record_at(candidate) if candidate > 0 else None
-                    if record and record[0] == _OP_CHUNK and b"compression" in record[1]:
+                    if record and record.op is _Op.CHUNK and b"compression" in record.header:
                         return candidate
                 at = data.find(mark, at + 1)
             position += block
@@ -353,7 +397,7 @@ class BagFile:
     # -- records of a chunk ----------------------------------------------------------------------
 
     def _pick(self, buffer, index, wanted):
-        """Messages of the wanted connections where the chunk's index says; None if it errs."""
+        """Messages of the wanted connections at the places in the index; None if it is wrong."""
         picked, layout = [], _LAYOUTS[0]
         places = sorted((at, number) for number in wanted for at in index.get(number, ()))
         for at, number in places:
@@ -373,7 +417,7 @@ class BagFile:
         return picked
 
     def _walk(self, buffer, position, wanted):
-        """Yield the wanted messages in the contents of a chunk and collect its connections."""
+        """Yield the wanted messages in the contents of a chunk, and add its connections."""
         at, end = 0, len(buffer) - _RECORD_SIZE
         unpack, op, conn, time = _LAYOUTS[0]
         while at <= end:
@@ -409,16 +453,16 @@ class BagFile:
         self._damage.add(position)
 
     def _other_record(self, buffer, at):
-        """Take up a connection record; the position after it, None if it is none."""
+        """Add a connection record; the position after it, None for another record."""
         (length,) = _U32.unpack_from(buffer, at)
         data = at + length + 8
         if length > _MAX_HEADER or data > len(buffer):
             return None
-        fields = _fields(buffer, at + 4, data - 4)
+        header = _header(buffer, at + 4, data - 4)
         stop = data + _U32.unpack_from(buffer, data - 4)[0]
-        if not fields or fields.get(b"op") != b"\x07" or stop > len(buffer):
+        if header is None or header.op is not _Op.CONNECTION or stop > len(buffer):
             return None
-        return stop if self._add_connection(fields, buffer, data, stop) else None
+        return stop if self._add_connection(header, buffer, data, stop) else None
 
 
 def _layout_at(buffer, at):
@@ -438,9 +482,9 @@ def _find_message(buffer, at):
     return len(buffer)
 
 
-def _fields(buffer, start, stop):
-    """Fields of a record header, bytes to bytes; None if they do not fill it exactly."""
-    fields = {}
+def _header(buffer, start, stop):
+    """Fields of a header; None if they do not fill it exactly."""
+    fields = _Header()
     while start < stop:
         if start + 4 > stop:
             return None
@@ -454,15 +498,8 @@ def _fields(buffer, start, stop):
     return fields
 
 
-def _nanoseconds(value):
-    if value is None or len(value) != 8:
-        return 0
-    sec, nsec = _TIME.unpack(value)
-    return sec * 1000000000 + nsec
-
-
 def _decompress(compression, data):
-    """Contents of a chunk as far as they can be had, and whether that is all."""
+    """Contents of a chunk as far as they can be decompressed, and whether that is all."""
     if compression == b"none":
         return data, True
     if compression == b"lz4":
@@ -485,8 +522,8 @@ def _decompress(compression, data):
     return b"".join(contents), False
 
 
-def is_bag(path):
-    """Whether a path means a bag: by its content or, for want of a file, by its name.
+def is_bag(path: str | Path) -> bool:
+    """Whether a path means a bag, by content or name.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""What a recording holds, whatever kind of file it came from."""
+"""Recorded driving, whatever kind of file it came from."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from ..validation import FARTHEST
 
 __all__ = ["Commands", "Recording", "Waypoints", "in_order", "jump_back", "usable"]
 
-# Steps back in time shorter than this [s] come from transport and threads; longer ones mean that a
-# clock was set back or that another run begins.
+# Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
+# set back or that another run begins.
 _JITTER = 1.0
 
 
@@ -29,7 +29,7 @@ class Commands:
     speed : ndarray, shape (k,)
         Speed [m/s]; NaN where unknown.
     topic : str
-        Topic or columns it came from.
+        Topic or columns they came from.
     """
 
     t: np.ndarray
@@ -39,12 +39,12 @@ class Commands:
 
 
 class Waypoints(NamedTuple):
-    """Waypoints as a message has them.
+    """Waypoints of a message.
 
     Attributes
     ----------
     topic, type : str
-        Where they come from; the type without its package.
+        Origin; the type without its package.
     columns : dict of str to ndarray, shape (n,)
         Fields of ``f110_msgs/Wpnt``, at least ``x_m`` and ``y_m``.
     """
@@ -73,13 +73,13 @@ class Recording:
     source : str
         File.
     topic, type, frame : str
-        Where in the file the pose comes from.
+        Origin of the pose in the file.
     commands : Commands, optional
         Drive commands of the same recording.
     waypoints : Waypoints, optional
-        Raceline that the recording itself carries, as it was sent.
+        Raceline in the recording, as it was sent.
     receive_time : bool
-        Whether the times are those of receipt, because the header's were of no use.
+        Whether the times are times of receipt, because the header stamps are unusable.
     notes : list of str
         What was chosen, repaired or left out while reading, one line each.
     """
@@ -102,8 +102,8 @@ class Recording:
     notes: list[str] = field(default_factory=list)
 
 
-def usable(times, columns):
-    """Which samples have a finite time and values within `FARTHEST`.
+def usable(times: np.ndarray, columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Mask of samples with a finite time and values within `FARTHEST`.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def usable(times, columns):
     return keep
 
 
-def jump_back(times, second=1):
-    """First place where time falls back by so much that the samples are not of one run.
+def jump_back(times: np.ndarray, second: int = 1) -> tuple[int, float] | None:
+    """First place where time falls back so far that another run begins.
 
     Parameters
     ----------
@@ -134,15 +134,21 @@ def jump_back(times, second=1):
     Returns
     -------
     tuple of (int, float) or None
-        Index of the sample, and how far behind the latest earlier one it is [s].
+        Index of the sample, and how far it falls behind the latest earlier one [s].
     """
     back = np.maximum.accumulate(times) - times
     far = np.flatnonzero(back >= _JITTER * second)
     return (int(far[0]), float(back[far[0]] / second)) if far.size else None
 
 
-def in_order(times, columns, notes, what, required=0):
-    """Bring samples of one run (see `jump_back`) into strictly increasing order of time.
+def in_order(
+    times: np.ndarray,
+    columns: Sequence[np.ndarray],
+    notes: list[str],
+    what: str,
+    required: int = 0,
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Bring samples of one run (see `jump_back`) into strict order of time.
 
     Parameters
     ----------
@@ -151,10 +157,10 @@ def in_order(times, columns, notes, what, required=0):
     notes : list of str
         Gets a line for each kind of repair.
     what : str
-        What to call the samples in the notes.
+        Name of the samples in the notes.
     required : int, optional
-        So many first columns are coordinates [m]: samples in which the time or one of them is not
-        finite, or farther than `FARTHEST`, are left out.
+        Number of first columns that are coordinates [m]: samples are left out if the time or a
+        coordinate is not finite or beyond `FARTHEST`.
 
     Returns
     -------

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import struct
 from array import array
+from typing import Callable, Iterable, NamedTuple
 
 import numpy as np
 
 from ..angles import wrap
 from .messages import decode_transforms
+from .records import Message
 from .samples import in_order, jump_back, usable
 
-__all__ = ["Series", "TransformTree"]
+__all__ = ["FramePoses", "Series", "TransformTree"]
 
 _BATCH = 2048
 
@@ -24,16 +26,18 @@ class Series:
     ----------
     decode : callable
         A decoder of `map_racing.bags.messages`.
+    coordinates : int, optional
+        The first columns that are required coordinates, see `in_order`.
     """
 
-    def __init__(self, decode):
-        self._decode = decode
+    def __init__(self, decode: Callable, coordinates: int = 0):
+        self._decode, self._coordinates = decode, coordinates
         self._data, self._received = [], []
         self._stamps, self._times, self._values = [], [], []
         self._unstamped = self._broken = 0
 
-    def add(self, message):
-        """Take up a message."""
+    def add(self, message: Message) -> None:
+        """Add a message."""
         self._data.append(message.data)
         self._received.append(message.time_ns)
         if len(self._data) == _BATCH:
@@ -52,25 +56,27 @@ class Series:
         self._data, self._received = [], []
 
     @property
-    def size(self):
+    def size(self) -> int:
         """Number of messages."""
         return len(self._data) + sum(times.size for times in self._times)
 
-    def jump_back(self, required=0, received=False):
-        """How far the stamps fall back [s], or the times of receipt; None if they do not.
+    def jump_back(self, received: bool = False) -> float | None:
+        """How far the stamps or times of receipt fall back [s]; None if they do not.
 
         Samples that `columns` leaves out do not count.
         """
         self._flush()
         times, values = self._samples(received)
-        found = jump_back(times[usable(times, values.T[:required])], 10**9)
+        found = jump_back(times[usable(times, values.T[: self._coordinates])], 10**9)
         return found and found[1]
 
     def _samples(self, received):
         times = np.concatenate(self._times if received else self._stamps)
         return times, np.concatenate(self._values)
 
-    def columns(self, notes, topic, required=0, received=False):
+    def columns(
+        self, notes: list[str], topic: str, received: bool = False
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Samples in strict order of time.
 
         Parameters
@@ -78,9 +84,7 @@ class Series:
         notes : list of str
             Gets a line for each kind of repair.
         topic : str
-            What to call the samples in the notes.
-        required : int, optional
-            So many first columns are coordinates, see `in_order`.
+            Name of the samples in the notes.
         received : bool, optional
             Take the times of receipt instead of the stamps.
 
@@ -97,7 +101,7 @@ class Series:
         if self._unstamped and not received:
             notes.append(f"{topic}: {self._unstamped} of {times.size} stamps are 0: receive time")
         columns = [np.ascontiguousarray(column) for column in values.T]
-        return in_order(times, columns, notes, topic, required)
+        return in_order(times, columns, notes, topic, self._coordinates)
 
 
 class _Edge:
@@ -115,7 +119,7 @@ class _Edge:
         times, columns = self._samples(received)
         keep = usable(times, columns)
         if all(np.ptp(column[keep]) == 0.0 for column in columns if keep.any()):
-            # A constant transform holds whenever it was sent; static ones are sent at random times.
+            # A constant transform holds at any time; static ones are sent at random times.
             return None
         found = jump_back(times[keep], 10**9)
         return found and found[1]
@@ -131,15 +135,15 @@ class TransformTree:
     Parameters
     ----------
     messages : iterable of Message
-        Those of ``/tf`` and ``/tf_static``.
+        From ``/tf`` and ``/tf_static``.
 
     Attributes
     ----------
     edges : dict of str to object
-        The frames that have a parent.
+        Frames that have a parent.
     """
 
-    def __init__(self, messages):
+    def __init__(self, messages: Iterable[Message]):
         self.edges = {}
         self._broken = 0
         for message in messages:
@@ -154,7 +158,7 @@ class TransformTree:
             except struct.error:
                 self._broken += 1
 
-    def chain(self, child):
+    def chain(self, child: str) -> list[str]:
         """Frames from ``child`` up to ``map``, or to the root of the tree."""
         frames = [child]
         while frames[-1] != "map" and frames[-1] in self.edges:
@@ -164,15 +168,17 @@ class TransformTree:
             frames.append(parent)
         return frames
 
-    def jump_back(self, child, received=False):
+    def jump_back(self, child: str, received: bool = False) -> float | None:
         """How far the times of the chain of ``child`` fall back [s]; None if they do not."""
         jumps = (self.edges[frame].jump_back(received) for frame in self.chain(child)[:-1])
         return next((jump for jump in jumps if jump), None)
 
-    def columns(self, child, notes, topic, received=False):
-        """Poses of ``child`` in the last frame of its chain, as `Series.columns` of poses.
+    def columns(
+        self, child: str, notes: list[str], topic: str, received: bool = False
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Poses of ``child`` in the last frame of its chain, as from `Series.columns`.
 
-        Their times are those of the edge that is sent most often; the others are interpolated.
+        They have the times of the edge that is sent most often; the others are interpolated.
         """
         if self._broken:
             notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
@@ -196,3 +202,20 @@ class TransformTree:
             x, y, psi = e_x + cos * x - sin * y, e_y + sin * x + cos * y, psi + e_psi
         nan = np.full(times.size, math.nan)
         return in_order(times, [x, y, wrap(psi), nan, nan, nan], notes, topic, required=2)
+
+
+class FramePoses(NamedTuple):
+    """Poses of a frame of a tree, with the methods of a `Series` of poses."""
+
+    tree: TransformTree
+    child: str
+
+    def jump_back(self, received: bool = False) -> float | None:
+        """How far the times fall back [s]; None if they do not."""
+        return self.tree.jump_back(self.child, received)
+
+    def columns(
+        self, notes: list[str], topic: str, received: bool = False
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Poses in strict order of time."""
+        return self.tree.columns(self.child, notes, topic, received)

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from ..errors import BagError
 from . import messages as msg
-from .series import TransformTree
+from .records import BagFile
+from .series import FramePoses, TransformTree
 
 __all__ = ["DRIVE_TOPIC", "choose_source", "drive_connections", "imu_topic"]
 
@@ -25,15 +26,16 @@ _KNOWN_IMUS = ("/vesc/sensors/imu/raw", "/sensors/imu/raw", "/imu")
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
 _TRUTH = ("ground_truth", "groundtruth", "gt_pose")
-# Slower than this [Hz] a pose is a goal, an initial guess or a rare fix, not a car's path.
+# Slower poses [Hz] are goals, initial guesses or rare fixes, not the path of a car.
 _SLOWEST_POSE = 5.0
 
 
 class _Source(NamedTuple):
-    """A way to learn from a bag where the car was.
+    """A topic or frame of tf with the pose of the car.
 
     ``rank`` orders sources, the best first: (doubt, frame, kind, name, -count, topic), where doubt
-    is 0 for none, 1 if it is chosen only for want of better, 2 if only on demand.
+    is 0 for none, 1 for a source that is chosen only if there is no better one, 2 for a source
+    that is used only on demand. ``poses`` is for tf.
     """
 
     topic: str
@@ -42,12 +44,11 @@ class _Source(NamedTuple):
     frame: str
     rank: tuple
     connections: frozenset = frozenset()
-    tree: TransformTree | None = None
-    child: str = ""
+    poses: FramePoses | None = None
 
 
-def choose_source(bag, pose_topic):
-    """The source to take the pose from, and notes that explain the choice."""
+def choose_source(bag: BagFile, pose_topic: str | None) -> tuple[_Source, list[str]]:
+    """The source of the pose, and notes that explain the choice."""
     sources = _topic_sources(bag)
     wanted = None if pose_topic is None else _canonical(pose_topic)
     matching = [source for source in sources if source.topic == wanted]
@@ -123,7 +124,7 @@ def _first_frames(bag, groups):
 
 
 def _tf_sources(bag):
-    """Frames of tf: ``base_link`` is taken to be the car, others only on demand."""
+    """Frames of tf: ``base_link`` is the car, others are used only on demand."""
     md5sum = msg.MD5[msg.TF]
     numbers = {number for number, c in bag.connections.items() if c.md5sum == md5sum}
     tree = TransformTree(bag.messages(numbers)) if numbers else None
@@ -133,9 +134,8 @@ def _tf_sources(bag):
         base = child.rpartition("/")[2] == "base_link"
         topic = "/tf" if child == "base_link" else f"/tf:{child}"
         rank = (0 if base else 2, _frame_rank(frame), len(_KINDS), int(child != "base_link"))
-        sources.append(
-            _Source(topic, msg.TF, md5sum, frame, rank + (0, topic), tree=tree, child=child)
-        )
+        poses = FramePoses(tree, child)
+        sources.append(_Source(topic, msg.TF, md5sum, frame, rank + (0, topic), poses=poses))
     return sources
 
 
@@ -147,8 +147,8 @@ def _name_rank(topic, known):
     return known.index(topic) if topic in known else len(known)
 
 
-def drive_connections(bag):
-    """Topic of the drive command and its connections."""
+def drive_connections(bag: BagFile) -> tuple[str, set[int]]:
+    """Topic of the drive command and its connections; empty without commands."""
     counts: dict[str, int] = {}
     for number, connection in bag.connections.items():
         if connection.md5sum == msg.MD5[msg.ACKERMANN] and bag.counts.get(number):
@@ -164,7 +164,7 @@ def drive_connections(bag):
     }
 
 
-def imu_topic(bag):
+def imu_topic(bag: BagFile) -> str | None:
     """Topic of the IMU, or None."""
     topics = {
         connection.topic

@@ -8,8 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import lz4.frame
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..errors import BagError
 from . import messages as msg
@@ -21,13 +19,12 @@ __all__ = ["BagWriter"]
 class BagWriter:
     """Write a race as a ROS 1 bag that ``rosbag info`` and ``rosbag play`` accept.
 
-    Use it as a context manager. The bag appears under its name only when it is complete: it is
-    written under a temporary name beside it and renamed at the end; after an exception nothing is
-    left behind. An existing file of that name is replaced.
+    Use it as a context manager. The bag appears under its name only when it is complete, and
+    replaces an existing file; after an exception nothing is left behind.
 
     All methods take a ``stamp``: seconds as a float, or nanoseconds as an int. It is the header's
-    time stamp and, unless ``received`` gives another, the time at which the message was recorded.
-    ROS reads the stamp 0 as "unknown" and has no time 0, so clocks must begin later.
+    time stamp and, unless ``received`` is given, the time of receipt. In ROS 0 means an unknown
+    time, so clocks must begin later.
 
     Parameters
     ----------
@@ -45,7 +42,7 @@ class BagWriter:
     Six topics at 40 Hz for 60 s (14,400 messages) take about 0.1 s.
     """
 
-    def __init__(self, path, compression=None):
+    def __init__(self, path: str | Path, compression: str | None = None):
         self.path = Path(path)
         if compression not in (None, "lz4", "bz2"):
             raise BagError(f"{path}: expected compression lz4 or bz2, got {compression!r}")
@@ -54,13 +51,16 @@ class BagWriter:
             raise BagError(f"{path}: cannot write the bag: expected a file, got a directory")
         if self.path.exists() and not self.path.is_file():
             raise BagError(f"{path}: cannot write the bag: expected a file, got a pipe or a device")
-        # A link stays one: what it points to is replaced.
+        # A link stays, and its target is replaced.
         self._target = Path(os.path.realpath(str(path)))
         self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
         self._topics: dict[str, list] = {}
 
     def __enter__(self):
-        # First what takes long, so that an interrupt meets no file yet.
+        # Slow, and needed only to write. It comes first, so that an interrupt leaves no file.
+        from rosbags.rosbag1 import Writer
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
         self._types = get_typestore(Stores.ROS1_NOETIC)
         for name, definition in msg.DEFINITIONS.items():
             self._types.register(get_types_from_msg(definition, name))
@@ -102,14 +102,12 @@ class BagWriter:
         received=None,
     ):
         """Pose in ``frame`` [m, rad] with velocity in the body frame [m/s, rad/s]."""
-        self._write(
-            *(topic, msg.ODOMETRY, stamp, received, msg.encode_odometry),
-            *(frame, child_frame, x, y, psi, v_x, v_y, yaw_rate),
-        )
+        values = (frame, child_frame, x, y, psi, v_x, v_y, yaw_rate)
+        self._write(topic, msg.ODOMETRY, stamp, received, msg.encode_odometry, values)
 
     def pose(self, stamp, x, y, psi, *, topic="/car_state/pose", frame="map", received=None):
         """Pose in ``frame`` [m, rad]."""
-        self._write(topic, msg.POSE, stamp, received, msg.encode_pose, frame, x, y, psi)
+        self._write(topic, msg.POSE, stamp, received, msg.encode_pose, (frame, x, y, psi))
 
     def drive(
         self,
@@ -125,10 +123,8 @@ class BagWriter:
         received=None,
     ):
         """Drive command: steering angle [rad], speed [m/s]."""
-        self._write(
-            *(topic, msg.ACKERMANN, stamp, received, msg.encode_drive),
-            *(frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk),
-        )
+        values = (frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk)
+        self._write(topic, msg.ACKERMANN, stamp, received, msg.encode_drive, values)
 
     def imu(
         self,
@@ -143,19 +139,15 @@ class BagWriter:
         received=None,
     ):
         """Specific force [m/s^2] and yaw rate [rad/s] in the axes of ``frame`` (REP-103)."""
-        self._write(
-            *(topic, msg.IMU, stamp, received, msg.encode_imu, frame, a_x, a_y, a_z, yaw_rate)
-        )
+        values = (frame, a_x, a_y, a_z, yaw_rate)
+        self._write(topic, msg.IMU, stamp, received, msg.encode_imu, values)
 
     def transform(
         self, stamp, x, y, psi, *, parent="map", child="base_link", static=False, received=None
     ):
         """Pose of the frame ``child`` in ``parent`` [m, rad], on ``/tf`` or ``/tf_static``."""
-        self._write(
-            *("/tf_static" if static else "/tf", msg.TF, stamp, received, msg.encode_transform),
-            *(parent, child, x, y, psi),
-            latched=static,
-        )
+        topic, values = "/tf_static" if static else "/tf", (parent, child, x, y, psi)
+        self._write(topic, msg.TF, stamp, received, msg.encode_transform, values, latched=static)
 
     def waypoints(
         self,
@@ -167,24 +159,22 @@ class BagWriter:
         latched=True,
         received=None,
     ):
-        """Raceline as ``f110_msgs/WpntArray``; `rows` are `messages.WAYPOINT_FIELDS`, (n, 10)."""
-        self._write(
-            *(topic, msg.WAYPOINTS, stamp, received, msg.encode_waypoints, frame, rows.tolist()),
-            latched=latched,
-        )
+        """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
+        values, encode = (frame, rows.tolist()), msg.encode_waypoints
+        self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=latched)
 
-    def _write(self, topic, kind, stamp, received, encode, *values, latched=False):
+    def _write(self, topic, kind, stamp, received, encode, values, latched=False):
         entry = self._topics.get(topic)
         if entry is None:
             entry = self._topics[topic] = [kind, 0, self._connect(topic, kind, latched)]
         if entry[0] != kind:
-            raise BagError(f"{self.path}: {topic} carries {entry[0]}, not {kind}")
+            raise BagError(f"{self.path}: {topic}: expected {entry[0]}, got {kind}")
         try:
             stamp_ns = _nanoseconds(stamp)
             time_ns = stamp_ns if received is None else _nanoseconds(received)
             data = encode(entry[1], stamp_ns, *values)
             if time_ns <= 0:
-                raise ValueError("no time at or before 0 can be recorded")
+                raise ValueError("expected a time after 0")
         except (TypeError, ValueError, OverflowError, struct.error) as error:
             raise BagError(f"{self.path}: {topic}: cannot write the message: {error}") from None
         entry[1] += 1
@@ -205,7 +195,7 @@ class BagWriter:
 
 
 def _compress_for_ros(data):
-    """Lz4 frame as ROS reads it: it refuses the usual form, which rosbags writes."""
+    """Lz4 frame that ROS can read; it refuses the default form, which rosbags writes."""
     return lz4.frame.compress(data, block_linked=False, store_size=False, content_checksum=True)
 
 

@@ -31,7 +31,7 @@ def run(arguments):
 
 
 def table_lines(comparison):
-    """Rows of both with their change."""
+    """Rows of both results and their difference."""
     rows = [["scale", "controller"]]
     for value in comparison.values:
         rows[0] += [f"{value} a", "b", "change"]
@@ -51,6 +51,6 @@ def _number(value, digits):
 
 
 def run_names(folders):
-    """The folders' names, or their paths where the names are one."""
+    """Names of the folders, or their paths if the names are the same."""
     names = tuple(Path(folder).resolve().name for folder in folders)
     return names if names[0] != names[1] else tuple(map(str, folders))

@@ -20,9 +20,11 @@ from .outputs import check_outputs
 
 
 def run(arguments):
-    """Evaluate, print, write; a recording that cannot be read does not hold up the others."""
+    """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
     if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
-        raise ParameterError(f"--max-deviation must be positive, not {arguments.max_deviation}")
+        raise ParameterError(
+            f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
+        )
     given = split_source(arguments.raceline or "")[0]
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
@@ -80,11 +82,11 @@ def evaluate_one(source, track, arguments):
 
 
 def run_names(sources):
-    """Short names of runs: the files' stems or, where these repeat, their paths as they differ."""
+    """Short names of runs: stems of the files or, if these repeat, what differs in the paths."""
     stems = [re.sub(r"\.(bag(\.active)?|csv(\.gz)?)$", "", Path(source).name) for source in sources]
     names = stems
     if len(set(stems)) < len(stems):
         folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]
         names = [os.path.relpath(str(source), os.path.commonpath(folders)) for source in sources]
-    # Figures can only show text.
+    # Figures can show only text.
     return [os.fsencode(str(name)).decode("utf-8", "replace") for name in names]

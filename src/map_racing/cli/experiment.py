@@ -1,4 +1,4 @@
-"""``map-racing experiment``: the paper's experiments, each by one command."""
+"""``map-racing experiment``: the experiments of the paper, one command each."""
 
 import math
 from pathlib import Path
@@ -21,24 +21,27 @@ from ..experiments.paper import (
     tire_table,
 )
 from ..experiments.robustness import grid_table
-from ..experiments.session import GridSession, Session
 from .figures import draw_robustness, draw_scaling, draw_trajectories
+from .session import open_grid, open_session
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
-# Who is compared with whom on the days that both completed.
-PAIRS = (("MAP Pacejka", "pure pursuit"), ("MAP Pacejka", "MAP linear"))
-PAIRS += (("MAP default", "MAP Pacejka"),)
+# Pairs that are compared on the days that both completed.
+PAIRS = (
+    ("MAP Pacejka", "pure pursuit"),
+    ("MAP Pacejka", "MAP linear"),
+    ("MAP default", "MAP Pacejka"),
+)
 
 
 def run_scaling(arguments):
     """Velocity scaling."""
     check_laps(arguments.laps)
     if not FIRST_SCALE <= arguments.to <= 2.0:
-        raise ParameterError(f"--to must be {FIRST_SCALE:g} to 2, not {arguments.to}")
+        raise ParameterError(f"--to: expected {FIRST_SCALE:g} to 2, got {arguments.to}")
     count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
     scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
-    session = Session(arguments, "velocity-scaling")
+    session = open_session(arguments, "velocity-scaling")
     races = session.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
     table = scaling_table(per_race, laps)
@@ -64,7 +67,7 @@ def run_scaling(arguments):
 def run_tires(arguments):
     """Tire models."""
     check_laps(arguments.laps)
-    session = Session(arguments, "tire-models")
+    session = open_session(arguments, "tire-models")
     races = session.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)
@@ -93,7 +96,7 @@ def run_robustness(arguments):
     if arguments.laps is not None:
         check_laps(arguments.laps)
     controllers = named_controllers(arguments.controller)
-    session = GridSession(arguments, "robustness")
+    session = open_grid(arguments, "robustness")
     races = session.race(controllers)
     scale = session.grid.conditions.speed_scale
     table = grid_table(races, scale)
@@ -123,9 +126,9 @@ def _laps(arguments):
 
 
 def check_laps(laps):
-    """Refuse a number of laps that makes no race."""
+    """Refuse impossible numbers of laps."""
     if not 1 <= laps <= 1000:
-        raise ParameterError(f"--laps must be 1 to 1000, not {laps}")
+        raise ParameterError(f"--laps: expected 1 to 1000, got {laps}")
 
 
 # -- text ------------------------------------------------------------------------------------------
@@ -150,7 +153,7 @@ def scaling_lines(table):
 
 
 def tire_lines(table):
-    """Table of tire models for the terminal; in parentheses what was driven until the end."""
+    """Table of tire models for the terminal; values of races not completed in parentheses."""
     titles = ["scale", "controller", "days completed", "mean lap [s]"]
     rows = [[*titles, "mean error [m]", "max error [m]"]]
     for row in table.itertuples():
@@ -167,13 +170,13 @@ def tire_lines(table):
 
 
 def completion(row):
-    """Days completed, and after how many laps the others ended, as in "3 of 10"."""
+    """Days completed, as in "3 of 10", and after how many laps the others ended."""
     ended = row.laps_until_end if row.days_completed else ""
     return f"{row.days_completed} of {row.days}" + (f" (N.C. after {ended} laps)" if ended else "")
 
 
 def not_completed(row):
-    """N.C. with the laps after which it ended."""
+    """N.C. and the number of laps after which it ended."""
     return f"N.C. after {row.laps_until_end.replace(' ', ', ')} laps"
 
 
@@ -218,13 +221,13 @@ def grid_lines(table):
 
 
 def highest_lines(highest):
-    """Highest scale completed on each day."""
+    """Table of the highest scale completed on each day."""
     labels = list(highest.columns[1:])
     rows = [["highest scale completed", *(f"day {seed}" for seed in highest.seed), "median"]]
     for label in labels:
         values = highest[label].values.astype(float)
         cells = [f"{value:.3f}" if math.isfinite(value) else "none" for value in values]
-        # A day without any counts as less than all others.
+        # A day without any counts as the lowest.
         middle = float(np.median(np.where(np.isfinite(values), values, 0.0)))
         rows.append([label, *cells, f"{middle:.4g}"])
     return aligned(rows)
@@ -242,7 +245,7 @@ def pairs_frame(races):
 
 
 def pairs_lines(pairs):
-    """Who followed closer, and who was faster."""
+    """Table of which of a pair followed the raceline closer, and which was faster."""
     rows = [["on days both completed", "scale", "days", "closer on", "RMS errors", "gain per lap"]]
     for row in pairs.itertuples():
         rows.append(
@@ -259,13 +262,13 @@ def pairs_lines(pairs):
 
 
 def panel_title(race):
-    """Controller, scale and how the race went."""
+    """Controller, scale and outcome of a race."""
     went = "completed" if race.result.completed else f"N.C. after {len(race.result.laps)} laps"
     return f"{race.label}, {race.scale:.0%}: {went}"
 
 
 def timed_path(result):
-    """Positions after the out-lap, or of the out-lap where the race ended in it; shape (n, 2)."""
+    """Positions after the out-lap or, if the race ended in it, of the out-lap; shape (n, 2)."""
     path = np.array(result.path, dtype=float).reshape(-1, 3)
     begin = [stretch.start_time_s for stretch in result.stretches if stretch.lap == 1]
     if begin:

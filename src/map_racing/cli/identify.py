@@ -23,7 +23,7 @@ def run(arguments):
     """Identify, report, write."""
     output = Path(arguments.output)
     if output.suffix not in (".yaml", ".yml"):
-        raise ParameterError(f"{output}: expected a vehicle file that ends in .yaml")
+        raise ParameterError(f"--output: expected a vehicle file that ends in .yaml, got {output}")
     table_path = output.with_suffix(".csv")
     outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
     check_outputs(outputs, [*arguments.data, arguments.vehicle, arguments.channels])
@@ -48,7 +48,7 @@ def run(arguments):
     print(report_text(found, holds))
 
     if arguments.plots:
-        # Before the first output, so that none is left behind where it cannot be made.
+        # Before the first output: none is left behind if the folder cannot be made.
         make_folder(arguments.plots)
     print()
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
@@ -67,14 +67,14 @@ def run(arguments):
 
 
 def channel_map(arguments):
-    """The channel map, with what the command line says of it."""
+    """The channel map with the changes of the command line."""
     channels = load_channel_map(arguments.channels) if arguments.channels else ChannelMap()
     if arguments.pose_topic:
         channels = dataclasses.replace(channels, pose_topic=arguments.pose_topic)
     if arguments.servo_topic:
         gain, offset = arguments.servo_gain, arguments.servo_offset
         if not gain:
-            raise ParameterError("--servo-gain must not be 0")
+            raise ParameterError("--servo-gain: expected a number other than 0, got 0")
         steering = Channel(arguments.servo_topic, scale=1.0 / gain, offset=-offset / gain)
         merged = {**channels.channels, "steering": steering}
         channels = dataclasses.replace(channels, channels=merged)
@@ -85,7 +85,7 @@ def channel_map(arguments):
 
 
 def provenance(found):
-    """Lines for the head of the vehicle file."""
+    """Comment at the head of the vehicle file."""
     runs = ", ".join(motion.run.label for motion in found.motions)
     front, rear = found.front, found.rear
     return (

@@ -1,6 +1,9 @@
-"""Where a command writes: what would destroy what the user still needs is refused."""
+"""Checks of outputs before a command starts: nothing that is still needed is overwritten."""
+
+from __future__ import annotations
 
 from pathlib import Path
+from typing import Iterable
 
 from ..errors import ParameterError
 
@@ -9,13 +12,13 @@ __all__ = ["check_outputs"]
 BAG_MAGIC = b"#ROSBAG V2"
 
 
-def check_outputs(outputs, inputs=()):
-    """Refuse outputs that cannot be meant.
+def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = ()) -> None:
+    """Refuse outputs that are mistakes.
 
     Parameters
     ----------
     outputs : iterable of str or None
-        Files that the command is about to write; None for those not asked for.
+        Files that the command would write; None if not wanted.
     inputs : iterable of str or None
         Files that it reads.
 
@@ -23,7 +26,7 @@ def check_outputs(outputs, inputs=()):
     ------
     ParameterError
         If an output is also an input or another output, is no file name, has no folder, or would
-        replace a recorded bag by something else.
+        replace a bag by another kind of file.
     """
     # Inputs may be names of shipped files as well.
     taken = {_identity(path): "an input" for path in inputs if path and Path(path).is_file()}

@@ -2,14 +2,11 @@
 
 from pathlib import Path
 
-from tqdm import tqdm
-
 from ..control.controller import Controller, build_steering_maps
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..simulation.plant import Localization, Plant, load_plant_parameters
-from ..simulation.public_simulator import PublicSimulator
+from ..simulation.plants import build_plant, load_plant
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
 from ..track.files.load import load_raceline
@@ -17,8 +14,8 @@ from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle, parameter_hash
 from .outputs import check_outputs
+from .progress import progress_bar
 
-PUBLIC_SIMULATOR = "public_simulator"
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
 LONGEST_LAP = 5000.0  # [m]
@@ -27,38 +24,56 @@ LONGEST_LAP = 5000.0  # [m]
 def run(arguments):
     """Race and record."""
     if not 1 <= arguments.laps <= MOST_LAPS:
-        raise ParameterError(f"--laps must be 1 to {MOST_LAPS}, not {arguments.laps}")
-    output = Path(arguments.output)
-    inputs = (
+        raise ParameterError(f"--laps: expected 1 to {MOST_LAPS}, got {arguments.laps}")
+    inputs = [
         split_source(arguments.track)[0],
-        *(arguments.controller, arguments.plant, arguments.vehicle),
-        *(arguments.lookup_table, arguments.speed_sectors),
-    )
+        arguments.controller,
+        arguments.plant,
+        arguments.vehicle,
+        arguments.lookup_table,
+        arguments.speed_sectors,
+    ]
     check_outputs([arguments.output], inputs)
     parameters = load_controller_parameters(arguments.controller)
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
-    raceline = load_raceline(arguments.track)
+    raceline = load_track(arguments.track)
+    plant_parameters = load_plant(arguments.plant)
+    plant, localization = build_plant(plant_parameters, arguments.seed)
+    if plant_parameters.reference_point != "rear_axle":
+        parameters = parameters.with_(reference_point=plant_parameters.reference_point)
+    controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
+    output = Path(arguments.output)
+    with progress_bar(output.name, arguments.laps + 1, "laps") as show:
+        log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
+    write_race_bag(output, log, raceline)
+    if raceline.d_left is None:
+        print(f"{arguments.track}: no walls are known, so crashes are not detected")
+    print(
+        f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
+        f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
+        f"{log.duration:.1f} s{place_of_end(log, raceline)}"
+    )
+
+
+def load_track(source):
+    """The raceline to drive, with its findings printed."""
+    raceline = load_raceline(source)
     if raceline.length > LONGEST_LAP:
         raise ParameterError(
-            f"{arguments.track}: expected a lap of at most {LONGEST_LAP:g} m, got "
+            f"{source}: expected a lap of at most {LONGEST_LAP:g} m, got "
             f"{raceline.length:.0f} m: is it in meters?"
         )
     for finding in raceline.findings:
-        print(f"{arguments.track}: {finding}")
+        print(f"{source}: {finding}")
+    return raceline
 
-    if arguments.plant == PUBLIC_SIMULATOR:
-        plant, localization, plant_vehicle = PublicSimulator(load_vehicle("sim")), None, "sim"
-        # It publishes the pose of the center of gravity under the name of base_link.
-        parameters = parameters.with_(reference_point="center_of_gravity")
-    else:
-        plant_parameters = load_plant_parameters(arguments.plant)
-        plant, plant_vehicle = Plant(plant_parameters), plant_parameters.vehicle
-        localization = Localization(plant_parameters, arguments.seed)
-    vehicle = load_vehicle(arguments.vehicle or plant_vehicle)
-    if parameter_hash(vehicle) != parameter_hash(load_vehicle(plant_vehicle)):
-        print(f"the controller knows {vehicle.name}, but the plant is {plant.vehicle.name}")
 
+def controller_of(arguments, parameters, plant_vehicle, raceline):
+    """The controller, with a note where its model of the car is not the plant's."""
+    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
+    if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
+        print(f"the controller knows {vehicle.name}, but the plant is {plant_vehicle.name}")
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if arguments.lookup_table:
         steering_map = given_table(arguments.lookup_table, parameters, vehicle, steering_map)
@@ -70,34 +85,20 @@ def run(arguments):
     controller = Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
     if controller.plan is not None:
         print(f"grip_use {parameters.grip_use:g}: {controller.plan}")
+    return controller
 
-    bar_format = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.0f} laps [{elapsed}]"
-    with tqdm(
-        total=arguments.laps + 1, desc=output.name, disable=None, bar_format=bar_format, leave=False
-    ) as bar:
 
-        def show(laps):
-            bar.update(min(laps, bar.total) - bar.n)
-
-        log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
-    write_race_bag(output, log, raceline)
-    if raceline.d_left is None:
-        print(f"{arguments.track}: no walls are known, so no crash is seen")
-    end = ""
-    if log.outcome is not Outcome.COMPLETED and log.samples:
-        x, y = log.samples[-1].true[1:3]
-        place = raceline.project(x, y)
-        side = "left" if place.d > 0.0 else "right"
-        end = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
-    print(
-        f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
-        f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
-        f"{log.duration:.1f} s{end}"
-    )
+def place_of_end(log, raceline):
+    """The place where a race ended that was not completed, in words."""
+    if log.outcome is Outcome.COMPLETED or not log.samples:
+        return ""
+    place = raceline.project(*log.samples[-1].true[1:3])
+    side = "left" if place.d > 0.0 else "right"
+    return f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
 
 
 def given_table(path, parameters, vehicle, own):
-    """The table of a file, after a look at whether it can be that of the vehicle."""
+    """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
     table = load_table(path)
@@ -106,6 +107,6 @@ def given_table(path, parameters, vehicle, own):
     angles = [steering_map.steering(v, a_lat)[0] for steering_map in (table, own)]
     print(
         f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
-        f"that of {vehicle.name} has {angles[1]:.4f} rad"
+        f"the table of {vehicle.name} has {angles[1]:.4f} rad"
     )
     return table

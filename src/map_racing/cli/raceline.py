@@ -1,4 +1,4 @@
-"""``map-racing raceline``: check, convert and make racelines."""
+"""``map-racing raceline``: check and convert racelines."""
 
 from __future__ import annotations
 
@@ -16,8 +16,12 @@ from ..track.findings import ERROR, NOTE, Finding, worst_first
 from .figures import draw_check
 from .outputs import check_outputs
 
-# Formats with no place for what a track may have.
-WITHOUT = {"tum": "walls", "racetracks": "walls", "centerline": "speeds"}
+# What some formats have no columns for, and the attribute of a raceline that holds it.
+WITHOUT = {
+    "tum": ("walls", "d_left"),
+    "racetracks": ("walls", "d_left"),
+    "centerline": ("speeds", "speed"),
+}
 
 
 def run_check(arguments):
@@ -62,11 +66,11 @@ def run_check(arguments):
 
 
 def run_convert(arguments):
-    """Read, mend, write."""
+    """Read, repair, write."""
     form = choose_format(arguments.output, arguments.format)
     check_outputs([arguments.output], [split_source(arguments.source)[0]])
     if arguments.spacing is not None and not 0.001 <= arguments.spacing <= 100.0:
-        raise ParameterError(f"--spacing must be from 0.001 to 100 m, not {arguments.spacing:g}")
+        raise ParameterError(f"--spacing: expected 0.001 to 100 m, got {arguments.spacing:g}")
     table = read_raceline(arguments.source)
     print(f"{arguments.source}\n  {table.layout}")
     if arguments.repair:
@@ -87,10 +91,11 @@ def run_convert(arguments):
     if arguments.repair:
         for finding in raceline.findings:
             if finding.severity != NOTE:
-                print(f"  left as it is: {finding}")
-    lost = WITHOUT.get(form)
-    if lost and getattr(raceline, {"walls": "d_left", "speeds": "speed"}[lost]) is not None:
-        print(f"  {lost} left out: format {form} has none")
+                print(f"  not repaired: {finding}")
+    if form in WITHOUT:
+        lost, column = WITHOUT[form]
+        if getattr(raceline, column) is not None:
+            print(f"  {lost} left out: format {form} has none")
     if form in ("race_stack", "bag"):
         for what, column in (("speeds", raceline.speed), ("walls", raceline.d_left)):
             if column is None:
@@ -103,6 +108,6 @@ def run_convert(arguments):
 
 
 def print_findings(findings):
-    """One line each, what is wrong first."""
+    """One line each, errors first."""
     for finding in worst_first(findings):
         print(f"  {finding.severity}: {finding}")

@@ -1,6 +1,7 @@
 """``map-racing raceline optimize``: the fastest line between the walls of a track or a map."""
 
-import math
+from __future__ import annotations
+
 import time
 from pathlib import Path
 
@@ -9,25 +10,30 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
+from ..track.centerline import track_from_map
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
 from ..track.findings import NOTE
-from ..track.map_image import read_map_image, track_from_map
-from ..track.optimization import fastest_line, minimum_curvature, squared_curvature
-from ..track.raceline import Raceline
+from ..track.map_image import read_map_image
+from ..track.optimization import (
+    fastest_line,
+    minimum_curvature,
+    squared_curvature,
+    with_fastest_speeds,
+)
 from ..track.speed_profile import raceline_speeds
-from ..track.walls import Walls
-from ..vehicle.lookup import default_grid, load_table
+from ..track.walls import clearance_of
+from ..vehicle.limits import speed_limits
+from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
-from ..vehicle.steady_state import steady_state_table
 from .figures import draw_optimized
 from .outputs import check_outputs
 
-# What makes walls unusable, though the line itself can be driven.
+# Findings that make the walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
-# Beyond these the search takes all day: positions in mm, or walls that stand for none.
+# Beyond these the search takes all day: positions in mm, or placeholder wall distances.
 MOST_POINTS, WIDEST_M = 20000, 100.0
 
 
@@ -39,14 +45,21 @@ def run_optimize(arguments):
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = load_vehicle(arguments.vehicle)
-    limits = limits_of(arguments, vehicle)
+    limits = speed_limits(
+        vehicle,
+        load_table(arguments.lookup_table) if arguments.lookup_table else None,
+        lateral_scale=arguments.lateral_scale,
+        longitudinal_scale=arguments.longitudinal_scale,
+        v_max=arguments.v_max,
+        power=arguments.power,
+    )
     track = load(arguments, vehicle)
     lines = [(track.name or "input", track)]
     clearance = 0.5 * vehicle.width + arguments.margin
     if arguments.compare:
         other = load_raceline(arguments.compare)
         # A millimeter more, so that rounding does not favor our line.
-        clearance = float(np.min(clearances(track, other))) + 1e-3
+        clearance = clearance_of(other, track) + 1e-3
         lines.append((other.name or "compared", other))
 
     began = time.perf_counter()
@@ -58,21 +71,21 @@ def run_optimize(arguments):
             found = fastest_line(track, clearance, limits, **options)
     for finding in found.findings:
         print(f"  {finding}")
-    optimized = driven(found.raceline, limits, arguments.speed_scale)
+    optimized = with_fastest_speeds(found.raceline, limits, arguments.speed_scale)
     count = int(round(found.raceline.length / arguments.step))
     print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
     print_table(lines, track, limits, arguments.speed_scale)
 
     try:
-        middle = driven(found.reference, limits, arguments.speed_scale)
+        middle = with_fastest_speeds(found.reference, limits, arguments.speed_scale)
     except ParameterError:
         middle = found.reference
     for path, form, line in zip(outputs, forms, (optimized, middle)):
         if path:
             save_raceline(line, path, form)
-            told = "" if line.speed is not None else ", without speeds"
-            print(f"{path}: format {form}, {line.n} points{told}")
+            without = "" if line.speed is not None else ", without speeds"
+            print(f"{path}: format {form}, {line.n} points{without}")
     if arguments.sectors:
         sectors = corners_and_straights(optimized)
         save_speed_sectors(arguments.sectors, sectors)
@@ -91,7 +104,7 @@ def form_of(path, wanted):
 
 
 def check_numbers(arguments):
-    """Refuse numbers that cannot be meant."""
+    """Reject numbers that cannot be meant."""
     for key, least, most in (
         ("margin", -0.5, 10.0),
         ("step", 0.01, 100.0),
@@ -106,75 +119,53 @@ def check_numbers(arguments):
         value = getattr(arguments, key)
         if value is not None and not least <= value <= most:
             option = "--" + key.replace("_", "-")
-            raise ParameterError(f"{option} must be from {least:g} to {most:g}, not {value:g}")
-
-
-def limits_of(arguments, vehicle):
-    """The car's limits for the speed profile."""
-    v_max = min(vehicle.v_max, arguments.v_max or math.inf)
-    if arguments.lookup_table:
-        table = load_table(arguments.lookup_table)
-    else:
-        table = steady_state_table(vehicle, *default_grid(vehicle, max(v_max, 0.5)))
-    lateral, longitudinal = arguments.lateral_scale, arguments.longitudinal_scale
-    drive = longitudinal * vehicle.a_max
-    if arguments.power is not None:
-        least = arguments.power / (vehicle.m * drive)
-
-        def drive(v, most=drive):
-            # P = m a v: all of a_max below the speed where the power is reached.
-            return most * least / np.maximum(v, least)
-
-    return {
-        "a_lat_max": lambda v: lateral * table.max_lateral_acceleration(v),
-        "a_drive_max": drive,
-        "a_brake_max": longitudinal * vehicle.a_brake_max,
-        "v_max": v_max,
-    }
+            raise ParameterError(f"{option}: expected {least:g} to {most:g}, got {value:g}")
 
 
 def load(arguments, vehicle):
-    """The track of a file, or of a map."""
-    if Path(arguments.source).suffix.lower() not in MAPS:
+    """Track of a file or a map, with walls that can be used."""
+    source = arguments.source
+    if Path(source).suffix.lower() in MAPS:
+        track = load_map(arguments, vehicle)
+        findings = track.findings
+    else:
         for option in ("start", "passage", "speckle"):
             if getattr(arguments, option) is not None:
-                raise ParameterError(f"--{option} is for maps: {arguments.source} is a track")
-        track = load_raceline(arguments.source)
-        told = [finding for finding in track.findings if finding.severity != NOTE]
-        wrong = [finding for finding in told if finding.code in WRONG_WALLS]
-        if wrong:
-            raise ParameterError(
-                f"{arguments.source}: {wrong[0]} Mend it with map-racing raceline convert --repair"
-            )
-    else:
-        if arguments.start is None:
-            raise ParameterError(f"{arguments.source} is a map: expected --start X,Y[,PSI] on it")
-        passage = arguments.passage
-        if passage is None:
-            passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
-        track = track_from_map(
-            read_map_image(arguments.source),
-            *start_of(arguments.start),
-            passage=passage,
-            speckle=arguments.speckle,
-        )
-        told = track.findings
-    print(f"{arguments.source}: {track.length:.2f} m")
+                raise ParameterError(f"--{option}: expected a map, {source} is a track")
+        track = load_raceline(source)
+        findings = [finding for finding in track.findings if finding.severity != NOTE]
+        for finding in findings:
+            if finding.code in WRONG_WALLS:
+                raise ParameterError(
+                    f"{source}: {finding} Repair it with map-racing raceline convert --repair"
+                )
+    print(f"{source}: {track.length:.2f} m")
     if track.length / arguments.step > MOST_POINTS:
         raise ParameterError(
-            f"{arguments.source}: expected at most {MOST_POINTS} points of {arguments.step:g} m, "
-            f"but it is {track.length:.0f} m long: is it in mm? Else take a larger --step"
+            f"{source}: expected at most {MOST_POINTS} points {arguments.step:g} m apart, "
+            f"got a track of {track.length:.0f} m: is it in mm? Else take a larger --step"
         )
     if track.d_left is not None:
         widest = max(float(track.d_left.max()), float(track.d_right.max()))
         if widest > WIDEST_M:
             raise ParameterError(
-                f"{arguments.source}: expected walls at most {WIDEST_M:g} m away, got "
-                f"{widest:.0f} m"
+                f"{source}: expected walls at most {WIDEST_M:g} m away, got {widest:.0f} m"
             )
-    for finding in told:
+    for finding in findings:
         print(f"  {finding}")
     return track
+
+
+def load_map(arguments, vehicle):
+    """Centerline of a map, from the start given."""
+    if arguments.start is None:
+        raise ParameterError(f"{arguments.source}: expected --start X,Y[,PSI] for a map")
+    passage = arguments.passage
+    if passage is None:
+        passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
+    start, psi = start_of(arguments.start)
+    image = read_map_image(arguments.source)
+    return track_from_map(image, start, psi, passage=passage, speckle=arguments.speckle)
 
 
 def start_of(words):
@@ -188,34 +179,8 @@ def start_of(words):
     return tuple(numbers[:2]), (numbers[2] if len(numbers) == 3 else None)
 
 
-def clearances(track, line):
-    """Distances from a line to the walls of a track; an error where it is beyond one."""
-    at = line.sample(np.linspace(0.0, line.length, 4 * line.n, endpoint=False))
-    for x, y in zip(at.x.tolist(), at.y.tolist()):
-        foot = track.project(x, y)
-        left, right = track.widths_at(foot.s)
-        if not -right < foot.d < left:
-            raise ParameterError(
-                f"{line.source}: expected a line between the walls of {track.source}, but "
-                f"({x:.2f}, {y:.2f}) is beyond one"
-            )
-    return Walls(track).distance(np.stack((at.x, at.y), axis=1))
-
-
-def driven(line, limits, scale):
-    """A line with the fastest speeds on it."""
-    speed, _ = raceline_speeds(line, **limits)
-    return Raceline(
-        *(line.x, line.y),
-        vx_mps=scale * speed,
-        d_left_m=line.d_left,
-        d_right_m=line.d_right,
-        name=line.name,
-    )
-
-
 def print_table(lines, track, limits, scale):
-    """Figures of each line, all computed alike."""
+    """Figures of each line, computed in the same way for all."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'clearance':>10s} "
         f"{'lap time':>9s}\n"
@@ -228,10 +193,9 @@ def print_table(lines, track, limits, scale):
         except ParameterError as error:
             lap = "-"
             undrivable.append(f"  {name}: no lap time: {error}")
-        least = float(np.min(clearances(track, line)))
         print(
             f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
-            f"{1.0 / np.abs(line.kappa).max():8.2f} {least:10.3f} {lap:>9s}"
+            f"{1.0 / np.abs(line.kappa).max():8.2f} {clearance_of(line, track):10.3f} {lap:>9s}"
         )
-    for told in undrivable:
-        print(told)
+    for text in undrivable:
+        print(text)

@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-from tqdm import tqdm
-
 from ..control.steering_ramp import RampParameters
 from ..errors import ParameterError
-from ..simulation.plant import load_plant_parameters
+from ..simulation.plants import load_plant
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
 from .outputs import check_outputs
+from .progress import progress_bar
 
 
 def run(arguments):
@@ -26,29 +25,23 @@ def run(arguments):
         )
         for speed in arguments.speed
     ]
-    plant = load_plant_parameters(arguments.plant)
+    plant = load_plant(arguments.plant)
     steers = plant.build_vehicle().delta_max
     if arguments.limit_rad > steers:
         raise ParameterError(
-            f"--limit must be at most {steers:g} rad, as far as the car steers, "
-            f"not {arguments.limit_rad:g}"
+            f"--limit: expected at most {steers:g} rad, as far as the car steers, got "
+            f"{arguments.limit_rad:g}"
         )
     rising = (arguments.limit_rad - arguments.start_rad) / arguments.rate_radps
     expected = len(ramps) * (1 if arguments.sides != "both" else 2) * (rising + 3.0)
     if expected > 3600.0:
-        raise ParameterError(f"--rate: the drive would take {expected / 60.0:.0f} minutes")
-    bar_format = "{desc}: {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s [{elapsed}]"
-    with tqdm(
-        total=expected, desc=output.name, disable=None, bar_format=bar_format, leave=False
-    ) as bar:
-
-        def show(t):
-            bar.update(min(t, bar.total) - bar.n)
-
+        raise ParameterError(
+            f"--rate: expected a drive of at most an hour, got {expected / 60.0:.0f} minutes"
+        )
+    with progress_bar(output.name, expected, "s") as show:
         samples = drive_ramps(plant, ramps, arguments.seed, progress=show)
-    write_ramp_bag(
-        output, samples, None if arguments.compression == "none" else arguments.compression
-    )
+    compression = None if arguments.compression == "none" else arguments.compression
+    write_ramp_bag(output, samples, compression)
     speeds = ", ".join(f"{speed:g}" for speed in arguments.speed)
     print(
         f"{output}: {arguments.plant} at {speeds} m/s, {arguments.start_rad:g} to "

@@ -7,10 +7,10 @@ from ..control.parameters import save_controller_parameters
 from ..errors import ParameterError
 from ..experiments.campaign import Plan
 from ..experiments.robustness import grid_table
-from ..experiments.session import GridSession, Session
 from ..experiments.tuning import tune_robust
 from ..files import make_folder
 from .experiment import grid_lines, named_controllers
+from .session import open_grid, open_session
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
 
@@ -25,7 +25,7 @@ def run(arguments):
             raise ParameterError(f"--{option.replace('_', '-')} belongs to --robust")
     stems = list(given)
     controllers = {stem: (stem, parameters) for stem, parameters in given.items()}
-    session = Session(arguments, "tune")
+    session = open_session(arguments, "tune")
     tuned = session.tune(controllers)
     session.controllers = {label: found.controller for label, found in tuned.items()}
     conditions = session.setting.conditions
@@ -47,7 +47,7 @@ def run(arguments):
 
 def run_robust(arguments, controllers):
     """Tune over a grid of tracks and cars."""
-    session = GridSession(arguments, "tune-robust")
+    session = open_grid(arguments, "tune-robust")
     grid = session.grid
 
     def steps(label, controller):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..track.tracker import RacelineTracker
+from ..validation import FARTHEST
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
@@ -30,20 +31,16 @@ __all__ = [
     "build_steering_maps",
 ]
 
-# Below this speed the law is evaluated as if at it: the demanded circle is the same, but the map
-# from acceleration to angle would become 0/0. So a standing car already points its wheels.
+# The law uses at least this speed [m/s]; at standstill the map from acceleration to angle would be
+# 0/0. The circle is the same, and a standing car already points its wheels.
 LOWEST_LAW_SPEED = 0.5
 
-# Longest time over which the steering may slew in one step: after a pause the angle that the servo
-# has reached is unknown, and must not be taken to be anywhere.
+# Longest time over which the steering may slew in one step [s]: after a pause the angle that the
+# servo has reached is unknown.
 LONGEST_SLEW_TIME = 0.1
 
-# Numbers beyond this (m, m/s, rad, rad/s) come from a broken message, and would overflow somewhere;
-# geographic coordinates stay below.
-CREDIBLE = 1e8
-
-# A pose farther from the path than the lookahead distance has no lookahead point on its circle;
-# sqrt(2) of the lateral error makes the car approach the path at 45 degrees.
+# Farther from the path than the lookahead distance there is no lookahead point; sqrt(2) of the
+# lateral error makes the car approach the path at 45 degrees.
 APPROACH_FACTOR = math.sqrt(2.0)
 
 
@@ -57,12 +54,12 @@ class Status(Enum):
     NO_RACELINE = "no raceline"  # commands a stop
 
 
-# Looking up the members of an enumeration takes its time before Python 3.12.
+# Looking up members of an enumeration is slow before Python 3.12.
 _OK, _SATURATED, _OFF_COURSE = Status.OK, Status.SATURATED, Status.OFF_COURSE
 
 
 class ControlResult(NamedTuple):
-    """Command of one control step and all that led to it.
+    """Command of one control step and how it came about.
 
     Parameters
     ----------
@@ -72,17 +69,18 @@ class ControlResult(NamedTuple):
         Commanded speed [m/s].
     status : Status
     state : CarState
-        State from which guidance started: the measured one, or its prediction.
+        State from which guidance starts: measured, or predicted by the delay.
     s, d : float
-        Arc length of its projection on the raceline and lateral deviation, left positive [m].
+        Arc length of its projection on the raceline and lateral error, left positive [m].
     lookahead_x, lookahead_y : float
         Lookahead point in the map frame [m].
     lookahead_distance : float
         Its distance [m].
     eta : float
-        Angle to it from the velocity vector, or from the heading where parameters say so [rad].
+        Angle from the velocity vector, or the heading with ``eta_from``, to the lookahead point
+        [rad].
     a_lat : float
-        Lateral acceleration asked of the steering map, feedforward included [m/s^2].
+        Lateral acceleration requested from the steering map, feedforward included [m/s^2].
     """
 
     steering_angle: float
@@ -99,6 +97,7 @@ class ControlResult(NamedTuple):
 
 
 _NAN = math.nan
+_new = tuple.__new__
 _RIGHT_ANGLE = 0.5 * math.pi
 
 
@@ -110,7 +109,7 @@ class Controller:
     parameters : ControllerParameters
     steering_map : object with ``steering(v, a_lat) -> (delta, saturated)``
     vehicle : Vehicle
-        Its steering limits and geometry.
+        Provides steering limits and geometry.
     raceline : Raceline or None
         With None every step commands a stop, until :attr:`raceline` is set.
     sectors : SpeedSectors or None
@@ -167,9 +166,11 @@ class Controller:
         if setup.guard is not None and self._guard is not None:
             setup.guard.resume(self._guard)
         self._setup = setup
+        self._lookahead = setup.parameters.lookahead.distance
         self._parameters, self._steering_map = setup.parameters, setup.steering_map
         self._sectors, self._plan, self._guard = setup.sectors, setup.plan, setup.guard
         self._raceline, self._tracker = setup.raceline, setup.tracker
+        self._speed_at = self._requested_speed_at if setup.plan is None else setup.plan.speed_at
 
     def _planned(self, setup):
         """A setup with the tracker and the speed plan that go with the rest of it."""
@@ -190,10 +191,7 @@ class Controller:
 
     @property
     def raceline(self):
-        """The raceline followed; setting another one restarts tracking.
-
-        The steering goes on from where it is.
-        """
+        """The raceline; setting another one restarts tracking, while the steering continues."""
         return self._raceline
 
     @raceline.setter
@@ -250,7 +248,7 @@ class Controller:
         return np.array([self._plan.speed_at(at) for at in np.asarray(s).tolist()])
 
     def reset(self):
-        """Forget the past: the car was moved, or time jumped back."""
+        """Forget the past, after the car was moved or time jumped back."""
         if self._tracker is not None:
             self._tracker.reset()
         self._last_t = None
@@ -264,25 +262,25 @@ class Controller:
         Parameters
         ----------
         state : CarState
-            Measured state of the reference point. A NaN in ``v_y`` means that nothing measures it.
+            Measured state of the reference point; ``v_y`` is NaN if nothing measures it.
 
         Returns
         -------
         ControlResult
-            With a state that is not finite or absurd, or without raceline: speed 0, the last
-            steering angle.
+            Speed 0 and the last steering angle if the state is not finite or absurd, or without a
+            raceline.
         """
         parameters = self._parameters
         t, x, y, psi, v_x, v_y, r = state
         # A NaN fails every comparison.
         if not (
             t - t == 0.0
-            and -CREDIBLE < x < CREDIBLE
-            and -CREDIBLE < y < CREDIBLE
-            and -CREDIBLE < psi < CREDIBLE
-            and -CREDIBLE < v_x < CREDIBLE
-            and -CREDIBLE < r < CREDIBLE
-            and (v_y != v_y or -CREDIBLE < v_y < CREDIBLE)
+            and -FARTHEST < x < FARTHEST
+            and -FARTHEST < y < FARTHEST
+            and -FARTHEST < psi < FARTHEST
+            and -FARTHEST < v_x < FARTHEST
+            and -FARTHEST < r < FARTHEST
+            and (v_y != v_y or -FARTHEST < v_y < FARTHEST)
         ):
             return self._stop(state, Status.INVALID_STATE)
         raceline = self._raceline
@@ -295,13 +293,15 @@ class Controller:
 
         _, x, y, psi, _, _, _ = state
         s, d, path_psi, path_kappa = self._tracker.update(x, y, psi)
-        speed = self._speed_command(s + parameters.speed_lookahead_s * v_x)
-        law_speed = abs(v_x) if parameters.speed_source == "measured" else speed
+        speed = self._speed_at(s + parameters.speed_lookahead_s * v_x)
+        law_speed = v_x if parameters.speed_source == "measured" else speed
+        if law_speed < 0.0:
+            law_speed = -law_speed
         if law_speed < LOWEST_LAW_SPEED:
             law_speed = LOWEST_LAW_SPEED
 
-        wanted = parameters.lookahead.distance(law_speed)
-        approach = APPROACH_FACTOR * abs(d)
+        wanted = self._lookahead(law_speed)
+        approach = APPROACH_FACTOR * (d if d > 0.0 else -d)
         if wanted < approach:
             wanted = approach
         if parameters.lookahead_from == "car":
@@ -312,7 +312,7 @@ class Controller:
             distance = math.hypot(point_x - x, point_y - y)
         directed = state if parameters.eta_from == "velocity" else state._replace(v_y=0.0)
         eta = bearing(directed, point_x, point_y)
-        a_lat = lateral_acceleration(law_speed, max(distance, 1e-3), eta)
+        a_lat = lateral_acceleration(law_speed, distance if distance > 1e-3 else 1e-3, eta)
         if parameters.curvature_feedforward:
             lacking = missing_curvature(x, y, d, path_psi, path_kappa, point_x, point_y)
             a_lat += parameters.curvature_feedforward * law_speed * law_speed * lacking
@@ -330,22 +330,12 @@ class Controller:
             status = _OFF_COURSE
             if speed > WALKING_PACE:
                 speed = WALKING_PACE
-        return ControlResult(
-            angle,
-            speed,
-            status,
-            state,
-            s,
-            d,
-            point_x,
-            point_y,
-            distance,
-            eta,
-            a_lat,
-        )
+        # As ControlResult(...), which takes twice as long.
+        values = angle, speed, status, state, s, d, point_x, point_y, distance, eta, a_lat
+        return _new(ControlResult, values)
 
     def lateral_error(self, state, result):
-        """Lateral deviation of a measured state, where `result` holds that of its prediction.
+        """Lateral error of a measured state; `result` has the one of its prediction.
 
         Parameters
         ----------
@@ -357,7 +347,7 @@ class Controller:
         Returns
         -------
         float
-            Deviation from the raceline, left positive [m]; NaN without one.
+            Left positive [m]; NaN without raceline.
         """
         if result.s != result.s:
             return _NAN
@@ -365,9 +355,7 @@ class Controller:
         found = self._raceline.project_near(state.x, state.y, guess, 1.0)
         return (found or self._raceline.project(state.x, state.y)).d
 
-    def _speed_command(self, s):
-        if self._plan is not None:
-            return self._plan.speed_at(s)
+    def _requested_speed_at(self, s):
         parameters = self._parameters
         speed = self._raceline.speed_at(s) * parameters.speed_scale
         if self._sectors is not None:
@@ -376,7 +364,7 @@ class Controller:
 
     def _limited(self, angle, t):
         """Limit the steering angle to the lock and to the rate of the servo."""
-        # Comparisons: calls of min and max would take three times as long, 5 % of a whole step.
+        # Comparisons: min and max would take three times as long, 5 % of a whole step.
         vehicle, last_t, last_angle = self.vehicle, self._last_t, self._last_angle
         low, high = -vehicle.delta_max, vehicle.delta_max
         if last_t is not None:
@@ -426,9 +414,9 @@ def _plan_key(setup):
 
 
 class _SideslipEstimate:
-    """Lateral velocity of a point of the car from speed and yaw rate, in steady state.
+    """Steady-state lateral velocity of a point of the car from speed and yaw rate.
 
-    The rear axle drifts at the slip angle that carries its share of ``a = v r``: axle loads cancel,
+    The slip angle of the rear axle follows from its share of ``a = v r``; axle loads cancel,
     ``F_yr / F_zr = a / g``. A point `ahead` [m] of the rear axle adds ``ahead * r``.
     """
 
@@ -457,10 +445,10 @@ def build_steering_map(kind, vehicle, v_max):
     Parameters
     ----------
     kind : {"ackermann", "linear_table", "table"}
-        As in :class:`~map_racing.control.parameters.ControllerParameters`.
+        See :class:`~map_racing.control.parameters.ControllerParameters`.
     vehicle : Vehicle
     v_max : float
-        Largest speed that the table should cover [m/s]; it extrapolates beyond.
+        Largest speed in the table [m/s]; it extrapolates beyond.
 
     Returns
     -------
@@ -475,7 +463,7 @@ def build_steering_map(kind, vehicle, v_max):
 
 
 def build_controller(parameters, vehicle, raceline=None, sectors=None):
-    """Controller with the steering map that its parameters name.
+    """Controller with the steering map named by its parameters.
 
     Parameters
     ----------

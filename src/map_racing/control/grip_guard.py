@@ -17,7 +17,7 @@ COMPLETE = 1.3
 # drive on as soon as it can.
 MOST = 2.0
 
-_STEP = 0.1  # of the table of radii [m/s]
+_PER_MPS = 50  # Entries of the table of radii.
 _LONG_AGO = -1e12
 
 
@@ -44,10 +44,10 @@ class GripGuard:
 
     def __init__(self, grip, v_max):
         # Cars slide at speeds beyond their plan's.
-        v = _STEP * np.arange(1, int(math.ceil(1.5 * v_max / _STEP)) + 2)
-        radius = v * v / np.asarray(grip.max_lateral_acceleration(v))
-        self._radius = [float(radius[0]), *radius.tolist()]
-        self._last = len(self._radius) - 2
+        count = int(math.ceil(1.5 * v_max * _PER_MPS)) + 1
+        v = np.maximum(np.arange(count), 0.5) / _PER_MPS
+        self._radius = (v * v / np.asarray(grip.max_lateral_acceleration(v))).tolist()
+        self._last = len(self._radius) - 1
         self.reset()
 
     def reset(self):
@@ -77,13 +77,15 @@ class GripGuard:
         float
             At most `planned`, and no less than walking pace for it [m/s].
         """
-        v = v if v > 0.0 else 0.0
-        cell = v / _STEP
-        i = int(cell)
-        if i > self._last:
+        # Comparisons, and the nearest entry: interpolation would take as long as all of the rest.
+        i = int(v * _PER_MPS + 0.5)
+        if i < 0:
+            i = 0
+        elif i > self._last:
             i = self._last
-        low = self._radius[i]
-        needed = abs(kappa) * (low + (cell - i) * (self._radius[i + 1] - low))
+        needed = kappa * self._radius[i]
+        if needed < 0.0:
+            needed = -needed
         if needed > MOST:
             needed = MOST
         elapsed = t - self._t

@@ -1,8 +1,7 @@
-"""L1 guidance: from a lookahead point to the lateral acceleration that leads there.
+"""L1 guidance: the lateral acceleration that leads to a lookahead point.
 
-The one law behind pure pursuit and MAP. The car shall follow the circle that is tangent to its
-velocity vector and passes through a point of the path at distance ``L_d``; driven at speed ``v``
-that circle costs the lateral acceleration
+The law behind both pure pursuit and MAP. On the circle that is tangent to the velocity vector and
+passes through a point of the path at distance ``L_d``, a car at speed ``v`` has
 
     a_lat = 2 v^2 / L_d sin(eta)
 
@@ -10,21 +9,26 @@ with ``eta`` the angle from the velocity vector to the lookahead point (Becker e
 after Park, Deyst, How, "A New Nonlinear Guidance Logic for Trajectory Tracking", AIAA 2004).
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from .state import CarState
 
 __all__ = ["LookaheadLaw", "arc_to", "bearing", "lateral_acceleration", "missing_curvature"]
 
-# Below this speed [m/s] the measured velocity loses its direction to noise, and the steering of a
-# standing car would swing from lock to lock after it.
+# Below this speed [m/s] noise hides the direction of the velocity, and the steering of a standing
+# car would swing from lock to lock.
 CRAWL = 0.5
 
 
 class LookaheadLaw(NamedTuple):
     """Lookahead distance ``L_d = m + q v``, clipped to [`minimum`, `maximum`].
 
-    The letters are the paper's: `m` is the offset [m] and `q` the gain [s]. The authors' published
-    code has them the other way round (``L = q + m v``).
+    As in the paper, `m` is the offset [m] and `q` the gain [s]. The authors' published code swaps
+    the letters (``L = q + m v``).
     """
 
     m: float
@@ -32,7 +36,7 @@ class LookaheadLaw(NamedTuple):
     minimum: float
     maximum: float
 
-    def distance(self, speed):
+    def distance(self, speed: float) -> float:
         """Lookahead distance [m] at a speed [m/s]."""
         distance = self.m + self.q * speed
         if distance < self.minimum:
@@ -42,24 +46,26 @@ class LookaheadLaw(NamedTuple):
         return distance
 
 
-def bearing(state, x, y):
+def bearing(state: CarState, x: float, y: float) -> float:
     """Angle ``eta`` from the velocity vector of a car to a point, positive to the left.
 
     Parameters
     ----------
     state : CarState
-        Cars that stand or roll backwards are taken to move straight ahead; up to 0.5 m/s the
+        Standing and backwards rolling cars count as moving straight ahead; up to 0.5 m/s the
         direction of the velocity takes over.
     x, y : float
-        The point, in the map frame [m].
+        Point in the map frame [m].
 
     Returns
     -------
     float
         Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
     """
-    # A car that rolls backwards is meant to drive on forwards, where its nose points.
-    v_x, v_y = max(state.v_x, 0.0), state.v_y
+    # A car that rolls backwards will drive forwards, where its nose points.
+    v_x, v_y = state.v_x, state.v_y
+    if v_x < 0.0:
+        v_x = 0.0
     square = v_x * v_x + v_y * v_y
     if square < CRAWL * CRAWL:
         trust = math.sqrt(square) / CRAWL
@@ -69,12 +75,11 @@ def bearing(state, x, y):
     return math.remainder(eta, math.tau)
 
 
-def lateral_acceleration(speed, distance, eta):
+def lateral_acceleration(speed: float, distance: float, eta: float) -> float:
     """The L1 law, ``a_lat = 2 v^2 / L_d sin(eta)``.
 
-    For a point behind the car (``|eta| > pi/2``) the sine would fade again, and vanish just where
-    the car points the wrong way; there the largest demand of the law is kept, to the side of the
-    point, so that the car turns round.
+    For a point behind the car (``|eta| > pi/2``) the sine would decrease again and vanish when the
+    car points the wrong way; there the largest demand is kept, so that the car turns round.
 
     Parameters
     ----------
@@ -125,18 +130,16 @@ def missing_curvature(x, y, d, psi, kappa, point_x, point_y):
     return kappa - 2.0 * aside / square if square > 1e-6 else 0.0
 
 
-def arc_to(x, y, point_x, point_y, eta, count=20):
-    """The arc that the L1 law asks the car to follow to a point, for drawing.
+def arc_to(x: float, y: float, point_x: float, point_y: float, eta: float, count: int = 20) -> list:
+    """Arc of the L1 law from a car to a point, for drawing.
 
-    It leaves the car along its velocity vector. For a point behind the car, where the law keeps to
-    its largest demand, it is the half circle with the distance of the point as diameter.
+    It starts along the velocity vector. For a point behind the car, where the law keeps its largest
+    demand, it is the half circle whose diameter is the distance of the point.
 
     Parameters
     ----------
-    x, y : float
-        The car [m].
-    point_x, point_y : float
-        The point [m].
+    x, y, point_x, point_y : float
+        Car and point [m].
     eta : float
         Angle from the velocity vector to the point, as from `bearing` [rad].
     count : int, optional
@@ -156,10 +159,6 @@ def arc_to(x, y, point_x, point_y, eta, count=20):
         part = i / (count - 1)
         chord = part if abs(turn) < 1e-6 else math.sin(part * turn) / math.sin(turn)
         direction = course + part * turn
-        points.append(
-            (
-                x + distance * chord * math.cos(direction),
-                y + distance * chord * math.sin(direction),
-            )
-        )
+        reach = distance * chord
+        points.append((x + reach * math.cos(direction), y + reach * math.sin(direction)))
     return points

@@ -1,4 +1,6 @@
-"""Velocity of the car from poses alone, where nothing measures it."""
+"""Velocity of the car from poses alone, for localizations that report none."""
+
+from __future__ import annotations
 
 import math
 from collections import deque
@@ -19,16 +21,16 @@ class MotionEstimate:
     """Straight-line fit through the latest poses.
 
     The slope of a fit through n poses has ``sqrt(12 / (n (n^2 - 1)))`` times the noise of one pose
-    per interval between poses: at 40 Hz and 0.1 s, 1 cm of noise becomes 0.13 m/s. The estimate
-    lags by half the window.
+    per pose interval: at 40 Hz and 0.1 s, 1 cm of noise becomes 0.13 m/s. The estimate lags by half
+    the window.
 
     Parameters
     ----------
     window : float, optional
-        Span of time of the poses used [s].
+        Time span of the poses used [s].
     """
 
-    def __init__(self, window=0.1):
+    def __init__(self, window: float = 0.1):
         self.window = float(window)
         self.reset()
 
@@ -36,21 +38,20 @@ class MotionEstimate:
         """Forget all poses."""
         self._poses = deque()
 
-    def update(self, t, x, y, psi):
+    def update(self, t: float, x: float, y: float, psi: float) -> Motion:
         """Add a pose.
 
         Parameters
         ----------
         t : float
-            Its time [s]; earlier than the last one: the past is forgotten.
+            Its time [s]; an earlier one than the last resets the estimate.
         x, y, psi : float
             Position [m] and heading [rad].
 
         Returns
         -------
         Motion
-            Zero until there are two poses. ``v_y`` is NaN: the difference of poses is too coarse
-            for it.
+            Zero until there are two poses. ``v_y`` is NaN: poses are too coarse for it.
         """
         poses = self._poses
         if not math.isfinite(t + x + y + psi):
@@ -60,7 +61,7 @@ class MotionEstimate:
                 poses.clear()
             elif t == poses[-1][0]:
                 return self._motion(psi)
-            else:  # headings of a turning car do not wrap
+            else:  # unwrap the heading
                 last = poses[-1][3]
                 psi = last + math.remainder(psi - last, math.tau)
         poses.append((t, x, y, psi))
@@ -83,7 +84,7 @@ class MotionEstimate:
             slope_y += since * (y - origin[2])
             slope_psi += since * (heading - origin[3])
             turn += heading - origin[3]
-        # The velocity of the fit holds amid the window, and so must the heading.
+        # The fitted velocity refers to the middle of the window, and so must the heading.
         heading = origin[3] + turn / count
         v_x = (slope_x * math.cos(heading) + slope_y * math.sin(heading)) / square
         return Motion(v_x, math.nan, slope_psi / square)

@@ -1,6 +1,6 @@
 """Controller parameters and their files."""
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import yaml
@@ -8,7 +8,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from ..validation import finite, read_parameters
+from ..validation import POSITIVE, check, documented, parameter, read_parameters
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
@@ -19,129 +19,140 @@ __all__ = [
     "save_controller_parameters",
 ]
 
-STEERING_MAPS = ("ackermann", "linear_table", "table")
+# Each with the shipped controller that holds the lookahead usual with it.
+STEERING_MAPS = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
 SPEED_SOURCES = ("measured", "command")
 ETA_FROM = ("velocity", "heading")
 LOOKAHEAD_FROM = ("car", "path")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
+@documented
 @dataclass(frozen=True)
 class ControllerParameters:
     """All that tunes a controller; a file in ``config/controllers`` holds the same names.
 
-    Parameters
-    ----------
-    steering_map : {"ackermann", "linear_table", "table"}
-        Pure pursuit; MAP with the vehicle's tires linearized; MAP with its tires as they are.
-    m_m, q_s : float
-        ``L_d = m + q v``: offset [m] and gain [s] (the paper's letters).
-    lookahead_min_m, lookahead_max_m : float
-        Bounds of the lookahead distance [m].
-    eta_from : {"velocity", "heading"}
-        Direction from which the angle to the lookahead point counts: that of the velocity, as L1
-        guidance has it, or, as in the authors' code, that of the car's nose.
-    lookahead_from : {"car", "path"}
-        Where the lookahead distance to the point begins: at the car, or, as in the authors' code,
-        at the point of the path beside it.
-    table_v_max_mps : float
-        Beyond this speed a table is read as at it [m/s]; the authors' tables end at 7 m/s.
-    curvature_feedforward : float
-        Share, 0 to 1, of the curvature that the law lacks on the path itself which is added to it
-        (see `map_racing.control.guidance.missing_curvature`). 0 as in the paper.
-    yaw_rate_gain_s : float
-        Steering angle added for each rad/s by which the car turns slower than the demand,
-        ``a_lat / v - r`` [s]. 0 as in the paper.
-    delay_s : float
-        Delay compensation: from the time at which the pose holds to the time at which the steering
-        acts on the car [s]. 0 as in the paper: no compensation.
-    speed_source : {"measured", "command"}
-        Speed in guidance law and steering map: the measured one, or, as in the paper, the one that
-        the controller commands.
-    speed_lookahead_s : float
-        The raceline's speed is read where the car will be after this time [s].
-    speed_scale : float
-        Scale of the raceline's speeds.
-    v_max_mps : float
-        Largest speed commanded, whatever the raceline asks [m/s].
-    grip_use : float
-        Share of the lateral acceleration that the tires reach, as the lookup table knows it, that
-        the speeds may use; slower than the raceline where it needs more. 0: speeds are the
-        raceline's, whatever the grip.
-    a_drive_max_mps2, a_brake_max_mps2 : float
-        Driving and braking that such speeds may ask for on a straight, and in a bend what the
-        friction ellipse leaves of it [m/s^2].
-    reference_point : {"rear_axle", "center_of_gravity"}
-        Point of the car whose pose the localization gives, and which follows the raceline. The
-        rear axle is ``base_link``.
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
+    The lookahead distance is ``L_d = m + q v``, with the letters of the paper.
     """
 
-    steering_map: str
-    m_m: float
-    q_s: float
-    lookahead_min_m: float = 0.3
-    lookahead_max_m: float = 5.0
-    eta_from: str = "velocity"
-    lookahead_from: str = "car"
-    table_v_max_mps: float = 100.0
-    curvature_feedforward: float = 0.0
-    yaw_rate_gain_s: float = 0.0
-    delay_s: float = 0.0
-    speed_source: str = "measured"
-    speed_lookahead_s: float = 0.0
-    speed_scale: float = 1.0
-    v_max_mps: float = 12.0
-    grip_use: float = 0.0
-    a_drive_max_mps2: float = 7.0
-    a_brake_max_mps2: float = 6.0
-    reference_point: str = "rear_axle"
+    steering_map: str = parameter(
+        "What turns a lateral acceleration into a steering angle: MAP's table of the vehicle's "
+        "tires, the same with linear tires, or the kinematics of pure pursuit",
+        choices=tuple(STEERING_MAPS),
+    )
+    m_m: float = parameter("Offset m of the lookahead distance", "m", tuning=(-1.0, 3.0))
+    q_s: float = parameter("Gain q of the lookahead distance", "s", tuning=(0.0, 2.0))
+    lookahead_min_m: float = parameter(
+        "Shortest lookahead distance", "m", low=POSITIVE, tuning=(0.05, 5.0), default=0.3
+    )
+    lookahead_max_m: float = parameter(
+        "Longest lookahead distance", "m", low=POSITIVE, tuning=(0.1, 20.0), default=5.0
+    )
+    eta_from: str = parameter(
+        "Direction from which the angle to the lookahead point counts: the velocity, as in L1 "
+        "guidance, or, as in the authors' code, the heading",
+        choices=ETA_FROM,
+        default="velocity",
+    )
+    lookahead_from: str = parameter(
+        "Where the lookahead distance begins: at the car or, as in the authors' code, at the point "
+        "of the path beside it",
+        choices=LOOKAHEAD_FROM,
+        default="car",
+    )
+    table_v_max_mps: float = parameter(
+        "Largest speed at which a table is read; the tables of the authors end at 7 m/s",
+        "m/s",
+        low=POSITIVE,
+        default=100.0,
+    )
+    curvature_feedforward: float = parameter(
+        "Share of the curvature that the law lacks on the path itself which is added to it. 0 as "
+        "in the paper",
+        low=0.0,
+        high=1.0,
+        tuning=(0.0, 1.0),
+        default=0.0,
+    )
+    yaw_rate_gain_s: float = parameter(
+        "Steering angle added for each rad/s by which the car turns slower than the demand. 0 as "
+        "in the paper",
+        "s",
+        low=0.0,
+        high=0.5,
+        tuning=(0.0, 0.2),
+        default=0.0,
+    )
+    delay_s: float = parameter(
+        "Delay compensation: age of a pose when it is used plus dead time of the steering. 0 for "
+        "none, as in the paper. Too short and the car oscillates, too long and it cuts corners",
+        "s",
+        low=0.0,
+        high=1.0,
+        tuning=(0.0, 0.5),
+        default=0.0,
+    )
+    speed_source: str = parameter(
+        "Speed in guidance law and steering map: measured, or commanded as in the paper",
+        choices=SPEED_SOURCES,
+        default="measured",
+    )
+    speed_lookahead_s: float = parameter(
+        "Time ahead at which the speed of the raceline is read, to make up for lag of the drive",
+        "s",
+        low=0.0,
+        high=1.0,
+        tuning=(0.0, 1.0),
+        default=0.0,
+    )
+    speed_scale: float = parameter(
+        "Scale of the speeds, 1 for 100 % of the raceline",
+        low=0.0,
+        high=2.0,
+        tuning=(0.0, 2.0),
+        default=1.0,
+    )
+    v_max_mps: float = parameter(
+        "Largest speed commanded", "m/s", low=POSITIVE, tuning=(0.1, 30.0), default=12.0
+    )
+    grip_use: float = parameter(
+        "Share of the lateral acceleration that the tires can reach which the speeds may use; the "
+        "car drives slower than the raceline where that asks for more. 0 for the speeds of the "
+        "raceline, whatever the grip",
+        low=0.0,
+        high=1.2,
+        tuning=(0.0, 1.2),
+        default=0.0,
+    )
+    a_drive_max_mps2: float = parameter(
+        "Largest driving acceleration of such speeds; in a bend what the friction ellipse leaves",
+        "m/s^2",
+        low=POSITIVE,
+        tuning=(0.5, 20.0),
+        default=7.0,
+    )
+    a_brake_max_mps2: float = parameter(
+        "Largest braking of such speeds; in a bend what the friction ellipse leaves",
+        "m/s^2",
+        low=POSITIVE,
+        tuning=(0.5, 20.0),
+        default=6.0,
+    )
+    reference_point: str = parameter(
+        "Point of the car that localization reports and that follows the raceline. The rear axle "
+        "is base_link",
+        choices=REFERENCE_POINTS,
+        default="rear_axle",
+    )
 
     def __post_init__(self):
-        for field in fields(self):
-            if field.type in ("float", float):
-                finite(field.name, getattr(self, field.name))
-        for name, allowed in (
-            ("steering_map", STEERING_MAPS),
-            ("speed_source", SPEED_SOURCES),
-            ("eta_from", ETA_FROM),
-            ("lookahead_from", LOOKAHEAD_FROM),
-            ("reference_point", REFERENCE_POINTS),
-        ):
-            if getattr(self, name) not in allowed:
-                raise ParameterError(
-                    f"{name} must be one of {', '.join(allowed)}, not {getattr(self, name)!r}"
-                )
-        if not 0 <= self.speed_scale <= 2:
+        check(self)
+        if 0.0 < self.grip_use < 0.1:  # a plan would crawl around the lap
+            raise ParameterError(f"grip_use: expected 0 (off) or 0.1 to 1.2, got {self.grip_use:g}")
+        if self.lookahead_min_m > self.lookahead_max_m:
             raise ParameterError(
-                f"speed_scale must be 0 to 2 (0.7 is 70 %), but is {self.speed_scale:g}"
-            )
-        for name in ("delay_s", "speed_lookahead_s"):  # a larger one is meant in milliseconds
-            if not 0 <= getattr(self, name) <= 1:
-                raise ParameterError(f"{name} must be 0 to 1 s, but is {getattr(self, name)}")
-        if self.grip_use != 0 and not 0.1 <= self.grip_use <= 1.2:  # 90 is meant in percent
-            raise ParameterError(
-                f"grip_use must be 0 (off) or 0.1 to 1.2 (0.9 is 90 %), but is {self.grip_use:g}"
-            )
-        for name in ("v_max_mps", "table_v_max_mps", "a_drive_max_mps2", "a_brake_max_mps2"):
-            if getattr(self, name) <= 0:
-                raise ParameterError(f"{name} must be positive, but is {getattr(self, name)}")
-        if not 0 <= self.curvature_feedforward <= 1:
-            raise ParameterError(
-                f"curvature_feedforward must be 0 to 1, but is {self.curvature_feedforward:g}"
-            )
-        if not 0 <= self.yaw_rate_gain_s <= 0.5:
-            raise ParameterError(
-                f"yaw_rate_gain_s must be 0 to 0.5 s, but is {self.yaw_rate_gain_s:g}"
-            )
-        if not 0 < self.lookahead_min_m <= self.lookahead_max_m:
-            raise ParameterError(
-                "expected 0 < lookahead_min_m <= lookahead_max_m, but they are "
-                f"{self.lookahead_min_m} and {self.lookahead_max_m}"
+                f"lookahead_min_m: expected at most lookahead_max_m, {self.lookahead_max_m:g}, "
+                f"got {self.lookahead_min_m:g}"
             )
 
     @cached_property
@@ -178,17 +189,17 @@ def load_controller_parameters(source):
 
 
 def load_safety_limits(source):
-    """Read the safety limits of a controller's file, which are those of its mapping ``safety``.
+    """Read the mapping ``safety`` of a controller's file.
 
     Parameters
     ----------
     source : str or pathlib.Path
-        As of `load_controller_parameters`.
+        As for `load_controller_parameters`.
 
     Returns
     -------
     SafetyLimits
-        The default of each limit that the file does not have.
+        With the default of each limit that the file does not have.
 
     Raises
     ------
@@ -198,12 +209,12 @@ def load_safety_limits(source):
     path = find_config("controllers", source, (".yaml",))
     values = read_yaml_mapping(path).get("safety", {})
     if not isinstance(values, dict):
-        raise ParameterError(f"{path}: safety: expected names and values, not {values!r}")
+        raise ParameterError(f"{path}: safety: expected names and values, got {values!r}")
     return read_parameters(f"{path}: safety", SafetyLimits, values)
 
 
 def save_controller_parameters(parameters, path, limits=None):
-    """Write controller parameters to YAML, such that `load_controller_parameters` reads the same.
+    """Write controller parameters to YAML that `load_controller_parameters` reads back.
 
     Parameters
     ----------
@@ -211,7 +222,7 @@ def save_controller_parameters(parameters, path, limits=None):
     path : str or pathlib.Path
         A file there is replaced when the new one is complete.
     limits : SafetyLimits, optional
-        Written, too, for `load_safety_limits`; but for the largest speed, which is ``v_max_mps``.
+        Written, too, for `load_safety_limits`.
 
     Raises
     ------
@@ -222,6 +233,4 @@ def save_controller_parameters(parameters, path, limits=None):
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
         yaml.safe_dump(asdict(parameters), file, sort_keys=False)
         if limits is not None:
-            values = asdict(limits)
-            del values["max_speed_mps"]
-            yaml.safe_dump({"safety": values}, file, sort_keys=False)
+            yaml.safe_dump({"safety": asdict(limits)}, file, sort_keys=False)

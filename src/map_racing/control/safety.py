@@ -1,34 +1,34 @@
-"""When the car may drive, and how it stops when it may not.
+"""Supervision: when the car may drive, and how it stops.
 
-Every pose passes the supervisor before the controller sees it, and every command after. A cause to
-stop ramps the speed down; the car steers along the raceline meanwhile if its pose can be trusted,
-else it keeps the steering angle. Causes that pass by themselves (a late pose, a jump, a missing
-raceline) release the car some time after they are gone. A requested stop, grip exceeded for long
-and a failure of the controller wait for `Supervisor.resume`.
+Every pose passes the supervisor on its way to the controller, and every command on its way to the
+car. To stop, the speed ramps down; meanwhile the car steers along the raceline if its pose can be
+trusted, else it keeps the steering angle. After a temporary cause (a late pose, a jump, a missing
+raceline) the car drives again by itself. A requested stop, grip exceeded for long and a failure of
+the controller wait for `Supervisor.resume`.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from ..errors import ParameterError
+from ..validation import POSITIVE, check, documented, parameter
 from .controller import Status
 
 __all__ = ["Decision", "Mode", "PoseMotion", "Reason", "SafetyLimits", "Supervisor"]
 
-# Faster than this [m/s] the steering table, not the lock, limits the turn; and the pose changes.
+# Above this speed [m/s] grip, not the steering lock, limits the turn, and the pose must change.
 MOVING = 1.0
 
-# After a jump, for this long [s] velocities that were worked out from poses may hold the jump.
+# Pose-derived velocities are contaminated for this long after a jump [s].
 SETTLING = 0.15
 
-# A clock that goes back by more than this [s] was set back: a bag that loops, a simulator's reset.
+# A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
 
 
 class Mode(Enum):
-    """What the car is let to do."""
+    """What the car does."""
 
     WAITING = "waiting"  # it has not driven yet
     DRIVING = "driving"
@@ -37,7 +37,7 @@ class Mode(Enum):
 
 
 class Reason(Enum):
-    """Why the car may not drive; of several the first in this order is named."""
+    """Why the car may not drive, by descending priority."""
 
     NONE = ""
     STOP_REQUESTED = "stop requested"
@@ -54,64 +54,72 @@ class Reason(Enum):
     GRIP = "grip exceeded for long"
 
 
+@documented
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits of what the car may do and be told.
+    """Limits beyond which the car stops, and how it does."""
 
-    Parameters
-    ----------
-    max_speed_mps : float
-        Largest speed ever commanded [m/s].
-    max_pose_age_s : float
-        Largest age of a pose by its own stamp, and longest time without one [s]. A stamp may be
-        as far in the future.
-    max_jump_m, max_turn_rad : float
-        How much farther than the car can have driven or turned a pose may be from the last one.
-    max_deviation_m : float
-        Largest distance from the raceline [m].
-    max_saturated_s : float
-        Longest time for which the demand may exceed the grip without pause [s]. It does so for up
-        to 1.3 s in simulated races that come to their end.
-    stop_deceleration_mps2 : float
-        Deceleration of a stop [m/s^2].
-    recovery_s : float
-        Time after which a cause that has gone lets the car drive again [s]; at least 0.15.
-    hold_s : float
-        Time for which a stopped car without poses is still told to stand [s].
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
-    """
-
-    max_speed_mps: float = 12.0
-    max_pose_age_s: float = 0.2
-    max_jump_m: float = 0.5
-    max_turn_rad: float = 0.8
-    max_deviation_m: float = 1.5
-    max_saturated_s: float = 1.5
-    stop_deceleration_mps2: float = 4.0
-    recovery_s: float = 0.5
-    hold_s: float = 2.0
+    max_pose_age_s: float = parameter(
+        "Largest age of a pose by its stamp, and longest time without one. A stamp may be as far "
+        "in the future",
+        "s",
+        low=POSITIVE,
+        tuning=(0.02, 2.0),
+        default=0.2,
+    )
+    max_jump_m: float = parameter(
+        "Largest jump of the position beyond what the car can have driven",
+        "m",
+        low=POSITIVE,
+        tuning=(0.05, 10.0),
+        default=0.5,
+    )
+    max_turn_rad: float = parameter(
+        "Largest jump of the heading beyond what the car can have turned",
+        "rad",
+        low=POSITIVE,
+        tuning=(0.05, 3.2),
+        default=0.8,
+    )
+    max_deviation_m: float = parameter(
+        "Largest distance from the raceline", "m", low=POSITIVE, tuning=(0.1, 20.0), default=1.5
+    )
+    max_saturated_s: float = parameter(
+        "Longest uninterrupted demand beyond the grip. It lasts up to 1.3 s in simulated races "
+        "that are finished",
+        "s",
+        low=POSITIVE,
+        tuning=(0.1, 60.0),
+        default=1.5,
+    )
+    stop_deceleration_mps2: float = parameter(
+        "Deceleration of a stop", "m/s^2", low=POSITIVE, tuning=(0.5, 15.0), default=4.0
+    )
+    recovery_s: float = parameter(
+        "Time from the end of a temporary cause until the car drives again",
+        "s",
+        low=SETTLING,
+        tuning=(SETTLING, 10.0),
+        default=0.5,
+    )
+    hold_s: float = parameter(
+        "Time for which a stopped car without poses is still commanded to stand",
+        "s",
+        low=POSITIVE,
+        tuning=(0.1, 10.0),
+        default=2.0,
+    )
 
     def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ParameterError(f"{field.name} must be a number, not {value!r}")
-            least = SETTLING if field.name == "recovery_s" else 0.0
-            if not (math.isfinite(value) and value >= least and value > 0.0):
-                wanted = f"at least {least:g}" if least else "positive and finite"
-                raise ParameterError(f"{field.name} must be {wanted}, but is {value}")
+        check(self)
 
 
 class PoseMotion:
-    """Notices that a car moves while its pose stays the same.
+    """Detects a frozen pose: the car moves while its pose stays the same.
 
-    It moves if its velocity says so, or if it did when the pose last changed: a velocity that was
-    worked out from poses ends with them. One pose that is elsewhere, as when somebody corrects the
-    localization of a standing car, is no motion.
+    The car moves if its velocity says so, or if it did when the pose last changed, as a
+    pose-derived velocity ends with the poses. A single jump, as when somebody corrects the
+    localization of a parked car, is no motion.
     """
 
     def __init__(self):
@@ -119,7 +127,7 @@ class PoseMotion:
         self._moving = False
 
     def frozen(self, now, pose, v_x, jumped=False):
-        """For how long [s] the car has been moving with the same pose.
+        """Time for which the car has been moving with the same pose [s].
 
         Parameters
         ----------
@@ -129,7 +137,7 @@ class PoseMotion:
         v_x : float
             Speed [m/s].
         jumped : bool, optional
-            Whether the car cannot have driven there.
+            Whether the pose jumped.
         """
         fast = abs(v_x) >= MOVING
         if pose != self._pose:
@@ -146,7 +154,7 @@ class PoseMotion:
 
 
 class Decision(NamedTuple):
-    """What the car is told, and why."""
+    """Command to the car, and why."""
 
     mode: Mode
     reason: Reason
@@ -155,32 +163,35 @@ class Decision(NamedTuple):
 
 
 class Supervisor:
-    """State machine between the poses, the controller and the drive.
+    """State machine between poses, controller and drive.
 
-    For each pose: `observe` it; if it may be trusted, let the controller step; `decide` on the
-    result. `watch` is for a timer, which notices poses that stop coming. All times are on one
-    clock, that of the poses' stamps [s].
+    For each pose: `observe` it, let the controller step if it is trusted, and `decide` on the
+    result. A timer calls `watch`, which notices a dropout of the poses. All times [s] are on the
+    clock of the poses' stamps.
 
     Parameters
     ----------
     limits : SafetyLimits
+    max_speed : float
+        Largest speed ever commanded [m/s].
 
     Attributes
     ----------
     limits : SafetyLimits
-        May be replaced at any time.
+        May be replaced while driving.
     mode : Mode
     reason : Reason
     jumped : bool
-        The last pose observed is elsewhere than the car can have driven since the one before.
+        Whether the last pose is farther from the one before than the car can have driven.
     restarted : bool
-        The last observation found that the clock was set back; the past is forgotten.
+        Whether the clock was found set back at the last call; the past is forgotten.
     pose_age : float
         Age of the last pose when it was observed [s].
     """
 
-    def __init__(self, limits):
+    def __init__(self, limits: SafetyLimits, max_speed: float):
         self.limits = limits
+        self._max_speed = max_speed
         self._requests = set()
         self._failed = self._lost_grip = False
         self._raceline_valid = True
@@ -190,7 +201,7 @@ class Supervisor:
         self.mode, self.reason = Mode.WAITING, Reason.NO_POSE
         self.jumped = self.restarted = False
         self.pose_age = math.nan
-        self._seen = {}  # passing causes: when they were last seen
+        self._seen = {}  # when each temporary cause was last seen
         self._pose = None
         self._speed = 0.0
         self._now = self._arrival = None
@@ -199,45 +210,45 @@ class Supervisor:
         self._command = (0.0, 0.0)  # steering angle, speed
         self._commanded = None
 
-    # -- what comes from outside -------------------------------------------------------------
+    # -- requests and events -----------------------------------------------------------------
 
     def request_stop(self, source):
-        """Stop and stay, until `resume`; `source` tells who asks."""
+        """Stop until `resume`, or until `source` withdraws its request."""
         self._requests.add(source)
 
     def withdraw(self, source):
-        """The stop that `source` asked for is no longer wanted."""
+        """Withdraw the stop that `source` requested."""
         self._requests.discard(source)
 
     def fail(self):
-        """The controller failed: stop and stay, until `resume`."""
+        """Stop until `resume`, after a failure of the controller."""
         self._failed = True
 
     def resume(self):
-        """Let the car drive again after a requested stop, grip exceeded for long or a failure."""
+        """Drive again after a requested stop, grip exceeded for long or a failure."""
         self._requests.clear()
         self._failed = self._lost_grip = False
         self._saturated_since = None
 
     def raceline_changed(self, valid):
-        """Tell whether the latest raceline that came can be driven."""
+        """Note whether the latest raceline can be driven."""
         self._raceline_valid = valid
 
     # -- poses and commands ------------------------------------------------------------------
 
     def observe(self, now, state):
-        """Look at a pose.
+        """Check a pose.
 
         Parameters
         ----------
         now : float
-            Time at which it arrived [s].
+            Time of its arrival [s].
         state : CarState
 
         Returns
         -------
         bool
-            Whether the controller should act on it.
+            Whether the controller may use it.
         """
         self._advance(now)
         self.jumped = False
@@ -271,7 +282,7 @@ class Supervisor:
         return trusted
 
     def refuse(self, now):
-        """Look at a pose that is in another frame than the raceline.
+        """Stop for a pose in another frame than the raceline.
 
         Returns
         -------
@@ -283,14 +294,14 @@ class Supervisor:
         return self.decide(now, None)
 
     def decide(self, now, result):
-        """Turn the controller's result into what the car is told.
+        """Turn the controller's result into a command.
 
         Parameters
         ----------
         now : float
             Time [s].
         result : ControlResult or None
-            None where the pose was not to be trusted.
+            None if the pose is not trusted.
 
         Returns
         -------
@@ -313,21 +324,21 @@ class Supervisor:
         if self.reason is Reason.NONE and wanted is not None:
             self.mode, self._stopped_since, speed = Mode.DRIVING, None, wanted
         else:
-            # The raceline may ask for harder braking; walking pace off the track is no reason to.
+            # The raceline may demand harder braking; walking pace off the track does not.
             follows = result is not None and result.status in (Status.OK, Status.SATURATED)
             speed = self._stop(now, wanted if follows else None)
-        speed = min(max(speed, 0.0), self.limits.max_speed_mps)
+        speed = min(max(speed, 0.0), self._max_speed)
         self._command, self._commanded = (angle, speed), now
         return Decision(self.mode, self.reason, angle, speed)
 
     def watch(self, now):
-        """Look whether poses still come.
+        """Notice a dropout of the poses.
 
         Returns
         -------
         Decision or None
-            What the car is to be told where no pose does it. None while poses come, and after a
-            stopped car was told so long enough.
+            Command for a car without poses. None while poses come, and some time after the car has
+            stopped.
         """
         self._advance(now)
         if self._arrival is None:
@@ -354,7 +365,7 @@ class Supervisor:
 
     def _is_jump(self, last, state):
         elapsed = max(state.t - last.t, 0.0)
-        speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self.limits.max_speed_mps)
+        speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self._max_speed)
         moved = math.hypot(state.x - last.x, state.y - last.y)
         turned = abs(math.remainder(state.psi - last.psi, math.tau))
         return (
@@ -363,7 +374,7 @@ class Supervisor:
         )
 
     def _judge(self, now, result):
-        """Note the causes to stop that lie in the controller's result."""
+        """Note the causes to stop in the controller's result."""
         if result.status is Status.INVALID_STATE:
             self._seen[Reason.INVALID_POSE] = now
         elif result.status is Status.NO_RACELINE:
@@ -378,7 +389,7 @@ class Supervisor:
             self._lost_grip = True
 
     def _cause(self, now):
-        """The first of all causes that hold, or have gone only a moment ago."""
+        """The first of all present and recent causes."""
         recent = [
             reason for reason, seen in self._seen.items() if now - seen <= self.limits.recovery_s
         ]
@@ -392,12 +403,12 @@ class Supervisor:
         return Reason.GRIP if self._lost_grip else Reason.NONE
 
     def _stop(self, now, wanted):
-        """Speed of a stop, and the mode that belongs to it."""
+        """Speed of a stop; sets its mode."""
         if self.mode is Mode.WAITING:
             return 0.0
         speed = self._command[1]
         if self.mode is Mode.DRIVING:
-            # A car that is still accelerating must not go on up to the last command.
+            # A car that is still accelerating must not continue up to the last command.
             speed = min(speed, max(self._speed, 0.0))
             self.mode = Mode.STOPPING
         speed -= self.limits.stop_deceleration_mps2 * (now - self._commanded)

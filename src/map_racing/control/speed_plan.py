@@ -1,14 +1,19 @@
 """The speeds of a lap: those of the raceline, as far as the grip allows."""
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING, Callable
 
 import numpy as np
 
 from ..errors import ParameterError
-from ..track.files.waypoints import scaled_speed
 from ..track.speed_profile import lap_time, speed_profile
 
-__all__ = ["WALKING_PACE", "SpeedPlan", "requested_speed"]
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
+
+__all__ = ["WALKING_PACE", "SpeedPlan", "requested_speed", "scaled_speed"]
 
 # Driven where a bend is tighter than the car can steer, and commanded where the car is off the
 # course [m/s]: any tires hold at it.
@@ -20,6 +25,41 @@ CELL, LONGEST_CELL, CELLS = 0.025, 0.1, 4000
 
 # A place is slowed where the plan is below this share of what is asked: not by rounding.
 SLOWED = 0.99
+
+
+def scaled_speed(
+    raceline: Raceline, scale: float = 1.0, sectors=None
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Speed along a raceline, scaled as a whole and by sectors.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    scale : float
+        At least 0.
+    sectors : SpeedSectors, optional
+        Anything with ``scale_at(s)``.
+
+    Returns
+    -------
+    callable
+        Speeds [m/s] at an array of arc lengths [m].
+
+    Raises
+    ------
+    ParameterError
+        If the raceline has no speeds, or the scale is negative or not finite.
+    """
+    if raceline.speed is None:
+        raise ParameterError(f"{raceline.source or raceline.name}: expected speeds, got none")
+    if not 0.0 <= scale < np.inf:
+        raise ParameterError(f"speed_scale: expected 0 or more, got {scale}")
+
+    def speed(s):
+        v = scale * raceline.sample(s).speed
+        return v if sectors is None else v * np.array([sectors.scale_at(at) for at in s.tolist()])
+
+    return speed
 
 
 def requested_speed(raceline, parameters, sectors=None):

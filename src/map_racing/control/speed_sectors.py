@@ -1,7 +1,10 @@
-"""Speed scales by stretch of the track."""
+"""Speed scales by sector of the track."""
+
+from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from typing import TYPE_CHECKING, Iterable
 
 import numpy as np
 from scipy import ndimage
@@ -10,10 +13,15 @@ from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..validation import finite
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..track.raceline import Raceline
+
 __all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_speed_sectors"]
 
-# A corner is where the car needs more than this share of the lap's largest lateral acceleration;
-# stretches shorter than this share of the lap belong to their neighbors.
+# In a corner the car needs more than this share of the lap's largest lateral acceleration; a sector
+# shorter than this share of the lap belongs to its neighbors.
 _CORNER, _SHORTEST = 0.4, 0.03
 
 
@@ -23,8 +31,8 @@ class SpeedSectors:
     Parameters
     ----------
     sectors : iterable of (start_m, end_m, scale)
-        Stretches by arc length [m], within 0 to `length`. One that ends before it starts crosses
-        the start line.
+        Sectors by arc length [m], within 0 to `length`. A sector that ends before it starts
+        crosses the start line.
     length : float
         Length of the track [m].
     elsewhere : float
@@ -33,54 +41,50 @@ class SpeedSectors:
     Raises
     ------
     ParameterError
-        For a scale that is negative or not finite, a sector off the track or without length, or
-        overlapping sectors.
+        For a scale that is negative or not finite, a sector beyond the track or without length,
+        or overlapping sectors.
     """
 
-    def __init__(self, sectors, length, elsewhere=1.0):
+    def __init__(self, sectors: Iterable, length: float, elsewhere: float = 1.0):
         if not 0.0 <= elsewhere < math.inf:
-            raise ParameterError(f"speed elsewhere: expected a scale >= 0, not {elsewhere:g}")
+            raise ParameterError(f"speed elsewhere: expected a scale >= 0, got {elsewhere:g}")
         stretches = []
         for start, end, scale in sectors:
             where = f"speed sector {start:g} to {end:g} m"
             if not 0.0 <= scale < math.inf:
-                raise ParameterError(f"{where}: expected a scale >= 0, not {scale:g}")
+                raise ParameterError(f"{where}: expected a scale >= 0, got {scale:g}")
             if not (0.0 <= start <= length and 0.0 <= end <= length and start != end):
-                raise ParameterError(
-                    f"{where}: expected places within 0 to {length:g} m, not equal"
-                )
+                raise ParameterError(f"{where}: expected different places from 0 to {length:g} m")
             if start < end:
                 stretches.append((start, end, scale))
             else:
                 stretches += [(start, length, scale), (0.0, end, scale)]
         self._length = length
         self._starts, self._scales = [0.0], [elsewhere]
-        for start, end, scale in sorted(
-            stretch for stretch in stretches if stretch[0] < stretch[1]
-        ):
+        for start, end, scale in sorted(s for s in stretches if s[0] < s[1]):
             if start < self._starts[-1] - 1e-9:
-                raise ParameterError(f"speed sectors overlap at {start:g} m")
+                raise ParameterError(f"speed sectors: expected no overlap, got one at {start:g} m")
             self._starts += [start, end]
             self._scales += [scale, elsewhere]
         if self._starts[-1] >= length:  # the modulo of -1e-17 is the length itself
             del self._starts[-1], self._scales[-1]
 
-    def scale_at(self, s):
+    def scale_at(self, s: float) -> float:
         """Scale of the speed at arc length `s` [m]."""
         return self._scales[bisect_right(self._starts, s % self._length) - 1]
 
 
-def load_speed_sectors(path, raceline):
+def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     """Read the public stack's ``speed_scaling.yaml``.
 
-    It has ``global_limit``, ``n_sectors`` and ``Sector0: {start, end, scaling}``, ...; `start` and
-    `end` are indices of the raceline's own points, and no scale exceeds the global limit.
+    The file has ``global_limit``, ``n_sectors`` and ``Sector0: {start, end, scaling}``, ...;
+    `start` and `end` are indices of the raceline's points, and no scale exceeds the global limit.
 
     Parameters
     ----------
     path : str or pathlib.Path
     raceline : Raceline
-        Its points give the indices their places.
+        The indices count its points.
 
     Returns
     -------
@@ -102,15 +106,16 @@ def load_speed_sectors(path, raceline):
             raise ParameterError(f"{path}: {key}: expected start, end and scaling")
         start, end = (_index(path, sector, name, where=key) for name in ("start", "end"))
         if start > end:
-            raise ParameterError(f"{path}: {key}: expected start <= end, not {start}, {end}")
-        # Files count the closing point, which repeats the first.
-        if end > len(points) + 1:  # some count the closing point, some the points
+            raise ParameterError(f"{path}: {key}: expected start <= end, got {start}, {end}")
+        # Some files count the closing point, which repeats the first.
+        if end > len(points) + 1:
             raise ParameterError(
-                f"{path}: {key}: end: {end} is beyond the {len(points)} points of the raceline"
+                f"{path}: {key}: end: expected an index of the raceline's {len(points)} points, "
+                f"got {end}"
             )
         if start == len(points):
             continue
-        # A sector reaches up to the first point of the next one.
+        # A sector extends to the first point of the next one.
         place = points[end + 1] if end + 1 < len(points) else raceline.length
         scale = min(_number(path, sector, "scaling", where=key), limit)
         sectors.append((points[start], place, scale))
@@ -120,7 +125,7 @@ def load_speed_sectors(path, raceline):
         raise ParameterError(f"{path}: {error}") from error
 
 
-def corners_and_straights(raceline):
+def corners_and_straights(raceline: Raceline) -> list:
     """Divide a raceline where its corners begin and end.
 
     Parameters
@@ -131,8 +136,8 @@ def corners_and_straights(raceline):
     Returns
     -------
     list of (int, int, str)
-        First and last point of each sector in the order of the lap, from point 0 to the last, as
-        of `Raceline.s_points`, and ``"left"``, ``"right"`` or ``"straight"``.
+        First and last point of each sector, as indices of `Raceline.s_points` in the order of the
+        lap, and ``"left"``, ``"right"`` or ``"straight"``.
 
     Raises
     ------
@@ -144,7 +149,7 @@ def corners_and_straights(raceline):
     at = raceline.sample(raceline.s_points)
     a_lat = at.speed**2 * at.kappa
     size = a_lat.size
-    # Left 1, straight 0, right -1; short stretches vanish in the majority around them.
+    # Left 1, straight 0, right -1; the median removes short sectors.
     kind = np.sign(a_lat) * (np.abs(a_lat) > _CORNER * np.max(np.abs(a_lat)))
     window = max(3, int(_SHORTEST * size) | 1)
     kind = ndimage.median_filter(kind, 2 * window + 1, mode="wrap")
@@ -153,15 +158,15 @@ def corners_and_straights(raceline):
     return [(a, b - 1, names[int(kind[a])]) for a, b in zip(starts, starts[1:])]
 
 
-def save_speed_sectors(path, sectors):
-    """Write ``speed_scaling.yaml`` of the public stack, with every scale 1.
+def save_speed_sectors(path: str | Path, sectors: list) -> None:
+    """Write the public stack's ``speed_scaling.yaml`` with every scale 1.
 
     Parameters
     ----------
     path : str or pathlib.Path
         Replaced in one step if it exists.
     sectors : list of (int, int, str)
-        As of `corners_and_straights`; the words become comments.
+        As from `corners_and_straights`; the words become comments.
     """
     lines = [
         "# Scale of the raceline's speed from waypoint start to end, for each sector; none exceeds",
@@ -191,6 +196,6 @@ def _index(path, mapping, key, where=""):
     if value != int(value) or value < 0:
         raise ParameterError(
             f"{path}: {where + ': ' if where else ''}{key}: expected a whole number >= 0, "
-            f"not {value:g}"
+            f"got {value:g}"
         )
     return int(value)

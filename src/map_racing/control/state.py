@@ -1,4 +1,6 @@
-"""What the controller is told of the car, and how to carry it through space and time."""
+"""State of the car, and how to move it to another reference point or time."""
+
+from __future__ import annotations
 
 import math
 from typing import NamedTuple
@@ -19,7 +21,7 @@ class CarState(NamedTuple):
         Heading of the car, counter-clockwise from the map's x-axis [rad].
     v_x, v_y : float
         Velocity of the reference point along the car's own axes, forward and left [m/s].
-        ``v_y`` may be NaN where nothing measures it; the controller then estimates it.
+        ``v_y`` is NaN if nothing measures it; the controller then estimates it.
     r : float
         Yaw rate [rad/s].
     """
@@ -33,7 +35,7 @@ class CarState(NamedTuple):
     r: float
 
 
-def moved(state, distance):
+def moved(state: CarState, distance: float) -> CarState:
     """The same motion seen from a reference point `distance` [m] farther forward on the car.
 
     From the rear axle to the center of gravity it is ``l_r``, back it is ``-l_r``.
@@ -50,7 +52,7 @@ def moved(state, distance):
     )
 
 
-def predicted(state, horizon):
+def predicted(state: CarState, horizon: float) -> CarState:
     """The state `horizon` [s] later, at constant body-fixed velocity and yaw rate (a circular arc).
 
     The chord of the arc has the length ``v T sin(h)/h`` with ``h = r T / 2`` and points ``h`` past
@@ -58,13 +60,13 @@ def predicted(state, horizon):
     """
     t, x, y, psi, v_x, v_y, r = state
     half_turn = 0.5 * r * horizon
-    if abs(half_turn) > 1e-4:
+    if half_turn > 1e-4 or half_turn < -1e-4:
         reach = horizon * math.sin(half_turn) / half_turn
     else:  # sin(h)/h to double precision
         reach = horizon * (1.0 - half_turn * half_turn / 6.0)
     cos_chord = math.cos(psi + half_turn)
     sin_chord = math.sin(psi + half_turn)
-    return CarState(
+    values = (
         t + horizon,
         x + reach * (v_x * cos_chord - v_y * sin_chord),
         y + reach * (v_x * sin_chord + v_y * cos_chord),
@@ -73,3 +75,5 @@ def predicted(state, horizon):
         v_y,
         r,
     )
+    # As CarState(...), which takes twice as long.
+    return tuple.__new__(CarState, values)

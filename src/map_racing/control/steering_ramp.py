@@ -1,9 +1,11 @@
-"""The drive from which tires are identified: constant speed, slowly tightening circles.
+"""The maneuver for tire identification: slowly tightening circles at constant speed.
 
-The car settles at a constant speed, then the steering angle rises so slowly that each instant is a
-steady state: from rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
+The car settles at a constant speed, then the steering angle rises so slowly that every instant is a
+steady state, from rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
 section on the identification of the tires).
 """
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -11,6 +13,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from ..errors import ParameterError
+from ..validation import POSITIVE, check, documented, parameter
 
 __all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
 
@@ -18,58 +21,45 @@ STANDSTILL = 0.1  # m/s
 SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
 
 
+@documented
 @dataclass(frozen=True)
 class RampParameters:
-    """What is driven.
+    """The maneuver: speed, ramp of the steering angle, and sides.
 
-    Parameters
-    ----------
-    speed_mps : float
-        Constant speed [m/s].
-    rate_radps : float
-        Rate at which the steering angle rises [rad/s].
-    start_rad, limit_rad : float
-        Steering angle at which it begins and ends [rad]. The circle of the first, with its radius
-        of wheelbase by angle, must fit into the area.
-    settle_s : float
-        Time at constant speed and start angle before the ramp [s].
-    acceleration_mps2 : float
-        At which the commanded speed rises [m/s^2]; to stop, it drops at once.
-    sides : {"both", "left", "right"}
-        With "both", left comes first and the car stops in between.
-
-    Raises
-    ------
-    ParameterError
+    The circle of the first steering angle, of radius wheelbase by angle, must fit into the area.
     """
 
-    speed_mps: float = 2.0
-    rate_radps: float = 0.02
-    start_rad: float = 0.1
-    limit_rad: float = 0.4
-    settle_s: float = 1.0
-    acceleration_mps2: float = 2.0
-    sides: str = "both"
+    speed_mps: float = parameter("Constant speed", "m/s", low=POSITIVE, default=2.0)
+    rate_radps: float = parameter("Rate of the steering angle", "rad/s", low=POSITIVE, default=0.02)
+    start_rad: float = parameter("First steering angle", "rad", low=0.0, default=0.1)
+    limit_rad: float = parameter("Last steering angle", "rad", low=POSITIVE, default=0.4)
+    settle_s: float = parameter(
+        "Time at constant speed and first angle before the ramp", "s", low=0.0, default=1.0
+    )
+    acceleration_mps2: float = parameter(
+        "Acceleration to that speed. To stop, the commanded speed drops at once",
+        "m/s^2",
+        low=POSITIVE,
+        default=2.0,
+    )
+    sides: str = parameter(
+        "Sides to which the car turns. With both, left comes first and the car stops in between",
+        choices=tuple(SIDES),
+        default="both",
+    )
 
     def __post_init__(self):
-        for name in ("speed_mps", "rate_radps", "limit_rad", "acceleration_mps2"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ParameterError(f"{name}: expected more than 0, got {value}")
-        if not 0.0 <= self.start_rad < self.limit_rad:
+        check(self)
+        if self.start_rad >= self.limit_rad:
             raise ParameterError(
-                f"start_rad: expected 0 to less than limit_rad, {self.limit_rad}, "
-                f"got {self.start_rad}"
+                f"start_rad: expected less than limit_rad, {self.limit_rad:g}, "
+                f"got {self.start_rad:g}"
             )
-        if not 0.0 <= self.settle_s < math.inf:
-            raise ParameterError(f"settle_s: expected 0 or more, got {self.settle_s}")
-        if self.sides not in SIDES:
-            raise ParameterError(f"sides: expected {', '.join(SIDES)}, got {self.sides!r}")
 
 
 @dataclass(frozen=True)
 class Circle:
-    """Area within a radius [m] of a center [m]."""
+    """Area within a radius [m] around a center [m]."""
 
     x: float
     y: float
@@ -79,8 +69,8 @@ class Circle:
         if not (math.isfinite(self.x + self.y) and 0.0 < self.radius < math.inf):
             raise ParameterError(f"area: expected a circle, got {self}")
 
-    def contains(self, x, y):
-        """Whether a position [m] lies within; one that is not finite does not."""
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a position [m] is inside; one that is not finite is not."""
         return math.hypot(x - self.x, y - self.y) <= self.radius
 
 
@@ -95,15 +85,15 @@ class Box:
 
     def __post_init__(self):
         if not (self.x_min < self.x_max and self.y_min < self.y_max):
-            raise ParameterError(f"area: expected a box of some size, got {self}")
+            raise ParameterError(f"area: expected a box, got {self}")
 
-    def contains(self, x, y):
-        """Whether a position [m] lies within; one that is not finite does not."""
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a position [m] is inside; one that is not finite is not."""
         return self.x_min <= x <= self.x_max and self.y_min <= y <= self.y_max
 
 
 class Phase(Enum):
-    """What the car is doing."""
+    """Phase of the maneuver."""
 
     WAITING = "waiting for the dead-man button"
     OUTSIDE = "outside of the area"
@@ -122,10 +112,10 @@ class RampCommand(NamedTuple):
 
 
 class SteeringRamp:
-    """Steering ramps to either side within an area, as long as somebody holds the button.
+    """Steering ramps to either side within an area, while somebody holds the dead-man button.
 
-    Letting go of the button, or leaving the area, stops the car. When both are in order again and
-    the car stands, the ramp that was cut short begins anew.
+    Releasing the button, or leaving the area, stops the car. Once the button is held again, inside
+    the area and at standstill, the interrupted ramp starts over.
 
     Parameters
     ----------
@@ -135,10 +125,10 @@ class SteeringRamp:
     Attributes
     ----------
     completed : int
-        Ramps driven to their end.
+        Number of completed ramps.
     """
 
-    def __init__(self, parameters, area):
+    def __init__(self, parameters: RampParameters, area: Circle | Box):
         self.parameters = parameters
         self.area = area
         self.completed = 0
@@ -149,8 +139,8 @@ class SteeringRamp:
         self._since = 0.0
         self._last_t = None
 
-    def update(self, t, x, y, v, enabled):
-        """The command for one pose.
+    def update(self, t: float, x: float, y: float, v: float, enabled: bool) -> RampCommand:
+        """Command for one pose.
 
         Parameters
         ----------
@@ -187,7 +177,7 @@ class SteeringRamp:
         return RampCommand(self._angle, self._speed, self._phase)
 
     def _rest(self, v):
-        """Once it stands: to the next ramp, or to the end."""
+        """At standstill: on to the next ramp, or done."""
         self._speed = 0.0
         if abs(v) > STANDSTILL:
             return

@@ -1,1 +1,1 @@
-"""From recorded driving to laps: bags and CSV files, lap statistics, reports and plots."""
+"""Evaluation of driving: recordings, laps, statistics and reports."""

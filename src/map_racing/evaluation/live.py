@@ -1,8 +1,8 @@
-"""Laps while the car drives: poses and commands as they come in, one by one.
+"""Laps while the car drives, from poses and commands as they arrive.
 
-Evaluation of a recording knows everything at once. Live, a pose is there before the command that
-was in force at its time, and perhaps before the raceline. Here poses wait for both, so that the
-laps are those of the recording, whatever the order and speed in which the messages arrive.
+Live, a pose arrives before the command in force at its time, and perhaps before the raceline. Poses
+wait for both, so that the laps are the same as from a recording, whatever the order and speed in
+which the messages arrive.
 """
 
 from __future__ import annotations
@@ -15,28 +15,30 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 
 from ..errors import FileFormatError, MapRacingError, ParameterError
+from ..track.raceline import Raceline
 from ..validation import FARTHEST
-from .laps import Lap, LapEvaluator, LapLimits, check_options
+from .laps import LapEvaluator, LapLimits, check_options
 from .report import csv_cells
+from .results import Lap, RunResult
 
 __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 
 # Poses kept while there is no raceline: 30 minutes at 100 Hz.
 _LONGEST_WAIT = 180000
-# Passed commands are deleted so many at a time.
+# Past commands are deleted in groups of this size.
 _PASSED = 4096
 
 
 class LiveLap(NamedTuple):
-    """A stretch that ended.
+    """A lap or other stretch that ended.
 
     ``run`` counts from 1, ``end_ns`` is the time stamp of the end [ns], ``lap`` a
-    `map_racing.evaluation.laps.Lap`.
+    `map_racing.evaluation.results.Lap`.
     """
 
     run: int
@@ -61,9 +63,9 @@ class _Commands:
 
     def clear(self):
         self._stamps, self._values = [], []
-        # Commands after a step back in time, which the poses have yet to make.
+        # Commands after a step back in time that the poses have not made yet.
         self._ahead = []
-        # From here on [ns] a command belongs to the run that ended.
+        # Later commands [ns] belong to the run that ended.
         self._end_ns = math.inf
 
     def add(self, stamp_ns, value):
@@ -74,7 +76,7 @@ class _Commands:
             self._ahead.append((stamp_ns, value))
             return
         self._insert(stamp_ns, value)
-        # Time went on where it was: the step back was a stray message or two.
+        # Time continues as before: the step back was a stray message or two.
         for entry in self._ahead:
             self._insert(*entry)
         self._ahead = []
@@ -88,11 +90,11 @@ class _Commands:
                 self._forget(_LONGEST_WAIT)
 
     def beyond(self, stamp_ns):
-        """Whether a command later than that has come."""
+        """Whether a later command has arrived."""
         return bool(self._stamps) and self._stamps[-1] > stamp_ns
 
     def at(self, stamp_ns):
-        """Command in force; no later call may ask for an earlier time."""
+        """Command in force; later calls must not ask for earlier times."""
         index = bisect_right(self._stamps, stamp_ns) - 1
         value = self._values[index] if index >= 0 else (math.nan, math.nan)
         if index > _PASSED:
@@ -115,10 +117,10 @@ class _Commands:
 class LiveEvaluation:
     """Laps from messages as they arrive.
 
-    A pose is evaluated when the raceline is known and a command later than the pose has come, so
-    that none before it can be missing; or, where no commands come, `patience` after its arrival. A
-    step back in time by more than ``limits.max_gap`` (a bag that is played again, a simulation that
-    was restarted) and another raceline end the run and begin the next.
+    A pose is evaluated when the raceline is known and a later command has arrived, so that no
+    earlier command can be missing, or `patience` after its arrival. A step back in time by more
+    than ``limits.max_gap`` (a bag is replayed, a simulation restarted) or another raceline ends the
+    run and begins the next.
 
     Parameters
     ----------
@@ -142,18 +144,18 @@ class LiveEvaluation:
 
     def __init__(
         self,
-        raceline=None,
+        raceline: Raceline | None = None,
         *,
-        patience=1.0,
-        on_lap=None,
-        on_run=None,
-        limits=None,
-        start_s=0.0,
-        car_width=0.3,
-        sectors=3,
+        patience: float = 1.0,
+        on_lap: Callable[[LiveLap], object] | None = None,
+        on_run: Callable[[int, RunResult], object] | None = None,
+        limits: LapLimits | None = None,
+        start_s: float = 0.0,
+        car_width: float = 0.3,
+        sectors: int = 3,
     ):
         if not patience >= 0.0:
-            raise ParameterError(f"expected a patience >= 0 s, got {patience}")
+            raise ParameterError(f"patience: expected at least 0 s, got {patience}")
         check_options(start_s, car_width, sectors)
         self._limits = limits or LapLimits()
         self._options = {
@@ -176,19 +178,19 @@ class LiveEvaluation:
             self.set_raceline(raceline)
 
     @property
-    def raceline(self):
-        """The raceline, or None as long as it is unknown."""
+    def raceline(self) -> Raceline | None:
+        """The raceline, None while it is unknown."""
         return self._raceline
 
     @property
-    def deadline(self):
-        """When `advance` has something to do at the latest, on the clock of `received`, or None."""
+    def deadline(self) -> float | None:
+        """Latest time of the next call of `advance`, on the clock of `received`, or None."""
         if self._evaluator is None or not self._poses:
             return None
         return self._poses[0].received + self._patience
 
-    def set_raceline(self, raceline):
-        """Evaluate on a raceline from now on; the same again changes nothing."""
+    def set_raceline(self, raceline: Raceline) -> None:
+        """Evaluate on this raceline from now on; an identical one changes nothing."""
         if self._raceline is not None:
             if _same(self._raceline, raceline):
                 return
@@ -196,30 +198,32 @@ class LiveEvaluation:
         self._evaluator = LapEvaluator(raceline, **self._options)
         self._raceline = raceline
 
-    def add_pose(self, stamp_ns, x, y, v_x, v_y, received):
-        """Take up a pose.
+    def add_pose(
+        self, stamp_ns: int, x: float, y: float, v_x: float, v_y: float, received: float
+    ) -> None:
+        """Add a pose.
 
         Parameters
         ----------
         stamp_ns : int
             Time stamp [ns].
         x, y : float
-            Position [m]. Without a finite place on earth the pose is left out.
+            Position [m]; if it is not finite or not on earth, the pose is ignored.
         v_x, v_y : float
             Velocity in the body frame [m/s], NaN where unknown.
         received : float
-            When the message came, on any steady clock [s].
+            Time of arrival on any steady clock [s].
         """
         if abs(x) < FARTHEST and abs(y) < FARTHEST:
-            # numpy's hypot, because math's differs in the last bit.
+            # As for a recording; math.hypot differs in the last bit.
             v = float(np.hypot(v_x, 0.0 if math.isnan(v_y) else v_y))
             self._poses.append(_Pose(stamp_ns, x, y, v, received))
 
-    def add_command(self, stamp_ns, speed, steering_angle):
-        """Take up a drive command: time stamp [ns], speed [m/s], steering angle [rad]."""
+    def add_command(self, stamp_ns: int, speed: float, steering_angle: float) -> None:
+        """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad]."""
         self._commands.add(stamp_ns, (speed, steering_angle))
 
-    def advance(self, now):
+    def advance(self, now: float) -> None:
         """Evaluate the poses that need not wait any longer.
 
         Parameters
@@ -251,8 +255,8 @@ class LiveEvaluation:
             batch.append((t, *pose[1:4], *self._commands.at(pose.stamp_ns)))
         self._evaluate(batch)
 
-    def finish(self):
-        """Evaluate the poses that still wait and end the run. The next pose begins another."""
+    def finish(self) -> None:
+        """Evaluate the waiting poses and end the run; the next pose begins another."""
         self.advance(math.inf)
         if self._t0_ns is not None:
             self._end_run()
@@ -278,17 +282,17 @@ class LiveEvaluation:
 
 
 class LapLog:
-    """Laps appended to a CSV file as they come, each safe on the disk before `add` returns.
+    """CSV file to which laps are appended, each safe on the disk before `add` returns.
 
-    The columns are those of `map_racing.evaluation.report.write_csv`, with the number of the run in
-    place of the name of the bag. A file of an earlier run is continued. A last line that was cut
-    off, because the power went while it was written, is removed.
+    It has the columns of `map_racing.evaluation.report.write_csv`, with the number of the run
+    instead of the bag. An existing file is continued; a last line that was cut off by a power loss
+    is removed.
 
     Parameters
     ----------
     path : str or pathlib.Path
     sectors : int
-        Number of sectors of the laps to come.
+        Number of sectors of the laps.
 
     Raises
     ------
@@ -298,7 +302,7 @@ class LapLog:
         If it cannot be written.
     """
 
-    def __init__(self, path, sectors):
+    def __init__(self, path: str | Path, sectors: int):
         self.path = Path(path)
         names = [field.name for field in fields(Lap)[:-2]]
         self._names = ["run", *names, *(f"sector_{i}_s" for i in range(1, sectors + 1))]
@@ -320,12 +324,12 @@ class LapLog:
         if not complete:
             self._append(self._names)
 
-    def add(self, live_lap):
+    def add(self, live_lap: LiveLap) -> None:
         """Append a `LiveLap`."""
         row = {"run": live_lap.run, **live_lap.lap.row()}
         self._append(csv_cells(row[name] for name in self._names))
 
-    def close(self):
+    def close(self) -> None:
         """Close the file."""
         self._file.close()
 
@@ -333,7 +337,7 @@ class LapLog:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerow(cells)
         try:
-            # One write, so that a killed process leaves no half of a line.
+            # A single write, so that a killed process leaves no partial line.
             self._file.write(text.getvalue().encode())
             self._file.flush()
             os.fsync(self._file.fileno())
@@ -342,7 +346,7 @@ class LapLog:
 
 
 def _same(one, other):
-    """Whether two racelines are the same track, to the last bit."""
+    """Whether two racelines are identical, to the last bit."""
     return all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for name in ("x", "y", "speed", "d_left", "d_right")

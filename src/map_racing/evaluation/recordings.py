@@ -1,8 +1,9 @@
-"""Recorded driving from whatever file holds it."""
+"""Recorded driving from bags and CSV files."""
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,14 @@ from ..bags.records import is_bag
 from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..errors import BagError, FileFormatError, ParameterError
 from ..files import refuse_special
-from ..tables import column_index, open_text, parse_rows, some_names, split_header
+from ..tables import column_index, read_columns, some_names
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
+from ..track.raceline import Raceline
 
 __all__ = ["load_recording", "parse_columns", "read_csv_recording", "recorded_raceline"]
 
-# Names under which columns of a CSV file are known; the first that the file has is taken.
+# Usual names of the columns of a CSV file; the first that is in the file is taken.
 _ALIASES = {
     "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp"),
     "x": ("x", "x_m", "pose_x", "pos_x", "position_x"),
@@ -31,12 +33,14 @@ _ALIASES = {
     "speed_command": ("speed_command", "v_command", "translational_control"),
 }
 _REQUIRED = ("t", "x", "y")
-# Beyond this [s] a time is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
+# A larger time [s] is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
 _LATEST = 9.2e9
 
 
-def load_recording(source, pose_topic=None, columns=None):
-    """Driving from a bag or a CSV file.
+def load_recording(
+    source: str | Path, pose_topic: str | None = None, columns: str | dict | None = None
+) -> Recording:
+    """Read the driving recorded in a bag or a CSV file.
 
     Parameters
     ----------
@@ -54,20 +58,20 @@ def load_recording(source, pose_topic=None, columns=None):
     Raises
     ------
     BagError, FileFormatError, ParameterError
-        If the file cannot be read as what it is.
+        If the file cannot be read.
     """
     refuse_special(source)
     if not _is_csv(source):
         if columns:
-            raise ParameterError(f"{source}: a bag has no columns; they are for CSV files")
+            raise ParameterError(f"columns: expected a CSV file, got {source}")
         return read_recording(source, pose_topic)
     if pose_topic is not None:
-        raise ParameterError(f"{source}: a CSV file has no topic {pose_topic}")
+        raise ParameterError(f"pose topic {pose_topic}: expected a bag, got {source}")
     return read_csv_recording(source, columns)
 
 
-def recorded_raceline(recording):
-    """Raceline that a recording carries.
+def recorded_raceline(recording: Recording) -> Raceline:
+    """Raceline in a recording.
 
     Parameters
     ----------
@@ -76,35 +80,33 @@ def recorded_raceline(recording):
     Returns
     -------
     Raceline
-        With what was noticed as `findings`.
+        With `findings`.
 
     Raises
     ------
     BagError
-        If it carries none.
+        If there is none.
     RacelineError
-        If something is wrong with it beyond use.
+        If it is unusable.
     """
     if recording.waypoints is None:
         raise BagError(f"{recording.source}: no raceline in it; give one with --raceline")
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
 
 
-def read_csv_recording(path, columns=None):
-    """Driving from a CSV file.
+def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:
+    """Read the driving recorded in a CSV file.
 
-    The file may be gzipped; lines that begin with ``#`` are comments. The names of the columns
-    stand in the first other line or, if that holds numbers, in the last comment before it. Cells
-    are separated by comma, semicolon or tab. Time is in seconds; rows without time or position
-    are left out, and so is a last line that was cut off.
+    The layout is described at `map_racing.tables.read_columns`. Time is in seconds; rows without
+    time or position are left out.
 
     Parameters
     ----------
     path : str or pathlib.Path
     columns : str or dict, optional
-        Which column holds what, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
+        Columns of the fields, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
         (required) and ``psi v_x v_y yaw_rate steering speed_command``, in SI units and radians.
-        What is not given is looked for under usual names.
+        Other fields are looked for under usual names.
 
     Returns
     -------
@@ -122,40 +124,22 @@ def read_csv_recording(path, columns=None):
     unknown = sorted(set(columns) - set(_ALIASES))
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
-    with open_text(path) as file:
-        names, delimiter, rows = split_header(path, file)
-        where = _locate(path, names, columns)
-        table, numbers, notes = parse_rows(path, rows, delimiter, names, where)
-    values = dict(zip(where, table.T))
-    late = np.flatnonzero(np.isfinite(values["t"]) & (np.abs(values["t"]) > _LATEST))
-    if late.size:
-        raise FileFormatError(
-            f"{path}:{numbers[late[0]]}: column {names[where['t']]}: expected a time in seconds, "
-            f"got {values['t'][late[0]]:g}"
-        )
-    nan = np.full(len(table), math.nan)
-    kept = np.flatnonzero(usable(values["t"], [values["x"], values["y"]]))
-    jump = jump_back(values["t"][kept])
-    if jump:
-        raise FileFormatError(
-            f"{path}: time jumps back by {jump[1]:.1f} s at line {numbers[kept[jump[0]]]}: "
-            "two runs in one file?"
-        )
-    t, (x, y, *rest) = in_order(
-        values["t"],
-        [values.get(name, nan) for name in _ALIASES if name != "t"],
-        notes,
+    table = read_columns(path, partial(_locate, path, columns))
+    _check_times(path, table)
+    nan = np.full(len(table.lines), math.nan)
+    t, (x, y, psi, v_x, v_y, yaw_rate, steering, speed) = in_order(
+        table.values["t"],
+        [table.values.get(name, nan) for name in _ALIASES if name != "t"],
+        table.notes,
         "rows",
         required=2,
     )
     if t.size < 2:
-        why = f" ({'; '.join(notes)})" if notes else ""
+        why = f" ({'; '.join(table.notes)})" if table.notes else ""
         raise FileFormatError(f"{path}: expected at least two rows with time and position{why}")
-    psi, v_x, v_y, yaw_rate, steering, speed = rest
     start = t[0]
     t = t - start
-    given = [names[where[name]] for name in ("steering", "speed_command") if name in where]
-    commands = Commands(t, steering, speed, " ".join(given)) if given else None
+    given = [table.names[name] for name in ("steering", "speed_command") if name in table.names]
     return Recording(
         t,
         x,
@@ -166,15 +150,34 @@ def read_csv_recording(path, columns=None):
         yaw_rate,
         t0_ns=int(round(start * 1e9)),
         source=str(path),
-        topic=" ".join(names[where[name]] for name in _REQUIRED),
+        topic=" ".join(table.names[name] for name in _REQUIRED),
         type="CSV",
-        commands=commands,
-        notes=notes,
+        commands=Commands(t, steering, speed, " ".join(given)) if given else None,
+        notes=table.notes,
     )
 
 
-def parse_columns(text):
-    """Column map from its text form ``"t=time,x=pose_x"``.
+def _check_times(path, table):
+    """Refuse times in another unit than seconds, and two runs in one file."""
+    t = table.values["t"]
+    with np.errstate(invalid="ignore"):  # numpy 1.17 warns of NaN
+        late = np.flatnonzero(np.isfinite(t) & (np.abs(t) > _LATEST))
+    if late.size:
+        raise FileFormatError(
+            f"{path}:{table.lines[late[0]]}: column {table.names['t']}: expected a time in "
+            f"seconds, got {t[late[0]]:g}"
+        )
+    kept = np.flatnonzero(usable(t, [table.values["x"], table.values["y"]]))
+    jump = jump_back(t[kept])
+    if jump:
+        raise FileFormatError(
+            f"{path}: time jumps back by {jump[1]:.1f} s at line {table.lines[kept[jump[0]]]}: "
+            "two runs in one file?"
+        )
+
+
+def parse_columns(text: str) -> dict[str, str]:
+    """Parse the text form of a column map, ``"t=time,x=pose_x"``.
 
     Parameters
     ----------
@@ -187,7 +190,7 @@ def parse_columns(text):
     Raises
     ------
     ParameterError
-        If a part is not of the form ``field=column``, or a field is given twice.
+        If a part is not ``field=column``, or a field is given twice.
     """
     columns = {}
     for part in text.split(","):
@@ -209,7 +212,7 @@ def _is_csv(path):
     return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
 
 
-def _locate(path, names, columns):
+def _locate(path, columns, names):
     """Index of the column of each field that the file has."""
     where = {}
     lowered = [name.lower() for name in names]

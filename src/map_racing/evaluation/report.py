@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Iterable, Iterator
 
 from ..files import replacing
-from .laps import RunResult
+from .results import RunResult
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,94 +7,65 @@ of them and raced on others.
 
 from __future__ import annotations
 
-import math
 import random
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ..errors import ParameterError
 from ..resources import find_config
-from ..simulation.plant import scaled_tires
-from ..validation import read_parameters
-from ..vehicle.parameters import Vehicle
+from ..validation import POSITIVE, check, documented, parameter, read_parameters
 
 __all__ = ["Conditions", "Day", "day_of", "load_conditions"]
 
 
+def _deviation(what):
+    # With more than 0.2, factors of 0 would be drawn.
+    text = f"Standard deviation of the factor on {what} from day to day"
+    return parameter(text, low=0.0, high=0.2)
+
+
+@documented
 @dataclass(frozen=True)
 class Conditions:
     """Conditions of an experiment; a file in ``config/experiments`` holds the same names.
 
-    Parameters
-    ----------
-    track : str
-        Shipped track, raceline file or ``bag[#topic]``.
-    plant : str
-        Shipped plant, plant file, or ``public_simulator``.
-    mu_deviation, front_stiffness_deviation, rear_stiffness_deviation : float
-        Standard deviations of the factors by which friction and cornering stiffness of a day differ
-        from those of the day of identification.
-    seeds : tuple of int
-        Race days.
-    practice_seeds : tuple of int
-        Days on which controllers are tuned.
-    identification_seed : int
-        Of the noise on the day of identification.
-    tuning_scale : float
-        Scale of the raceline's speeds at which controllers are tuned.
-    tuning_laps : int
-        Timed laps of each run that tunes.
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
+    Factors on the tires are relative to the day of identification.
     """
 
-    track: str
-    plant: str
-    mu_deviation: float
-    front_stiffness_deviation: float
-    rear_stiffness_deviation: float
-    seeds: tuple
-    practice_seeds: tuple
-    identification_seed: int = 0
-    tuning_scale: float = 0.6
-    tuning_laps: int = 2
+    track: str = parameter("Shipped track, raceline file or bag#topic")
+    plant: str = parameter("Shipped plant or plant file")
+    mu_deviation: float = _deviation("the friction coefficient")
+    front_stiffness_deviation: float = _deviation("the cornering stiffness at the front")
+    rear_stiffness_deviation: float = _deviation("the cornering stiffness at the rear")
+    seeds: tuple = parameter("Seeds of the race days")
+    practice_seeds: tuple = parameter("Seeds of the days on which controllers are tuned")
+    identification_seed: int = parameter(
+        "Seed of the noise on the day of identification", low=0, default=0
+    )
+    tuning_scale: float = parameter(
+        "Scale of the raceline's speeds at which controllers are tuned",
+        low=POSITIVE,
+        high=2.0,
+        default=0.6,
+    )
+    tuning_laps: int = parameter("Timed laps of each tuning run", low=1, high=1000, default=2)
 
     def __post_init__(self):
-        for name in ("track", "plant"):
-            if not isinstance(getattr(self, name), str) or not getattr(self, name):
-                raise ParameterError(f"{name} must be a name or a path")
-        for name in ("mu_deviation", "front_stiffness_deviation", "rear_stiffness_deviation"):
-            # With more, factors of 0 would be drawn.
-            if not _is_number(getattr(self, name)) or not 0.0 <= getattr(self, name) <= 0.2:
-                raise ParameterError(f"{name} must be 0 to 0.2, not {getattr(self, name)!r}")
+        check(self)
         for name in ("seeds", "practice_seeds"):
             seeds = getattr(self, name)
-            if not isinstance(seeds, (list, tuple)) or not seeds:
-                raise ParameterError(f"{name} must be a list of numbers, not {seeds!r}")
-            object.__setattr__(self, name, tuple(seeds))
-        days = (*self.seeds, *self.practice_seeds)
-        for seed in (*days, self.identification_seed):
-            if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-                raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
-        for name in ("seeds", "practice_seeds"):
-            seeds = getattr(self, name)
+            whole = isinstance(seeds, (list, tuple)) and all(type(s) is int for s in seeds)
+            if not whole or not seeds or min(seeds) < 0:
+                raise ParameterError(f"{name}: expected whole numbers from 0, got {seeds!r}")
             for seed in seeds:
                 if seeds.count(seed) > 1:
-                    raise ParameterError(f"{name}: {seed} is given twice: a seed is one day")
-        both = [str(seed) for seed in self.seeds if seed in self.practice_seeds]
+                    raise ParameterError(f"{name}: expected different seeds, got {seed} twice")
+            object.__setattr__(self, name, tuple(seeds))
+        both = ", ".join(str(seed) for seed in self.seeds if seed in self.practice_seeds)
         if both:
             raise ParameterError(
-                f"seeds and practice_seeds must differ, but both have {', '.join(both)}: nobody "
-                "tunes on a day of the races"
+                f"practice_seeds: expected other days than the races', got {both} in both"
             )
-        if not _is_number(self.tuning_scale) or not 0.0 < self.tuning_scale <= 2.0:
-            raise ParameterError(f"tuning_scale must be 0 to 2, not {self.tuning_scale!r}")
-        laps = self.tuning_laps
-        if isinstance(laps, bool) or not isinstance(laps, int) or not 1 <= laps <= 1000:
-            raise ParameterError(f"tuning_laps must be 1 to 1000, not {laps!r}")
 
 
 class Day(NamedTuple):
@@ -105,8 +76,8 @@ class Day(NamedTuple):
     seed : int
     mu_scale, front_stiffness_scale, rear_stiffness_scale : float
         Relative to the day of identification.
-    plant : PlantParameters or Vehicle
-        With these tires; a Vehicle is driven as the public simulator's.
+    plant : PlantParameters or PublicSimulatorParameters
+        With these tires.
     """
 
     seed: int
@@ -132,7 +103,7 @@ def day_of(plant, conditions, seed):
 
     Parameters
     ----------
-    plant : PlantParameters or Vehicle
+    plant : PlantParameters or PublicSimulatorParameters
         On the day of identification.
     conditions : Conditions
     seed : int
@@ -151,8 +122,6 @@ def day_of(plant, conditions, seed):
             conditions.rear_stiffness_deviation,
         )
     )
-    if isinstance(plant, Vehicle):
-        return Day(seed, mu, front, rear, scaled_tires(plant, mu, front, rear))
     changed = replace(
         plant,
         mu_scale=plant.mu_scale * mu,
@@ -160,7 +129,3 @@ def day_of(plant, conditions, seed):
         rear_stiffness_scale=plant.rear_stiffness_scale * rear,
     )
     return Day(seed, mu, front, rear, changed)
-
-
-def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

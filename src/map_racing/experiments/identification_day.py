@@ -6,7 +6,6 @@ from ..control.steering_ramp import RampParameters
 from ..identification.data import ChannelMap, SensorSetup, load_run
 from ..identification.identify import identify
 from ..identification.limits import SteadyLimits
-from ..simulation.plant import PlantParameters
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
 
@@ -24,9 +23,8 @@ def identify_on(plant, seed, bag):
 
     Parameters
     ----------
-    plant : PlantParameters or Vehicle
-        On the day of identification; the latter is driven as the public simulator's. Mass and
-        geometry are taken to be known, the tires are not.
+    plant : PlantParameters or PublicSimulatorParameters
+        On the day of identification. Mass and geometry are taken to be known, the tires are not.
     seed : int
         Of the noise.
     bag : pathlib.Path
@@ -37,8 +35,7 @@ def identify_on(plant, seed, bag):
     Identification
     """
     write_ramp_bag(bag, drive_ramps(plant, RAMPS, seed))
-    if isinstance(plant, PlantParameters):
-        return identify([load_run(bag)], plant.vehicle, limits=STEADY)
-    # Its poses are those of the center of gravity.
-    setup = SensorSetup(pose_x_m=plant.l_r)
-    return identify([load_run(bag, ChannelMap(setup=setup))], plant, limits=STEADY)
+    vehicle = plant.vehicle
+    ahead = vehicle.l_r if plant.reference_point == "center_of_gravity" else 0.0
+    channels = ChannelMap(setup=SensorSetup(pose_x_m=ahead))
+    return identify([load_run(bag, channels)], vehicle, limits=STEADY)

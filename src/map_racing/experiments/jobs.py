@@ -25,6 +25,7 @@ from ..control.controller import build_controller
 from ..control.parameters import ControllerParameters
 from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
+from ..evaluation.results import Lap
 from ..simulation.plant import PlantParameters
 from ..simulation.plants import build_plant
 from ..simulation.public_simulator import PublicSimulatorParameters
@@ -33,7 +34,15 @@ from ..simulation.recorded import write_race_bag
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 
-__all__ = ["End", "RaceJob", "RaceResult", "Stretch", "code_fingerprint", "execute"]
+__all__ = [
+    "LAP_COLUMNS",
+    "End",
+    "RaceJob",
+    "RaceResult",
+    "code_fingerprint",
+    "execute",
+    "lap_row",
+]
 
 # The rooms, and modules of other rooms, that decide how a race goes and what is measured of it.
 _DECISIVE = (
@@ -54,8 +63,8 @@ class RaceJob:
         With the scale of the speeds.
     vehicle : Vehicle
         The car as the controller knows it.
-    plant : PlantParameters, PublicSimulatorParameters or Vehicle
-        The car as it is; a Vehicle is driven as the public simulator's, with poses at 40 Hz.
+    plant : PlantParameters or PublicSimulatorParameters
+        The car as it is.
     raceline : Raceline
     laps : int
         Timed laps after an out-lap.
@@ -66,7 +75,7 @@ class RaceJob:
     name: str = field(compare=False)
     controller: ControllerParameters
     vehicle: Vehicle
-    plant: PlantParameters | PublicSimulatorParameters | Vehicle
+    plant: PlantParameters | PublicSimulatorParameters
     raceline: Raceline
     laps: int
     seed: int
@@ -88,21 +97,26 @@ class RaceJob:
         return f"{name}_{100 * self.scale:05.1f}_seed{self.seed}_{self.fingerprint[:6]}"
 
 
-class Stretch(NamedTuple):
-    """A lap, or a stretch that is none, on the true path; see `map_racing.evaluation.laps.Lap`."""
+# What is kept of each `Lap` of a race.
+LAP_COLUMNS = (
+    "lap",
+    "lap_time_s",
+    "rms_lateral_error_m",
+    "mean_abs_lateral_error_m",
+    "max_abs_lateral_error_m",
+    "min_clearance_m",
+    "mean_speed_mps",
+    "max_speed_mps",
+    "start_time_s",
+    "end_time_s",
+    "valid",
+    "reason",
+)
 
-    lap: int
-    lap_time_s: float
-    rms_lateral_error_m: float
-    mean_abs_lateral_error_m: float
-    max_abs_lateral_error_m: float
-    min_clearance_m: float
-    mean_speed_mps: float
-    max_speed_mps: float
-    start_time_s: float
-    end_time_s: float
-    valid: bool
-    reason: str
+
+def lap_row(lap: Lap) -> dict:
+    """The `LAP_COLUMNS` of a lap."""
+    return {name: getattr(lap, name) for name in LAP_COLUMNS}
 
 
 class End(NamedTuple):
@@ -126,7 +140,7 @@ class RaceResult(NamedTuple):
     ----------
     outcome : str
         "completed", "crashed" or "stalled".
-    stretches : tuple of Stretch
+    stretches : tuple of Lap
         The whole true path: out-lap, laps, and what was begun when it ended. Its reference point is
         the one whose pose localization gives.
     duration_s : float
@@ -185,8 +199,7 @@ def execute(job, path=False, bag=False):
     evaluator = LapEvaluator(job.raceline, car_width=plant.vehicle.width)
     t, x, y, _, v_x, v_y, _ = states.T
     evaluator.update(t, x, y, np.hypot(v_x, v_y))
-    laps = evaluator.finish().laps
-    stretches = tuple(Stretch(*(getattr(lap, name) for name in Stretch._fields)) for lap in laps)
+    stretches = tuple(Lap(**lap_row(lap)) for lap in evaluator.finish().laps)
     driven = tuple(zip(t.tolist(), x.tolist(), y.tolist())) if path else ()
     end = _end_of(log, job.raceline)
     result = RaceResult(log.outcome.value, stretches, log.duration, driven, end)

@@ -14,13 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ..simulation.plants import PUBLIC_SIMULATOR, load_plant
-from ..track.files.load import load_raceline
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 from .campaign import Plan
 from .conditions import Conditions, day_of
-from .jobs import RaceJob
+from .jobs import RaceJob, lap_row
 from .tuning import tune
 
 __all__ = [
@@ -74,7 +72,7 @@ class Setting:
     ----------
     conditions : Conditions
     raceline : Raceline
-    plant : PlantParameters or Vehicle
+    plant : PlantParameters or PublicSimulatorParameters
         On the day of identification.
     vehicle, linear_vehicle : Vehicle
         The car as controllers know it, with Pacejka and with linear tires.
@@ -86,23 +84,6 @@ class Setting:
     vehicle: Vehicle
     linear_vehicle: Vehicle
 
-    @classmethod
-    def load(cls, conditions, identified):
-        """Load track and plant.
-
-        Parameters
-        ----------
-        conditions : Conditions
-        identified : callable
-            ``identified(plant) -> (vehicle, linear_vehicle)``.
-
-        Returns
-        -------
-        Setting
-        """
-        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
-        return cls(conditions, raceline, plant, *identified(plant))
-
     def day(self, seed):
         """The plant on the day of a seed."""
         return day_of(self.plant, self.conditions, seed)
@@ -110,9 +91,8 @@ class Setting:
     def job(self, label, controller, day, laps):
         """The race of a controller on a day."""
         linear = controller.steering_map == "linear_table"
-        if self.conditions.plant == PUBLIC_SIMULATOR:
-            # It publishes the pose of the center of gravity under the name of base_link.
-            controller = controller.with_(reference_point="center_of_gravity")
+        if self.plant.reference_point != "rear_axle":
+            controller = controller.with_(reference_point=self.plant.reference_point)
         return RaceJob(
             label,
             controller,
@@ -266,7 +246,7 @@ def _over_time(values, time):
 
 
 def lap_frame(races):
-    """One row for each stretch of each race: the columns of `Stretch` after those of the race."""
+    """One row for each stretch of each race: the `LAP_COLUMNS` after those of the race."""
     return _sorted(
         pd.DataFrame(
             [
@@ -275,7 +255,7 @@ def lap_frame(races):
                     "controller": race.label,
                     "seed": race.seed,
                     "outcome": race.result.outcome,
-                    **stretch._asdict(),
+                    **lap_row(stretch),
                 }
                 for race in races
                 for stretch in race.result.stretches

@@ -17,11 +17,9 @@ from ..errors import ParameterError
 from ..resources import find_config
 from ..simulation.plant import PlantParameters
 from ..simulation.plants import load_plant
-from ..simulation.public_simulator import PublicSimulatorParameters
 from ..track.files.load import load_raceline
 from ..track.generator import TrackShape, draw_track
 from ..validation import finite, read_parameters
-from ..vehicle.parameters import load_vehicle
 from .campaign import Plan
 from .jobs import RaceJob, code_fingerprint, fingerprint, plain
 
@@ -165,9 +163,11 @@ class Grid:
             for name, changes in given.cars.items()
         ]
         for delay in given.simulator_delays_s:
-            sim = load_vehicle("sim")
-            simulator = PublicSimulatorParameters(sim, delay)
-            cars.append(Car(f"public simulator, {1000.0 * delay:g} ms", simulator, sim))
+            simulator = replace(
+                load_plant("public_simulator"), steering_delay_s=delay, localization_rate_hz=100.0
+            )
+            name = f"public simulator, {1000.0 * delay:g} ms"
+            cars.append(Car(name, simulator, simulator.vehicle))
         object.__setattr__(self, "cars", tuple(cars))
 
     def jobs(self, label, controller):
@@ -184,12 +184,10 @@ class Grid:
         """
         given = self.conditions
         controller = controller.with_(speed_scale=given.speed_scale)
-        # The public simulator publishes the pose of the center of gravity as base_link.
-        at_center = controller.with_(reference_point="center_of_gravity")
         return [
             RaceJob(
                 label,
-                at_center if isinstance(car.plant, PublicSimulatorParameters) else controller,
+                controller.with_(reference_point=car.plant.reference_point),
                 *(car.vehicle, car.plant, track, given.laps, given.seed),
             )
             for track in self.tracks

@@ -1,7 +1,6 @@
-"""What the commands that run many races share: setting, result directory, tuning, racing."""
+"""What commands that run many races share: setting, result directory, tuning, races."""
 
 import math
-from dataclasses import replace
 from time import monotonic
 
 import pandas as pd
@@ -10,9 +9,10 @@ from ..control.parameters import load_controller_parameters, save_controller_par
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data
+from ..simulation.plants import load_plant
+from ..track.files.load import load_raceline
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
 from .campaign import Effort, carry_out
-from .conditions import load_conditions
 from .executors import open_executor
 from .identification_day import identify_on
 from .paper import CONTENDERS, Setting, tuning_plan
@@ -21,7 +21,6 @@ from .robustness import (
     Grid,
     grid_plan,
     grid_provenance,
-    load_robustness,
     race_rows,
 )
 from .store import Store
@@ -31,26 +30,33 @@ __all__ = ["GridSession", "Session"]
 
 
 class Races:
-    """Where results of many races go, and what drives the races.
+    """Where the results of many races go, and what carries the races out.
 
     Parameters
     ----------
-    arguments : argparse.Namespace
     kind : str
-        Of the results.
+        Kind of the results, such as ``"tune"``.
+    folder : str or pathlib.Path
+        Result directory; an existing one is continued.
+    jobs : int, optional
+        Processes.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+    reuse : sequence of str
+        Result directories whose races are taken over.
     """
 
-    def __init__(self, arguments, kind):
+    def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
         self.kind = kind
-        self.folder = make_folder(arguments.output)
+        self.folder = make_folder(folder)
         if (self.folder / "results.json").exists():
             other = read_results(self.folder).kind
             if other != kind:
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
         self.figures = make_folder(self.folder / "figures")
-        self.store = Store(self.folder, arguments.reuse)
+        self.store = Store(self.folder, reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
-        self._jobs, self._scheduler = arguments.jobs, arguments.scheduler
+        self._jobs, self._scheduler = jobs, scheduler
 
     def carry_out(self, plans, title, **needs):
         """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
@@ -60,7 +66,7 @@ class Races:
         return results
 
     def report(self):
-        """What it took, and where it is."""
+        """Print how much was computed, and where the results are."""
         driven, found, cpu_s = self.effort
         print(
             f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
@@ -72,23 +78,18 @@ class Races:
 class GridSession(Races):
     """Races on a grid of tracks and cars.
 
+    Nothing is written if a track or a car cannot be loaded.
+
     Parameters
     ----------
-    arguments : argparse.Namespace
-    kind : str
-        Of the results.
+    kind, folder, **where
+        As in `Races`.
+    conditions : Robustness
     """
 
-    def __init__(self, arguments, kind):
-        super().__init__(arguments, kind)
-        changes = {
-            "tracks": arguments.tracks,
-            "generated_seeds": arguments.generated,
-            "speed_scale": getattr(arguments, "speed_scale", None),
-            "laps": getattr(arguments, "laps", None),
-        }
-        changes = {name: value for name, value in changes.items() if value is not None}
-        self.grid = Grid(replace(load_robustness(arguments.grid), **changes))
+    def __init__(self, kind, folder, conditions, **where):
+        self.grid = Grid(conditions)
+        super().__init__(kind, folder, **where)
 
     def race(self, controllers):
         """Race controllers over the grid.
@@ -114,31 +115,40 @@ class GridSession(Races):
 
 
 class Session(Races):
-    """What the commands share: setting, tuned controllers, races, and where results go.
+    """Setting, tuned controllers, races and results of one command, in a result directory.
+
+    Nothing is written if track, plant or vehicle cannot be loaded.
 
     Parameters
     ----------
-    arguments : argparse.Namespace
-    kind : str
-        Of the results.
+    kind, folder, **where
+        As in `Races`.
+    conditions : Conditions
+    vehicle : str, optional
+        The controllers' model of the car; by default it is identified from ramps on the plant.
+    tuning : bool
+        Whether the contenders are tuned.
+
+    Attributes
+    ----------
+    notes : list of str
+        What the user should know about track and car.
     """
 
-    def __init__(self, arguments, kind):
-        given = {
-            name: getattr(arguments, name, None)
-            for name in ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
-        }
-        given = {name: value for name, value in given.items() if value is not None}
-        conditions = replace(load_conditions(arguments.conditions), **given)
-        super().__init__(arguments, kind)
-        self._tuning = not getattr(arguments, "no_tuning", False)
-        self.setting = Setting.load(
-            conditions, lambda plant: self._car(plant, arguments.vehicle, conditions)
-        )
-        for finding in self.setting.raceline.findings:
-            print(f"{conditions.track}: {finding}")
-        if self.setting.raceline.d_left is None:
-            print(f"{conditions.track}: no walls are known, so no crash is seen")
+    def __init__(self, kind, folder, conditions, *, vehicle=None, tuning=True, **where):
+        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
+        given = None if vehicle is None else load_vehicle(vehicle)
+        super().__init__(kind, folder, **where)
+        self._tuning = tuning
+        self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
+        if raceline.d_left is None:
+            self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
+        if given is None:
+            cars = self._identify(plant, conditions.identification_seed)
+        else:
+            cars = given, linearized(given)
+            self.identification = {"vehicle": vehicle, "parameters": parameter_hash(given)}
+        self.setting = Setting(conditions, raceline, plant, *cars)
         self.controllers = {}
 
     @property
@@ -153,13 +163,8 @@ class Session(Races):
         count = len(self.setting.conditions.seeds)
         return f"{count} race day" + ("s" if count != 1 else "")
 
-    def _car(self, plant, given, conditions):
-        """The car as controllers know it, with Pacejka and with linear tires."""
-        if given:
-            vehicle = load_vehicle(given)
-            self.identification = {"vehicle": given, "parameters": parameter_hash(vehicle)}
-            return vehicle, linearized(vehicle)
-        seed = conditions.identification_seed
+    def _identify(self, plant, seed):
+        """Identify the car on the plant, with Pacejka and with linear tires."""
         found = identify_on(plant, seed, self.folder / "ramps.bag")
         save_vehicle(found.vehicle, self.folder / "identified.yaml")
         save_vehicle(found.linear_vehicle, self.folder / "identified_linear.yaml")
@@ -172,7 +177,7 @@ class Session(Races):
             "linear_vehicle": "identified_linear.yaml",
             "linear_parameters": parameter_hash(found.linear_vehicle),
         }
-        print(
+        self.notes.append(
             f"identified {found.base.name} from steering ramps (seed {seed}): up to "
             f"{found.largest_a_y:.1f} m/s^2, {self.folder / 'identified.yaml'}"
         )

@@ -9,9 +9,10 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
+from ..evaluation.results import Lap
 from ..files import replacing, write_json
 from ..simulation.race import Outcome
-from .jobs import End, RaceResult, Stretch, plain
+from .jobs import LAP_COLUMNS, End, RaceResult, lap_row, plain
 
 __all__ = ["Store"]
 
@@ -84,7 +85,7 @@ class Store:
             "result": {
                 "outcome": result.outcome,
                 "duration_s": result.duration_s,
-                "stretches": [stretch._asdict() for stretch in result.stretches],
+                "stretches": [lap_row(lap) for lap in result.stretches],
                 "path": result.path,
                 "end": result.end,
             },
@@ -105,14 +106,15 @@ def _result(record, path):
     try:
         values = record["result"]
         stretches = tuple(
-            Stretch(*(math.nan if row[name] is None else row[name] for name in Stretch._fields))
+            Lap(**{name: math.nan if row[name] is None else row[name] for name in LAP_COLUMNS})
             for row in values["stretches"]
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
         end = values["end"] and End(*values["end"])
         result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end)
         Outcome(result.outcome)
-        numbers = [value for row in stretches for value in row[:-1]]  # the last is a text
+        # The last column is a text.
+        numbers = [getattr(lap, name) for lap in stretches for name in LAP_COLUMNS[:-1]]
         for value in chain([result.duration_s], numbers, end or (), *driven):
             math.isnan(value)  # a TypeError for what is no number
         return result

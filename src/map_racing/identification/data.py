@@ -21,7 +21,7 @@ from ..bags.samples import in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
 from ..resources import find_config
-from ..tables import read_table
+from ..tables import column_index, read_columns
 from ..validation import finite
 
 __all__ = [
@@ -304,7 +304,10 @@ def _load_csv(path, channel_map):
             raise ParameterError(f"{path}: {name}: missing in the channel map of a CSV file")
     clocks = {"time": channels.pop("time"), "pose_time": channels.pop("pose_time", None)}
     wanted = [channel.source for channel in (*clocks.values(), *channels.values()) if channel]
-    table, notes = read_table(path, dict.fromkeys(wanted))
+    columns = read_columns(
+        path, lambda names: {column: column_index(path, names, column) for column in wanted}
+    )
+    table, notes = columns.values, columns.notes
     t = clocks["time"].to_si(table[clocks["time"].source])
     values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}
     _blank_before_first(values, table, channels, POSE, "pose", notes)

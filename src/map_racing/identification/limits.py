@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from ..errors import ParameterError
+from ..validation import POSITIVE, check, documented, parameter
 
 __all__ = ["RATE_HZ", "SteadyLimits"]
 
 RATE_HZ = 50.0  # of the clock on which all signals of a drive are put
 
 
+@documented
 @dataclass(frozen=True)
 class SteadyLimits:
-    """What counts as steady; rates are taken from the low-passed signals.
+    """What counts as steady; rates are taken from the low-passed signals."""
 
-    Parameters
-    ----------
-    cutoff_hz : float
-        Cutoff of the low-pass, where half of the power passes [Hz].
-    dv_mps2, dr_radps2, ddelta_radps : float
-        Largest rates of speed, yaw rate and steering angle.
-    shortest_s : float
-        Shortest steady segment [s].
-    """
-
-    cutoff_hz: float = 1.0
-    dv_mps2: float = 0.35
-    dr_radps2: float = 0.35
-    ddelta_radps: float = 0.1
-    shortest_s: float = 0.6
+    cutoff_hz: float = parameter(
+        "Cutoff of the low-pass, where half of the power passes", "Hz", low=POSITIVE, default=1.0
+    )
+    dv_mps2: float = parameter("Largest rate of speed", "m/s^2", low=POSITIVE, default=0.35)
+    dr_radps2: float = parameter("Largest rate of yaw rate", "rad/s^2", low=POSITIVE, default=0.35)
+    ddelta_radps: float = parameter(
+        "Largest rate of steering angle", "rad/s", low=POSITIVE, default=0.1
+    )
+    shortest_s: float = parameter("Shortest steady segment", "s", low=POSITIVE, default=0.6)
 
     def __post_init__(self):
-        for name, value in vars(self).items():
-            if not 0.0 < value < math.inf:
-                raise ParameterError(f"{name}: expected a positive number, got {value!r}")
+        check(self)
         if not self.cutoff_hz < 0.4 * RATE_HZ:
             raise ParameterError(
                 f"cutoff_hz: expected less than {0.4 * RATE_HZ:g} Hz, got {self.cutoff_hz:g}"

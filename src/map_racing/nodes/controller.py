@@ -5,38 +5,29 @@ coming. The controller and its supervisor are the core's; here messages are conv
 """
 
 import gc
-import math
 import os
 import sys
 import threading
 import time
-from dataclasses import fields, replace
 from pathlib import Path
 
 import rospy
 from ackermann_msgs.msg import AckermannDriveStamped
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from dynamic_reconfigure.server import Server
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float64, Header
 from std_srvs.srv import Trigger, TriggerResponse
 from tf2_msgs.msg import TFMessage
 
-from map_racing.cfg import ControllerConfig
 from map_racing.msg import Guidance
 
-from ..bags import messages
-from ..control.controller import Controller, Status, build_steering_map
+from ..control.controller import Controller, Status, build_steering_maps
 from ..control.parameters import (
-    STEERING_MAPS,
-    ControllerParameters,
     load_controller_parameters,
     load_safety_limits,
     save_controller_parameters,
 )
-from ..control.safety import Mode, Reason, SafetyLimits, Supervisor
-from ..control.speed_plan import SpeedPlan
+from ..control.safety import Mode, Supervisor
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
@@ -45,45 +36,52 @@ from ..track.files.waypoints import waypoint_rows
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
-from .node import FirstSender, SteadyClock, get_parameter, run, why_silent
+from .diagnosis import Diagnosis
+from .node import FirstSender, SteadyClock, get_parameter, overridden, run
 from .transforms import TransformListener
+from .tuning import TuningServer
 from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messages
 
 __all__ = ["ControllerNode", "main"]
 
 WATCHDOG_HZ = 20.0
-MISSING_S = 2.0
 SWITCH_S = 0.0005
-# Lines of the log about the same thing are at least this far apart [s].
+# Do not log the same failure again within this time [s].
 QUIET_S = 1.0
-# Whence the lookahead of the steering maps that the parameters are not for.
-FILES = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
-# Commands at the end of the node: several, as the first may meet a full queue.
+# Stop commands sent when the node ends: several, as the first may meet a full queue.
 LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
 
-UNITS = {"_m": "[m]", "_s": "[s]", "_rad": "[rad]", "_mps": "[m/s]", "_mps2": "[m/s^2]"}
+POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
 
-def _overridden(values):
-    """A dataclass with those of its values replaced that are private parameters of the node."""
-    changes = {}
-    for field in fields(values):
-        unit = UNITS.get("_" + field.name.rpartition("_")[2], "")
-        default = getattr(values, field.name)
-        default = float(default) if isinstance(default, int) else default
-        changes[field.name] = get_parameter(field.name, default, unit)
-    return replace(values, **changes)
+def _build():
+    """Controller and supervisor from the node's parameters."""
+    source = get_parameter("controller", "map", "shipped name or file")
+    vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
+    table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
+    parameters = overridden(load_controller_parameters(source))
+    kind, v_max = parameters.steering_map, parameters.v_max_mps
+    if table and kind == "ackermann":
+        raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
+    limits = overridden(load_safety_limits(source))
+    steering_map, grip = build_steering_maps(parameters, vehicle)
+    if table:
+        steering_map = grip = load_table(table)
+    return Controller(parameters, steering_map, vehicle, grip=grip), Supervisor(limits, v_max)
+
+
+def _publisher(topic, kind, queue_size=10):
+    return rospy.Publisher(topic, kind, queue_size=queue_size)
 
 
 class ControllerNode:
-    """Reads its parameters, then drives until it is told to end."""
+    """Reads its parameters, then drives until the node is shut down."""
 
     def __init__(self):
-        controller = get_parameter("controller", "map", "shipped name or file")
-        vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
         source = get_parameter("raceline", "", "track, file or bag; empty: topic global_waypoints")
         pose_source = get_parameter("pose_source", "odom", "odom, pose or tf")
-        table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
+        if pose_source not in ("odom", "pose", "tf"):
+            raise ParameterError(f"~pose_source: expected odom, pose or tf, got {pose_source!r}")
         self._sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
         if self._sectors:
             read_yaml_mapping(self._sectors)  # the rest needs a raceline
@@ -95,55 +93,31 @@ class ControllerNode:
         self._save_to = get_parameter(
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
-        if pose_source not in ("odom", "pose", "tf"):
-            raise ParameterError(f"~pose_source: expected odom, pose or tf, got {pose_source!r}")
-        parameters = _overridden(load_controller_parameters(controller))
-        if table and parameters.steering_map == "ackermann":
-            raise ParameterError(f"~lookup_table: {controller} is pure pursuit and uses none")
-        limits = replace(load_safety_limits(controller), max_speed_mps=parameters.v_max_mps)
-        limits = replace(_overridden(limits), max_speed_mps=parameters.v_max_mps)
-
-        self._vehicle, self._v_max = vehicle, parameters.v_max_mps
-        self._maps = {parameters.steering_map: load_table(table)} if table else {}
-        self._lookaheads = {
-            kind: (stated.m_m, stated.q_s)
-            for kind, stated in (
-                (kind, load_controller_parameters(FILES[kind])) for kind in STEERING_MAPS
-            )
-        }
-        self._lookaheads[parameters.steering_map] = parameters.m_m, parameters.q_s
-        # What the tires hold is what the table of MAP says, whatever the steering map.
-        self._controller = Controller(
-            parameters,
-            self._steering_map(parameters.steering_map),
-            vehicle,
-            grip=self._steering_map("table"),
-        )
-        self._told_plan = None
+        self._controller, self._supervisor = _build()
+        self._logged_plan = None
         # Held by whoever changes what the controller drives with; the steps never wait for it.
         self._changing = threading.Lock()
-        self._supervisor = Supervisor(limits)
-        self._reader = StateReader()
-        self._clock = SteadyClock()
+        self._reader, self._clock = StateReader(), SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
-        self._refused = ""  # why the latest raceline is none
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
-        self._shown, self._quiet_until = None, {}
-        self._tally = _Tally()
 
-        def publisher(topic, kind, size=10, **options):
-            return rospy.Publisher(topic, kind, queue_size=size, **options)
-
-        self._drive = publisher("drive", AckermannDriveStamped, 1)
-        self._guidance = publisher("guidance", Guidance)
-        self._diagnostics = publisher("/diagnostics", DiagnosticArray)
+        self._drive = _publisher("drive", AckermannDriveStamped, 1)
+        self._guidance = _publisher("guidance", Guidance)
         self._numbers = {
-            name: publisher(name, Float64)
+            name: _publisher(name, Float64)
             for name in ("lateral_error", "speed_error", "latency", "pose_age")
         }
-        self._driven = publisher("driven_waypoints", waypoint_array_class()[0], 1, latch=True)
+        self._driven = rospy.Publisher(
+            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
+        )
+        topic = "/tf" if pose_source == "tf" else rospy.resolve_name(pose_source)
+        self._pose_from = "/tf, {} to {}".format(*self._frames) if topic == "/tf" else topic
+        pose_type = POSE_TYPES[pose_source]._type
+        self._diagnosis = Diagnosis(
+            self._controller, self._supervisor, self._lock, self._pose_from, topic, pose_type
+        )
         rospy.on_shutdown(self._end)
         if source:
             self._follow(load_raceline(source))
@@ -153,40 +127,31 @@ class ControllerNode:
             )
         rospy.Subscriber("stop_driving", Bool, self._on_stop_topic, queue_size=10)
         self._services = [
-            rospy.Service(f"~{name}", Trigger, handler)
-            for name, handler in (
-                ("stop", self._on_stop),
-                ("resume", self._on_resume),
-                ("save", self._on_save),
-            )
+            rospy.Service("~stop", Trigger, self._on_stop),
+            rospy.Service("~resume", Trigger, self._on_resume),
+            rospy.Service("~save", Trigger, self._on_save),
         ]
-        self._tuning = None
-        self._tuning = Server(ControllerConfig, self._tune, namespace="tuning")
-        self._pose_from = rospy.resolve_name(pose_source)
-        self._sender = FirstSender(self._pose_from)
-        latest = {"queue_size": 1, "tcp_nodelay": True}
-        self._pose_topic = self._pose_from, Odometry._type
-        if pose_source == "odom":
-            rospy.Subscriber("odom", Odometry, self._on_pose, self._reader.odometry, **latest)
-        elif pose_source == "pose":
-            self._pose_topic = self._pose_from, PoseStamped._type
-            rospy.Subscriber("pose", PoseStamped, self._on_pose, self._reader.pose, **latest)
-        else:
-            self._pose_from = "/tf, {} to {}".format(*self._frames)
-            self._pose_topic = "/tf", TFMessage._type
-            self._transform_stamp = 0
-            self._transforms = TransformListener(self._on_transforms)
-        every = rospy.Duration.from_sec
-        self._timers = [
-            rospy.Timer(every(1.0 / WATCHDOG_HZ), self._watch, reset=True),
-            rospy.Timer(every(1.0), lambda _: self._diagnose(), reset=True),
-            rospy.Timer(every(MISSING_S), lambda _: self._tell_what_is_missing(), reset=True),
-        ]
-        # What there is now stays: the garbage collector need not look through it while driving.
+        self._tuning = TuningServer(
+            self._controller, self._supervisor, self._lock, self._changing, self._announce_speeds
+        )
+        self._subscribe_poses(pose_source)
+        period = rospy.Duration.from_sec(1.0 / WATCHDOG_HZ)
+        self._timer = rospy.Timer(period, self._watch, reset=True)
+        # The garbage collector need not look through what exists now while the car drives.
         gc.collect()
         gc.freeze()
 
     # -- poses -------------------------------------------------------------------------------
+
+    def _subscribe_poses(self, source):
+        self._sender = FirstSender(self._pose_from)
+        if source == "tf":
+            self._transform_stamp = 0
+            self._transforms = TransformListener(self._on_transforms)
+            return
+        read = self._reader.odometry if source == "odom" else self._reader.pose
+        kind, latest = POSE_TYPES[source], {"queue_size": 1, "tcp_nodelay": True}
+        rospy.Subscriber(source, kind, self._on_pose, read, **latest)
 
     def _on_pose(self, message, read):
         begin = time.perf_counter()
@@ -205,31 +170,14 @@ class ControllerNode:
             self._act(begin, header, lambda t: self._reader.plane(t, *pose))
 
     def _act(self, begin, header, read):
-        """One control step on the state that `read` returns; whatever fails in it stops the car."""
+        """One control step on the state that `read` returns; any failure in it stops the car."""
         now = self._clock.now()
         header.frame_id = frame(header.frame_id) or self._frames[0]
         try:
-            if header.frame_id != self._frames[0]:
-                rospy.logerr_throttle(
-                    10.0,
-                    f"{self._pose_from}: expected poses in the frame {self._frames[0]}, "
-                    f"got one in {header.frame_id} (~map_frame)",
-                )
-                self._command(header, self._supervisor.refuse(now))
-                return
-            stamp = stamp_ns(header, 0)
-            state = read(1e-9 * stamp - self._clock.steps if stamp else now)
-            trusted = self._supervisor.observe(now, state)
-            if self._supervisor.restarted:
-                self._restart()
-            if self._supervisor.jumped:
-                self._reader.reset()
-            result = self._controller.step(state) if trusted and not self._failing else None
-            decision = self._supervisor.decide(now, result)
-            self._command(header, decision)
-            latency = time.perf_counter() - begin
-            self._tally.add(latency, result)
-            self._show(header, state, result, decision, latency)
+            if header.frame_id == self._frames[0]:
+                self._step(begin, now, header, read)
+            else:
+                self._refuse_frame(now, header)
         except Exception:
             rospy.logerr_throttle(QUIET_S, _trace("the control step failed"))
             self._failing = True
@@ -239,12 +187,35 @@ class ControllerNode:
             except Exception:  # not even the supervisor works: an unramped stop
                 self._send(header, self._last_angle, 0.0)
 
+    def _step(self, begin, now, header, read):
+        stamp = stamp_ns(header, 0)
+        state = read(1e-9 * stamp - self._clock.steps if stamp else now)
+        trusted = self._supervisor.observe(now, state)
+        if self._supervisor.restarted:
+            self._restart()
+        if self._supervisor.jumped:
+            self._reader.reset()
+        result = self._controller.step(state) if trusted and not self._failing else None
+        decision = self._supervisor.decide(now, result)
+        self._command(header, decision)
+        latency = time.perf_counter() - begin
+        self._diagnosis.add(latency, result)
+        self._show(header, state, result, decision, latency)
+
+    def _refuse_frame(self, now, header):
+        rospy.logerr_throttle(
+            10.0,
+            f"{self._pose_from}: expected poses in the frame {self._frames[0]}, "
+            f"got one in {header.frame_id} (~map_frame)",
+        )
+        self._command(header, self._supervisor.refuse(now))
+
     def _restart(self):
         """Time was set back: nothing that was known before holds."""
         rospy.loginfo("time was set back: starting anew")
         self._controller.reset()
         self._reader.reset()
-        self._tally = _Tally()
+        self._diagnosis.restart()
 
     def _watch(self, _):
         """Notice poses that stop coming."""
@@ -257,17 +228,17 @@ class ControllerNode:
                 if decision is not None:
                     self._command(header, decision)
                 else:
-                    self._report()
+                    self._diagnosis.report()
             except Exception:
                 rospy.logerr_throttle(QUIET_S, _trace("the watchdog failed"))
                 self._send(header, self._last_angle, 0.0)
 
-    # -- commands and what is told of them ---------------------------------------------------
+    # -- commands ----------------------------------------------------------------------------
 
     def _command(self, header, decision):
         if not self._ending:
             self._send(header, decision.steering_angle, decision.speed)
-        self._report()
+        self._diagnosis.report()
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
@@ -317,80 +288,6 @@ class ControllerNode:
             speed=decision.speed,
         )
 
-    def _report(self):
-        """Log and diagnose a change of mode or reason."""
-        supervisor = self._supervisor
-        shown = supervisor.mode, supervisor.reason
-        if shown == self._shown:
-            return
-        before, self._shown = self._shown, shown
-        mode, reason = shown
-        now = time.monotonic()
-        # Not each time that a cause comes and goes, and not again when the car has come to stand.
-        if now > self._quiet_until.get(reason, 0.0) and (before is None or reason is not before[1]):
-            self._quiet_until[reason] = now + QUIET_S
-            log = rospy.logwarn if mode in (Mode.STOPPING, Mode.STOPPED) else rospy.loginfo
-            age = f" ({supervisor.pose_age:.2f} s)" if reason is Reason.STALE_POSE else ""
-            log(_text(mode, reason) + age)
-        self._diagnose()
-
-    def _diagnose(self):
-        with self._lock:
-            supervisor, controller = self._supervisor, self._controller
-            mode, reason = supervisor.mode, supervisor.reason
-            parameters, raceline = controller.parameters, controller.raceline
-            rate, saturated, slowest = self._tally.figures()
-            age = supervisor.pose_age
-        level = DiagnosticStatus.ERROR
-        if mode is Mode.DRIVING:
-            level = DiagnosticStatus.OK
-        elif mode is Mode.WAITING or reason is Reason.STOP_REQUESTED:
-            level = DiagnosticStatus.WARN
-        name = rospy.get_name().lstrip("/")
-        values = {
-            "mode": mode.value,
-            "reason": reason.value,
-            "waiting for": ", ".join(what for what, _, _ in self._missing()),
-            "pose rate [Hz]": f"{rate:.1f}",
-            "pose age [s]": f"{age:.3f}",
-            "saturated share": f"{saturated:.3f}",
-            "longest control step [ms]": f"{1e3 * slowest:.3f}",
-            "steering map": parameters.steering_map,
-            "speed scale": f"{parameters.speed_scale:g}",
-            "raceline": "" if raceline is None else f"{raceline.name} ({raceline.length:.2f} m)",
-        }
-        status = DiagnosticStatus(
-            level=level,
-            name=f"{name}: driving",
-            hardware_id="map_racing",
-            message=_text(mode, reason),
-            values=[KeyValue(key, value) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = rospy.Time.now()
-        self._diagnostics.publish(array)
-
-    def _missing(self):
-        """What a car that waits has not got: in words, with the topic and its type if any."""
-        if self._supervisor.mode is not Mode.WAITING:
-            return
-        if math.isnan(self._supervisor.pose_age) and self._supervisor.reason is not Reason.FRAME:
-            yield f"no pose yet on {self._pose_from}", *self._pose_topic
-        if self._controller.raceline is None:
-            topic = rospy.resolve_name("global_waypoints")
-            if self._refused:
-                yield self._refused, None, None
-            else:
-                yield f"no raceline yet on {topic}", topic, messages.WAYPOINTS
-
-    def _tell_what_is_missing(self):
-        missing = [
-            f"{what} ({why_silent(topic, kind)})" if topic else what
-            for what, topic, kind in self._missing()
-        ]
-        if missing:
-            rospy.logwarn_throttle(10.0, "waiting: " + ", ".join(missing))
-
     def _end(self):
         """Tell the car to stop, for good."""
         with self._lock:
@@ -420,26 +317,22 @@ class ControllerNode:
             with self._lock:
                 self._controller.apply(setup)
                 self._supervisor.raceline_changed(True)
-                self._refused = ""
+                self._diagnosis.refused = ""
             rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
-            self._tell_speeds()
+            self._announce_speeds()
 
-    def _tell_speeds(self):
-        """Say where speeds are not the raceline's, and publish those that are driven."""
+    def _announce_speeds(self):
+        """Log where the car drives slower than the raceline, and publish the speeds driven."""
         controller = self._controller
         raceline, plan = controller.raceline, controller.plan
         if raceline is None:
             return
-        if plan is not self._told_plan:
-            self._told_plan = plan
-            use = controller.parameters.grip_use
-            told = plan or "speeds are the raceline's, whatever the grip"
-            rospy.loginfo("grip_use %g: %s", use, told)
-        message = waypoint_array_class()[0](
-            wpnts=waypoint_messages(
-                waypoint_rows(raceline, speed=controller.planned_speed).tolist()
-            )
-        )
+        if plan is not self._logged_plan:
+            self._logged_plan = plan
+            text = plan or "the speeds are the raceline's, whatever the grip"
+            rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
+        rows = waypoint_rows(raceline, speed=controller.planned_speed)
+        message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
         message.header.stamp = rospy.Time.now()
         message.header.frame_id = self._frames[0]
         self._driven.publish(message)
@@ -447,7 +340,7 @@ class ControllerNode:
     def _refuse_raceline(self, error):
         with self._lock:
             self._supervisor.raceline_changed(False)
-            self._refused = str(error)
+            self._diagnosis.refused = str(error)
         rospy.logerr_throttle(QUIET_S, str(error))
 
     # -- requests ----------------------------------------------------------------------------
@@ -482,94 +375,8 @@ class ControllerNode:
         rospy.loginfo("saved to %s", path)
         return TriggerResponse(True, str(path))
 
-    # -- live tuning -------------------------------------------------------------------------
-
-    def _steering_map(self, kind):
-        if kind not in self._maps:
-            self._maps[kind] = build_steering_map(kind, self._vehicle, self._v_max)
-        return self._maps[kind]
-
-    def _tune(self, config, _):
-        """Take over values of dynamic_reconfigure; answer with those that hold."""
-        # Its first call brings values of its own, not those of the files.
-        if self._tuning is not None:
-            try:
-                self._take(config)
-            except MapRacingError as error:
-                rospy.logwarn("not taken over: %s", error)
-        parameters, limits = self._controller.parameters, self._supervisor.limits
-        for known in (parameters, limits):
-            for field in fields(known):
-                if field.name in config:
-                    config[field.name] = getattr(known, field.name)
-        for kind, (m_m, q_s) in self._lookaheads.items():
-            config[f"{kind}_m_m"], config[f"{kind}_q_s"] = m_m, q_s
-        return config
-
-    def _take(self, config):
-        for name in (n for n, v in config.items() if isinstance(v, float) and not math.isfinite(v)):
-            raise ParameterError(f"{name}: expected a finite number, got {config[name]}")
-        lookaheads = {
-            kind: (config[f"{kind}_m_m"], config[f"{kind}_q_s"]) for kind in STEERING_MAPS
-        }
-        kind = config["steering_map"]
-        m_m, q_s = lookaheads.get(kind, (0.0, 0.0))
-        changes = {
-            field.name: config[field.name]
-            for field in fields(ControllerParameters)
-            if field.name in config
-        }
-        changes.update(m_m=m_m, q_s=q_s, v_max_mps=min(config["v_max_mps"], self._v_max))
-        parameters = self._controller.parameters.with_(**changes)
-        limits = replace(
-            self._supervisor.limits,
-            **{f.name: config[f.name] for f in fields(SafetyLimits) if f.name in config},
-        )
-        steering_map = self._steering_map(kind)
-        with self._changing:
-            before = self._controller.parameters
-            setup = self._controller.prepare(parameters=parameters, steering_map=steering_map)
-            with self._lock:
-                self._lookaheads = lookaheads
-                self._controller.apply(setup)
-                self._supervisor.limits = limits
-            if any(getattr(before, n) != getattr(parameters, n) for n in SpeedPlan.DEPENDS_ON):
-                self._tell_speeds()
-
 
 _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
-
-
-class _Tally:
-    """Figures of the control steps since they were last asked for a second or longer ago."""
-
-    def __init__(self):
-        self._figures = 0.0, 0.0, 0.0
-        self._clear()
-
-    def _clear(self):
-        self._begin = time.monotonic()
-        self._steps = self._saturated = 0
-        self._slowest = 0.0
-
-    def add(self, latency, result):
-        self._steps += 1
-        self._slowest = max(self._slowest, latency)
-        if result is not None and result.status is Status.SATURATED:
-            self._saturated += 1
-
-    def figures(self):
-        """Rate [Hz], share of saturated steps, longest step [s]."""
-        elapsed = time.monotonic() - self._begin
-        if elapsed > 0.9:
-            share = self._saturated / self._steps if self._steps else 0.0
-            self._figures = self._steps / elapsed, share, self._slowest
-            self._clear()
-        return self._figures
-
-
-def _text(mode, reason):
-    return f"{mode.value}: {reason.value}" if reason.value else mode.value
 
 
 def _trace(text):

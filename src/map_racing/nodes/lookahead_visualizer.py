@@ -179,7 +179,7 @@ class LookaheadVisualizer:
                     def speed(at):
                         return np.interp(at, s, v, period=length)
 
-            rows = waypoint_rows(raceline, speed=speed).tolist()
+            rows = waypoint_rows(raceline, speed=speed)
             self._course.publish(raceline_markers(raceline, rows, self._map))
 
     def _extend_trail(self, x, y, deviation):

@@ -1,5 +1,6 @@
 """Markers for RViz: what all of them have alike."""
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
@@ -49,8 +50,8 @@ def raceline_markers(raceline, rows, frame):
     Parameters
     ----------
     raceline : Raceline
-    rows : list of list of float
-        Its waypoints, as of `map_racing.track.files.waypoints.waypoint_rows`.
+    rows : ndarray
+        Its waypoints, see `map_racing.track.files.waypoints.waypoint_rows`.
     frame : str
 
     Returns
@@ -58,19 +59,17 @@ def raceline_markers(raceline, rows, frame):
     visualization_msgs/MarkerArray
         All former markers of the topic are deleted first.
     """
-    speeds = [row[8] for row in rows]
-    least = min(speeds)
-    span = max(speeds) - least or 1.0
-    closed = [*rows, rows[0]]
+    closed = {name: [*rows[name].tolist(), float(rows[name][0])] for name in rows.dtype.names}
+    least = min(closed["vx_mps"])
+    span = max(closed["vx_mps"]) - least or 1.0
     line = make_marker(Marker.LINE_STRIP, "raceline", frame, WALL, scale=(0.06, 0.0, 0.0))
-    line.points = points_of(((row[2], row[3]) for row in closed), 0.01)
-    line.colors = [gradient((row[8] - least) / span) for row in closed]
+    line.points = points_of(zip(closed["x_m"], closed["y_m"]), 0.01)
+    line.colors = [gradient((v - least) / span) for v in closed["vx_mps"]]
     array = delete_all()
     array.markers.append(line)
     if raceline.d_left is not None:
-        s = [row[0] for row in closed]
-        for number, (side, column) in enumerate(((1.0, 5), (-1.0, 4))):
-            x, y = raceline.to_cartesian(s, [side * row[column] for row in closed])
+        for number, (side, column) in enumerate(((1.0, "d_left"), (-1.0, "d_right"))):
+            x, y = raceline.to_cartesian(closed["s_m"], side * np.array(closed[column]))
             wall = make_marker(Marker.LINE_STRIP, "walls", frame, WALL, scale=(0.04, 0.0, 0.0))
             wall.id = number
             wall.points = points_of(zip(x.tolist(), y.tolist()))

@@ -6,14 +6,22 @@ import signal
 import sys
 import threading
 import time
+from dataclasses import fields, replace
 
 import rosgraph
 import rospy
 
 from ..errors import MapRacingError, ParameterError
+from ..validation import meaning
 
 __all__ = [
-    *("FirstSender", "SteadyClock", "get_parameter", "run", "sleep", "to_launch_folder"),
+    "FirstSender",
+    "SteadyClock",
+    "get_parameter",
+    "overridden",
+    "run",
+    "sleep",
+    "to_launch_folder",
     "why_silent",
 ]
 
@@ -25,7 +33,7 @@ SENDER_GONE_S = 1.0
 
 
 def get_parameter(name, default, meaning):
-    """Read a private parameter once and say in the log what it is.
+    """Read a private parameter and log its value, and whether that is the default.
 
     Parameters
     ----------
@@ -36,18 +44,48 @@ def get_parameter(name, default, meaning):
     meaning : str
         For the log, with the unit.
 
+    Returns
+    -------
+    bool, int, float, str or list
+
     Raises
     ------
     ParameterError
         If it has another type.
     """
     value = rospy.get_param(f"~{name}", default)
+    source = "" if rospy.has_param(f"~{name}") else ", default"
     if type(default) is float and type(value) is int:
         value = float(value)
     if type(value) is not type(default):
         raise ParameterError(f"~{name}: expected {type(default).__name__}, got {value!r}")
-    rospy.loginfo("~%s = %r (%s)", name, value, meaning)
+    rospy.loginfo("~%s = %r (%s%s)", name, value, meaning, source)
     return value
+
+
+def overridden(values):
+    """A dataclass of parameters with those values replaced that are parameters of the node.
+
+    Parameters
+    ----------
+    values : object
+        Its fields are made by `map_racing.validation.parameter`.
+
+    Returns
+    -------
+    object
+        Of the same class.
+
+    Raises
+    ------
+    ParameterError
+        For a value of another type or out of its range.
+    """
+    changes = {
+        field.name: get_parameter(field.name, getattr(values, field.name), meaning(field))
+        for field in fields(values)
+    }
+    return replace(values, **changes)
 
 
 def run(name, make):

@@ -5,10 +5,11 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from visualization_msgs.msg import MarkerArray
 
+from ..control.speed_plan import scaled_speed
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..track.files.load import load_raceline
-from ..track.files.waypoints import scaled_speed, waypoint_rows
+from ..track.files.waypoints import waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
 from .node import get_parameter, run, sleep
@@ -37,12 +38,14 @@ class RacelinePublisherNode:
             scale,
             load_speed_sectors(sectors, self._raceline) if sectors else None,
         )
-        self._rows = waypoint_rows(self._raceline, spacing, speed).tolist()
+        self._rows = waypoint_rows(self._raceline, spacing, speed)
         rospy.loginfo(
             "%s: %.2f m, %d waypoints, %.2f to %.2f m/s",
-            *(self._raceline.name or self._raceline.source, self._raceline.length),
-            *(len(self._rows), min(row[8] for row in self._rows)),
-            max(row[8] for row in self._rows),
+            self._raceline.name or self._raceline.source,
+            self._raceline.length,
+            self._rows.size,
+            self._rows["vx_mps"].min(),
+            self._rows["vx_mps"].max(),
         )
         self._array = waypoint_array_class()[0]
         self._waypoints = waypoint_messages(self._rows)
@@ -66,10 +69,11 @@ class RacelinePublisherNode:
     def _path(self):
         path = Path()
         path.header.frame_id = self._frame
-        for row in [*self._rows, self._rows[0]]:
+        poses = self._rows[["x_m", "y_m", "psi_rad"]].tolist()
+        for x, y, psi in [*poses, poses[0]]:
             pose = PoseStamped()
             pose.header.frame_id = self._frame
-            set_plane_pose(pose.pose, row[2], row[3], row[6])
+            set_plane_pose(pose.pose, x, y, psi)
             path.poses.append(pose)
         return path
 

@@ -14,18 +14,15 @@ from std_msgs.msg import Bool
 
 from ..errors import ParameterError
 from ..simulation.car import DrivenCar, SimulatedCar
-from ..simulation.plant import Localization, Plant, load_plant_parameters
-from ..simulation.public_simulator import PublicSimulator
+from ..simulation.plants import build_plant, load_plant
 from ..simulation.race import START_S
 from ..track.files.load import load_raceline
-from ..vehicle.parameters import load_vehicle
 from .conversions import frame, plane_pose, set_plane_pose, to_time
 from .node import get_parameter, run
 from .transforms import TransformBroadcaster
 
-__all__ = ["PUBLIC_SIMULATOR", "SimulatorNode", "main"]
+__all__ = ["SimulatorNode", "main"]
 
-PUBLIC_SIMULATOR = "public_simulator"
 """Value of ``~plant`` for the plant of the public ROS 1 simulator."""
 
 SECOND = 1000000000
@@ -45,9 +42,7 @@ class SimulatorNode:
         raceline = load_raceline(
             get_parameter("raceline", "reference", "track, raceline file or bag: start and walls")
         )
-        plant_name = get_parameter(
-            "plant", "nuc4", f"plant file, or {PUBLIC_SIMULATOR}, the public ROS 1 simulator's"
-        )
+        plant_name = get_parameter("plant", "nuc4", "shipped plant or plant file")
         seed = get_parameter("seed", 1, "of the noise")
         start_s = get_parameter("start_s", START_S, "arc length at which the car starts [m]")
         self._clock_rate = get_parameter(
@@ -63,11 +58,7 @@ class SimulatorNode:
         if self._lockstep and not self._clock_rate:
             raise ParameterError("~lockstep: real time waits for nobody; it needs ~clock_rate")
 
-        if plant_name == PUBLIC_SIMULATOR:
-            plant, localization = PublicSimulator(load_vehicle("sim")), None
-        else:
-            parameters = load_plant_parameters(plant_name)
-            plant, localization = Plant(parameters), Localization(parameters, seed)
+        plant, localization = build_plant(load_plant(plant_name), seed)
         self._car = DrivenCar(SimulatedCar(plant, localization), raceline)
         start = raceline.pose(start_s)
         self._car.put(start.x, start.y, start.psi)

@@ -14,7 +14,7 @@ from ..control.safety import PoseMotion
 from ..control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
 from ..errors import ParameterError
 from .conversions import plane_pose, stamp_ns
-from .node import FirstSender, get_parameter, run, sleep
+from .node import FirstSender, get_parameter, overridden, run, sleep
 
 __all__ = ["SteeringRampNode", "main"]
 
@@ -27,22 +27,7 @@ class SteeringRampNode:
     """A command for each pose; a stop where none come."""
 
     def __init__(self):
-        defaults = RampParameters()
-        meanings = {
-            "speed_mps": "constant speed [m/s]",
-            "rate_radps": "rise of the steering angle [rad/s]",
-            "start_rad": "steering angle at the beginning [rad]",
-            "limit_rad": "and at the end [rad]",
-            "settle_s": "time at speed before the ramp [s]",
-            "acceleration_mps2": "of the commanded speed [m/s^2]",
-            "sides": "both, left or right",
-        }
-        parameters = RampParameters(
-            **{
-                name: get_parameter(name, getattr(defaults, name), meaning)
-                for name, meaning in meanings.items()
-            }
-        )
+        self._parameters = overridden(RampParameters())
         self._radius = get_parameter("radius", 8.0, "of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
         self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
@@ -55,8 +40,7 @@ class SteeringRampNode:
         if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
             raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
         area = Box(*map(float, box)) if box else None
-        self._parameters = parameters
-        self._ramp = SteeringRamp(parameters, area) if area else None
+        self._ramp = SteeringRamp(self._parameters, area) if area else None
         if not self._dead_man:
             rospy.logwarn(
                 "driving without a dead-man button: only the area and Ctrl-C stop the car"

@@ -11,8 +11,8 @@ from std_msgs.msg import Header
 
 from ..bags import messages
 from ..errors import MapRacingError, RacelineError
+from ..track.files.columns import columns_of_waypoints
 from ..track.files.readers import raceline_from_columns
-from ..track.files.waypoints import WAYPOINT_COLUMNS
 from .node import get_parameter
 
 __all__ = [
@@ -21,12 +21,6 @@ __all__ = [
     "waypoint_array_class",
     "waypoint_messages",
 ]
-
-# Of `map_racing.track.waypoints.waypoint_rows`.
-_COLUMNS = (
-    *("s_m", "d_m", "x_m", "y_m", "d_right", "d_left"),
-    *("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
-)
 
 _LINE = "=" * 80 + "\n"
 _classes = {}
@@ -64,16 +58,16 @@ def waypoint_messages(rows):
 
     Parameters
     ----------
-    rows : list of list of float
-        As of `map_racing.track.waypoints.waypoint_rows`.
+    rows : structured array
+        From `map_racing.track.files.waypoints.waypoint_rows`.
 
     Returns
     -------
     list of f110_msgs/Wpnt
     """
     waypoint = waypoint_array_class()[1]
-    order = [_COLUMNS.index(name) for name in waypoint.__slots__[1:]]
-    return [waypoint(number, *(row[i] for i in order)) for number, row in enumerate(rows)]
+    rows = rows[waypoint.__slots__[1:]].tolist()
+    return [waypoint(number, *row) for number, row in enumerate(rows)]
 
 
 def raceline_from_message(message, source):
@@ -107,13 +101,13 @@ def raceline_from_message(message, source):
             array.deserialize(message._buff)
             fields = {
                 field: [float(getattr(waypoint, field)) for waypoint in array.wpnts]
-                for field in WAYPOINT_COLUMNS
+                for field in messages.WAYPOINT_FIELDS
                 if array.wpnts and hasattr(array.wpnts[0], field)
             }
     except Exception as error:
         # genpy raises errors of many kinds for a definition or a message that it cannot digest.
         raise RacelineError(f"{source}: cannot read {kind}: {error}") from error
-    columns = {name: fields[field] for field, name in WAYPOINT_COLUMNS.items() if field in fields}
+    columns = columns_of_waypoints(fields)
     if "x" not in columns or "y" not in columns or not len(columns["x"]):
         raise RacelineError(f"{source}: expected waypoints with x_m and y_m, got none")
     return raceline_from_columns(columns, name=source.rpartition("/")[2], source=source)

@@ -1,1 +1,1 @@
-"""Figures; matplotlib is imported here alone."""
+"""Figures, the only room that imports matplotlib."""

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import cm
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from .runs import draw_track
 from .style import COLORS, finished, new_figure
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ..track.raceline import Raceline
 
 __all__ = [
     "plot_comparison",
@@ -34,17 +41,17 @@ AXES = {
 }
 
 
-def plot_tuning(m, q, error, best, title):
-    """Error over the pairs (m, q) of the lookahead, as far as they were driven.
+def plot_tuning(m, q, error, best: tuple[float, float], title: str) -> Figure:
+    """Lateral error over the pairs (m, q) of the lookahead that were driven.
 
     Parameters
     ----------
     m, q : array_like, shape (n,)
         Offset [m] and gain [s].
     error : array_like, shape (n,)
-        [m]; infinite for infeasible pairs, which are crosses.
+        [m]; infinite for pairs that were not completed, drawn as crosses.
     best : tuple of float
-        The pair chosen, a star.
+        The chosen pair, drawn as a star.
     title : str
 
     Returns
@@ -60,14 +67,17 @@ def plot_tuning(m, q, error, best, title):
     if feasible.sum() > 3 and np.ptp(m[feasible]) > 0.0 and np.ptp(q[feasible]) > 0.0:
         levels = np.geomspace(norm.vmin, norm.vmax * (1.0 + 1e-9), 13)
         axes.tricontourf(
-            *(m[feasible], q[feasible], error[feasible]),
+            m[feasible],
+            q[feasible],
+            error[feasible],
             levels=levels,
             norm=norm,
             cmap="viridis_r",
             alpha=0.55,
         )
     dots = axes.scatter(
-        *(m[feasible], q[feasible]),
+        m[feasible],
+        q[feasible],
         c=error[feasible],
         norm=norm,
         cmap="viridis_r",
@@ -106,8 +116,8 @@ def _ticks(low, high):
     return [value for value in values if low <= value <= high]
 
 
-def plot_scaling(laps, ended, labels, title):
-    """RMS lateral errors and times of laps over the scale of the speeds, as boxes.
+def plot_scaling(laps: pd.DataFrame, ended: dict, labels: list[str], title: str) -> Figure:
+    """Boxes of RMS lateral errors and lap times over the scale of the speeds.
 
     Boxes span the quartiles, whiskers go to minimum and maximum, the line is the median.
 
@@ -117,7 +127,7 @@ def plot_scaling(laps, ended, labels, title):
         Laps that count, with ``speed_scale``, ``controller``, ``rms_lateral_error_m`` and
         ``lap_time_s``.
     ended : dict of (float, str) to int
-        For a scale and a controller on how many days the laps were not completed (N.C.).
+        Number of days on which a scale and controller did not complete the laps (N.C.).
     labels : list of str
         Controllers, in order.
     title : str
@@ -152,7 +162,7 @@ def plot_scaling(laps, ended, labels, title):
                 capprops={"color": color},
             )
             for scale, median in zip(driven, boxes["medians"]):
-                if (own.speed_scale == scale).sum() == 1:  # nothing else would be seen of the box
+                if (own.speed_scale == scale).sum() == 1:  # the box is only a line
                     median.set(color=color, linewidth=2.5, zorder=2.5)
         for place in range(len(scales) - 1):
             axes.axvline(place + 0.5, color="0.9", lw=0.8, zorder=0)
@@ -187,8 +197,8 @@ def _mark_ended(axes, ended, labels, places, width):
             axes.text(x, 0.055, str(days), transform=across, **text)
 
 
-def plot_trajectories(raceline, rows, title):
-    """Driven paths over the track, one panel for each race; a path ends where the car crashed.
+def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
+    """Driven paths over the track, a panel for each race; a path ends at the crash.
 
     Parameters
     ----------
@@ -260,8 +270,10 @@ def _draw_direction(axes, raceline, length):
     )
 
 
-def plot_comparison(table, values, names, title):
-    """Two result directories: each value over the scale of the speeds, for each controller.
+def plot_comparison(
+    table: pd.DataFrame, values: list[str], names: tuple[str, str], title: str
+) -> Figure:
+    """Two result directories: values over the scale of the speeds, for each controller.
 
     Parameters
     ----------
@@ -269,7 +281,7 @@ def plot_comparison(table, values, names, title):
         With ``speed_scale``, ``controller`` and, for each value, ``VALUE_a`` and ``VALUE_b``.
     values : list of str
     names : tuple of str
-        Of both.
+        Names of both.
     title : str
 
     Returns

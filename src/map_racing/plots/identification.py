@@ -1,11 +1,12 @@
-"""Figures of identified tires: points and curves, coverage, prediction, and the drives."""
+"""Figures of identified tires: points and curves, coverage, prediction, and drives."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from .style import COLORS, finished, new_figure
 
@@ -20,7 +21,7 @@ __all__ = [
 
 
 class AxleFigure(NamedTuple):
-    """What is drawn of one axle; left turns have positive slip and force here.
+    """Data of the figure of one axle; slip and force are positive in left turns.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ class AxleFigure(NamedTuple):
     curve, linear : callable
         Force [N] of the identified tires over slip [rad].
     covered : float
-        Largest slip that the data cover [rad].
+        Largest slip in the data [rad].
     load : float
         Static load [N].
     """
@@ -47,7 +48,7 @@ class AxleFigure(NamedTuple):
 
 
 class DriveFigure(NamedTuple):
-    """Signals of one drive on one clock, shape (n,), and slices of what is steady in it."""
+    """Signals of one drive on one clock, shape (n,), and slices of its steady segments."""
 
     name: str
     t: np.ndarray
@@ -58,7 +59,7 @@ class DriveFigure(NamedTuple):
     segments: list
 
 
-def plot_tires(axles):
+def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
     """Points, rejected points and fitted curves of each axle at its static load.
 
     Parameters
@@ -75,7 +76,9 @@ def plot_tires(axles):
         top = 1.25 * float(np.percentile(np.abs(axle.force[axle.inlier]), 99.0))
         widest = 1.35 * max(axle.covered, 1e-4)
         axes.plot(
-            *(axle.slip[axle.inlier], axle.force[axle.inlier], "."),
+            axle.slip[axle.inlier],
+            axle.force[axle.inlier],
+            ".",
             color=COLORS[0],
             ms=4,
             alpha=0.35,
@@ -85,7 +88,9 @@ def plot_tires(axles):
         if not axle.inlier.all():
             rejected = ~axle.inlier
             axes.plot(
-                *(axle.slip[rejected], axle.force[rejected], "x"),
+                axle.slip[rejected],
+                axle.force[rejected],
+                "x",
                 color=COLORS[4],
                 ms=4,
                 alpha=0.7,
@@ -108,8 +113,8 @@ def plot_tires(axles):
     return finished(figure)
 
 
-def plot_coverage(v, delta, a_y, largest):
-    """Where the data are: steering angle over speed, and how near the limit.
+def plot_coverage(v: np.ndarray, delta: np.ndarray, a_y: np.ndarray, largest: float) -> Figure:
+    """Coverage of the data: steering angle over speed, and lateral acceleration.
 
     Parameters
     ----------
@@ -147,13 +152,15 @@ def plot_coverage(v, delta, a_y, largest):
     return finished(figure)
 
 
-def plot_prediction(runs, measured, predicted, title="Predicted by the other runs"):
+def plot_prediction(
+    runs: Sequence[str], measured, predicted, title: str = "Predicted by the other runs"
+) -> Figure:
     """Predicted against measured yaw rate and lateral acceleration.
 
     Parameters
     ----------
     runs : sequence of str, length n
-        Run of each hold.
+        Run of each steady segment.
     measured, predicted : array_like, shape (n, 2)
         Yaw rate [rad/s] and lateral acceleration [m/s^2]; NaN where nothing is predicted.
     title : str, optional
@@ -175,7 +182,8 @@ def plot_prediction(runs, measured, predicted, title="Predicted by the other run
         for number, name in enumerate(names):
             own = np.array([run == name for run in runs])
             axes.plot(
-                *(measured[own, column], predicted[own, column]),
+                measured[own, column],
+                predicted[own, column],
                 marker="osD^vP"[number // len(COLORS) % 6],
                 ls="",
                 color=COLORS[number % len(COLORS)],
@@ -195,8 +203,8 @@ def plot_prediction(runs, measured, predicted, title="Predicted by the other run
     return finished(figure, top=0.98)
 
 
-def plot_drive(drive):
-    """Speed, steering, yaw rate and lateral acceleration of a drive; what is used is shaded.
+def plot_drive(drive: DriveFigure) -> Figure:
+    """Speed, steering, yaw rate and lateral acceleration of a drive; steady segments are shaded.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib import cm
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 # matplotlib 3.1 knows the projection "3d" only after this import.
 from mpl_toolkits.mplot3d import Axes3D  # noqa: F401
@@ -15,7 +16,9 @@ from .style import finished, new_figure
 __all__ = ["plot_lookup_curves", "plot_lookup_surface"]
 
 
-def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral acceleration"):
+def plot_lookup_surface(
+    speeds, angles, a_lat, title: str = "Steady-state lateral acceleration"
+) -> Figure:
     """Lookup table as a surface over speed and steering angle.
 
     Parameters
@@ -41,7 +44,7 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     top = float(np.nanmax(a_lat))
     mappable = cm.ScalarMappable(Normalize(0.0, top), cm.viridis)
     mappable.set_array([])
-    # Not every matplotlib leaves out cells without a value by itself: they are made transparent.
+    # Old versions of matplotlib draw cells without a value: make them transparent.
     known = np.isfinite(a_lat)
     height = np.where(known, a_lat, 0.0)
     colors = mappable.to_rgba(height)
@@ -50,14 +53,7 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     corners[:, :-1] &= corners[:, 1:]
     colors[~corners] = 0.0
     axes.plot_surface(
-        v,
-        delta,
-        height,
-        facecolors=colors,
-        rstride=1,
-        cstride=1,
-        linewidth=0.0,
-        shade=False,
+        v, delta, height, facecolors=colors, rstride=1, cstride=1, linewidth=0.0, shade=False
     )
     axes.set_xlabel("speed [m/s]", labelpad=8)
     axes.set_ylabel("steering angle [rad]", labelpad=8)
@@ -70,7 +66,9 @@ def plot_lookup_surface(speeds, angles, a_lat, title="Steady-state lateral accel
     return figure
 
 
-def plot_lookup_curves(speeds, angles, a_lat, count=8, title="Steering for lateral acceleration"):
+def plot_lookup_curves(
+    speeds, angles, a_lat, count: int = 8, title: str = "Steering for lateral acceleration"
+) -> Figure:
     """Lookup table as curves: steering angle over lateral acceleration, one per speed.
 
     Dots mark the largest reachable acceleration; beyond it a curve is dotted.

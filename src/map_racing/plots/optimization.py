@@ -1,16 +1,21 @@
-"""Figures of optimized lines: where they run, and what they gain."""
+"""Figures of optimized lines."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
+from ..track.raceline import Raceline
+from ..track.walls import Walls
 from .style import COLORS, WALL, finished, new_figure, size_for
 
 __all__ = ["plot_optimized"]
 
 
-def plot_optimized(line, reference, walls, title=None):
+def plot_optimized(
+    line: Raceline, reference: Raceline, walls: Walls, title: str | None = None
+) -> Figure:
     """An optimized line colored by speed between the walls; curvature and speed along the lap.
 
     Parameters
@@ -18,7 +23,7 @@ def plot_optimized(line, reference, walls, title=None):
     line : Raceline
         With speeds.
     reference : Raceline
-        What it is compared with, over the same share of the lap; with or without speeds.
+        Compared with the line at the same share of the lap; with or without speeds.
     walls : Walls
     title : str, optional
 
@@ -37,7 +42,19 @@ def plot_optimized(line, reference, walls, title=None):
         ratios = {"height_ratios": (height, 2.2, 2.2)}
     layout = figure.add_gridspec(*shape, **ratios)
     track, top, bottom = (figure.add_subplot(layout[place]) for place in places)
+    path = _draw_lines(track, line, reference, walls)
+    track.set_title(title or line.name or "optimized line")
+    figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
+    _draw_profile(top, line, reference, "kappa", "curvature [1/m]")
+    _draw_profile(bottom, line, reference, "speed", "speed [m/s]")
+    top.axhline(0.0, color="0.6", lw=0.6)
+    top.legend(loc="best", fontsize="small")
+    bottom.set_xlabel("share of the lap [%]")
+    return finished(figure)
 
+
+def _draw_lines(track, line, reference, walls):
+    """Walls, middle line and the line with its start; returns the line, colored by speed."""
     track.add_collection(LineCollection(walls.segments, colors=WALL, linewidths=1.0, label="walls"))
     every = np.append(reference.s, reference.length)
     middle = reference.sample(every)
@@ -62,28 +79,21 @@ def plot_optimized(line, reference, walls, title=None):
     track.margins(0.04)
     track.set_xlabel("x [m]")
     track.set_ylabel("y [m]")
-    track.set_title(title or line.name or "optimized line")
     track.grid(alpha=0.25)
     track.legend(loc="best", fontsize="small")
-    figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
+    return path
 
-    # Over the share of the lap, because the lines differ in length.
-    for axes, column, label in (
-        (top, "kappa", "curvature [1/m]"),
-        (bottom, "speed", "speed [m/s]"),
+
+def _draw_profile(axes, line, reference, column, label):
+    """A column of both lines over the share of the lap, since they differ in length."""
+    for profile_line, name, style in (
+        (reference, "middle line", {"color": "0.45", "lw": 1.0, "ls": "--"}),
+        (line, "optimized", {"color": COLORS[0], "lw": 1.5}),
     ):
-        for profile_line, name, style in (
-            (reference, "middle line", {"color": "0.45", "lw": 1.0, "ls": "--"}),
-            (line, "optimized", {"color": COLORS[0], "lw": 1.5}),
-        ):
-            values = getattr(profile_line, column)
-            if values is not None:
-                share = 100.0 * profile_line.s / profile_line.length
-                axes.plot(share, values, label=name, **style)
-        axes.set_xlim(0.0, 100.0)
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.25)
-    top.axhline(0.0, color="0.6", lw=0.6)
-    top.legend(loc="best", fontsize="small")
-    bottom.set_xlabel("share of the lap [%]")
-    return finished(figure)
+        values = getattr(profile_line, column)
+        if values is not None:
+            share = 100.0 * profile_line.s / profile_line.length
+            axes.plot(share, values, label=name, **style)
+    axes.set_xlim(0.0, 100.0)
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.25)

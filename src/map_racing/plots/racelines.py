@@ -1,4 +1,4 @@
-"""Figures of racelines: the line, its walls, and what is wrong with it."""
+"""Figures of racelines, their walls and findings."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import textwrap
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 from ..track.findings import ERROR, WARNING, worst_first
+from ..track.raceline import Raceline
 from .style import COLORS, RACELINE, WALL, new_figure, size_for
 
 __all__ = ["plot_raceline"]
@@ -18,8 +20,8 @@ _MOST_LISTED = 14
 _BAR, _LIST = 1.1, 4.6  # widths of colorbar and list [in]
 
 
-def plot_raceline(table, raceline, findings, title=None):
-    """A track as it was given, with walls, speeds, and numbered marks where findings stand.
+def plot_raceline(table, raceline: Raceline | None, findings, title: str | None = None) -> Figure:
+    """A track as it was given, with walls, speeds, and numbered marks at its findings.
 
     Parameters
     ----------
@@ -83,7 +85,7 @@ def _draw_line(figure, axes, bar, line):
         pieces.set_array(0.5 * (curve.speed[1:] + curve.speed[:-1]))
         axes.add_collection(pieces)
         figure.colorbar(pieces, cax=figure.add_axes(bar), label="speed [m/s]")
-    # The direction of travel, at the start and at three places more.
+    # The direction of travel, at the start and three more places.
     for at in np.arange(4) * 0.25 * line.length:
         tail = line.pose(at)
         reach = 0.02 * line.length
@@ -98,21 +100,13 @@ def _draw_line(figure, axes, bar, line):
 
 
 def _mark(axes, number, finding):
-    """Circles at the places of a finding that is wrong, with its number at the first."""
+    """Circles at the places of a warning or error, with its number at the first."""
     color = _COLORS.get(finding.severity)
     places = [p for p in finding.places if np.isfinite(p.x) and np.isfinite(p.y)]
     if color is None or not places:
         return
-    axes.plot(
-        [p.x for p in places],
-        [p.y for p in places],
-        "o",
-        ms=9,
-        mfc="none",
-        mec=color,
-        mew=1.6,
-        zorder=5,
-    )
+    x, y = [p.x for p in places], [p.y for p in places]
+    axes.plot(x, y, "o", ms=9, mfc="none", mec=color, mew=1.6, zorder=5)
     axes.annotate(
         str(number),
         xy=(places[0].x, places[0].y),
@@ -127,7 +121,7 @@ def _mark(axes, number, finding):
 
 
 def _list(figure, listed, left, top):
-    """The findings as text beside the track, numbered as their marks."""
+    """The findings as text beside the track, with the numbers of their marks."""
     line = 0.16 / figure.get_figheight()
     indent = 0.3 / figure.get_figwidth()
     if not listed:

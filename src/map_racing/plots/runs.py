@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 from ..errors import EvaluationError, ParameterError
 from .style import COLORS, DEVIATION, RACELINE, WALL, finished, new_figure, size_for
@@ -14,7 +15,7 @@ from .style import COLORS, DEVIATION, RACELINE, WALL, finished, new_figure, size
 __all__ = ["draw_track", "plot_boxes", "plot_differences", "plot_laps", "plot_path"]
 
 
-def plot_path(result, color_by="speed", title=None):
+def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figure:
     """Driven path over the raceline and its walls.
 
     Parameters
@@ -35,7 +36,7 @@ def plot_path(result, color_by="speed", title=None):
         If the result has no traces.
     """
     if color_by not in ("speed", "error"):
-        raise ParameterError(f"expected color_by speed or error, got {color_by!r}")
+        raise ParameterError(f"color_by: expected speed or error, got {color_by!r}")
     traces = [lap.trace for lap in _traced(result)]
     line = result.raceline
     pieces = [np.stack((t.x[:-1], t.y[:-1], t.x[1:], t.y[1:]), axis=1) for t in traces]
@@ -66,10 +67,10 @@ def plot_path(result, color_by="speed", title=None):
     return finished(figure)
 
 
-def plot_laps(result, title=None):
+def plot_laps(result, title: str | None = None) -> Figure:
     """Lateral deviation and speed of each lap over the distance from the start line.
 
-    Stretches that do not count are left out, unless there is nothing else.
+    Stretches that do not count are drawn only if no lap counts.
 
     Parameters
     ----------
@@ -123,10 +124,10 @@ def plot_laps(result, title=None):
     return finished(figure)
 
 
-def plot_boxes(named_results, title=None):
+def plot_boxes(named_results, title: str | None = None) -> Figure:
     """Lap times and RMS lateral errors of several runs, side by side.
 
-    Boxes span the quartiles, with the median as line; each valid lap is a dot.
+    Boxes span the quartiles with a line at the median; each valid lap is a dot.
 
     Parameters
     ----------
@@ -171,12 +172,12 @@ def plot_boxes(named_results, title=None):
     return finished(figure, top=0.94 if title else 1.0)
 
 
-def plot_differences(named_results, title=None):
-    """Lateral deviation of several runs over the distance, and by how much their errors differ.
+def plot_differences(named_results, title: str | None = None) -> Figure:
+    """Lateral deviation of several runs over the distance, and the difference of their errors.
 
-    The error of a run at a place is the RMS of the deviation of its valid laps there. Above, the
-    mean deviation of each run and the band in which its laps are; below, the errors of all other
-    runs less that of the first: above zero a run is worse there.
+    The error of a run at a place is the RMS of the deviation of its valid laps. The upper plot has
+    the mean deviation of each run and the band of its laps, the lower the errors of the other runs
+    minus the error of the first: above zero a run is worse there.
 
     Parameters
     ----------

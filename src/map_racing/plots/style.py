@@ -1,13 +1,13 @@
-"""What all figures share: colors, and how a figure is made, finished and saved.
+"""Colors, size, layout and saving of all figures.
 
-Every function that draws returns a `matplotlib.figure.Figure` that belongs to no window and no
-global state; `save` writes it. The colors can be told apart with any color vision (Okabe-Ito,
-viridis).
+Every function that draws returns a `matplotlib.figure.Figure` without window or global state;
+`save` writes it. The colors can be distinguished with any color vision (Okabe-Ito, viridis).
 """
 
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,11 +20,11 @@ __all__ = ["COLORS", "DEVIATION", "RACELINE", "WALL", "finished", "new_figure", 
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 WALL, RACELINE = "0.5", "0.1"
-# Gray in the middle: the white of the usual diverging maps would hide a path without error.
+# Gray in the middle: white, as in the usual diverging maps, would hide a path without error.
 DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#D55E00", "0.75", "#0072B2"])
 
 
-def save(figure, path):
+def save(figure: Figure, path: str | Path) -> None:
     """Write a figure; the suffix of the path is its format.
 
     Raises
@@ -41,25 +41,25 @@ def save(figure, path):
         raise MapRacingError(f"{path}: cannot write the figure: {error}") from None
 
 
-def new_figure(width, height):
+def new_figure(width: float, height: float) -> Figure:
     """An empty figure of a size [in]."""
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
-def finished(figure, top=1.0):
-    """The figure laid out; `top` leaves room for a title above that share of the height."""
+def finished(figure: Figure, top: float = 1.0) -> Figure:
+    """The figure with its layout; a title may stand above the share `top` of the height."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")
-        # Twice: axes of another size have other ticks, whose labels may need more room.
+        # Twice: new sizes of axes change their ticks, whose labels may need more room.
         for _ in range(2):
             figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
     return figure
 
 
-def size_for(x, y):
-    """Figure size [in] of the shape of a track, within what fits a screen."""
+def size_for(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Figure size [in] in the shape of a track, fit for a screen."""
     width, height = float(np.ptp(x)) + 1.0, float(np.ptp(y)) + 1.0
     scale = min(9.0 / width, 8.5 / height)
     return max(width * scale, 3.5) + 2.0, max(height * scale, 3.0) + 1.0

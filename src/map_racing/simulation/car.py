@@ -40,10 +40,10 @@ class SimulatedCar:
     ----------
     plant : Plant or PublicSimulator
     localization : Localization, optional
-        Rate, latency and noise of the poses. Without it the poses are the plant's own
-        ``measured_state()``, at `rate`, at once.
-    rate : float
-        Poses per second where `localization` is None.
+        Latency and noise of the poses. Without it the poses are the plant's own
+        ``measured_state()``, at once.
+    rate : float, optional
+        Poses per second instead of the plant's ``localization_rate_hz``.
 
     Attributes
     ----------
@@ -51,12 +51,12 @@ class SimulatedCar:
         Time in steps of the plant. It goes on when the car is put elsewhere.
     """
 
-    def __init__(self, plant, localization=None, rate=40.0):
+    def __init__(self, plant, localization=None, rate=None):
         self.plant = plant
         self._localization = localization
-        self._rate, self._latency = rate, 0.0
+        self._rate = rate or plant.parameters.localization_rate_hz
+        self._latency = 0.0
         if localization is not None:
-            self._rate = localization.parameters.localization_rate_hz
             self._latency = localization.parameters.localization_latency_s
         self._pending = deque()
         self._poses = self.tick = self._start = 0

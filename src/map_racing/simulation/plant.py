@@ -4,108 +4,102 @@ The plant has its own parameters. A controller that only ever meets its own mode
 a plant file names a vehicle and by how much its tires differ from it.
 """
 
+from __future__ import annotations
+
 import math
 import random
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Union
 
 from ..control.state import CarState, moved
 from ..errors import ParameterError
-from ..resources import find_config
-from ..validation import finite, positive, read_parameters
+from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
 from ..vehicle.tires import PacejkaTire
 
-__all__ = ["Localization", "Plant", "PlantParameters", "load_plant_parameters", "scaled_tires"]
+__all__ = ["Localization", "Plant", "PlantParameters", "ScaledVehicle", "scaled_tires"]
+
+TIME_STEP = 0.002  # of the integration [s]
+
+
+def _scale(what):
+    return parameter(f"{what}, relative to the vehicle's", low=0.1, high=3.0, default=1.0)
+
+
+def _delay(what):
+    return parameter(what, "s", low=0.0, high=1.0, default=0.0)
+
+
+def _noise(what, unit):
+    return parameter(f"Standard deviation of white noise on {what}", unit, low=0.0, default=0.0)
 
 
 @dataclass(frozen=True)
-class PlantParameters:
-    """A simulated car; a file in ``config/plants`` holds the same names.
+class ScaledVehicle:
+    """What all plants have: a vehicle, and how far its tires differ from the vehicle file."""
 
-    Parameters
-    ----------
-    vehicle : str or Vehicle
-        Geometry, masses, limits and nominal tires: a car, or in files the name of a shipped vehicle
-        or of a vehicle file, by a path from the plant's own file.
-    mu_scale, front_stiffness_scale, rear_stiffness_scale : float
-        Friction and cornering stiffness of the plant's tires relative to the vehicle's, 0.1 to 3.
-    steering_delay_s, steering_time_constant_s : float
-        Dead time and lag of the servo; its rate limit is the vehicle's.
-    drive_delay_s, drive_time_constant_s : float
-        Dead time and lag of the speed controller.
-    a_max_mps2, a_brake_max_mps2 : float
-        Largest acceleration and deceleration of the drive.
-    localization_rate_hz, localization_latency_s : float
-        Poses per second, 1 to 500; time from the instant at which a pose holds to its arrival.
-    position_noise_m, heading_noise_rad, velocity_noise_mps, yaw_rate_noise_radps : float
-        Standard deviations of white noise on what localization reports.
-    acceleration_noise_mps2 : float
-        Standard deviation of white noise on what the IMU reports.
-    measures_v_y : bool
-        Whether the odometry reports the lateral velocity; else it is NaN.
-
-    Raises
-    ------
-    ParameterError
-        For an impossible value, naming it.
-    """
-
-    vehicle: Union[str, Vehicle]
-    mu_scale: float = 1.0
-    front_stiffness_scale: float = 1.0
-    rear_stiffness_scale: float = 1.0
-    steering_delay_s: float = 0.0
-    steering_time_constant_s: float = 0.0
-    drive_delay_s: float = 0.0
-    drive_time_constant_s: float = 0.1
-    a_max_mps2: float = 7.51
-    a_brake_max_mps2: float = 8.26
-    localization_rate_hz: float = 40.0
-    localization_latency_s: float = 0.0
-    position_noise_m: float = 0.0
-    heading_noise_rad: float = 0.0
-    velocity_noise_mps: float = 0.0
-    yaw_rate_noise_radps: float = 0.0
-    acceleration_noise_mps2: float = 0.0
-    measures_v_y: bool = True
+    vehicle: str | Vehicle = parameter(
+        "Geometry, masses, limits and nominal tires: a Vehicle, or in files the name of a shipped "
+        "vehicle or the path of a vehicle file, relative to the plant's own file"
+    )
+    mu_scale: float = _scale("Friction coefficient")
+    front_stiffness_scale: float = _scale("Cornering stiffness of the front tires")
+    rear_stiffness_scale: float = _scale("Cornering stiffness of the rear tires")
 
     def __post_init__(self):
+        check(self)
         if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
-            raise ParameterError(f"vehicle must be a name or a path, not {self.vehicle!r}")
-        for name, value in vars(self).items():
-            if name in ("vehicle", "measures_v_y"):
-                continue
-            if name.endswith("_scale"):
-                if not 0.1 <= finite(name, value) <= 3.0:
-                    raise ParameterError(f"{name}: expected 0.1 to 3, got {value:g}")
-            elif name in _POSITIVE:
-                positive(name, value)
-            elif finite(name, value) < 0.0:
-                raise ParameterError(f"{name}: expected 0 or more, got {value:g}")
-        for name in _DELAYS:  # a larger one is meant in milliseconds
-            if getattr(self, name) > 1.0:
-                raise ParameterError(f"{name}: expected 0 to 1 s, got {getattr(self, name):g}")
-        rate, most = self.localization_rate_hz, 1.0 / Plant.time_step
-        if not 1.0 <= rate <= most:
-            raise ParameterError(f"localization_rate_hz: expected 1 to {most:g} Hz, got {rate:g}")
-        if not isinstance(self.measures_v_y, bool):
-            raise ParameterError(f"measures_v_y must be true or false, not {self.measures_v_y!r}")
+            raise ParameterError(f"vehicle: expected a name or a path, got {self.vehicle!r}")
 
-    def build_vehicle(self):
+    def build_vehicle(self) -> Vehicle:
         """The vehicle with the plant's own tires."""
-        vehicle = self.vehicle
-        if not isinstance(vehicle, Vehicle):
-            vehicle = load_vehicle(vehicle)
-        return replace(
-            scaled_tires(
-                vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
-            ),
-            a_max=float(self.a_max_mps2),
-            a_brake_max=float(self.a_brake_max_mps2),
+        return scaled_tires(
+            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
         )
+
+
+@documented
+@dataclass(frozen=True)
+class PlantParameters(ScaledVehicle):
+    """A simulated car; a file in ``config/plants`` holds the same names.
+
+    Rate and lock of the steering are the vehicle's.
+    """
+
+    steering_delay_s: float = _delay("Dead time of the steering servo")
+    steering_time_constant_s: float = parameter(
+        "First-order lag of the steering servo", "s", low=0.0, default=0.0
+    )
+    drive_delay_s: float = _delay("Dead time of the speed controller")
+    drive_time_constant_s: float = parameter(
+        "First-order lag of the speed controller", "s", low=POSITIVE, default=0.1
+    )
+    a_max_mps2: float = parameter(
+        "Largest acceleration of the drive", "m/s^2", low=POSITIVE, default=7.51
+    )
+    a_brake_max_mps2: float = parameter(
+        "Largest deceleration of the drive", "m/s^2", low=POSITIVE, default=8.26
+    )
+    localization_rate_hz: float = parameter(
+        "Poses per second", "Hz", low=1.0, high=1.0 / TIME_STEP, default=40.0
+    )
+    localization_latency_s: float = _delay("Age of a pose on arrival")
+    position_noise_m: float = _noise("the position", "m")
+    heading_noise_rad: float = _noise("the heading", "rad")
+    velocity_noise_mps: float = _noise("the velocity", "m/s")
+    yaw_rate_noise_radps: float = _noise("the yaw rate", "rad/s")
+    acceleration_noise_mps2: float = _noise("the acceleration that the IMU reports", "m/s^2")
+    measures_v_y: bool = parameter(
+        "Whether the odometry reports the lateral velocity; else it is NaN", default=True
+    )
+
+    reference_point = "rear_axle"
+
+    def build_vehicle(self) -> Vehicle:
+        """The vehicle with the plant's own tires and drive."""
+        vehicle = super().build_vehicle()
+        return replace(vehicle, a_max=self.a_max_mps2, a_brake_max=self.a_brake_max_mps2)
 
 
 def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
@@ -113,7 +107,8 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
 
     Parameters
     ----------
-    vehicle : Vehicle
+    vehicle : Vehicle or str
+        A car, or its name or file.
     mu : float
         Factor on the friction.
     front_stiffness, rear_stiffness : float
@@ -123,6 +118,8 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     -------
     Vehicle
     """
+    if not isinstance(vehicle, Vehicle):
+        vehicle = load_vehicle(vehicle)
     return replace(
         vehicle,
         mu=vehicle.mu * mu,
@@ -131,31 +128,11 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     )
 
 
-_POSITIVE = ("drive_time_constant_s", "a_max_mps2", "a_brake_max_mps2")
-_DELAYS = ("steering_delay_s", "drive_delay_s", "localization_latency_s")
-
-
 def _scaled(tire, factor):
     """The tire with its cornering stiffness scaled and its peak kept."""
     if isinstance(tire, PacejkaTire):
         return replace(tire, B=tire.B * factor)
     return replace(tire, C_S=tire.C_S * factor)
-
-
-def load_plant_parameters(source):
-    """Read plant parameters from a shipped name or a YAML file.
-
-    A vehicle file that it names is looked for beside it.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is missing, unknown or impossible; the message names file and parameter.
-    """
-    path = find_config("plants", source, (".yaml",))
-    parameters = read_parameters(path, PlantParameters)
-    beside = path.parent / parameters.vehicle
-    return replace(parameters, vehicle=str(beside)) if beside.is_file() else parameters
 
 
 class Plant:
@@ -177,7 +154,7 @@ class Plant:
         True longitudinal and lateral acceleration of the center of gravity [m/s^2].
     """
 
-    time_step = 0.002
+    time_step = TIME_STEP
 
     def __init__(self, parameters):
         self.parameters = parameters

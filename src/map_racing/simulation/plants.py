@@ -1,16 +1,21 @@
-"""Every plant that can be raced: by its name or file, and built."""
+"""Every plant that can be raced: read from a plant file and built."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from ..vehicle.parameters import Vehicle, load_vehicle
-from .plant import Localization, Plant, load_plant_parameters
+from ..errors import ParameterError
+from ..files import read_yaml_mapping
+from ..resources import find_config
+from ..validation import read_parameters
+from ..vehicle.parameters import load_vehicle
+from .plant import Localization, Plant, PlantParameters
 from .public_simulator import PublicSimulator, PublicSimulatorParameters
 
-__all__ = ["PUBLIC_SIMULATOR", "build_plant", "load_plant"]
+__all__ = ["build_plant", "load_plant"]
 
-PUBLIC_SIMULATOR = "public_simulator"
+# What a plant file may name as its model; the first without naming it.
+MODELS = {"single_track": PlantParameters, "public_simulator": PublicSimulatorParameters}
 
 
 def load_plant(source):
@@ -18,27 +23,35 @@ def load_plant(source):
 
     Parameters
     ----------
-    source : str
-        Shipped plant, plant file, or ``public_simulator``.
+    source : str or pathlib.Path
+        Shipped plant or plant file. A vehicle file that it names is looked for beside it.
 
     Returns
     -------
-    PlantParameters or Vehicle
-        The latter for the public simulator, whose only parameters are those of its car.
+    PlantParameters or PublicSimulatorParameters
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
-    if source == PUBLIC_SIMULATOR:
-        return load_vehicle("sim")
-    parameters = load_plant_parameters(source)
-    return replace(parameters, vehicle=load_vehicle(parameters.vehicle))
+    path = find_config("plants", source, (".yaml",))
+    values = read_yaml_mapping(path)
+    model = values.pop("model", "single_track")
+    if model not in MODELS:
+        raise ParameterError(f"{path}: model: expected {' or '.join(MODELS)}, got {model!r}")
+    parameters = read_parameters(path, MODELS[model], values)
+    beside = path.parent / parameters.vehicle
+    vehicle = load_vehicle(beside if beside.is_file() else parameters.vehicle)
+    return replace(parameters, vehicle=vehicle)
 
 
-def build_plant(plant, seed):
+def build_plant(parameters, seed):
     """A car that can be driven.
 
     Parameters
     ----------
-    plant : PlantParameters, PublicSimulatorParameters or Vehicle
-        As from `load_plant`.
+    parameters : PlantParameters or PublicSimulatorParameters
     seed : int
         Of the noise.
 
@@ -48,8 +61,6 @@ def build_plant(plant, seed):
     localization : Localization or None
         The public simulator has none: its poses are true.
     """
-    if isinstance(plant, Vehicle):
-        return PublicSimulator(plant), None
-    if isinstance(plant, PublicSimulatorParameters):
-        return plant.build(), None
-    return Plant(plant), Localization(plant, seed)
+    if isinstance(parameters, PublicSimulatorParameters):
+        return PublicSimulator(parameters), None
+    return Plant(parameters), Localization(parameters, seed)

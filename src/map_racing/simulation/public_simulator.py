@@ -12,46 +12,46 @@ from dataclasses import dataclass
 
 from ..control.state import CarState
 from ..errors import ParameterError
-from ..validation import finite
-from ..vehicle.parameters import Vehicle
+from ..validation import documented, parameter
 from ..vehicle.single_track import GRAVITY
+from ..vehicle.tires import LinearTire
+from .plant import ScaledVehicle
 
 __all__ = ["PublicSimulator", "PublicSimulatorParameters"]
 
 
-@dataclass(frozen=True)
-class PublicSimulatorParameters:
-    """The public simulator's plant with what may differ from how the authors run it.
+TIME_STEP = 0.01  # of the integration [s]
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        As of `PublicSimulator`.
-    steering_delay_s : float
-        Delay of the steering commands [s], in steps of 10 ms.
-    localization_rate_hz : float
-        Poses per second; the simulator sends 100.
+
+@documented
+@dataclass(frozen=True)
+class PublicSimulatorParameters(ScaledVehicle):
+    """The car of the public simulator; a plant file with ``model: public_simulator`` holds these.
+
+    The vehicle's tires must be linear, and its poses are exact.
     """
 
-    vehicle: Vehicle
-    steering_delay_s: float = 0.05
-    localization_rate_hz: float = 100.0
+    h_cg_m: float = parameter(
+        "Height of the center of gravity, as the recording shows it. The published model file of "
+        "the same car has 0.02 m, which would hide most of the load that braking takes off the "
+        "rear",
+        "m",
+        low=0.0,
+        default=0.074,
+    )
+    steering_delay_s: float = parameter(
+        "Dead time of the steering servo, in whole steps of 10 ms",
+        "s",
+        low=0.0,
+        high=1.0,
+        default=0.05,
+    )
+    localization_rate_hz: float = parameter(
+        "Poses per second", "Hz", low=1.0, high=1.0 / TIME_STEP, default=40.0
+    )
 
-    def __post_init__(self):
-        if not 0.0 <= finite("steering_delay_s", self.steering_delay_s) <= 1.0:
-            raise ParameterError(
-                f"steering_delay_s: expected 0 to 1 s, got {self.steering_delay_s:g}"
-            )
-        if not 1.0 <= finite("localization_rate_hz", self.localization_rate_hz) <= 100.0:
-            raise ParameterError(
-                f"localization_rate_hz: expected 1 to 100 Hz, got {self.localization_rate_hz:g}"
-            )
-
-    def build(self):
-        """The plant."""
-        return PublicSimulator(
-            self.vehicle, round(self.steering_delay_s / PublicSimulator.time_step)
-        )
+    # It publishes the pose of the center of gravity under the name of base_link.
+    reference_point = "center_of_gravity"
 
 
 class PublicSimulator:
@@ -62,32 +62,29 @@ class PublicSimulator:
 
     Parameters
     ----------
-    vehicle : Vehicle
-        A car with linear tires; the figures of the simulator are those of the shipped ``sim``, but
-        for `h_cg`.
-    steering_delay_steps : int, optional
-        Steps of 10 ms by which steering commands are late.
+    parameters : PublicSimulatorParameters
+        The shipped plant ``public_simulator`` has the figures of that simulator.
 
     Attributes
     ----------
-    h_cg : float
-        Height of the center of gravity [m], as the recording shows. The published model file of the
-        same car says 0.02 m, which would hide most of the load that braking takes off the rear.
     speed : float
         Magnitude of the velocity, which the simulator calls ``linear.x`` [m/s].
     slip_angle : float
         Angle from heading to velocity [rad].
     """
 
-    h_cg = 0.074
-    time_step = 0.01
+    time_step = TIME_STEP
     steering_dead_band = 1e-4
     dynamic_above = 0.53  # m/s, entering the dynamic model ...
     kinematic_below = 0.50  # ... and leaving it
 
-    def __init__(self, vehicle, steering_delay_steps=5):
-        self.vehicle = vehicle
-        self.steering_delay_steps = steering_delay_steps
+    def __init__(self, parameters):
+        self.parameters = parameters
+        self.vehicle = parameters.build_vehicle()
+        if not isinstance(self.vehicle.front, LinearTire):
+            raise ParameterError(
+                f"public_simulator: expected a vehicle with linear tires, got {self.vehicle.name}"
+            )
         self.reset(0.0, 0.0, 0.0)
 
     def reset(self, x, y, psi, speed=0.0):
@@ -97,7 +94,8 @@ class PublicSimulator:
         self.acceleration = (0.0, 0.0)
         self._dynamic = False
         self._steps = 0
-        self._steering_line = deque([0.0] * self.steering_delay_steps)
+        delay = round(self.parameters.steering_delay_s / self.time_step)
+        self._steering_line = deque([0.0] * delay)
 
     def reference_state(self):
         """True state of the published pose; the velocity is given along the car's axes."""
@@ -164,9 +162,9 @@ class PublicSimulator:
     def _dynamic_model(self, v, beta, r, delta, rate, accel):
         """Linear single-track model with load transfer: ``beta'`` and ``r'``."""
         vehicle = self.vehicle
-        l_f, l_r, l_wb = vehicle.l_f, vehicle.l_r, vehicle.l_wb
-        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * self.h_cg) / l_wb
-        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * self.h_cg) / l_wb
+        l_f, l_r, l_wb, h_cg = vehicle.l_f, vehicle.l_r, vehicle.l_wb, self.parameters.h_cg_m
+        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * h_cg) / l_wb
+        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * h_cg) / l_wb
         # Axle forces per mass: stiffness times slip angle, positive to the left.
         force_front = front * (delta - beta - l_f * r / v)
         force_rear = rear * (-beta + l_r * r / v)

@@ -79,7 +79,7 @@ def race(
     raceline,
     localization=None,
     *,
-    rate=40.0,
+    rate=None,
     laps=5,
     time_limit=None,
     progress=None,
@@ -96,10 +96,10 @@ def race(
         Gives the start and, where it has widths, the walls: a reference point closer to a wall than
         half the car's width ends the race as a crash.
     localization : Localization, optional
-        Rate, latency and noise of the poses. Without it the poses are the plant's own
-        ``measured_state()``, at `rate`, at once.
-    rate : float
-        Poses per second where `localization` is None.
+        Latency and noise of the poses. Without it the poses are the plant's own
+        ``measured_state()``, at once.
+    rate : float, optional
+        Poses per second instead of the plant's ``localization_rate_hz``.
     laps : int
         Timed laps.
     time_limit : float, optional

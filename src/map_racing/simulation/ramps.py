@@ -37,9 +37,8 @@ def drive_ramps(plant_parameters, ramps=None, seed=1, progress=None):
 
     Parameters
     ----------
-    plant_parameters : PlantParameters or Vehicle
-        The car, its localization and its noise; a Vehicle is driven as the public simulator's,
-        which has none.
+    plant_parameters : PlantParameters or PublicSimulatorParameters
+        The car, its localization and its noise.
     ramps : sequence of RampParameters, optional
         By default one at the default speed.
     seed : int

@@ -1,1 +1,1 @@
-"""The track: raceline geometry, tracking of the car along it, file formats, speed profiles."""
+"""Racelines: geometry, projection of the car, walls and maps, optimization, speed profiles."""

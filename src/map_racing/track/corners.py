@@ -1,4 +1,4 @@
-"""How fast a raceline's corners can be driven with the grip that a lookup table knows."""
+"""How fast the corners of a raceline can be driven within the limit of a lookup table."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import RacelineError
+from .raceline import Raceline
 
 __all__ = ["Corner", "corners"]
 
 FASTEST_MPS = 30.0
-# A bend counts as a corner where its curvature exceeds this share of the raceline's largest, or
-# where the raceline is so near to the limit as this share of the place that is nearest.
+# A bend is a corner where its curvature exceeds this share of the largest, or where the speed is
+# as close to the limit as this share of the closest place.
 SHARE, NEAR = 0.25, 0.9
 
 
 class Corner(NamedTuple):
-    """The place of a corner that has the least to spare.
+    """The place of a corner with the smallest margin to the limit.
 
     Parameters
     ----------
@@ -27,10 +28,10 @@ class Corner(NamedTuple):
     curvature : float
         Curvature there [1/m], positive to the left.
     limit_speed : float
-        Speed at which it takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s,
-        and 0 where it is tighter than any angle of the table.
+        Speed that takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s, 0 where
+        the bend is tighter than any angle of the table.
     speed : float
-        The raceline's own speed there [m/s]; NaN where it has none.
+        Speed of the raceline there [m/s]; NaN if it has none.
     """
 
     s: float
@@ -39,13 +40,13 @@ class Corner(NamedTuple):
     speed: float
 
     @property
-    def share(self):
-        """The raceline's speed as a share of the limit."""
+    def share(self) -> float:
+        """Speed of the raceline as a share of the limit."""
         return self.speed / self.limit_speed if self.limit_speed > 0.0 else math.inf
 
 
-def corners(raceline, table):
-    """Corners of a raceline and the speeds at which they exceed a table's limit.
+def corners(raceline: Raceline, table) -> list[Corner]:
+    """Find the corners of a raceline and the speeds at which they reach the limit of a table.
 
     Parameters
     ----------
@@ -55,8 +56,8 @@ def corners(raceline, table):
     Returns
     -------
     list of Corner
-        In the order of arc length. Where the raceline has speeds, each is the place that it drives
-        nearest to the limit, else the tightest.
+        In the order of arc length. Each is the place driven closest to the limit or, if the
+        raceline has no speeds, the tightest.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def corners(raceline, table):
     kappa = np.asarray(raceline.kappa)
     largest = float(np.max(np.abs(kappa)))
     if largest < 1e-3:
-        raise RacelineError(f"{raceline.name or 'raceline'}: expected corners, it has none")
+        raise RacelineError(f"{raceline.name or 'raceline'}: expected corners, got none")
     limit = _limit_speeds(table, np.abs(kappa))
     speed = raceline.speed if raceline.speed is not None else np.full(kappa.size, math.nan)
     bent = np.abs(kappa) > SHARE * largest
@@ -74,7 +75,7 @@ def corners(raceline, table):
     if raceline.speed is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             need = np.where(limit > 0.0, speed / limit, math.inf)
-        # A fast bend may be nearer to the limit than a tight one.
+        # A fast bend may be closer to the limit than a tight one.
         steered = need[limit > 0.0]
         bent |= need > NEAR * (steered.max() if steered.size else 0.0)
     found = []
@@ -87,16 +88,16 @@ def corners(raceline, table):
 
 
 def _limit_speeds(table, kappa):
-    """Speeds at which ``v^2 kappa`` is the table's limit: by interpolation of what it allows."""
+    """Speeds at which ``v^2 kappa`` is the limit of the table, by interpolation."""
     v = np.linspace(0.02, FASTEST_MPS, 3000)
-    # What curvature can be driven at each speed; it falls with speed, or is made to.
+    # Largest curvature that can be driven at each speed, made to decrease with speed.
     allowed = np.minimum.accumulate(table.max_lateral_acceleration(v) / (v * v))
     limit = np.where(kappa > allowed[0], 0.0, np.interp(-kappa, -allowed, v))
     return np.where(kappa < allowed[-1], math.inf, limit)
 
 
 def _bends(kind):
-    """Cells of each bend: neighbors of one kind, 1 or -1, around the lap."""
+    """Cells of each bend: neighbors of one sign around the lap."""
     changes = np.flatnonzero(kind != np.roll(kind, 1))
     if not changes.size:
         return [np.arange(kind.size)]

@@ -1,4 +1,6 @@
-"""Where polylines cross: in the plane, all places at once."""
+"""Where closed polylines cross."""
+
+from __future__ import annotations
 
 import numpy as np
 
@@ -7,8 +9,8 @@ from .tree import point_tree
 __all__ = ["crossings"]
 
 
-def crossings(a, b=None):
-    """Crossings of two closed polylines, or of one with itself.
+def crossings(a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
+    """Find the crossings of two closed polylines, or of one with itself.
 
     Parameters
     ----------
@@ -18,13 +20,13 @@ def crossings(a, b=None):
     Returns
     -------
     ndarray of int, shape (k, 2)
-        Segments of `a` and of `b` that cross; a segment has the number of its first vertex.
-        Segments that share a vertex do not cross.
+        Segments of `a` and of `b` that cross, numbered by their first vertices. Segments that share
+        a vertex do not count.
 
     Notes
     -----
-    Candidates are segments whose middles are closer than their half lengths together, found in two
-    trees; long segments are cut for that, so that few long ones do not make all of them candidates.
+    Candidates are segments whose midpoints are closer than the sum of their half lengths, found
+    with two trees. Long segments are cut first, as a few of them would make all pairs candidates.
     """
     number_a, start_a, way_a = _pieces(a)
     if b is None:
@@ -42,7 +44,7 @@ def crossings(a, b=None):
         other = point_tree(start_b + 0.5 * way_b)
         near = tree.sparse_distance_matrix(other, reach, output_type="ndarray")
         i, j = near["i"], near["j"]
-    # Both ends of each segment lie on different sides of the other one.
+    # The ends of each segment lie on different sides of the other one.
     between = start_b[j] - start_a[i]
     area = _cross(way_a[i], way_b[j])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -51,12 +53,12 @@ def crossings(a, b=None):
     pairs = np.stack((number_a[i[cross]], number_b[j[cross]]), axis=1)
     if b is None:
         pairs.sort(axis=1)
-    # numpy 1.17 finds no unique rows in none
+    # np.unique of numpy 1.17 fails on zero rows
     return np.unique(pairs, axis=0) if len(pairs) else pairs
 
 
 def _pieces(vertices):
-    """Segments cut to at most four usual lengths: numbers, starts and ways."""
+    """Segments cut to at most four usual lengths: numbers, starts and vectors."""
     ways = np.roll(vertices, -1, axis=0) - vertices
     lengths = np.hypot(ways[:, 0], ways[:, 1])
     usual = max(np.median(lengths), lengths.sum() / (4.0 * len(lengths)))

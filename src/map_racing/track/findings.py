@@ -1,27 +1,29 @@
-"""What is noticed about a track: with a code for programs, a text for people, and the places."""
+"""Findings about racelines: a code for programs, a text for people, and the places."""
 
-from typing import NamedTuple, Optional, Tuple
+from __future__ import annotations
+
+from typing import Iterable, NamedTuple
 
 __all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place", "points", "worst_first"]
 
 NOTE = "note"
-"""A convention recognized: nothing is wrong."""
+"""A convention: nothing is wrong."""
 WARNING = "warning"
-"""Wrong or doubtful; the track can be used."""
+"""Wrong or doubtful, but usable."""
 ERROR = "error"
-"""Wrong beyond use."""
+"""Unusable."""
 
 
 class Place(NamedTuple):
-    """A point of a track as it was given.
+    """A point of a raceline as given.
 
-    ``index`` counts from 0, ``line`` is that of the file, from 1; arc length ``s``, ``x`` and ``y``
-    are in meters. ``line`` is None where there are no lines, ``s`` where there is no curve.
+    ``index`` counts from 0, ``line`` is the line of the file from 1, None where there are no lines.
+    Arc length ``s`` [m] is None where there is no curve. Position ``x``, ``y`` [m].
     """
 
     index: int
-    line: Optional[int]
-    s: Optional[float]
+    line: int | None
+    s: float | None
     x: float
     y: float
 
@@ -32,22 +34,22 @@ class Place(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """One thing noticed; as text it is one line.
+    """One finding; as text it is one line.
 
     Attributes
     ----------
     code : str
-        Short name of the kind, for programs; it stays when the text changes.
+        Short name of the kind, for programs; it stays when texts change.
     severity : {"note", "warning", "error"}
     text : str
     places : tuple of Place
-        Where it stands: the worst point, or all of them in order. Empty if it is everywhere.
+        The worst point, or all of them in order. Empty if it is everywhere.
     """
 
     code: str
     severity: str
     text: str
-    places: Tuple[Place, ...] = ()
+    places: tuple[Place, ...] = ()
 
     def __str__(self):
         if not self.places:
@@ -55,12 +57,12 @@ class Finding(NamedTuple):
         return f"{self.text}, {'first ' if len(self.places) > 1 else ''}at {self.places[0]}"
 
 
-def worst_first(findings):
-    """Findings as a list, errors before warnings before notes, else in their order."""
+def worst_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Sort findings: errors before warnings before notes, otherwise in their order."""
     order = (ERROR, WARNING, NOTE)
     return sorted(findings, key=lambda finding: order.index(finding.severity))
 
 
-def points(count, adjective=""):
-    """``"1 point"`` or ``"2 points"``, as texts of findings have them."""
+def points(count: int, adjective: str = "") -> str:
+    """``"1 point"`` or ``"2 points"``, for the texts of findings."""
     return " ".join(filter(None, (str(count), adjective, "point" if count == 1 else "points")))

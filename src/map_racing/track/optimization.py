@@ -1,28 +1,30 @@
 """Minimum-curvature racelines between the walls of a track.
 
-The path is drawn as offsets ``alpha`` along the normals of a smooth reference line, and the offsets
-are those of least summed squared curvature, the integral of ``kappa^2`` over the lap, that keep a
-clearance from the walls (A. Heilmeier, A. Wischnewski, L. Hermansdorfer, J. Betz, M. Lienkamp,
-B. Lohmann, *Minimum curvature trajectory planning and control for an autonomous race car*, Vehicle
-System Dynamics 58, 2020). Three things differ from the paper:
+The path is described by offsets ``alpha`` along the normals of a smooth reference line. The offsets
+minimize the integral of ``kappa^2`` over the lap, subject to a clearance from the walls
+(A. Heilmeier, A. Wischnewski, L. Hermansdorfer, J. Betz, M. Lienkamp, B. Lohmann, *Minimum
+curvature trajectory planning and control for an autonomous race car*, Vehicle System Dynamics 58,
+2020). Three things differ from the paper:
 
-- Curvature is that of the polygon through the points, the angle at each over half the length of the
-  sides that meet there, so that each value depends on three offsets, and the normal equations have
-  five diagonals instead of being dense. Time and memory grow with the number of points.
-- It is linearized with all its derivatives, those of the lengths included, and a step is only taken
-  as far as the true sum falls.
-- Clearance is the distance to the nearest wall, not along the normal: a wall that juts out between
-  two normals counts.
+- Curvature is the turn at each point of the polygon divided by half the length of the adjacent
+  sides. Each value depends on three offsets, so the normal equations have five diagonals instead of
+  being dense, and time and memory grow linearly with the number of points.
+- It is linearized with all its derivatives, including those of the lengths, and a step is shortened
+  until the true objective decreases.
+- Clearance is the distance to the nearest wall, not the distance along the normal: a wall that juts
+  out between two normals counts.
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 from ..errors import ParameterError, RacelineError
 from .findings import NOTE, Finding
+from .least_curvature import least_curvature
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
 from .tree import point_tree
@@ -33,37 +35,38 @@ __all__ = [
     "fastest_line",
     "minimum_curvature",
     "squared_curvature",
+    "with_fastest_speeds",
 ]
 
-# Normals are cut this share before they meet: points beyond would change their order.
+# Normals are cut at this share of the way to where they meet: farther points would change order.
 _MEETING = 0.9
-# A new reference line is taken while it lowers the sum by more than this.
+# Relative gain below which no new reference line is taken, and the largest number of them.
 _PASS_GAIN, _MOST_PASSES = 1e-4, 8
-# Of one pass: Gauss-Newton steps, and the gain that ends them.
-_STEP_GAIN, _MOST_STEPS = 1e-6, 40
-# The clearance is held to this [m], also between the points, in at most so many rounds.
+# Tolerance of the clearance [m], also between the points, and the largest number of corrections.
 _CLOSE_ENOUGH, _MOST_ROUNDS = 1e-4, 8
-# Squared curvature that is given for any gain of time, and the gain of time that is worth more.
+# Accept 5 % more squared curvature for any faster lap; more only for a lap 2 % faster.
 _RISE, _WORTH = 0.05, 0.02
-# Tensions, relative to the mean squared curvature; tried until two of them make the lap slower.
+# Tensions relative to the mean squared curvature, tried until two of them make the lap slower.
 _TENSIONS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+
+_Progress = Callable[[int], Any]
 
 
 class OptimizedLine(NamedTuple):
-    """What came out of `minimum_curvature`.
+    """Result of `minimum_curvature`.
 
     Attributes
     ----------
     raceline : Raceline
         The path, with distances to the walls, without speeds.
     reference : Raceline
-        Smoothed middle between the walls, where the search began, with distances to the walls.
+        Smoothed middle line between the walls, where the search began, with distances to the walls.
     walls : Walls
-        The walls as they were understood.
+        The walls that the path keeps clear of.
     clearance : float
         Least distance from the path to a wall [m].
     tension : float
-        What a meter of length counted [1/m^2].
+        Weight of the length in the objective [1/m^2].
     findings : tuple of Finding
         What was repaired or cut on the way.
     """
@@ -73,17 +76,17 @@ class OptimizedLine(NamedTuple):
     walls: Walls
     clearance: float
     tension: float
-    findings: tuple
+    findings: tuple[Finding, ...]
 
 
-def squared_curvature(raceline, step=0.1):
-    """Integral of the squared curvature over one lap, ``sum(kappa^2) ds``, resampled evenly.
+def squared_curvature(raceline: Raceline, step: float = 0.1) -> float:
+    """Integral of the squared curvature over one lap, ``sum(kappa^2) ds``, at even samples.
 
     Parameters
     ----------
     raceline : Raceline
     step : float, optional
-        Distance of the samples [m], rounded to divide the lap.
+        Distance between the samples [m], rounded to divide the lap.
 
     Returns
     -------
@@ -95,20 +98,57 @@ def squared_curvature(raceline, step=0.1):
     return float(np.sum(at.kappa**2) * raceline.length / count)
 
 
-def minimum_curvature(track, clearance, *, tension=0.0, step=0.1, progress=None):
-    """Path of least summed squared curvature around a track.
+def with_fastest_speeds(line: Raceline, limits: Mapping[str, Any], scale: float = 1.0) -> Raceline:
+    """Give a line the fastest speeds within a car's limits, times a scale.
+
+    Parameters
+    ----------
+    line : Raceline
+    limits : mapping
+        Keyword arguments of `speed_profile`.
+    scale : float, optional
+
+    Returns
+    -------
+    Raceline
+
+    Raises
+    ------
+    ParameterError
+        If the car cannot steer a bend of the line.
+    """
+    speed, _ = raceline_speeds(line, **limits)
+    return Raceline(
+        line.x,
+        line.y,
+        vx_mps=scale * speed,
+        d_left_m=line.d_left,
+        d_right_m=line.d_right,
+        name=line.name,
+    )
+
+
+def minimum_curvature(
+    track: Raceline,
+    clearance: float,
+    *,
+    tension: float = 0.0,
+    step: float = 0.1,
+    progress: _Progress | None = None,
+) -> OptimizedLine:
+    """Find the path of least integrated squared curvature around a track.
 
     Parameters
     ----------
     track : Raceline
         Any line along the track with distances to the walls: a centerline or a raceline.
     clearance : float
-        Least distance from the path to the walls [m]: half the car's width and a margin.
+        Least distance from the path to the walls [m]: half the car's width plus a margin.
     tension : float, optional
-        What a meter of length counts beside the squared curvature [1/m^2]: least is the integral
+        Weight of the length beside the squared curvature [1/m^2]: the objective is the integral
         of ``kappa^2 + tension``.
     step : float, optional
-        Distance of the points that are moved [m].
+        Distance between the points that are moved [m].
     progress : callable, optional
         Called after each new line with the number of lines so far.
 
@@ -121,26 +161,33 @@ def minimum_curvature(track, clearance, *, tension=0.0, step=0.1, progress=None)
     ParameterError
         If `clearance` or `step` is not positive and finite, or `tension` is negative.
     RacelineError
-        If the track has no walls, is not closed, comes back to itself, or is too narrow; the
-        message says where.
+        If the track has no walls, is not closed, meets itself, or is too narrow; the message says
+        where.
     """
     search = _Search(track, clearance, step, progress)
     return search.result(search.best(search.reference, tension), tension)
 
 
-def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
-    """The fastest path that bends little more than the least, or that is much faster.
+def fastest_line(
+    track: Raceline,
+    clearance: float,
+    limits: Mapping[str, Any],
+    *,
+    step: float = 0.1,
+    progress: _Progress | None = None,
+) -> OptimizedLine:
+    """Find the fastest of the paths between least curvature and least length.
 
-    The path of least squared curvature takes long ways around where these cost little curvature. A
-    tension shortens it; how much is best, the lap time decides among the paths of at most 5 % more
-    squared curvature. One with more than that has to be 2 % faster, as the inside of a ring is.
+    The path of least squared curvature takes detours where they cost little curvature. Tension
+    shortens it. Of the paths with at most 5 % more squared curvature the one with the shortest lap
+    time is taken; one with more must be 2 % faster, as the inside of a ring is.
 
     Parameters
     ----------
     track, clearance, step, progress
-        As of `minimum_curvature`.
-    limits : dict
-        The car's, as of `speed_profile`.
+        See `minimum_curvature`.
+    limits : mapping
+        The car's limits: keyword arguments of `speed_profile`.
 
     Returns
     -------
@@ -152,7 +199,7 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
     ParameterError
         If `clearance` or `step` is not positive and finite.
     RacelineError
-        As of `minimum_curvature`; also if the car cannot steer the bends of the line.
+        As in `minimum_curvature`; also if the car cannot steer a bend of the path.
     """
     search = _Search(track, clearance, step, progress)
     line = search.best(search.reference, 0.0)
@@ -162,7 +209,7 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
         raise RacelineError(f"{search.name}: no line for this car: {error}") from None
     least = squared_curvature(line, step)
     mean = least / line.length
-    # The fastest of all, and of those that bend little more than the least.
+    # The fastest of all, and the fastest with little more than the least curvature.
     best = close = (time, line, 0.0)
     slower = 0
     for weight in _TENSIONS:
@@ -172,7 +219,7 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
             _, time = raceline_speeds(line, **limits)
         except ParameterError:
             break
-        # Where a little tension changes nothing, more may.
+        # Where a little tension changes nothing, more of it may.
         slower = slower + 1 if time > (1.0 + 1e-4) * best[0] else 0
         best = min(best, (time, line, tension), key=lambda item: item[0])
         if squared_curvature(line, step) <= (1.0 + _RISE) * least:
@@ -184,25 +231,16 @@ def fastest_line(track, clearance, limits, *, step=0.1, progress=None):
     if best[0] > (1.0 - _WORTH) * close[0]:
         best = close
     found = search.result(best[1], best[2])
-    line = found.raceline
-    speed, _ = raceline_speeds(line, **limits)
-    line = Raceline(
-        *(line.x, line.y),
-        vx_mps=speed,
-        d_left_m=line.d_left,
-        d_right_m=line.d_right,
-        name=line.name,
-    )
-    return found._replace(raceline=line)
+    return found._replace(raceline=with_fastest_speeds(found.raceline, limits))
 
 
 class _Search:
-    """A track made ready, and the search for lines on it."""
+    """Search for lines on one track."""
 
     def __init__(self, track, clearance, step, progress):
         for key, value in (("clearance", clearance), ("step", step)):
             if not 0.0 < value < math.inf:
-                raise ParameterError(f"{key}: expected a positive length, got {value}")
+                raise ParameterError(f"{key}: expected more than 0 m, got {value}")
         self.name = track.source or track.name or "raceline"
         self.title = track.name
         self.clearance, self.step, self._progress = clearance, step, progress
@@ -214,7 +252,7 @@ class _Search:
         self._cut, self._lines = None, 0
 
     def best(self, line, tension):
-        """The best line, each time within reach of the normals of the last one."""
+        """Best line, improved pass by pass within reach of the normals of the last one."""
         if not 0.0 <= tension < math.inf:
             raise ParameterError(f"tension: expected 0 or more, got {tension}")
         best = None
@@ -229,12 +267,12 @@ class _Search:
         return best[1]
 
     def result(self, line, tension):
-        """What is to be known of a line."""
+        """Result for a line."""
         findings = list(self.walls.findings)
         if self._cut:
             text = (
-                f"{self._cut} normals of the middle line cut before they meet inside bends; those "
-                "of the lines after it reach farther"
+                f"{self._cut} normals of the middle line cut before they meet inside bends; the "
+                "normals of later lines reach farther"
             )
             findings.append(Finding("cut-normals", NOTE, text))
         raceline = self._with_walls(line)
@@ -243,12 +281,12 @@ class _Search:
         return OptimizedLine(raceline, self.reference, self.walls, least, tension, tuple(findings))
 
     def _middle(self, track):
-        """Points of a smooth line around the middle between the walls."""
+        """Points of a smooth line near the middle between the walls."""
         walls, count = self.walls, max(8, int(round(track.length / self.step)))
         points, normals = _even_points(track, count)
         at = track.sample(np.arange(count) * (track.length / count))
         points = points + (0.5 * (at.d_left - at.d_right))[:, None] * normals
-        # The wider the track, the more may be smoothed.
+        # The wider the track, the stronger the smoothing may be.
         deviation = 0.25 * float(np.median(track.d_left + track.d_right))
         smooth, clear = smooth_between(
             points, track.length, deviation, walls.distance, self.clearance
@@ -259,7 +297,7 @@ class _Search:
         return smooth
 
     def _one_pass(self, line, tension):
-        """The best line within reach of the normals of another."""
+        """Best line within reach of the normals of another."""
         count = max(8, int(round(line.length / self.step)))
         points, normals = _even_points(line, count)
         wanted = np.full(count, self.clearance)
@@ -271,10 +309,10 @@ class _Search:
         if np.any(high < low - 1e-3):
             k = int(np.argmin(high - low))
             raise self._too_narrow(points[k], normals[k])
-        # Between two points the line can pass a corner of a wall too closely; these points then
-        # keep away by as much more.
+        # Between two points the line can pass a corner of a wall too closely: the clearance of
+        # these points is raised by what is missing.
         for _ in range(_MOST_ROUNDS):
-            alpha = _least_curvature(points, normals, low, np.maximum(low, high), alpha, tension)
+            alpha = least_curvature(points, normals, low, np.maximum(low, high), alpha, tension)
             line = Raceline(*(points + alpha[:, None] * normals).T)
             missing = self.clearance - _clearance_after(line, self.walls, count, self.clearance)
             if missing.max() < _CLOSE_ENOUGH:
@@ -292,7 +330,7 @@ class _Search:
         return line
 
     def _with_walls(self, line):
-        """A line with its distances to the walls, or to where its normals meet inside bends."""
+        """Line with its distances to the walls, or to where its normals meet inside bends."""
         points = np.stack((line.x, line.y), axis=1)
         normals = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
         left, right = (
@@ -310,17 +348,16 @@ class _Search:
             for side in (1.0, -1.0)
         )
         return RacelineError(
-            f"{self.name}: the track is too narrow at ({point[0]:.2f}, {point[1]:.2f}): "
-            f"{wide:.2f} m from wall to wall, where car and margins need "
-            f"{2.0 * self.clearance:.2f} m"
+            f"{self.name}: the track is too narrow at ({point[0]:.2f}, {point[1]:.2f}): expected "
+            f"{2.0 * self.clearance:.2f} m for car and margins, got {wide:.2f} m from wall to wall"
         )
 
 
-# -- the track --------------------------------------------------------------------------------
+# -- the track -----------------------------------------------------------------------------------
 
 
 def _check_closed(track, name):
-    """Refuse a track whose ends are much farther apart than its points."""
+    """Reject a track whose ends are much farther apart than its points."""
     spacing = np.diff(np.append(track.s_points, track.length))
     width = float(np.median(track.d_left + track.d_right)) if track.d_left is not None else 0.0
     if spacing[-1] > max(5.0 * spacing[:-1].max(), width):
@@ -331,25 +368,25 @@ def _check_closed(track, name):
 
 
 def _check_single(track, clearance, name):
-    """Refuse a track that crosses itself or goes round twice."""
+    """Reject a track that crosses itself or consists of two laps."""
     spacing = min(track.ds, 0.5 * clearance)
     at = track.sample(np.linspace(0.0, track.length, int(track.length / spacing) + 1)[:-1])
     points = np.stack((at.x, at.y), axis=1)
     pairs = point_tree(points).query_pairs(clearance, output_type="ndarray")
     apart = np.abs(at.s[pairs[:, 0]] - at.s[pairs[:, 1]])
     apart = np.minimum(apart, track.length - apart)
-    # An arc comes back to half its way at a half turn.
+    # Around a bend of up to half a turn the way is at most pi / 2 times the straight distance.
     twice = pairs[apart > 4.0 * clearance]
     if len(twice):
         i, j = (int(k) for k in min(twice.tolist()))
         raise RacelineError(
-            f"{name}: expected one loop, but the track comes back to itself at "
+            f"{name}: expected one loop, but the track meets itself at "
             f"({at.x[i]:.2f}, {at.y[i]:.2f}): s = {at.s[i]:.2f} m and {at.s[j]:.2f} m"
         )
 
 
 def _even_points(line, count):
-    """Points at equal arc lengths, and the unit vectors to their left."""
+    """Points at equal arc lengths and the unit vectors to their left."""
     at = line.sample(np.arange(count) * (line.length / count))
     return (
         np.stack((at.x, at.y), axis=1),
@@ -361,8 +398,8 @@ def _clearance_after(line, walls, count, clearance):
     """Least distance to a wall from each of the points of a line to the next."""
     ends = np.append(line.s_points, line.length)
     if ends.size != count + 1:
-        raise RacelineError("expected a line whose points are at least 0.1 mm apart: larger step?")
-    # So close that a wall's corner can come nearer in between by a few thousandths only.
+        raise RacelineError("expected points at least 0.1 mm apart: take a larger step")
+    # Dense enough that a corner of a wall is nearer in between by a few thousandths only.
     parts = max(4, math.ceil(line.length / count / (0.2 * clearance)))
     parts = np.linspace(0.0, 1.0, parts, endpoint=False)
     at = line.sample(ends[:-1, None] + parts * np.diff(ends)[:, None])
@@ -380,13 +417,13 @@ def _reach(points, normals, walls, clearance, farthest):
 
 
 def _meeting(points, normals):
-    """How far normals reach to the left and to the right before a neighbor crosses them."""
+    """Largest offsets to the left and to the right before neighboring normals meet."""
     after = np.roll(normals, -1, axis=0)
     turn = np.arctan2(
         normals[:, 0] * after[:, 1] - normals[:, 1] * after[:, 0], np.sum(normals * after, axis=1)
     )
     chord = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
-    # They meet where the offset is the radius of the turn between them.
+    # They meet where the offset is the radius of the turn between the points.
     with np.errstate(divide="ignore"):
         radius = _MEETING * chord / np.abs(turn)
     left, right = (np.where(turn * side > 0.0, radius, np.inf) for side in (1.0, -1.0))
@@ -394,7 +431,7 @@ def _meeting(points, normals):
 
 
 def _clear_offset(points, normals, walls, clearance):
-    """Offsets that take points which are a little too close to a wall away from it, else 0."""
+    """Offsets that move points slightly too close to a wall away from it, else 0."""
     offset = np.zeros(len(points))
     free = walls.distance(points)
     missing = np.maximum(clearance - free, 0.0)
@@ -408,182 +445,3 @@ def _clear_offset(points, normals, walls, clearance):
             better = there > free[close]
             offset[close[better]], free[close[better]] = move[better], there[better]
     return offset
-
-
-# -- the optimization --------------------------------------------------------------------------
-
-
-class _Model(NamedTuple):
-    """What is minimized, around some offsets: value, gradient, and the diagonals of a convex
-    approximation of half its second derivatives: (j, j), (j, j + 1), (j, j + 2) around the lap."""
-
-    value: float
-    gradient: np.ndarray
-    main: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-
-
-def _least_curvature(points, normals, low, high, alpha, tension):
-    """Offsets within bounds of least squared curvature and weighted length, by Gauss-Newton."""
-    alpha = np.clip(alpha, low, high)
-    model = _model(points, normals, alpha, tension)
-    for _ in range(_MOST_STEPS):
-        step = _bounded_minimum(model, low - alpha, high - alpha)
-        share = 1.0
-        while share > 1e-3:
-            trial = np.clip(alpha + share * step, low, high)
-            there = _model(points, normals, trial, tension)
-            if there.value < model.value:
-                break
-            share *= 0.5
-        else:
-            break
-        gain = 1.0 - there.value / model.value
-        alpha, model = trial, there
-        if gain < _STEP_GAIN:
-            break
-    return alpha
-
-
-def _model(points, normals, alpha, tension):
-    """Integral of squared curvature and tension along the polygon of these offsets, as `_Model`."""
-    path = points + alpha[:, None] * normals
-    side = np.roll(path, -1, axis=0) - path
-    length = np.hypot(side[:, 0], side[:, 1])
-    ahead = np.roll(normals, -1, axis=0)
-    # Derivatives of direction and length of each side, by the offsets of its two ends.
-    turn_end = (side[:, 0] * ahead[:, 1] - side[:, 1] * ahead[:, 0]) / length**2
-    turn_begin = -(side[:, 0] * normals[:, 1] - side[:, 1] * normals[:, 0]) / length**2
-    grow_end = np.sum(side * ahead, axis=1) / length
-    grow_begin = -np.sum(side * normals, axis=1) / length
-
-    before = np.roll(side, 1, axis=0)
-    angle = np.arctan2(
-        before[:, 0] * side[:, 1] - before[:, 1] * side[:, 0], np.sum(before * side, axis=1)
-    )
-    span = 0.5 * (length + np.roll(length, 1))
-    root = np.sqrt(span)
-    # Residuals whose squares sum up to the integral, and their derivatives by the offsets before,
-    # at and after each point.
-    residual = angle / root
-    shrink = -0.25 * angle / (span * root)  # by twice the span
-    j_before = -np.roll(turn_begin, 1) / root + shrink * np.roll(grow_begin, 1)
-    j_at = (turn_begin - np.roll(turn_end, 1)) / root + shrink * (grow_begin + np.roll(grow_end, 1))
-    j_after = turn_end / root + shrink * grow_end
-
-    gradient = j_at * residual + np.roll(j_before * residual, -1) + np.roll(j_after * residual, 1)
-    main = j_at**2 + np.roll(j_before, -1) ** 2 + np.roll(j_after, 1) ** 2
-    first = j_at * j_after + np.roll(j_at * j_before, -1)
-    second = np.roll(j_before * j_after, -1)
-
-    # A length grows with the square of what its ends move across it.
-    half = 0.5 * tension
-    gradient = gradient + half * (grow_begin + np.roll(grow_end, 1))
-    across = half * length
-    main = main + across * turn_begin**2 + np.roll(across * turn_end**2, 1)
-    first = first + across * turn_begin * turn_end
-    value = float(residual.dot(residual) + tension * length.sum())
-    return _Model(value, gradient, main, first, second)
-
-
-def _bounded_minimum(model, low, high):
-    """Step to the least value of the model within bounds, by an interior-point method.
-
-    Primal and dual variables are followed to complementarity with Mehrotra's predictor and
-    corrector; each iteration factors one banded matrix.
-    """
-    _, gradient, main, first, second = model
-    n = gradient.size
-    # Moving the whole line changes no curvature: a little inertia keeps the matrix regular, and
-    # vanishes with the step.
-    main = main + 1e-9 * main.mean()
-
-    # A little room, also where the track is as wide as the car.
-    room = np.maximum(high - low, 1e-6)
-    x = np.clip(0.0, low + 0.05 * room, low + 0.95 * room)
-    scale = float(np.max(np.abs(gradient))) + 1e-12
-    push_low = np.full(n, scale)
-    push_high = np.full(n, scale)
-    fold = _Folded(n)
-    for _ in range(60):
-        to_low, to_high = np.maximum(x - low, 1e-14), np.maximum(low + room - x, 1e-14)
-        product = main * x + first * np.roll(x, -1) + np.roll(first * x, 1)
-        product += second * np.roll(x, -2) + np.roll(second * x, 2)
-        dual = product + gradient - push_low + push_high
-        gap = float(to_low.dot(push_low) + to_high.dot(push_high)) / (2 * n)
-        if gap < 1e-9 * scale and np.max(np.abs(dual)) < 1e-7 * scale:
-            break
-        try:
-            factor = fold.factor(main + push_low / to_low + push_high / to_high, first, second)
-        except LinAlgError:  # rounding, where there is nothing left to gain
-            break
-        target_low = target_high = 0.0
-        for corrector in (False, True):
-            wanted_low, wanted_high = (
-                target_low - push_low * to_low,
-                (target_high - push_high * to_high),
-            )
-            move = fold.solve(factor, wanted_low / to_low - wanted_high / to_high - dual)
-            move_low = (wanted_low - push_low * move) / to_low
-            move_high = (wanted_high + push_high * move) / to_high
-            primal = min(_room(to_low, move), _room(to_high, -move))
-            dually = min(_room(push_low, move_low), _room(push_high, move_high))
-            if corrector:
-                break
-            after_gap = float(
-                (to_low + primal * move).dot(push_low + dually * move_low)
-                + (to_high - primal * move).dot(push_high + dually * move_high)
-            ) / (2 * n)
-            center = gap * (after_gap / gap) ** 3
-            target_low = center - move * move_low
-            target_high = center + move * move_high
-        x = x + 0.995 * primal * move
-        push_low = push_low + 0.995 * dually * move_low
-        push_high = push_high + 0.995 * dually * move_high
-    return x
-
-
-def _room(value, move):
-    """Largest share up to 1 of a move that keeps a positive value from changing sign."""
-    falling = move < 0.0
-    if not falling.any():
-        return 1.0
-    with np.errstate(over="ignore"):
-        return min(1.0, float(np.min(-value[falling] / move[falling])))
-
-
-class _Folded:
-    """Symmetric matrices of five diagonals around a lap, as banded ones.
-
-    In the order 0, n - 1, 1, n - 2, ... places at most two apart around the lap are at most four
-    apart in a row.
-    """
-
-    def __init__(self, n):
-        order = np.empty(n, dtype=int)
-        order[0::2] = np.arange((n + 1) // 2)
-        order[1::2] = n - 1 - np.arange(n // 2)
-        self._order = order
-        place = np.empty(n, dtype=int)
-        place[order] = np.arange(n)
-        self._entries = []
-        for shift in range(3):
-            row, column = place, np.roll(place, -shift)
-            self._entries.append((np.abs(row - column), np.minimum(row, column)))
-        self._n = n
-
-    def factor(self, main, first, second):
-        """Cholesky factor of the matrix with these diagonals, each of shape (n,)."""
-        band = np.zeros((5, self._n))
-        for (diagonal, column), values in zip(self._entries, (main, first, second)):
-            band[diagonal, column] = values
-        return cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-
-    def solve(self, factor, right_side):
-        """Solution for one right-hand side."""
-        solution = np.empty(self._n)
-        solution[self._order] = cho_solve_banded(
-            (factor, True), right_side[self._order], check_finite=False
-        )
-        return solution

@@ -1,11 +1,10 @@
 """Closed racelines: one internal form for every source, smooth between the points.
 
-A track is given by points; a car drives the curve between them. The curve is the closed cubic
-spline through all points over chord length, cut anew into cells of equal arc length ``ds``, each
-with one cubic for x(s) and one for y(s). A place on the track is its arc length ``s``, so the cell
-is found by one multiplication and no query but a search of the whole track depends on the number
-of points. Curvature is continuous, the parameter is arc length (``|r'(s)| = 1`` to 1e-5 on the
-shipped tracks), and scalar queries are pure-float arithmetic, because numpy's overhead per call
+The curve is the closed cubic spline through all points over chord length, resampled into cells of
+equal arc length ``ds``, each with one cubic for x(s) and one for y(s). One multiplication finds the
+cell of an arc length ``s``, so only a search of the whole track depends on the number of points.
+Curvature is continuous, the parameter is arc length (``|r'(s)| = 1`` to 1e-5 on the shipped
+tracks), and scalar queries are pure-float arithmetic, because the overhead of one numpy call
 exceeds a whole query: 0.2 us for a speed, 1 us for a pose, 2 us for a projection from a guess and
 3 us for the point ahead (CPython 3.11).
 
@@ -13,32 +12,22 @@ Lateral deviation ``d`` is positive to the left of the direction of travel, curv
 positive in left-hand bends.
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Sequence, Union
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..errors import ParameterError, RacelineError
 from ..validation import FARTHEST
+from .spline import OVERLAP, closed_spline, distinct_points, resample_by_arc_length
 from .tree import point_tree
 
 __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceline"]
 
-# Points closer than this are one point written twice; the densest real tracks have 2 mm.
-_SAME_POINT = 1e-4
-# Cells of 0.1 m follow any drivable curve; coarse points get at most this many cells each, which
-# keeps memory linear in the number of points whatever their unit. Dense points get cells of 2 cm,
-# or a thousandth of the lap: finer ones would leave the processor's cache, and each step take 20 %
-# longer.
-_CELL, _CELLS_PER_POINT = 0.1, 16
-_FINEST, _FINEST_OF_LAP = 0.02, 0.001
 
-# Points by which a closed spline is continued beyond its ends; 2^-50 is the rounding of floats.
-_OVERLAP = 50
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
+_Array = Union[float, Sequence[float], np.ndarray]
 
 
 class CurvePoint(NamedTuple):
@@ -58,9 +47,9 @@ class CurveSamples(NamedTuple):
     y: np.ndarray
     psi: np.ndarray
     kappa: np.ndarray
-    speed: Optional[np.ndarray]
-    d_left: Optional[np.ndarray]
-    d_right: Optional[np.ndarray]
+    speed: np.ndarray | None
+    d_left: np.ndarray | None
+    d_right: np.ndarray | None
 
 
 class Projection(NamedTuple):
@@ -92,7 +81,7 @@ class Raceline:
     ----------
     x_m, y_m : array_like, shape (n_points,)
         Points in driving order [m]. Consecutive repetitions and a last point that repeats the
-        first are dropped; at least four must remain.
+        first are dropped; at least four must be left.
     vx_mps : array_like, shape (n_points,), optional
         Speed at the points [m/s], linear in between.
     d_left_m, d_right_m : array_like, shape (n_points,), optional
@@ -101,7 +90,7 @@ class Raceline:
     name : str, optional
         Short name for titles and tables.
     source : str, optional
-        Where the points come from; it opens the text of errors.
+        Where the points come from; error messages begin with it.
 
     Attributes
     ----------
@@ -112,19 +101,19 @@ class Raceline:
     ds : float
         Length of a cell [m].
     s, x, y, psi, kappa : ndarray, shape (n,)
-        Arc length [m], position [m], heading [rad] and curvature [1/m] at the cells' beginnings.
+        Arc length [m], position [m], heading [rad] and curvature [1/m] at the start of the cells.
     speed, d_left, d_right : ndarray, shape (n,), or None
         Speed [m/s] and distances to the walls [m] there, None if not given.
     s_points : ndarray
         Arc length of the given points, without the dropped ones [m].
     name, source : str
     findings : tuple of map_racing.track.findings.Finding
-        What a reader of files or messages noticed; empty for a raceline made from arrays.
+        What was noticed in a file or message; empty for a raceline made from arrays.
 
     Raises
     ------
     RacelineError
-        If the points do not make a closed track, or a value is not finite or impossible.
+        If the points do not form a closed track, or a value is not finite or impossible.
 
     Notes
     -----
@@ -133,10 +122,20 @@ class Raceline:
     2.2e-5 m.
     """
 
-    def __init__(self, x_m, y_m, *, vx_mps=None, d_left_m=None, d_right_m=None, name="", source=""):
+    def __init__(
+        self,
+        x_m: _Array,
+        y_m: _Array,
+        *,
+        vx_mps: _Array | None = None,
+        d_left_m: _Array | None = None,
+        d_right_m: _Array | None = None,
+        name: str = "",
+        source: str = "",
+    ):
         self.name, self.source, self.findings = name, source, ()
         if (d_left_m is None) != (d_right_m is None):
-            raise self._error("expected distances to both walls or to neither")
+            raise self._error("expected distances to both walls or to neither, got one")
         given = {"x": x_m, "y": y_m, "speed": vx_mps, "d_left": d_left_m, "d_right": d_right_m}
         columns = {key: self._column(key, v) for key, v in given.items() if v is not None}
         if len({column.size for column in columns.values()}) > 1:
@@ -174,8 +173,8 @@ class Raceline:
         return column
 
     def _build(self, columns):
-        """Internal form from clean columns."""
-        s_points, x, y = _arc_length_form(columns["x"], columns["y"])
+        """Build the internal form from valid columns."""
+        s_points, x, y = resample_by_arc_length(columns["x"], columns["y"])
         gap, path = s_points[-1] - s_points[-2], s_points[-2]
         if gap > 0.25 * path and gap > 10.0 * np.median(np.diff(s_points)):
             chord = math.hypot(
@@ -191,10 +190,10 @@ class Raceline:
         self._per_ds = n / length
 
         knots = np.linspace(0.0, length, n + 1)
-        spline = _closed_spline(knots, x, y)
-        self._c = c = spline.c[::-1, _OVERLAP : _OVERLAP + n].copy()  # ascending: (4, n, 2)
+        spline = closed_spline(knots, x, y)
+        self._c = c = spline.c[::-1, OVERLAP : OVERLAP + n].copy()  # ascending: (4, n, 2)
         cells = [tuple(row) for row in np.concatenate((c[:, :, 0], c[:, :, 1])).T.tolist()]
-        # s * (n / length) may round up to n: one cell more instead of a check in every query.
+        # s * (n / length) may round up to n: one more cell instead of a check in every query.
         cells.append(cells[0])
         self._cells = cells
 
@@ -230,7 +229,7 @@ class Raceline:
         kappa = (tx * k[..., 1] - ty * k[..., 0]) / np.hypot(tx, ty) ** 3
         return r[..., 0], r[..., 1], np.arctan2(ty, tx), kappa
 
-    def pose(self, s):
+    def pose(self, s: float) -> CurvePoint:
         """Point of the curve, with heading and curvature.
 
         Parameters
@@ -257,7 +256,7 @@ class Raceline:
             (tx * ky - ty * kx) / (tx * tx + ty * ty) ** 1.5,
         )
 
-    def position(self, s):
+    def position(self, s: float) -> tuple[float, float]:
         """Point ``(x, y)`` [m] of the curve at arc length ``s`` [m], taken modulo the length."""
         s %= self.length
         i = int(s * self._per_ds)
@@ -265,7 +264,7 @@ class Raceline:
         ax, bx, cx, dx, ay, by, cy, dy = self._cells[i]
         return ax + u * (bx + u * (cx + u * dx)), ay + u * (by + u * (cy + u * dy))
 
-    def speed_at(self, s):
+    def speed_at(self, s: float) -> float:
         """Speed [m/s] of the raceline at arc length ``s`` [m], taken modulo the length.
 
         Raises
@@ -275,13 +274,13 @@ class Raceline:
         """
         speed = self._speed
         if speed is None:
-            raise self._error("this raceline has no speeds")
+            raise self._error("expected a raceline with speeds, got none")
         cell = s % self.length * self._per_ds
         i = int(cell)
         v = speed[i]
         return v + (speed[i + 1] - v) * (cell - i)
 
-    def widths_at(self, s):
+    def widths_at(self, s: float) -> tuple[float, float]:
         """Distances ``(left, right)`` [m] from the curve to the walls at arc length ``s`` [m].
 
         Raises
@@ -291,7 +290,7 @@ class Raceline:
         """
         left, right = self._d_left, self._d_right
         if left is None:
-            raise self._error("this raceline has no distances to walls")
+            raise self._error("expected a raceline with distances to the walls, got none")
         cell = s % self.length * self._per_ds
         i = int(cell)
         part = cell - i
@@ -300,8 +299,8 @@ class Raceline:
             right[i] + (right[i + 1] - right[i]) * part,
         )
 
-    def sample(self, s):
-        """All quantities at many places at once.
+    def sample(self, s: _Array) -> CurveSamples:
+        """All quantities at many arc lengths at once.
 
         Parameters
         ----------
@@ -321,8 +320,8 @@ class Raceline:
         ]
         return CurveSamples(s, *self._curve(s), *columns)
 
-    def to_cartesian(self, s, d):
-        """Positions at arc length `s` and lateral deviation `d`, the inverse of `project`.
+    def to_cartesian(self, s: _Array, d: _Array) -> tuple[np.ndarray, np.ndarray]:
+        """Positions at arc length `s` and lateral deviation `d`: the inverse of `project`.
 
         Parameters
         ----------
@@ -339,7 +338,7 @@ class Raceline:
 
     # -- from positions to the curve ---------------------------------------------------------
 
-    def project(self, x, y, psi=None):
+    def project(self, x: float, y: float, psi: float | None = None) -> Projection:
         """Closest point of the whole curve.
 
         Parameters
@@ -347,8 +346,8 @@ class Raceline:
         x, y : float
             Position [m].
         psi : float, optional
-            Heading of the car [rad]: only parts of the curve that run within 90 degrees of it
-            count. It tells branches apart where the track crosses itself or runs back alongside.
+            Heading of the car [rad]: only parts of the curve within 90 degrees of it count. It
+            tells branches apart where the track crosses itself or runs back alongside.
 
         Returns
         -------
@@ -375,12 +374,14 @@ class Raceline:
         foot = self.project_near(x, y, s, reach=2.0 * self.ds)
         if foot is not None and abs(foot.d) <= distance + 1e-9:
             return foot
-        # At a center of curvature all points around are equally close: any of them will do.
+        # At a center of curvature all points around it are equally close: any of them will do.
         point = self.pose(s)
         side = math.cos(point.psi) * (y - point.y) - math.sin(point.psi) * (x - point.x)
         return Projection(s, math.copysign(distance, side), point.psi, point.kappa)
 
-    def project_near(self, x, y, s_guess, reach=math.inf):
+    def project_near(
+        self, x: float, y: float, s_guess: float, reach: float = math.inf
+    ) -> Projection | None:
         """Closest point of the curve around a guess: Newton's method on the squared distance.
 
         Parameters
@@ -390,13 +391,13 @@ class Raceline:
         s_guess : float
             Finite arc length [m] to start from, taken modulo the length.
         reach : float, optional
-            Farthest that the foot may lie from the guess along the curve [m].
+            Largest distance of the foot from the guess along the curve [m].
 
         Returns
         -------
         Projection or None
-            None if there is no closest point within reach: the iteration did not converge, ran
-            away or ended at a farthest point, or the position is not finite.
+            None if there is no closest point within reach: the iteration did not converge,
+            diverged or ended at a farthest point, or the position is not finite.
         """
         length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
         s = s_guess % length
@@ -412,16 +413,16 @@ class Raceline:
             ty = by + u * (cy + cy + u3 * dy)
             kx = cx + u3 * dx
             ky = cy + u3 * dy
-            # Half the second derivative of the squared distance, 1 - kappa d on the foot. Where
-            # it is small or negative (at and beyond the center of curvature) Newton's step would
-            # run away or to the farthest point; the bounded one still goes downhill.
+            # Half the second derivative of the squared distance, 1 - kappa d at the foot. Where it
+            # is small or negative (at and beyond the center of curvature), Newton's step would
+            # diverge or go to the farthest point; the bounded step still goes downhill.
             curving = tx * tx + ty * ty - 2.0 * (ex * kx + ey * ky)
             step = (ex * tx + ey * ty) / (curving if curving > 0.1 else 0.1)
             moved += step
             if not -reach < moved < reach:
                 return None
             s = (s + step) % length
-            # Newton converges quadratically: after a step this small 1e-8 m remain.
+            # Newton converges quadratically: after a step this small the error is 1e-8 m.
             if -1e-4 < step < 1e-4:
                 if curving <= 0.0:
                     return None
@@ -434,28 +435,26 @@ class Raceline:
                 )
         return None
 
-    def point_ahead(self, x, y, s_from, distance):
+    def point_ahead(self, x: float, y: float, s_from: float, distance: float) -> LookaheadPoint:
         """First point ahead at a given straight-line distance from a position.
 
-        Straight-line distance grows no faster than arc length. Marching on by what is missing to
-        `distance` therefore never passes the first such point; close to it, Newton's method takes
-        over.
+        Straight-line distance grows no faster than arc length, so advancing by the distance still
+        missing never passes the first such point; close to it, Newton's method takes over.
 
         Parameters
         ----------
         x, y : float
             Position [m], normally of the car.
         s_from : float
-            Finite arc length [m] where the search begins, normally the projection of the position.
+            Finite arc length [m] where the search begins, normally of the position's projection.
         distance : float
             Straight-line distance [m].
 
         Returns
         -------
         LookaheadPoint
-            If the curve at `s_from` is farther than `distance` already: that point. If no point in
-            the half lap ahead is that far: the farthest one there, to one cell. Its `distance` is
-            the true one.
+            The point at `s_from` if it is farther than `distance` already. The farthest point of
+            the half lap ahead, to one cell, if none is that far. Its `distance` is the true one.
 
         Raises
         ------
@@ -465,8 +464,8 @@ class Raceline:
         length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
         near = s_from
         end = far = s_from + 0.5 * length
-        # Without a least step a curve that grazes the circle would take forever. An excursion
-        # beyond `distance` that is shorter than this is passed over.
+        # Without a minimum step a curve that grazes the circle would take forever. An excursion
+        # beyond `distance` shorter than this step is missed.
         least = max(0.01 * distance, 0.001 * length)
         s = s_from
         while True:
@@ -510,7 +509,7 @@ class Raceline:
                 s = 0.5 * (near + far)
 
     def _farthest_ahead(self, x, y, s_from):
-        """Farthest cell beginning in the half lap ahead, found coarsely, then exactly."""
+        """Farthest start of a cell in the half lap ahead: a coarse search, then a fine one."""
         cells = s_from % self.length * self._per_ds
         first, end = math.ceil(cells), math.floor(cells + 0.5 * self.n) + 1
         stride = max(1, self.n // 1024)
@@ -525,91 +524,19 @@ class Raceline:
             float(self.s[i]), float(self.x[i]), float(self.y[i]), math.sqrt(farthest)
         )
 
-    # -- the same track otherwise -----------------------------------------------------------
+    # -- other racelines along the same curve ------------------------------------------------
 
     def _through(self, s, **columns):
-        """The track through its curve's points at `s`, with columns of the samples there."""
+        """Raceline through the curve's points at `s`, with the columns sampled there."""
         at = self.sample(s)
         keys = {"vx_mps": at.speed, "d_left_m": at.d_left, "d_right_m": at.d_right}
         keys.update({key: getattr(at, column) for key, column in columns.items()})
         return Raceline(at.x, at.y, name=self.name, source=self.source, **keys)
 
-    def reversed(self):
-        """The same track driven the other way round, from the same start line."""
+    def reversed(self) -> Raceline:
+        """The raceline in the opposite direction, from the same start line."""
         return self._through(-self.s, d_left_m="d_right", d_right_m="d_left")
 
-    def rotated(self, s0):
-        """The same track with its start line moved to arc length `s0` [m]."""
+    def rotated(self, s0: float) -> Raceline:
+        """The raceline with its start line moved to arc length `s0` [m]."""
         return self._through(self.s + s0)
-
-
-def distinct_points(x, y):
-    """Mask of the points that remain when consecutive repetitions are dropped.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (n_points,)
-        Points of a closed track [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (n_points,)
-        False for a point less than 0.1 mm from the one kept before it, and for last points less
-        than that from the first.
-    """
-    keep = np.ones(x.size, dtype=bool)
-    close = np.hypot(np.diff(x), np.diff(y)) < _SAME_POINT
-    last = 0
-    if close.any():
-        for i in range(1, x.size):
-            keep[i] = math.hypot(x[i] - x[last], y[i] - y[last]) >= _SAME_POINT
-            last = i if keep[i] else last
-    for i in np.flatnonzero(keep)[:0:-1]:
-        if math.hypot(x[i] - x[0], y[i] - y[0]) >= _SAME_POINT:
-            break
-        keep[i] = False
-    return keep
-
-
-def _closed_spline(u, x, y):
-    """Cubic spline through closed points: `u` at each and, last, at the first again.
-
-    The points are continued around the lap on both sides. What the open ends are like fades at
-    least by half per point, so that nothing of it is left inside. (The periodic spline of SciPy
-    1.3 has a kink at the last point but one where the spacing is not equal.)
-    """
-    index = np.arange(-_OVERLAP, x.size + _OVERLAP + 1)
-    turn, point = np.divmod(index, x.size)
-    return CubicSpline(u[point] + turn * u[-1], np.stack((x[point], y[point]), axis=1))
-
-
-def _arc_length_form(x, y):
-    """Resample the closed spline through points at equal steps of arc length.
-
-    Returns the arc length of each point and, last, of the whole lap; and the positions at the
-    beginning of each cell.
-    """
-    chords = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)
-    u = np.concatenate(([0.0], np.cumsum(chords)))
-    spline = _closed_spline(u, x, y)
-    velocity = spline.derivative()
-
-    def arc(begin, width):
-        # Arc length over [begin, begin + width] by Gauss-Legendre quadrature.
-        tangents = velocity(begin[:, None] + width[:, None] * _NODES)
-        return width * np.hypot(tangents[..., 0], tangents[..., 1]).dot(_WEIGHTS)
-
-    s = np.concatenate(([0.0], np.cumsum(arc(u[:-1], chords))))
-    length, spacing = s[-1], s[-1] / chords.size
-    cell = min(spacing, max(_CELL, spacing / _CELLS_PER_POINT))
-    cell = max(cell, min(_FINEST, _FINEST_OF_LAP * length))
-    n = math.ceil(length / cell - 1e-9)
-    targets = np.linspace(0.0, length, n + 1)[:-1]
-    segment = np.clip(np.searchsorted(s, targets, side="right") - 1, 0, chords.size - 1)
-    begin, wanted = u[segment], targets - s[segment]
-    width = wanted * chords[segment] / (s[segment + 1] - s[segment])
-    for _ in range(4):
-        tangents = velocity(begin + width)
-        width -= (arc(begin, width) - wanted) / np.hypot(tangents[:, 0], tangents[:, 1])
-    points = spline(begin + width)
-    return s, points[:, 0], points[:, 1]

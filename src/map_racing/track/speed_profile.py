@@ -34,8 +34,8 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
     v_max : float or array_like, shape (n,)
         Top speed [m/s]: of the car, or at each point, where it may be 0.
     v_min : float, optional
-        Points too tight for this speed [m/s] count as just wide enough for it: there the limits are
-        exceeded. With 0 they are an error where they are too tight for any speed.
+        Points too tight for this speed [m/s] are driven at it, beyond the lateral limit. With 0
+        they are an error where they are too tight for any speed.
 
     Returns
     -------
@@ -68,8 +68,9 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
     if np.shape(v_max) not in ((), kappa.shape) or np.min(v_max) < 0.0:
         raise ParameterError("speed profile: expected one v_max >= 0, or one at each point")
     limits = _Limits(a_lat_max, a_drive_max, a_brake_max, max(float(highest), v_min))
-    if v_min > 0.0:
-        kappa = np.minimum(kappa, 1.0 / limits.radius(v_min))
+    most = 1.0 / limits.radius(v_min) if v_min > 0.0 else math.inf
+    tight = kappa > most
+    kappa = np.minimum(kappa, most)
     cell = np.maximum(kappa, np.roll(kappa, -1))
     point = np.maximum(cell, np.roll(cell, 1))
     if np.any(point * limits.tightest > 1.0 + 1e-12):
@@ -79,6 +80,8 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
             f"{1.0 / kappa[k]:.3f} m at any speed; {limits.tightest:.3f} m is the least it can"
         )
     square = np.minimum(limits.fastest(point), np.square(v_max))
+    tight |= np.roll(tight, 1) | np.roll(tight, -1)
+    square[tight] = np.minimum(square[tight], v_min * v_min)
     square[square < 1e-18] = 0.0  # a car that stands; its grip over v^2 would overflow
     # Nothing lowers the slowest point, since from there speed can only grow in both directions:
     # one pass each way around the lap, begun there, is the converged solution.

@@ -1,6 +1,10 @@
-"""Where on the track the car is, update after update, at a cost independent of the track."""
+"""Projection of a moving car onto a raceline, at a cost independent of the track's length."""
+
+from __future__ import annotations
 
 import math
+
+from .raceline import Projection, Raceline
 
 __all__ = ["RacelineTracker"]
 
@@ -8,31 +12,33 @@ __all__ = ["RacelineTracker"]
 class RacelineTracker:
     """Continuous projection of a moving car onto a raceline.
 
-    Each update looks for the closest point around where the last one must have moved to. The car
-    so stays on its own branch where the track crosses itself or runs back alongside. Only when
-    that projection is not credible is the whole track searched: on the first update, after a
-    jump of the pose, when the projection moved much farther than the pose, or when the car is
-    implausibly far from the curve.
+    Each update searches around where the last projection must have moved to, so the car stays on
+    its own branch where the track crosses itself or runs back alongside. The whole track is
+    searched only when that projection is not plausible: on the first update, after a jump of the
+    pose, when the projection moved much farther than the pose, or when the car is too far from the
+    curve.
 
     Parameters
     ----------
     raceline : Raceline
     max_step : float, optional
-        Longest credible movement from one update to the next [m].
+        Longest plausible movement from one update to the next [m].
     max_deviation : float, optional
-        Largest credible distance from the curve [m]. Default: 0.5 m beyond the farther wall where
-        the walls are known, else 2 m.
+        Largest plausible distance from the curve [m]. Default: 0.5 m beyond the farther wall or,
+        without walls, 2 m.
 
     Attributes
     ----------
     reacquired : bool
-        The last update searched the whole track and found the car elsewhere than tracking expected
-        it; also true of the first update.
+        The last update searched the whole track and found the car elsewhere than expected; also
+        true of the first update.
     lost : bool
         The last update left the car farther from the curve than `max_deviation`.
     """
 
-    def __init__(self, raceline, *, max_step=3.0, max_deviation=None):
+    def __init__(
+        self, raceline: Raceline, *, max_step: float = 3.0, max_deviation: float | None = None
+    ):
         if max_deviation is None:
             max_deviation = 2.0
             if raceline.d_left is not None:
@@ -41,13 +47,13 @@ class RacelineTracker:
         self.max_step, self.max_deviation = float(max_step), float(max_deviation)
         self.reset()
 
-    def reset(self):
-        """Forget the car: the next update searches the whole track."""
+    def reset(self) -> None:
+        """Forget the last position: the next update searches the whole track."""
         self._last = None
         self._x = self._y = 0.0
         self.lost = self.reacquired = False
 
-    def update(self, x, y, psi=None):
+    def update(self, x: float, y: float, psi: float | None = None) -> Projection:
         """Project the car's next position.
 
         Parameters
@@ -55,8 +61,8 @@ class RacelineTracker:
         x, y : float
             Position [m].
         psi : float, optional
-            Heading of the car [rad]. Where the whole track is searched, a branch that runs within
-            90 degrees of it is preferred, if one is near enough.
+            Heading of the car [rad]. When the whole track is searched, a branch within 90 degrees
+            of it is preferred, if one is close enough.
 
         Returns
         -------
@@ -65,7 +71,7 @@ class RacelineTracker:
         Raises
         ------
         ParameterError
-            If the position is not finite. The tracker then still stands where it was.
+            If the position is not finite. The tracker keeps its last position.
         """
         last = self._last
         if last is not None:
@@ -73,7 +79,7 @@ class RacelineTracker:
             moved = math.sqrt(dx * dx + dy * dy)
             if moved <= self.max_step:
                 guess = last.s + dx * math.cos(last.psi) + dy * math.sin(last.psi)
-                # On the inside of a bend the projection moves faster than the car.
+                # Inside a bend the projection moves faster than the car.
                 found = self.raceline.project_near(x, y, guess, 3.0 * moved + 0.5)
                 if found is not None and -self.max_deviation <= found.d <= self.max_deviation:
                     self._last, self._x, self._y = found, x, y
@@ -88,7 +94,7 @@ class RacelineTracker:
         return found
 
     def _elsewhere(self, found, x, y):
-        """Whether a projection lies farther along the track than the pose can have moved."""
+        """Whether the projection moved farther along the track than the pose can have moved."""
         moved = math.hypot(x - self._x, y - self._y)
         half = 0.5 * self.raceline.length
         along = (found.s - self._last.s + half) % self.raceline.length - half

@@ -1,18 +1,22 @@
 """The walls beside a track, and how far a car can go toward them."""
 
+from __future__ import annotations
+
 import math
+from typing import Callable
 
 import numpy as np
 
 from ..errors import RacelineError
 from .findings import NOTE, WARNING, Finding
+from .raceline import Raceline
 from .tree import point_tree
 
-__all__ = ["Walls", "march", "smooth_between"]
+__all__ = ["Walls", "clearance_of", "march", "smooth_between"]
 
 
 class Walls:
-    """The two walls of a track as polygons, for questions of distance.
+    """The two walls of a track as polylines, to measure distances to.
 
     Parameters
     ----------
@@ -22,9 +26,9 @@ class Walls:
     Attributes
     ----------
     segments : ndarray, shape (n, 2, 2)
-        Beginning and end of each piece of wall [m].
+        Start and end of each piece of wall [m].
     findings : tuple of Finding
-        What was left out of them.
+        What was left out.
 
     Raises
     ------
@@ -33,15 +37,15 @@ class Walls:
 
     Notes
     -----
-    On the inside of a bend tighter than the track is wide, neighboring normals cross before they
-    reach the wall, and the wall's points run backwards through the track. Points that lie inside
-    the track of their own bend are left out, and those around them connected.
+    Inside a bend tighter than the track is wide, neighboring normals cross before they reach the
+    wall, and the wall's points run backwards through the track. Points that lie inside the track of
+    their own bend are left out, and the gaps closed.
     """
 
-    def __init__(self, track):
+    def __init__(self, track: Raceline):
         name = track.source or track.name or "raceline"
         if track.d_left is None:
-            raise RacelineError(f"{name}: expected distances to both walls, to stay between them")
+            raise RacelineError(f"{name}: expected distances to both walls")
         for side, column in (("left", track.d_left), ("right", track.d_right)):
             if column.min() <= 0.0:
                 k = int(np.argmin(column))
@@ -49,7 +53,7 @@ class Walls:
                     f"{name}: s = {track.s[k]:.2f} m: expected a positive distance to the {side} "
                     f"wall, got {column[k]:g} m"
                 )
-        # Between coarse points the wall bends with the line.
+        # Between coarse points the wall follows the bend of the line.
         spacing = min(track.ds, 0.25 * float(np.median(track.d_left + track.d_right)))
         count = int(math.ceil(track.length / spacing - 1e-9))
         at = track.sample(np.arange(count) * (track.length / count))
@@ -86,7 +90,7 @@ class Walls:
 
     @staticmethod
     def _inside(wall, width, tree, line, normal, at, length):
-        """How deep wall points lie inside the track near them, and whether in their own bend."""
+        """How deep wall points lie inside the track around them, and whether in their own bend."""
         distance, foot = tree.query(wall)
         along = np.abs(np.mod(at.s - at.s[foot] + 0.5 * length, length) - 0.5 * length)
         left = np.sum((wall - line[foot]) * normal[foot], axis=1) > 0.0
@@ -94,7 +98,7 @@ class Walls:
         return there - distance, along < 4.0 * width
 
     def _densify(self, spacing):
-        """Points along all segments, so that the nearest point tells the nearest segment."""
+        """Index points along all segments: the nearest points belong to the nearest segment."""
         parts = np.maximum(1, np.ceil(np.sqrt(self._square) / spacing)).astype(int)
         segment = np.repeat(np.arange(parts.size), parts)
         share = (np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / (
@@ -103,8 +107,8 @@ class Walls:
         self._tree = point_tree(self._begin[segment] + share[:, None] * self._along[segment])
         self._segment = segment
 
-    def distance(self, points):
-        """Distance from points to the nearest wall.
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Measure the distance from points to the nearest wall.
 
         Parameters
         ----------
@@ -126,13 +130,19 @@ class Walls:
             best = np.minimum(best, np.hypot(apart[:, 0], apart[:, 1]))
         return best
 
-    def reach(self, points, directions, clearance, farthest):
-        """How far one can go from points in a direction, keeping a clearance from all walls.
+    def reach(
+        self,
+        points: np.ndarray,
+        directions: np.ndarray,
+        clearance: float | np.ndarray,
+        farthest: float,
+    ) -> np.ndarray:
+        """Measure how far points can move in a direction, keeping a clearance from all walls.
 
         Parameters
         ----------
         points, directions : ndarray, shape (n, 2)
-            Beginnings [m] and unit vectors.
+            Start [m] and unit vectors.
         clearance : float or ndarray, shape (n,)
             [m]
         farthest : float
@@ -141,30 +151,57 @@ class Walls:
         Returns
         -------
         ndarray, shape (n,)
-            [m]; negative where the beginning itself is too close to a wall, by how much.
+            [m]; negative by what is missing where the start itself is too close to a wall.
         """
         return march(self.distance, points, directions, clearance, farthest)
 
 
-def march(distance, points, directions, clearance, farthest):
-    """How far one can go from points in a direction, keeping a clearance from all walls.
+def clearance_of(line: Raceline, track: Raceline) -> float:
+    """Least distance from a line to the walls of a track [m].
 
-    Each step goes as far as the nearest wall allows in any direction, so no wall is jumped over.
+    Raises
+    ------
+    RacelineError
+        If the line is beyond a wall.
+    """
+    at = line.sample(np.linspace(0.0, line.length, 4 * line.n, endpoint=False))
+    for x, y in zip(at.x.tolist(), at.y.tolist()):
+        foot = track.project(x, y)
+        left, right = track.widths_at(foot.s)
+        if not -right < foot.d < left:
+            raise RacelineError(
+                f"{line.source}: expected a line between the walls of {track.source}, but "
+                f"({x:.2f}, {y:.2f}) is beyond one"
+            )
+    return float(np.min(Walls(track).distance(np.stack((at.x, at.y), axis=1))))
+
+
+def march(
+    distance: Callable[[np.ndarray], np.ndarray],
+    points: np.ndarray,
+    directions: np.ndarray,
+    clearance: float | np.ndarray,
+    farthest: float,
+) -> np.ndarray:
+    """Measure how far points can move in a direction, keeping a clearance from all walls.
+
+    Sphere tracing: each step is as long as the nearest wall allows in any direction, so that no
+    wall is jumped over.
 
     Parameters
     ----------
     distance : callable
         Distance to the nearest wall [m] of points of shape (n, 2).
     points, directions, clearance, farthest
-        As of `Walls.reach`.
+        See `Walls.reach`.
 
     Returns
     -------
     ndarray, shape (n,)
-        As of `Walls.reach`.
+        See `Walls.reach`.
     """
     clearance = np.broadcast_to(clearance, len(points))
-    # A line that has been optimized runs along the clearance: from there a step away is free.
+    # An optimized line runs along the clearance: from there a step away from the wall is free.
     away = 1e-3 * farthest
     begin, after = (distance(points + s * directions) - clearance for s in (0.0, away))
     reached = np.where((np.abs(begin) < away) & (after > np.maximum(begin, 0.0)), away, 0.0)
@@ -179,8 +216,14 @@ def march(distance, points, directions, clearance, farthest):
     return np.minimum(reached, farthest)
 
 
-def smooth_between(points, length, deviation, distance, clearance):
-    """A closed line smoothed by a Gaussian, as far as it stays between the walls.
+def smooth_between(
+    points: np.ndarray,
+    length: float,
+    deviation: float,
+    distance: Callable[[np.ndarray], np.ndarray],
+    clearance: float,
+) -> tuple[np.ndarray, bool]:
+    """Smooth a closed line by a Gaussian, as far as it stays between the walls.
 
     Parameters
     ----------
@@ -189,17 +232,17 @@ def smooth_between(points, length, deviation, distance, clearance):
     length : float
         Its length [m].
     deviation : float
-        Standard deviation of the Gaussian along the line [m]; halved until the line keeps clear.
+        Standard deviation of the Gaussian along the line [m], halved until the line keeps clear.
     distance : callable
-        As of `march`.
+        See `march`.
     clearance : float
-        To keep from the walls [m].
+        Distance to keep from the walls [m].
 
     Returns
     -------
     smooth : ndarray, shape (n, 2)
     clear : bool
-        False if it does not keep clear even where it is hardly smoothed.
+        False if the line does not keep clear even with the least smoothing.
     """
     wave = 2.0 * math.pi * np.fft.fftfreq(len(points), length / len(points))
     spectrum = np.fft.fft(points, axis=0)
@@ -207,7 +250,7 @@ def smooth_between(points, length, deviation, distance, clearance):
     for halved in range(6):
         blur = np.exp(-0.5 * (wave * deviation * 0.5**halved) ** 2)
         smooth = np.fft.ifft(spectrum * blur[:, None], axis=0).real
-        # What moved less than the wall was away is still between the walls.
+        # A point that moved less than its distance to the wall is still between the walls.
         moved = np.hypot(*(smooth - points).T)
         if np.all(distance(smooth) >= clearance) and np.all(moved < there):
             return smooth, True

@@ -14,6 +14,7 @@ import yaml
 
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
+from ..tables import open_text, parse_rows
 from ..validation import positive
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
@@ -336,10 +337,9 @@ def load_table(path):
         not ascend or cell [0, 0] is not 0. Likewise for a damaged sidecar.
     """
     path = Path(path)
-    rows = _read_rows(path)
-    if rows[0][0] != 0.0:
-        raise FileFormatError(f"{path}:1: expected 0 in the first cell, got {rows[0][0]:g}")
-    table = np.array(rows)
+    table = _read_rows(path)
+    if table[0, 0] != 0.0:
+        raise FileFormatError(f"{path}:1: expected 0 in the first cell, got {table[0, 0]:g}")
     try:
         return LookupTable(table[0, 1:], table[1:, 0], table[1:, 1:], _read_provenance(path))
     except ParameterError as error:
@@ -411,33 +411,12 @@ def _sidecar(path):
 
 
 def _read_rows(path):
-    rows = []
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path}: expected a CSV file: {error}") from None
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        row = []
-        for cell in line.split(","):
-            try:
-                row.append(float(cell))
-            except ValueError:
-                raise FileFormatError(
-                    f"{path}:{number}: expected numbers with commas between, got {cell.strip()!r}"
-                ) from None
-        if rows and len(row) != len(rows[0]):
-            raise FileFormatError(
-                f"{path}:{number}: expected {len(rows[0])} cells as in the first line, "
-                f"got {len(row)}"
-            )
-        rows.append(row)
-    if len(rows) < 2 or len(rows[0]) < 2:
-        raise FileFormatError(f"{path}: expected a row of speeds and rows of angles, found no cell")
-    return rows
+    with open_text(path) as file:
+        rows = [(n, line.split(",")) for n, line in enumerate(file, 1) if line.strip()]
+    columns = range(1, 1 + len(rows[0][1]) if rows else 1)
+    if len(rows) < 2 or len(columns) < 2:
+        raise FileFormatError(f"{path}: expected speeds, then rows of angles, with commas between")
+    return parse_rows(path, rows, columns)[0]
 
 
 def _read_provenance(path):

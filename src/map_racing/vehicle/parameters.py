@@ -14,7 +14,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from ..validation import finite, positive
+from ..validation import POSITIVE, check, documented, finite, parameter
 from .single_track import GRAVITY
 from .tires import LinearTire, PacejkaTire
 
@@ -30,81 +30,50 @@ __all__ = [
 Tire = Union[PacejkaTire, LinearTire]
 
 
+def _positive(text, unit="", default=dataclasses.MISSING):
+    return parameter(text, unit, low=POSITIVE, default=default)
+
+
+@documented
 @dataclass(frozen=True)
 class Vehicle:
     """Parameters of one car; the names are those of its YAML file.
 
-    The limits from `delta_max` on have the values of the public F1TENTH simulator as defaults; the
-    single-track model does not depend on them.
-
-    Parameters
-    ----------
-    name : str
-        Name of the car.
-    m : float
-        Mass [kg].
-    I_z : float
-        Moment of inertia about the vertical axis [kg m^2].
-    l_f, l_r : float
-        Distance of the front and of the rear axle from the center of gravity [m].
-    h_cg : float
-        Height of the center of gravity [m], which may be 0: no load transfer.
-    mu : float
-        Friction coefficient between tires and floor [-].
-    front, rear : PacejkaTire or LinearTire
-        Lateral force curve of each axle, normalized by ``mu F_z``.
-    delta_max, delta_rate_max : float
-        Largest steering angle [rad] and steering rate [rad/s].
-    v_max : float
-        Largest speed [m/s].
-    a_max, a_brake_max : float
-        Largest acceleration and deceleration [m/s^2], both positive.
-    width, length : float
-        Outer dimensions [m].
-
-    Raises
-    ------
-    ParameterError
-        If a value is not a number in its range, if the tires are not of one model, or if
-        driving or braking at the limits would lift an axle.
+    The single-track model does not depend on the limits from `delta_max` on. Their defaults are
+    the values of the public F1TENTH simulator.
     """
 
-    name: str
-    m: float
-    I_z: float
-    l_f: float
-    l_r: float
-    h_cg: float
-    mu: float
-    front: Tire
-    rear: Tire
-    delta_max: float = 0.4189
-    delta_rate_max: float = 3.2
-    v_max: float = 15.0
-    a_max: float = 7.51
-    a_brake_max: float = 8.26
-    width: float = 0.296
-    length: float = 0.568
+    name: str = parameter("Name of the car")
+    m: float = _positive("Mass", "kg")
+    I_z: float = _positive("Moment of inertia about the vertical axis", "kg m^2")
+    l_f: float = _positive("Distance from the center of gravity to the front axle", "m")
+    l_r: float = _positive("Distance from the center of gravity to the rear axle", "m")
+    h_cg: float = parameter("Height of the center of gravity; 0 for no load transfer", "m", low=0.0)
+    mu: float = _positive("Friction coefficient between tires and floor")
+    front: Tire = parameter("Lateral force curve of the front axle, normalized by mu F_z")
+    rear: Tire = parameter("Lateral force curve of the rear axle, of the same model")
+    delta_max: float = _positive("Largest steering angle", "rad", 0.4189)
+    delta_rate_max: float = _positive("Largest rate of the steering angle", "rad/s", 3.2)
+    v_max: float = _positive("Largest speed", "m/s", 15.0)
+    a_max: float = _positive("Largest acceleration", "m/s^2", 7.51)
+    a_brake_max: float = _positive("Largest deceleration, positive", "m/s^2", 8.26)
+    width: float = _positive("Outer width", "m", 0.296)
+    length: float = _positive("Outer length", "m", 0.568)
 
     def __post_init__(self):
-        if not isinstance(self.name, str) or not self.name:
-            raise ParameterError(f"name: expected a text, got {self.name!r}")
+        check(self)
         if not isinstance(self.front, (PacejkaTire, LinearTire)):
             raise ParameterError(f"front: expected a tire, got {self.front!r}")
         if type(self.rear) is not type(self.front):
             raise ParameterError(f"rear: expected a tire as in front, got {self.rear!r}")
-        for key in _NUMBERS:
-            value = finite(key, getattr(self, key))
-            if key != "h_cg" or value < 0.0:
-                positive(key, value)
-            object.__setattr__(self, key, value)
         if self.delta_max >= 0.5 * math.pi:
             raise ParameterError(f"delta_max: expected less than pi/2 rad, got {self.delta_max:g}")
         for key, lever in (("a_max", self.l_r), ("a_brake_max", self.l_f)):
-            if getattr(self, key) * self.h_cg >= GRAVITY * lever:
+            value, most = getattr(self, key), GRAVITY * lever
+            if value * self.h_cg >= most:
                 raise ParameterError(
-                    f"{key}: {getattr(self, key):g} m/s^2 would lift an axle with the center of "
-                    f"gravity {self.h_cg:g} m high (h_cg)"
+                    f"{key}: expected less than {most / self.h_cg:g} m/s^2, which lifts an axle "
+                    f"with the center of gravity {self.h_cg:g} m high (h_cg), got {value:g}"
                 )
 
     @property
@@ -113,11 +82,6 @@ class Vehicle:
         return self.l_f + self.l_r
 
 
-_NUMBERS = tuple(
-    field.name
-    for field in dataclasses.fields(Vehicle)
-    if field.name not in ("name", "front", "rear")
-)
 _LIMITS = ("delta_max", "delta_rate_max", "v_max", "a_max", "a_brake_max", "width", "length")
 _REQUIRED = ("m", "I_z", "l_f", "l_r", "h_cg", "mu")
 

@@ -273,9 +273,9 @@ def test_what_is_no_bag(tmp_path):
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V1.2\n")
     for name, expected in (
         ("missing.bag", "No such file"),
-        ("empty.bag", "is empty"),
-        ("text.bag", "no ROS 1 bag"),
-        ("old.bag", "no ROS 1 bag"),
+        ("empty.bag", "got an empty file"),
+        ("text.bag", "expected a ROS 1 bag"),
+        ("old.bag", "expected a ROS 1 bag"),
         (".", "directory"),
     ):
         with pytest.raises(BagError, match=expected) as error:

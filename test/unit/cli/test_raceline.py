@@ -81,7 +81,7 @@ def test_report_as_json(good, bad, tmp_path, capsys):
 def test_files_that_cannot_be_read(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("x_m,y_m\n1,2\n3\n")
     code, out, err = run(capsys, "check", tmp_path / "a.csv")
-    assert (code, out) == (1, "") and "line 3: expected 2 columns, got 1" in err
+    assert (code, out) == (1, "") and ":3: expected 2 columns, got 1" in err
     code, out, err = run(capsys, "check", tmp_path / "a.csv", "--json", "-")
     assert (code, err) == (1, "") and json.loads(out)["findings"][0]["code"] == "unreadable"
     code, _, err = run(capsys, "check", tmp_path / "none.csv")
@@ -151,14 +151,14 @@ def test_reverse_and_spacing(tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["reference", "a.csv"], "several formats are CSV: say --format map_racing, tum, race"),
+        (["reference", "a.csv"], "expected --format for a .csv file: map_racing, tum, race"),
         (["reference", "a.gpx"], "expected a file named .csv, .json or .bag, or --format"),
-        (["reference", "a.json", "--format", "tum"], "a file of format tum is named .csv"),
+        (["reference", "a.json", "--format", "tum"], "expected a file named .csv for format tum"),
         (["reference", "no/a.json"], "the folder no does not exist"),
-        (["reference", "a.json", "--spacing", "0"], "--spacing must be from 0.001 to 100 m"),
-        (["reference", "a.json", "--spacing", "nan"], "--spacing must be from 0.001 to 100 m"),
+        (["reference", "a.json", "--spacing", "0"], "--spacing: expected 0.001 to 100 m, got "),
+        (["reference", "a.json", "--spacing", "nan"], "--spacing: expected 0.001 to 100 m, got "),
         (["good.csv", "good.csv", "--format", "tum"], "good.csv: is also an input"),
-        (["good.csv#x,y", "a.json"], "2 names given for 7 columns"),
+        (["good.csv#x,y", "a.json"], "expected 7 names of columns, got 2"),
     ],
 )
 def test_refused(good, monkeypatch, capsys, arguments, message):

@@ -11,7 +11,8 @@ from map_racing.cli import main
 from map_racing.control.controller import Controller, build_steering_map
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import load_speed_sectors
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
@@ -84,23 +85,21 @@ def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys
 def test_speed_options(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
 
-    def lap(*options):
+    def optimized(*options):
         assert run(source, "--curvature-only", *options) == 0
-        return float(table_of(capsys.readouterr().out)["optimized"][4])
+        return [float(cell) for cell in table_of(capsys.readouterr().out)["optimized"]]
 
-    full = lap()
+    def lap(*options):
+        return optimized(*options)[4]
+
+    length, _, _, _, full = optimized()
     assert lap("--speed-scale", "0.5") == pytest.approx(2.0 * full, abs=2e-3)
     # The top speed is not reached here: all accelerations by half make all speeds slower by
     # no more than sqrt(1/2), less where the limit falls with speed.
     half = lap("--lateral-scale", "0.5", "--longitudinal-scale", "0.5")
     assert 1.2 * full < half < 1.5 * full
     assert lap("--power", "5") > 1.02 * full
-    assert lap("--v-max", "2") == pytest.approx(float(lap_length(source, capsys)) / 2.0, rel=1e-3)
-
-
-def lap_length(source, capsys):
-    run(source, "--curvature-only")
-    return table_of(capsys.readouterr().out)["optimized"][0]
+    assert lap("--v-max", "2") == pytest.approx(length / 2.0, rel=1e-3)
 
 
 def test_compare_gives_the_same_room(tmp_path, capsys):
@@ -179,11 +178,11 @@ def test_a_map_becomes_a_raceline_in_one_command(tmp_path, capsys, start, turn):
 @pytest.mark.parametrize(
     "options, text",
     [
-        ([], "is a map: expected --start X,Y[,PSI]"),
+        ([], "expected --start X,Y[,PSI] for a map"),
         (["--start", "1"], "--start: expected X,Y or X,Y,PSI"),
         (["--start", "a,b"], "--start: expected X,Y or X,Y,PSI"),
         (["--start", "0,0"], "is in a wall or on unknown ground"),
-        (["--start", "-4.5,0", "--passage", "0"], "--passage must be from"),
+        (["--start", "-4.5,0", "--passage", "0"], "--passage: expected 0.001 to 100, got 0"),
     ],
 )
 def test_starts_that_cannot_be(tmp_path, capsys, options, text):
@@ -247,7 +246,7 @@ def test_exchanged_walls_are_refused(tmp_path, capsys):
         (["--margin", "nan"], "--margin"),
         (["--step", "0"], "--step"),
         (["--lateral-scale", "0"], "--lateral-scale"),
-        (["--start", "0,0"], "--start is for maps"),
+        (["--start", "0,0"], "--start: expected a map"),
         (["--margin", "2"], "too narrow"),
         (["--vehicle", "none"], "none: no such file"),
         (["--output", "line.txt"], "line.txt"),
@@ -263,9 +262,9 @@ def test_options_that_cannot_be(tmp_path, capsys, monkeypatch, options, text):
 
 def race_lap(path, speed_scale=0.9):
     """Mean time of the timed lap of MAP on a line, and the log."""
-    plant_parameters = load_plant_parameters("nuc4")
+    plant_parameters = load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=speed_scale)
-    vehicle = load_vehicle(plant_parameters.vehicle)
+    vehicle = plant_parameters.vehicle
     line = load_raceline(path)
     controller = Controller(
         parameters, build_steering_map("table", vehicle, parameters.v_max_mps), vehicle, line

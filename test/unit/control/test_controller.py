@@ -521,10 +521,10 @@ def test_without_raceline_it_stops_and_then_drives_when_there_is_one():
 
 def test_a_raceline_without_speeds_is_refused_by_name():
     silent = Raceline(REFERENCE.x, REFERENCE.y, source="hall.csv")
-    with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):
+    with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         controller(raceline=silent)
     subject = controller()
-    with pytest.raises(ParameterError, match="no speeds"):
+    with pytest.raises(ParameterError, match="expected speeds"):
         subject.raceline = silent
     assert subject.raceline is REFERENCE
 

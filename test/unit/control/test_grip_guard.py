@@ -13,7 +13,8 @@ from map_racing.control.parameters import ControllerParameters, load_controller_
 from map_racing.control.speed_plan import WALKING_PACE
 from map_racing.control.state import CarState
 from map_racing.simulation.car import SimulatedCar, hits_wall
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline
 from map_racing.track.tracker import RacelineTracker
@@ -21,7 +22,7 @@ from map_racing.vehicle.parameters import load_vehicle
 
 NUC4 = load_vehicle("nuc4")
 TABLE = build_steering_map("table", NUC4, 12.0)
-PLANT = load_plant_parameters("nuc4")
+PLANT = load_plant("nuc4")
 MAP = load_controller_parameters("map").with_(speed_scale=1.0, grip_use=0.85)
 RACELINES = {name: load_raceline(name) for name in ("reference", "club")}
 
@@ -87,10 +88,9 @@ def test_only_with_grip_use():
     point = line.pose(0.0)
     # 0.4 m beside the line and turned away from it
     state = CarState(0.0, point.x, point.y, point.psi + 1.0, 4.0, 0.0, 0.0)
-    off = Controller(MAP.with_(grip_use=0.0), TABLE, NUC4, line).step(state)
-    on = Controller(MAP, TABLE, NUC4, line).step(state)
     plain = ControllerParameters("table", m_m=0.2, q_s=0.17, speed_lookahead_s=0.1, delay_s=0.05)
-    assert off[:2] == Controller(plain, TABLE, NUC4, line).step(state)[:2]
+    off = Controller(plain, TABLE, NUC4, line).step(state)
+    on = Controller(plain.with_(grip_use=0.9), TABLE, NUC4, line).step(state)
     assert on.speed < 3.2 < off.speed
     assert on.steering_angle == off.steering_angle
 
@@ -155,11 +155,10 @@ def survives(controller, line, seed, times, offset):
     return driven >= 10.0
 
 
-@pytest.mark.parametrize("times, offset", [(1.0, 0.4), (1.2, 0.4)])
-def test_cars_that_begin_too_fast_and_beside_the_line_stay_on_the_course(times, offset):
+def test_cars_that_begin_too_fast_and_beside_the_line_stay_on_the_track():
     line = RACELINES["reference"]
     guarded, bold = (
-        sum(survives(subject, line, seed, times, offset) for seed in range(24))
+        sum(survives(subject, line, seed, 1.3, 0.6) for seed in range(24))
         for subject in pair(line, grip_use=0.95)
     )
     assert guarded >= 23 and bold <= 18

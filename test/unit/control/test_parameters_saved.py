@@ -34,7 +34,7 @@ def test_safety_limits_are_saved_and_read_back(tmp_path):
     [
         ("[1, 2]", "tuned.yaml: safety: expected names and values"),
         ("{max_age: 1.0}", "tuned.yaml: safety: unknown parameter max_age"),
-        ("{recovery_s: 0.01}", "tuned.yaml: safety: recovery_s must be at least 0.15"),
+        ("{recovery_s: 0.01}", "tuned.yaml: safety: recovery_s: expected 0.15 or more, got 0.01"),
     ],
 )
 def test_safety_limits_that_cannot_be(tmp_path, safety, text):

@@ -13,8 +13,8 @@ PERIOD = 1 / 32  # sums of it are exact
 class Car:
     """Drives along x at a constant speed and feeds a supervisor as the node does."""
 
-    def __init__(self, speed=4.0, **limits):
-        self.supervisor = Supervisor(SafetyLimits(**limits))
+    def __init__(self, speed=4.0, max_speed=12.0, **limits):
+        self.supervisor = Supervisor(SafetyLimits(**limits), max_speed)
         self.now, self.x, self.speed = 100.0, 0.0, speed
 
     def pose(self, age=0.0, **changes):
@@ -254,7 +254,7 @@ def test_a_crawling_car_at_its_lock_has_grip():
 
 @pytest.mark.parametrize("speed", [12.1, 1e9])
 def test_no_speed_beyond_the_limit(speed):
-    assert Car(max_speed_mps=5.0).step(speed=speed).speed == 5.0
+    assert Car(max_speed=5.0).step(speed=speed).speed == 5.0
 
 
 @pytest.mark.parametrize("command", [{"speed": math.nan}, {"steering_angle": math.inf}])
@@ -291,7 +291,7 @@ def test_poses_that_stop_coming():
 
 
 def test_before_the_first_pose_nothing_is_commanded():
-    supervisor = Supervisor(SafetyLimits())
+    supervisor = Supervisor(SafetyLimits(), 12.0)
     assert supervisor.watch(5.0) is None
     assert (supervisor.mode, supervisor.reason) == (Mode.WAITING, Reason.NO_POSE)
     car = Car()
@@ -317,7 +317,7 @@ def test_a_clock_set_back_begins_anew_but_keeps_the_request():
 @pytest.mark.parametrize(
     "changes",
     [
-        {"max_speed_mps": 0.0},
+        {"max_jump_m": 0.0},
         {"max_pose_age_s": math.nan},
         {"recovery_s": 0.1},
         {"max_jump_m": True},

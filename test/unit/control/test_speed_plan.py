@@ -132,6 +132,14 @@ def test_bends_tighter_than_the_lock_are_driven_at_walking_pace(use):
     np.testing.assert_allclose(slow.speed, 0.5, rtol=1e-9)
 
 
+def test_a_lock_that_knows_no_tires_bounds_bends_as_well():
+    lock = build_steering_map("ackermann", NUC4, 12.0)
+    plan = SpeedPlan(oval(radius=0.4, speed=5.0, step=0.05), LIMITED, lock)
+    assert plan.speed_at(10.0 + 0.2 * math.pi) == pytest.approx(WALKING_PACE)
+    wide = SpeedPlan(oval(radius=3.0, speed=5.0), LIMITED, lock)
+    np.testing.assert_allclose(wide.speed, 5.0)
+
+
 def test_a_raceline_without_speeds_is_driven_as_fast_as_the_grip_allows():
     bare, fast = oval(straight=15.0, speed=None), oval(straight=15.0, speed=12.0)
     plan = SpeedPlan(bare, LIMITED, TABLE)
@@ -221,7 +229,7 @@ def test_a_raceline_without_speeds_needs_grip_use():
     bare = Raceline(REFERENCE.x, REFERENCE.y, source="hall.csv")
     subject = Controller(LIMITED, TABLE, NUC4, bare)
     assert subject.step(at_start()).speed == pytest.approx(subject.plan.speed_at(0.0), abs=1e-6)
-    with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):
+    with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         subject.parameters = LIMITED.with_(grip_use=0.0)
     assert subject.parameters == LIMITED
     with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):

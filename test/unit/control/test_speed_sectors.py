@@ -77,22 +77,22 @@ def test_a_sector_of_the_whole_lap_leaves_no_hole_at_the_line():
     ],
 )
 def test_overlap_is_refused(stretches):
-    with pytest.raises(ParameterError, match="overlap at [0-9.]+ m"):
+    with pytest.raises(ParameterError, match="no overlap, got one at [0-9.]+ m"):
         SpeedSectors(stretches, 10.0)
 
 
 @pytest.mark.parametrize("scale", [-0.1, math.nan, math.inf])
 def test_impossible_scales_are_refused(scale):
-    with pytest.raises(ParameterError, match=f"1 to 2 m: expected a scale >= 0, not {scale:g}"):
+    with pytest.raises(ParameterError, match=f"1 to 2 m: expected a scale >= 0, got {scale:g}"):
         SpeedSectors([(1.0, 2.0, scale)], 10.0)
-    with pytest.raises(ParameterError, match=f"expected a scale >= 0, not {scale:g}"):
+    with pytest.raises(ParameterError, match=f"expected a scale >= 0, got {scale:g}"):
         SpeedSectors([], 10.0, elsewhere=scale)
 
 
 @pytest.mark.parametrize("start, end", [(-1.0, 2.0), (12.0, 15.0), (8.0, 11.0), (11.0, 1.0)])
 def test_places_off_the_track_are_refused(start, end):
     """They would silently have no effect."""
-    with pytest.raises(ParameterError, match=r"expected places within 0 to 10 m"):
+    with pytest.raises(ParameterError, match=r"expected different places from 0 to 10 m"):
         SpeedSectors([(start, end, 0.5)], 10.0)
 
 
@@ -143,19 +143,23 @@ def test_real_files(shared_data, track, scale):
         ("n_sectors: 2", "n_sectors: two", "n_sectors: expected a finite number"),
         ("n_sectors: 2", "n_sectors: true", "n_sectors: expected a finite number"),
         ("n_sectors: 2", "n_sectors: 3", "Sector2: expected start, end and scaling"),
-        ("n_sectors: 2", "n_sectors: -1", "n_sectors: expected a whole number >= 0, not -1"),
-        ("n_sectors: 2", "n_sectors: 1.5", "n_sectors: expected a whole number >= 0, not 1.5"),
+        ("n_sectors: 2", "n_sectors: -1", "n_sectors: expected a whole number >= 0, got -1"),
+        ("n_sectors: 2", "n_sectors: 1.5", "n_sectors: expected a whole number >= 0, got 1.5"),
         ("global_limit: 0.9", "global_limit: .nan", "global_limit: expected a finite number"),
         ("global_limit: 0.9", "global_limit: -1", "expected a scale >= 0"),
         ("global_limit: 0.9", f"global_limit: {10**400}", "global_limit: expected a number of at"),
         ("start: 10", "begin: 10", "Sector1: start: expected a finite number"),
         ("start: 10", "start: 9", "overlap"),
-        ("start: 10", "start: 9.7", "Sector1: start: expected a whole number >= 0, not 9.7"),
-        ("start: 10", "start: -1", "Sector1: start: expected a whole number >= 0, not -1"),
-        ("start: 10", "start: 25", "Sector1: expected start <= end, not 25, 19"),
-        ("start: 10, end: 19", "start: 40, end: 50", "Sector1: end: 50 is beyond the 20 points"),
+        ("start: 10", "start: 9.7", "Sector1: start: expected a whole number >= 0, got 9.7"),
+        ("start: 10", "start: -1", "Sector1: start: expected a whole number >= 0, got -1"),
+        ("start: 10", "start: 25", "Sector1: expected start <= end, got 25, 19"),
+        (
+            "start: 10, end: 19",
+            "start: 40, end: 50",
+            "Sector1: end: expected an index of the raceline's 20 points, got 50",
+        ),
         ("scaling: 0.5", "scaling: fast", "Sector0: scaling: expected a finite number"),
-        ("scaling: 0.5", "scaling: -0.5", "expected a scale >= 0, not -0.5"),
+        ("scaling: 0.5", "scaling: -0.5", "expected a scale >= 0, got -0.5"),
         ("Sector1:", "Sector7:", "Sector1: expected start, end and scaling"),
     ],
 )

@@ -107,11 +107,14 @@ def test_areas():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: RampParameters(speed_mps=0.0), "speed_mps: expected more than 0"),
+        (lambda: RampParameters(speed_mps=0.0), "speed_mps: expected a positive number, got 0"),
         (lambda: RampParameters(rate_radps=math.nan), "rate_radps"),
-        (lambda: RampParameters(start_rad=0.5), "start_rad: expected 0 to less than limit_rad"),
+        (
+            lambda: RampParameters(start_rad=0.5),
+            "start_rad: expected less than limit_rad",
+        ),
         (lambda: RampParameters(settle_s=-1.0), "settle_s"),
-        (lambda: RampParameters(sides="up"), "sides: expected both, left, right, got 'up'"),
+        (lambda: RampParameters(sides="up"), "sides: expected both or left or right, got 'up'"),
         (lambda: Box(1.0, 1.0, 0.0, 1.0), "area: expected a box"),
         (lambda: Circle(0.0, 0.0, 0.0), "area: expected a circle"),
     ],

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from map_racing.bags.reader import read_recording
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, ParameterError
-from map_racing.evaluation.laps import LapEvaluator, LapLimits, Summary, evaluate
+from map_racing.evaluation.laps import LapEvaluator, LapLimits, evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
+from map_racing.evaluation.results import Summary
 from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 
@@ -419,7 +420,7 @@ def test_memory_is_released_with_each_lap(drive, line):
     evaluator = LapEvaluator(line)
     t, x, y = drive(60.0)
     evaluator.update(t, x, y)
-    assert len(evaluator._rows) < 8 * 6.0 * RATE
+    assert len(evaluator._samples) < 8 * 6.0 * RATE
     assert all(lap.trace is None for lap in evaluator.finish().laps)
 
 

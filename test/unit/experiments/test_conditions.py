@@ -52,10 +52,11 @@ def test_only_the_tires_differ():
     assert dataclasses.replace(day.plant, **unchanged) == plant
     sim = load_plant("public_simulator")
     day = day_of(sim, PAPER, 3)
-    assert day.plant.mu == pytest.approx(sim.mu * day.mu_scale)
-    assert pytest.approx(sim.front.C_S * day.front_stiffness_scale) == day.plant.front.C_S
-    assert pytest.approx(sim.rear.C_S * day.rear_stiffness_scale) == day.plant.rear.C_S
-    assert dataclasses.replace(day.plant, mu=sim.mu, front=sim.front, rear=sim.rear) == sim
+    driven, car = day.plant.build_vehicle(), sim.build_vehicle()
+    assert driven.mu == pytest.approx(car.mu * day.mu_scale)
+    assert pytest.approx(car.front.C_S * day.front_stiffness_scale) == driven.front.C_S
+    assert pytest.approx(car.rear.C_S * day.rear_stiffness_scale) == driven.rear.C_S
+    assert dataclasses.replace(driven, mu=car.mu, front=car.front, rear=car.rear) == car
 
 
 def test_plants_are_built_as_what_they_are():
@@ -79,23 +80,32 @@ def test_a_plant_carries_its_vehicle_with_it(tmp_path):
 @pytest.mark.parametrize(
     "changes, expected",
     [
-        ({"mu_deviation": 0.3}, "mu_deviation must be 0 to 0.2, not 0.3"),
-        ({"rear_stiffness_deviation": -0.1}, "rear_stiffness_deviation must be 0 to 0.2"),
-        ({"front_stiffness_deviation": "much"}, "front_stiffness_deviation must be"),
-        ({"mu_deviation": math.nan}, "mu_deviation must be"),
-        ({"seeds": []}, "seeds must be a list of numbers"),
-        ({"seeds": 3}, "seeds must be a list of numbers"),
-        ({"seeds": [1, 1]}, "seeds: 1 is given twice"),
-        ({"practice_seeds": [5, 5]}, "practice_seeds: 5 is given twice"),
-        ({"seeds": [1, 101]}, "seeds and practice_seeds must differ, but both have 101"),
-        ({"seeds": [1.5]}, "a seed must be a whole number from 0, not 1.5"),
-        ({"practice_seeds": [True]}, "a seed must be a whole number"),
-        ({"identification_seed": -1}, "a seed must be a whole number from 0, not -1"),
-        ({"tuning_scale": 0.0}, "tuning_scale must be"),
-        ({"tuning_laps": 0}, "tuning_laps must be 1 to 1000, not 0"),
-        ({"tuning_laps": 10**9}, "tuning_laps must be 1 to 1000"),
-        ({"track": ""}, "track must be a name or a path"),
-        ({"plant": 3}, "plant must be a name or a path"),
+        ({"mu_deviation": 0.3}, "mu_deviation: expected 0 to 0.2, got 0.3"),
+        (
+            {"rear_stiffness_deviation": -0.1},
+            "rear_stiffness_deviation: expected 0 to 0.2",
+        ),
+        (
+            {"front_stiffness_deviation": "much"},
+            "front_stiffness_deviation: expected a finite",
+        ),
+        ({"mu_deviation": math.nan}, "mu_deviation: expected a finite number, got nan"),
+        ({"seeds": []}, r"seeds: expected whole numbers from 0, got \[\]"),
+        ({"seeds": 3}, "seeds: expected whole numbers from 0, got 3"),
+        ({"seeds": [1, 1]}, "seeds: expected different seeds, got 1 twice"),
+        ({"practice_seeds": [5, 5]}, "practice_seeds: expected different seeds, got 5 twice"),
+        (
+            {"seeds": [1, 101]},
+            "practice_seeds: expected other days than the races', got 101",
+        ),
+        ({"seeds": [1.5]}, r"seeds: expected whole numbers from 0, got \[1.5\]"),
+        ({"practice_seeds": [True]}, "practice_seeds: expected whole numbers from 0"),
+        ({"identification_seed": -1}, "identification_seed: expected 0 or more, got -1"),
+        ({"tuning_scale": 0.0}, "tuning_scale: expected more than 0 to 2, got 0"),
+        ({"tuning_laps": 0}, "tuning_laps: expected 1 to 1000, got 0"),
+        ({"tuning_laps": 10**9}, "tuning_laps: expected 1 to 1000"),
+        ({"track": ""}, "track: expected a text, got ''"),
+        ({"plant": 3}, "plant: expected a text, got 3"),
     ],
 )
 def test_impossible_conditions(changes, expected):
@@ -109,3 +119,27 @@ def test_a_file_says_what_is_wrong_with_it(tmp_path):
         load_conditions(tmp_path / "c.yaml")
     with pytest.raises(ParameterError, match="nor one of the shipped experiments .paper."):
         load_conditions("papr")
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("model: rocket\nvehicle: sim\n", "model: expected single_track or public_simulator"),
+        ("model: public_simulator\nvehicle: sim\nmu: 1\n", "unknown parameter mu "),
+        ("model: public_simulator\nvehicle: sim\nh_cg_m: low\n", "h_cg_m: expected a finite"),
+        ("model: public_simulator\nvehicle: sim\nsteering_delay_s: 50\n", "0 to 1 s"),
+        ("model: public_simulator\nvehicle: sim\nlocalization_rate_hz: 200\n", "1 to 100 Hz"),
+    ],
+)
+def test_a_plant_file_says_what_is_wrong_with_it(tmp_path, text, expected):
+    path = tmp_path / "plant.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=f"plant.yaml: .*{expected}"):
+        load_plant(path)
+
+
+def test_the_public_simulator_has_linear_tires(tmp_path):
+    path = tmp_path / "plant.yaml"
+    path.write_text("model: public_simulator\nvehicle: nuc4\n")
+    with pytest.raises(ParameterError, match="expected a vehicle with linear tires, got NUC4"):
+        build_plant(load_plant(path), 1)

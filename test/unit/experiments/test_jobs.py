@@ -87,9 +87,9 @@ def test_a_crash_is_a_result(job_of):
 def test_the_public_simulator_drives_the_car_it_is_given(job_of):
     sim = load_plant("public_simulator")
     controller = job_of().controller.with_(reference_point="center_of_gravity")
-    slippery = dataclasses.replace(sim, mu=0.5)
+    slippery = dataclasses.replace(sim, mu_scale=0.5)
     results = [
-        execute(job_of(plant=plant, vehicle=sim, controller=controller, seed=seed)).result
+        execute(job_of(plant=plant, vehicle=sim.vehicle, controller=controller, seed=seed)).result
         for plant, seed in ((sim, 1), (sim, 2), (slippery, 1))
     ]
     assert all(result.completed for result in results)

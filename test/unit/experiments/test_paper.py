@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.evaluation.results import Lap
 from map_racing.experiments.conditions import load_conditions
-from map_racing.experiments.jobs import RaceResult, Stretch
+from map_racing.experiments.jobs import RaceResult
 from map_racing.experiments.paper import (
     CONTENDERS,
     Race,
@@ -23,6 +24,8 @@ from map_racing.experiments.paper import (
     tire_table,
     tuning_plan,
 )
+from map_racing.simulation.plants import load_plant
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import linearized
 
 NAN = math.nan
@@ -31,16 +34,31 @@ MAP, PURE_PURSUIT = "MAP Pacejka", "pure pursuit"
 
 @pytest.fixture(scope="module")
 def setting():
-    def identified(plant):
-        return plant.build_vehicle(), linearized(plant.build_vehicle())
+    return setting_of(load_conditions("paper"))
 
-    return Setting.load(load_conditions("paper"), identified)
+
+def setting_of(conditions):
+    """Setting in which the tires of the plant are known."""
+    plant = load_plant(conditions.plant)
+    vehicle = plant.build_vehicle()
+    raceline = load_raceline(conditions.track)
+    return Setting(conditions, raceline, plant, vehicle, linearized(vehicle))
 
 
 def stretch(number, time, rms, mean, largest, valid=True, duration=None):
-    return Stretch(
-        *(number, time, rms, mean, largest, 0.2, 4.0, 5.0, 0.0),
-        *(duration or time, valid, "" if valid else "in-lap"),
+    return Lap(
+        number,
+        time,
+        rms,
+        mean,
+        largest,
+        valid,
+        "" if valid else "in-lap",
+        min_clearance_m=0.2,
+        mean_speed_mps=4.0,
+        max_speed_mps=5.0,
+        start_time_s=0.0,
+        end_time_s=duration or time,
     )
 
 
@@ -117,10 +135,7 @@ def test_tuning_races_on_practice_days_at_its_own_speed(setting):
     controller = load_controller_parameters("map_paper")
     plan = tuning_plan(setting, MAP, controller)
     jobs = next(plan.steps)
-    conditions = setting.conditions
-    assert {job.seed for job in jobs} == set(conditions.practice_seeds)
-    assert {job.scale for job in jobs} == {0.6} and {job.laps for job in jobs} == {2}
-    assert {job.plant for job in jobs} == {setting.day(s).plant for s in conditions.practice_seeds}
+    conditions, driven = setting.conditions, []
     laps = (stretch(1, 8.0, 0.1, 0.1, 0.1),)
 
     def answer(job):
@@ -128,16 +143,21 @@ def test_tuning_races_on_practice_days_at_its_own_speed(setting):
 
     try:
         while True:
+            driven += jobs
             jobs = plan.steps.send([answer(job) for job in jobs])
     except StopIteration as stop:
         tuned = stop.value
+    assert {job.seed for job in driven} == set(conditions.practice_seeds)
+    assert {job.scale for job in driven} == {0.6} and {job.laps for job in driven} == {2}
+    days = {setting.day(seed).plant for seed in conditions.practice_seeds}
+    assert {job.plant for job in driven} == days
     assert tuned.controller.speed_scale == controller.speed_scale
     assert tuned.error == pytest.approx(0.1)
 
 
 def test_the_public_simulator_is_driven_at_the_center_of_gravity(setting):
     conditions = replace(setting.conditions, plant="public_simulator")
-    there = Setting.load(conditions, lambda plant: (plant, plant))
+    there = setting_of(conditions)
     controller = load_controller_parameters("map_paper")
     job = there.job(MAP, controller, there.day(1), 1)
     assert job.controller.reference_point == "center_of_gravity"

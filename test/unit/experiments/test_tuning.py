@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.errors import MapRacingError
-from map_racing.experiments.jobs import RaceResult, Stretch
+from map_racing.evaluation.results import Lap
+from map_racing.experiments.jobs import RaceResult
 from map_racing.experiments.tuning import STEP_M, STEP_Q, frame_of, lap_error, tune, tune_robust
 
 CONTROLLER = load_controller_parameters("map_paper")
@@ -16,11 +17,11 @@ NAN = math.nan
 
 
 def lap(error, number=1, valid=True):
-    return Stretch(number, 8.0, error, error, error, 0.2, 4.0, 5.0, 0.0, 8.0, valid, "")
+    return Lap(number, 8.0, error, error, error, valid, start_time_s=0.0, end_time_s=8.0)
 
 
 def raced(*errors, outcome="completed"):
-    out_lap = Stretch(0, NAN, 9.0, 9.0, 9.0, 0.2, 4.0, 5.0, 0.0, 8.0, False, "out-lap")
+    out_lap = Lap(0, NAN, 9.0, reason="out-lap", start_time_s=0.0, end_time_s=8.0)
     laps = [lap(error, number) for number, error in enumerate(errors, 1)]
     return RaceResult(outcome, (out_lap, *laps), 30.0)
 

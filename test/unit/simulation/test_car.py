@@ -7,9 +7,8 @@ import pytest
 
 from map_racing.simulation.car import COMMAND_TIMEOUT, DrivenCar, SimulatedCar, hits_wall
 from map_racing.simulation.plant import Localization, Plant, PlantParameters
-from map_racing.simulation.public_simulator import PublicSimulator
+from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.parameters import load_vehicle
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
 RADIUS = 20.0
@@ -137,7 +136,7 @@ def test_time_goes_on_when_the_car_is_put_elsewhere():
 
 
 def test_the_public_simulator_too():
-    car = DrivenCar(SimulatedCar(PublicSimulator(load_vehicle("sim")), rate=40.0), circle(30.0))
+    car = DrivenCar(SimulatedCar(*build_plant(load_plant("public_simulator"), 1)), circle(30.0))
     car.put(RADIUS, 0.0, 0.5 * math.pi)
     drive(car, 1.0, 2.0)
     car.put(0.0, RADIUS, math.pi)

@@ -14,8 +14,8 @@ from map_racing.simulation.plant import (
     Localization,
     Plant,
     PlantParameters,
-    load_plant_parameters,
 )
+from map_racing.simulation.plants import load_plant
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.single_track import single_track_derivatives
 from map_racing.vehicle.steady_state import steady_state_table
@@ -242,7 +242,7 @@ def test_servo_dead_time(delay_ms):
 
 
 def test_reset_forgets_all_that_happened():
-    parameters = load_plant_parameters("nuc4")
+    parameters = load_plant("nuc4")
     plant, fresh = Plant(parameters), Plant(parameters)
     drive(plant, 0.3, 5.0, 1.0)
     for each in (plant, fresh):
@@ -278,7 +278,7 @@ def refusal(tmp_path, values):
     path = tmp_path / "plant.yaml"
     path.write_text(yaml.safe_dump(values))
     with pytest.raises(ParameterError) as caught:
-        load_plant_parameters(path)
+        load_plant(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ") and "\n" not in message
     return message
@@ -318,9 +318,9 @@ def test_other_impossible_values_are_refused_by_name(tmp_path):
     assert "unknown parameter mu " in refusal(tmp_path, {"vehicle": "nuc4", "mu": 1.0})
     for value in (1, 0.5, "yes", None):
         message = refusal(tmp_path, {"vehicle": "nuc4", "measures_v_y": value})
-        assert "measures_v_y must be true or false" in message
+        assert "measures_v_y: expected true or false" in message
     for value in (4, None, ["nuc4"], ""):
-        assert "vehicle must be" in refusal(tmp_path, {"vehicle": value})
+        assert "vehicle: expected a name or a path" in refusal(tmp_path, {"vehicle": value})
     with pytest.raises(ParameterError, match="nuc5"):
         PlantParameters(vehicle="nuc5").build_vehicle()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from map_racing.bags.reader import read_recording
-from map_racing.simulation.public_simulator import PublicSimulator
+from map_racing.simulation.public_simulator import PublicSimulator, PublicSimulatorParameters
 from map_racing.vehicle.parameters import load_vehicle
 
 SIM = load_vehicle("sim")
@@ -17,7 +17,7 @@ H_CG = 0.074
 
 
 def simulator(speed=0.0, steering=0.0):
-    plant = PublicSimulator(SIM)
+    plant = PublicSimulator(PublicSimulatorParameters(SIM))
     plant.reset(0.0, 0.0, 0.0, speed)
     plant.steering_angle = steering
     return plant
@@ -136,7 +136,7 @@ def test_a_held_wheel_settles_on_the_circle_of_the_linear_single_track_model(v, 
 def test_one_step_of_the_dynamic_model_is_the_published_one(target):
     """CommonRoad's single-track model, as printed: load transfer moves grip between the axles."""
     car = dataclasses.replace(SIM, mu=1.0489)
-    plant = PublicSimulator(car)
+    plant = PublicSimulator(PublicSimulatorParameters(car))
     plant.reset(0.0, 0.0, 0.0, 4.0)
     plant.steering_angle, plant.slip_angle, plant.yaw_rate = 0.1, -0.03, 0.8
     v, delta, beta, r = plant.speed, plant.steering_angle, plant.slip_angle, plant.yaw_rate
@@ -217,8 +217,8 @@ def test_the_recorded_simulator_is_this_one(shared_data):
     slope, constant = np.polyfit(a[known], stiffness, 1)
     assert np.ptp(a[known]) > 10.0
     assert constant * L_WB / (9.81 * L_F) == pytest.approx(SIM.mu * C_SR, rel=1e-9)
-    assert slope * L_WB / (SIM.mu * C_SR) == pytest.approx(PublicSimulator.h_cg, rel=1e-9)
-    front = C_SF * SIM.mu * (9.81 * L_R - a * PublicSimulator.h_cg) / L_WB
+    assert slope * L_WB / (SIM.mu * C_SR) == pytest.approx(H_CG, rel=1e-9)
+    front = C_SF * SIM.mu * (9.81 * L_R - a * H_CG) / L_WB
     delta = (L_R * both + turn) / L_WB / front + beta + L_F * r / v
     rate = np.abs(np.diff(delta) / dt[:-1])[known[:-1] & known[1:]]
     servo = np.minimum(rate, np.abs(rate - SIM.delta_rate_max)) < 1e-6

@@ -16,8 +16,8 @@ from map_racing.simulation.plant import (
     Localization,
     Plant,
     PlantParameters,
-    load_plant_parameters,
 )
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.public_simulator import PublicSimulator
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline
@@ -28,7 +28,7 @@ NUC4 = load_vehicle("nuc4")
 TABLE = build_steering_map("table", NUC4, 12.0)
 MAP = load_controller_parameters("map").with_(speed_scale=1.0)
 REFERENCE = load_raceline("reference")
-PLANT = load_plant_parameters("nuc4")
+PLANT = load_plant("nuc4")
 IDEAL = PlantParameters(vehicle="nuc4")
 
 
@@ -306,7 +306,7 @@ HANGARS = {
 AUTHORS = {"21 m": (5.362, 0.108), "39 m": (7.741, 0.159)}
 
 
-def hangar_race(shared_data, name, hangar="21 m", delay_steps=5, rate=100.0):
+def hangar_race(shared_data, name, hangar="21 m", delay_s=0.05, rate=100.0):
     """RMS lateral error [m], median lap time [s] and least clearance [m] of six laps."""
     raceline = load_raceline(shared_data.joinpath(*HANGARS[hangar]))
     vehicle = load_vehicle("sim")
@@ -315,7 +315,8 @@ def hangar_race(shared_data, name, hangar="21 m", delay_steps=5, rate=100.0):
         reference_point="center_of_gravity", speed_scale=1.0
     )
     controller = build_controller(parameters, vehicle, raceline)
-    simulator = PublicSimulator(vehicle, delay_steps)
+    plant = dataclasses.replace(load_plant("public_simulator"), steering_delay_s=delay_s)
+    simulator = PublicSimulator(plant)
     log = race(simulator, controller, raceline, rate=rate, laps=6)
     assert (log.outcome, log.laps) == (Outcome.COMPLETED, 6)
     laps = [lap for lap in evaluated(log, raceline, vehicle.width).laps if lap.valid]
@@ -327,10 +328,10 @@ def hangar_race(shared_data, name, hangar="21 m", delay_steps=5, rate=100.0):
     )
 
 
-@pytest.mark.parametrize("delay_steps", [4, 5, 6, 7])
+@pytest.mark.parametrize("delay_s", [0.04, 0.05, 0.06, 0.07])
 @pytest.mark.parametrize("hangar", HANGARS)
-def test_the_shipped_map_halves_the_error_and_is_faster(shared_data, hangar, delay_steps):
-    error, lap_time, clearance = hangar_race(shared_data, "map", hangar, delay_steps)
+def test_the_shipped_map_halves_the_error_and_is_faster(shared_data, hangar, delay_s):
+    error, lap_time, clearance = hangar_race(shared_data, "map", hangar, delay_s)
     their_lap_time, their_error = AUTHORS[hangar]
     assert error < 0.5 * their_error and lap_time < their_lap_time
     assert clearance > 0.15

@@ -9,7 +9,8 @@ from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
-from map_racing.simulation.plant import Localization, Plant, load_plant_parameters
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.recorded import EPOCH_NS, GROUND_TRUTH_TOPIC, write_race_bag
 from map_racing.track.files.load import load_raceline
@@ -18,7 +19,7 @@ from map_racing.vehicle.parameters import load_vehicle
 
 @pytest.fixture(scope="module")
 def raced():
-    raceline, plant = load_raceline("reference"), load_plant_parameters("nuc4")
+    raceline, plant = load_raceline("reference"), load_plant("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.7)
     controller = build_controller(parameters, load_vehicle("nuc4"), raceline)
     log = race(Plant(plant), controller, raceline, Localization(plant, 1), laps=1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from map_racing.errors import ParameterError, RacelineError
-from map_racing.track import optimization
+from map_racing.track import least_curvature
 from map_racing.track.files.load import load_raceline
 from map_racing.track.optimization import fastest_line, minimum_curvature, squared_curvature
 from map_racing.track.raceline import Raceline
@@ -145,12 +145,12 @@ def test_derivatives_of_the_model():
     points = np.stack((track.x, track.y), axis=1)[:60]
     normals = np.stack((-np.sin(track.psi), np.cos(track.psi)), axis=1)[:60]
     alpha = 0.2 * generator.standard_normal(60)
-    model = optimization._model(points, normals, alpha, 0.3)
+    model = least_curvature._model(points, normals, alpha, 0.3)
     for k in (0, 1, 17, 58, 59):
         step = np.zeros(60)
         step[k] = 1e-6
         ahead, behind = (
-            optimization._model(points, normals, alpha + sign * step, 0.3).value
+            least_curvature._model(points, normals, alpha + sign * step, 0.3).value
             for sign in (1.0, -1.0)
         )
         assert 2.0 * model.gradient[k] == pytest.approx((ahead - behind) / 2e-6, rel=1e-5, abs=1e-6)
@@ -170,14 +170,14 @@ def test_bounded_steps_are_those_of_another_solver(n, seed):
     low = -np.abs(generator.standard_normal(n)) - 0.01
     high = np.abs(generator.standard_normal(n)) + 0.01
     normal = jacobian.T.dot(jacobian)
-    model = optimization._Model(
+    model = least_curvature._Model(
         0.0,
         jacobian.T.dot(residual),
         normal[index, index],
         normal[index, (index + 1) % n],
         normal[index, (index + 2) % n],
     )
-    step = optimization._bounded_minimum(model, low, high)
+    step = least_curvature._bounded_minimum(model, low, high)
     assert np.all((step >= low) & (step <= high))
     expected = lsq_linear(jacobian, -residual, (low, high), method="bvls").x
     costs = [float(np.sum((residual + jacobian.dot(x)) ** 2)) for x in (step, expected)]
@@ -335,7 +335,7 @@ def test_a_track_that_goes_round_twice_is_refused():
     twice = Raceline(
         radius * np.cos(angle), radius * np.sin(angle), d_left_m=width, d_right_m=width
     )
-    with pytest.raises(RacelineError, match="comes back to itself"):
+    with pytest.raises(RacelineError, match="meets itself"):
         minimum_curvature(twice, 0.2)
 
 

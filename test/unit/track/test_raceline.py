@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import ParameterError, RacelineError
-from map_racing.track.raceline import Raceline, distinct_points
+from map_racing.track.raceline import Raceline
+from map_racing.track.spline import distinct_points
 
 
 def circle(radius=5.0, spacing=0.2, center=(0.0, 0.0), **columns):
@@ -399,9 +400,9 @@ def test_impossible_tracks_are_refused(x, y, columns, message):
 def test_missing_columns_are_named():
     track = Raceline(*SQUARE, name="square")
     assert track.speed is None and track.d_left is None
-    with pytest.raises(RacelineError, match="square: this raceline has no speeds"):
+    with pytest.raises(RacelineError, match="square: expected a raceline with speeds, got none"):
         track.speed_at(0.0)
-    with pytest.raises(RacelineError, match="square: this raceline has no distances to walls"):
+    with pytest.raises(RacelineError, match="square: expected a raceline with distances to"):
         track.widths_at(0.0)
     assert track.sample([0.0]).speed is None
 

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
     check = actions.add_parser(
         "check",
-        help="what a table holds, and whether it fits a vehicle",
+        help="describe a table, compare it with a vehicle",
         description="Report the grid, the largest lateral acceleration and defects of a table. "
         "With --vehicle, compare it with the vehicle's table; a difference of more than "
         f"{LARGEST_DIFFERENCE:g} m/s^2 is an error.",
@@ -45,6 +45,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="LINE",
         help="list the speed at which each corner exceeds the table's limit: shipped track, "
         "raceline file or bag[#topic]",
+    )
+    check.add_argument(
+        "--controller",
+        default="map",
+        help="with --raceline, whose grip_use tells where it would drive slower than the raceline "
+        "at a speed scale of 1: shipped controller or YAML file (default: %(default)s)",
     )
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run="lookup.run_check")

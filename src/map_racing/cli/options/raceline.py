@@ -23,10 +23,10 @@ def add_check(actions):
     """Add ``raceline check``."""
     check = actions.add_parser(
         "check",
-        help="what a raceline is, and what is wrong with it",
+        help="key figures of a raceline, and its errors",
         description="Recompute closure, order, spacing, heading, curvature, arc length, walls and "
-        "speeds from the points, and compare them with what the file says. Notes tell conventions. "
-        "Exit code 0: nothing is wrong; 1: there are warnings or errors, or the file cannot be "
+        "speeds from the points, and compare them with the file. Notes report conventions. "
+        "Exit code 0: no warnings or errors; 1: there are some, or the file cannot be "
         "read.",
     )
     check.add_argument("source", metavar="FILE", help=SOURCE)
@@ -45,9 +45,9 @@ def add_convert(actions):
     convert = actions.add_parser(
         "convert",
         help="write a raceline in another format",
-        description="Read a track and write it with heading, curvature, arc length and "
-        "accelerations recomputed; its points stay as they are. What is wrong beyond use is "
-        f"refused. Formats: {described}.",
+        description="Read a raceline and write it with heading, curvature, arc length and "
+        "accelerations recomputed; its points stay as they are. Unusable racelines are "
+        f"rejected. Formats: {described}.",
     )
     convert.add_argument("source", metavar="IN", help=SOURCE)
     convert.add_argument("output", metavar="OUT", help="file to write")
@@ -59,9 +59,9 @@ def add_convert(actions):
     convert.add_argument(
         "--repair",
         action="store_true",
-        help="mend what can be mended, and say what: drop points that are repeated, not finite, "
-        "turn back or belong to a second loop, fill gaps, reverse or exchange what is reversed or "
-        "exchanged, clamp negative widths",
+        help="repair what can be repaired and print each repair: drop points that are repeated, "
+        "not finite, turn back or belong to a second loop, fill gaps, correct reversed or "
+        "exchanged columns, clamp negative widths",
     )
     convert.add_argument(
         "--reverse", action="store_true", help="drive it the other way round, from the same point"

@@ -7,7 +7,7 @@ import numpy as np
 from ...validation import FARTHEST
 from ..findings import ERROR, NOTE, WARNING, points
 from ..loops import BACK, LARGEST_GAP, first_loop, overlap, turns, turns_back
-from ..raceline import distinct_points
+from ..spline import distinct_points
 from .draft import Draft
 
 __all__ = ["check_order", "check_values"]

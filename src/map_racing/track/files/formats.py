@@ -20,8 +20,8 @@ _OF_SUFFIX = {".json": ("race_stack",), ".bag": ("bag",)}
 _CSV = ("map_racing", "tum", "racetracks", "centerline")
 
 
-def choose_format(path, wanted=None):
-    """Format of a file to write, by its suffix or as wanted.
+def choose_format(path: str | Path, wanted: str | None = None) -> str:
+    """Choose the format of a file to write, by its suffix or as wanted.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def choose_format(path, wanted=None):
     Raises
     ------
     ParameterError
-        If several formats have that suffix, or none, or another than the one wanted.
+        If the suffix belongs to several formats, to none, or to another one than wanted.
     """
     suffix = Path(path).suffix.lower()
     possible = _OF_SUFFIX.get(suffix, _CSV)
@@ -45,12 +45,12 @@ def choose_format(path, wanted=None):
             return possible[0]
         if suffix == ".csv":
             raise ParameterError(
-                f"{path}: several formats are CSV: say --format {', '.join(possible)}"
+                f"{path}: expected --format for a .csv file: {', '.join(possible)}"
             )
         raise ParameterError(f"{path}: expected a file named .csv, .json or .bag, or --format")
     if wanted not in FORMATS:
         raise ParameterError(f"format {wanted}: expected one of {', '.join(FORMATS)}")
     if wanted not in possible:
         right = next((name for name, formats in _OF_SUFFIX.items() if wanted in formats), ".csv")
-        raise ParameterError(f"{path}: a file of format {wanted} is named {right}")
+        raise ParameterError(f"{path}: expected a file named {right} for format {wanted}")
     return wanted

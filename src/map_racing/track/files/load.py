@@ -1,24 +1,26 @@
-"""Racelines from and to whatever file holds them."""
+"""Reading and writing of racelines in any file."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from ...bags.reader import read_waypoints
 from ...bags.records import is_bag
+from ...bags.samples import Waypoints
+from ...bags.waypoints import read_waypoints
 from ...bags.writer import BagWriter
 from ...files import refuse_special
+from ..raceline import Raceline
 from .checks import raceline_of
+from .columns import columns_of_waypoints
 from .readers import find_raceline_file, read_raceline_file, split_source
 from .table import RacelineTable
-from .waypoints import WAYPOINT_COLUMNS
 from .writers import closed_rows, raceline_columns, write_raceline_file
 
 __all__ = ["load_raceline", "read_raceline", "save_raceline", "table_of_waypoints"]
 
 
-def load_raceline(source):
-    """Raceline from wherever it is: what every command and node reads one with.
+def load_raceline(source: str | Path) -> Raceline:
+    """Load a raceline from any source, as every command and node does.
 
     Parameters
     ----------
@@ -28,20 +30,20 @@ def load_raceline(source):
     Returns
     -------
     Raceline
-        With what was noticed as `findings`.
+        With `findings`.
 
     Raises
     ------
     BagError, FileFormatError, ParameterError
         If it cannot be read.
     RacelineError
-        If something is wrong with it beyond use.
+        If it is unusable.
     """
     return raceline_of(read_raceline(source))
 
 
-def read_raceline(source):
-    """What a file says of a track, wherever it is, before anything of it is believed.
+def read_raceline(source: str | Path) -> RacelineTable:
+    """Read what a file states, without checking it.
 
     Parameters
     ----------
@@ -66,7 +68,12 @@ def read_raceline(source):
     return read_raceline_file(*find_raceline_file(source))
 
 
-def save_raceline(raceline, path, form="map_racing", table=None):
+def save_raceline(
+    raceline: Raceline,
+    path: str | Path,
+    form: str = "map_racing",
+    table: RacelineTable | None = None,
+) -> None:
     """Write a raceline in any of the `map_racing.track.files.formats.FORMATS`.
 
     Parameters
@@ -77,8 +84,8 @@ def save_raceline(raceline, path, form="map_racing", table=None):
     form : str, optional
         The format, see `map_racing.track.files.formats.choose_format`.
     table : RacelineTable, optional
-        The points that the raceline was made of: then those are written, exactly, instead of the
-        cells of its internal form.
+        The points that the raceline was made of, to be written exactly, instead of the cells of
+        its internal form.
 
     Raises
     ------
@@ -90,14 +97,14 @@ def save_raceline(raceline, path, form="map_racing", table=None):
     columns = raceline_columns(raceline, table)
     if form == "bag":
         with BagWriter(path) as bag:
-            # ROS has no time 0; 1 s after it is as good as any, and always the same.
+            # Any constant time will do except 0, which ROS does not allow.
             bag.waypoints(1.0, closed_rows(columns))
     else:
         write_raceline_file(path, columns, form)
 
 
-def table_of_waypoints(source, waypoints):
-    """What a bag says of a track.
+def table_of_waypoints(source: str | Path, waypoints: Waypoints) -> RacelineTable:
+    """Table of the waypoints of a bag.
 
     Parameters
     ----------
@@ -110,9 +117,7 @@ def table_of_waypoints(source, waypoints):
     RacelineTable
     """
     topic, kind, fields = waypoints
-    columns = {
-        column: fields[field] for field, column in WAYPOINT_COLUMNS.items() if field in fields
-    }
+    columns = columns_of_waypoints(fields)
     return RacelineTable(
         columns, name=Path(source).stem, source=f"{source}: {topic}", layout=f"{kind} on {topic}"
     )

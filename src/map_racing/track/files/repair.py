@@ -7,7 +7,7 @@ import numpy as np
 from ...validation import FARTHEST
 from ..findings import ERROR, points
 from ..loops import LARGEST_GAP, first_loop, overlap, turns_back
-from ..raceline import distinct_points
+from ..spline import distinct_points
 from .check_speeds import KMH
 from .checks import examine, raceline_of
 from .table import RacelineTable

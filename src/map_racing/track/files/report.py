@@ -1,17 +1,21 @@
-"""What a track is, in figures: for people and for programs."""
+"""Reports on racelines, for people and for programs."""
+
+from __future__ import annotations
 
 import math
+from typing import Any, Iterable
 
 import numpy as np
 
-from ..findings import ERROR, WARNING, worst_first
+from ..findings import ERROR, WARNING, Finding, worst_first
+from ..raceline import Raceline
 from ..speed_profile import lap_time
 
 __all__ = ["raceline_facts", "facts_text", "findings_count", "findings_rows"]
 
 
-def raceline_facts(raceline):
-    """Figures of a raceline, all recomputed from its points.
+def raceline_facts(raceline: Raceline) -> dict[str, Any]:
+    """Key figures of a raceline, all recomputed from its points.
 
     Parameters
     ----------
@@ -26,7 +30,7 @@ def raceline_facts(raceline):
         ``d_left_m`` and ``d_right_m`` (least, most); None where unknown.
     """
     spacing = np.diff(np.append(raceline.s_points, raceline.length))
-    # The heading gains 2 pi in a lap, nothing in a figure of eight; the area has the direction.
+    # The heading turns by 2 pi in a lap, by nothing in a figure eight; the area has the direction.
     x, y = raceline.x, raceline.y
     area = float(np.sum((x - x[0]) * np.roll(y - y[0], -1) - np.roll(x - x[0], -1) * (y - y[0])))
     crossing = abs(float(np.sum(raceline.kappa)) * raceline.ds) < math.pi
@@ -48,7 +52,7 @@ def raceline_facts(raceline):
     }
 
 
-def facts_text(facts):
+def facts_text(facts: dict[str, Any]) -> list[str]:
     """Lines of text with the figures of `raceline_facts`."""
     least, usual, most = facts["spacing_m"]
     lines = [
@@ -74,18 +78,18 @@ def facts_text(facts):
     return lines
 
 
-def findings_count(findings):
-    """How many of them are wrong, as text."""
-    told = []
+def findings_count(findings: Iterable[Finding]) -> str:
+    """Number of errors and warnings, as text."""
+    counts = []
     for severity in (ERROR, WARNING):
         count = sum(finding.severity == severity for finding in findings)
         if count:
-            told.append(f"{count} {severity}{'s' if count > 1 else ''}")
-    return ", ".join(told) or "nothing wrong"
+            counts.append(f"{count} {severity}{'s' if count > 1 else ''}")
+    return ", ".join(counts) or "nothing wrong"
 
 
-def findings_rows(findings):
-    """Findings as dictionaries ``code severity text places``, for JSON, what is wrong first."""
+def findings_rows(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Findings as dictionaries ``code severity text places`` for JSON, errors first."""
     return [
         {
             "code": finding.code,

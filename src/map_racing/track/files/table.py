@@ -17,7 +17,7 @@ class RacelineTable(NamedTuple):
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n_points,)
-        By the names in `map_racing.track.files.readers.ALIASES`, at least ``x`` and ``y``.
+        By the names in `map_racing.track.files.columns.ALIASES`, at least ``x`` and ``y``.
     name, source : str
         See `Raceline`.
     layout : str

@@ -1,21 +1,28 @@
-"""Files of tracks, in each format that others read.
+"""Raceline files in every format that others read.
 
-Heading, curvature, arc length and accelerations are those of the curve through the points written.
+Heading, curvature, arc length and accelerations are computed from the curve through the points.
 """
+
+from __future__ import annotations
 
 import hashlib
 import json
 import math
 import uuid
-from typing import NamedTuple, Optional
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ...angles import wrap
+from ...bags.messages import WAYPOINT_FIELDS
 from ...errors import RacelineError
 from ...files import replacing
-from ..raceline import Raceline, distinct_points
+from ..raceline import Raceline
 from ..speed_profile import accelerations, lap_time
+from ..spline import distinct_points
+from .table import RacelineTable
+from .waypoints import waypoint_array
 
 __all__ = [
     "RacelineColumns",
@@ -26,7 +33,7 @@ __all__ = [
 
 
 class RacelineColumns(NamedTuple):
-    """What is written of a track: its points in order, the first not repeated.
+    """Columns to write: the points in order, the first not repeated.
 
     Lengths are in meters, angles in radians; speeds [m/s] with the acceleration [m/s^2] that is
     constant from each point to the next, and distances to the walls [m], are None where unknown.
@@ -39,21 +46,21 @@ class RacelineColumns(NamedTuple):
     y: np.ndarray
     psi: np.ndarray
     kappa: np.ndarray
-    speed: Optional[np.ndarray]
-    a_x: Optional[np.ndarray]
-    d_left: Optional[np.ndarray]
-    d_right: Optional[np.ndarray]
+    speed: np.ndarray | None
+    a_x: np.ndarray | None
+    d_left: np.ndarray | None
+    d_right: np.ndarray | None
 
 
-def raceline_columns(raceline, table=None):
-    """Columns of a raceline.
+def raceline_columns(raceline: Raceline, table: RacelineTable | None = None) -> RacelineColumns:
+    """Columns of a raceline to write.
 
     Parameters
     ----------
     raceline : Raceline
     table : RacelineTable, optional
-        The points that it was made of: then those are written, exactly, instead of the cells of
-        the raceline's internal form.
+        The points that it was made of, to be written exactly, instead of the cells of the
+        raceline's internal form.
 
     Returns
     -------
@@ -64,13 +71,10 @@ def raceline_columns(raceline, table=None):
     x, y, speed, d_left, d_right = at.x, at.y, at.speed, at.d_left, at.d_right
     if table is not None:
         keep = distinct_points(table.columns["x"], table.columns["y"])
-        x, y, speed, d_left, d_right = (
-            table.columns[key][keep] if own is not None else None
-            for key, own in (
-                *(("x", x), ("y", y), ("speed", speed)),
-                *(("d_left", d_left), ("d_right", d_right)),
-            )
-        )
+        x, y = table.columns["x"][keep], table.columns["y"][keep]
+        speed = None if speed is None else table.columns["speed"][keep]
+        if d_left is not None:
+            d_left, d_right = table.columns["d_left"][keep], table.columns["d_right"][keep]
     a_x = None
     if speed is not None:
         a_x = accelerations(speed, np.diff(np.append(s, raceline.length)))
@@ -79,70 +83,71 @@ def raceline_columns(raceline, table=None):
     )
 
 
-def write_raceline_file(path, track, form):
-    """Write a track to a text file.
+def write_raceline_file(path: str | Path, line: RacelineColumns, form: str) -> None:
+    """Write a raceline to a text file.
 
     Parameters
     ----------
     path : str or pathlib.Path
         Replaced in one step if it exists.
-    track : RacelineColumns
+    line : RacelineColumns
     form : str
         One of `FORMATS`, except bag, which `map_racing.track.files.load.save_raceline` writes.
 
     Raises
     ------
     RacelineError
-        If the track lacks what the format needs.
+        If the raceline lacks what the format needs.
     MapRacingError
         If the file cannot be written.
     """
-    text = _WRITERS[form](track, str(path))
+    text = _WRITERS[form](line, str(path))
     with replacing(path) as file:
         file.write(text)
 
 
-def closed_rows(track):
-    """Waypoints as race_stack has them: the last repeats the first, at the whole length.
-
-    Parameters
-    ----------
-    track : RacelineColumns
-        Speeds and widths that it lacks are written as 0.
+def closed_rows(line: RacelineColumns) -> np.ndarray:
+    """Waypoints as race_stack writes them: the last repeats the first, at the full length.
 
     Returns
     -------
-    ndarray, shape (n + 1, 10)
-        ``s_m d_m x_m y_m d_right d_left psi_rad kappa_radpm vx_mps ax_mps2``.
+    ndarray, shape (n + 1,)
+        See `map_racing.track.files.waypoints.waypoint_array`.
     """
-    zeros = np.zeros(track.s.size)
-    columns = (
-        *(track.s, zeros, track.x, track.y, track.d_right, track.d_left),
-        *(track.psi, track.kappa, track.speed, track.a_x),
+    rows = waypoint_array(
+        line.s.size,
+        s_m=line.s,
+        x_m=line.x,
+        y_m=line.y,
+        d_right=line.d_right,
+        d_left=line.d_left,
+        psi_rad=line.psi,
+        kappa_radpm=line.kappa,
+        vx_mps=line.speed,
+        ax_mps2=line.a_x,
     )
-    rows = np.stack([zeros if column is None else column for column in columns], axis=1)
     rows = np.concatenate((rows, rows[:1]))
-    rows[-1, 0] = track.length
+    rows["s_m"][-1] = line.length
     return rows
 
 
 # -- CSV -----------------------------------------------------------------------------------------
 
 
-def _map_racing(track, path):
+def _map_racing(line, path):
     columns = [
-        ("s_m", track.s),
-        ("x_m", track.x),
-        ("y_m", track.y),
-        ("psi_rad", track.psi),
-        ("kappa_radpm", track.kappa),
+        ("s_m", line.s),
+        ("x_m", line.x),
+        ("y_m", line.y),
+        ("psi_rad", line.psi),
+        ("kappa_radpm", line.kappa),
     ]
-    if track.speed is not None:
-        columns += [("vx_mps", track.speed), ("ax_mps2", track.a_x)]
-    if track.d_left is not None:
-        columns += [("d_right_m", track.d_right), ("d_left_m", track.d_left)]
+    if line.speed is not None:
+        columns += [("vx_mps", line.speed), ("ax_mps2", line.a_x)]
+    if line.d_left is not None:
+        columns += [("d_right_m", line.d_right), ("d_left_m", line.d_left)]
     head = [
-        f"closed raceline {track.name}: {track.length:.3f} m".replace("  ", " "),
+        f"closed raceline {line.name}: {line.length:.3f} m".replace("  ", " "),
         "psi_rad from +x, counter-clockwise; kappa_radpm positive in left-hand bends; "
         "d_right_m, d_left_m to the walls",
         "; ".join(name for name, _ in columns),
@@ -150,38 +155,36 @@ def _map_racing(track, path):
     return _csv(head, [column for _, column in columns], ";")
 
 
-def _tum(track, path):
-    return _seven(track, path, "tum", wrap(track.psi - 0.5 * math.pi), "; ")
+def _tum(line, path):
+    return _seven(line, path, "tum", wrap(line.psi - 0.5 * math.pi), "; ")
 
 
-def _racetracks(track, path):
-    return _seven(track, path, "racetracks", np.mod(track.psi, 2.0 * math.pi), ";")
+def _racetracks(line, path):
+    return _seven(line, path, "racetracks", np.mod(line.psi, 2.0 * math.pi), ";")
 
 
-def _seven(track, path, form, psi, separator):
-    """The seven columns, closed, below two lines where the TUM tools have an id and a hash."""
-    if track.speed is None:
-        raise RacelineError(
-            f"{path}: expected a track with speeds: format {form} has a column of them"
-        )
-    columns = (track.s, track.x, track.y, psi, track.kappa, track.speed, track.a_x)
+def _seven(line, path, form, psi, separator):
+    """The seven columns, closed, below the two lines of the TUM tools for an id and a hash."""
+    if line.speed is None:
+        raise RacelineError(f"{path}: expected a raceline with speeds for format {form}, got none")
+    columns = (line.s, line.x, line.y, psi, line.kappa, line.speed, line.a_x)
     columns = [np.append(column, column[0]) for column in columns]
-    columns[0][-1] = track.length
+    columns[0][-1] = line.length
     content = np.stack(columns).tobytes()
     head = [
         str(uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha1(content).hexdigest())),
-        hashlib.sha1(b"").hexdigest(),  # of the acceleration limits, of which no file is known here
+        hashlib.sha1(b"").hexdigest(),  # of the file of acceleration limits: there is none
         "s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2",
     ]
     return _csv(head, columns, separator)
 
 
-def _centerline(track, path):
-    if track.d_left is None:
+def _centerline(line, path):
+    if line.d_left is None:
         raise RacelineError(
-            f"{path}: expected a track with walls: format centerline has their distances"
+            f"{path}: expected a raceline with walls for format centerline, got none"
         )
-    columns = [track.x, track.y, track.d_right, track.d_left]
+    columns = [line.x, line.y, line.d_right, line.d_left]
     return _csv(["x_m,y_m,w_tr_right_m,w_tr_left_m"], columns, ",")
 
 
@@ -196,69 +199,74 @@ def _csv(head, columns, separator):
 # -- race_stack ----------------------------------------------------------------------------------
 
 
-_FIELDS = ("s_m", "d_m", "x_m", "y_m", "d_right", "d_left")
-_FIELDS += ("psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
-
-
-def _race_stack(track, path):
-    """All keys that race_stack reads, whose line of shortest path is the raceline here, too."""
-    line = _waypoints(track)
-    center = track if track.d_left is None else _middle(track)
-    speed = track.speed
+def _race_stack(line, path):
+    """All keys that race_stack reads; the shortest path (sp) is the raceline, too."""
+    waypoints = _waypoints(line)
+    center = line if line.d_left is None else _middle(line)
+    speed = line.speed
     time, v_max = 0.0, 0.0
     if speed is not None:
         v_max = float(speed.max())
-        ds = np.diff(np.append(track.s, track.length))
+        ds = np.diff(np.append(line.s, line.length))
         time = lap_time(speed, ds)
         time = time if math.isfinite(time) else 0.0
-    told = "; ".join(
+    info = "; ".join(
         f"{name} estimated lap time: {time:.4f}s; {name} maximum speed: {v_max:.4f}m/s"
         for name in ("IQP", "SP")
     )
     bounds = np.empty((0, 2))
-    if track.d_left is not None:
-        normal = np.stack((-np.sin(track.psi), np.cos(track.psi)), axis=1)
-        xy = np.stack((track.x, track.y), axis=1)
-        walls = xy - track.d_right[:, None] * normal, xy + track.d_left[:, None] * normal
+    if line.d_left is not None:
+        normal = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
+        xy = np.stack((line.x, line.y), axis=1)
+        walls = xy - line.d_right[:, None] * normal, xy + line.d_left[:, None] * normal
         bounds = np.concatenate(walls)
     content = {
-        "map_info_str": {"data": told + "; "},
+        "map_info_str": {"data": info + "; "},
         "est_lap_time": {"data": time},
         "centerline_markers": _spheres(np.stack((center.x, center.y), axis=1), (0.0, 0.0, 1.0)),
         "centerline_waypoints": _waypoints(center),
-        "global_traj_markers_iqp": _columns(track, v_max, (1.0, 0.0, 0.0)),
-        "global_traj_wpnts_iqp": line,
-        "global_traj_markers_sp": _columns(track, v_max, (1.0, 1.0, 0.0)),
-        "global_traj_wpnts_sp": line,
+        "global_traj_markers_iqp": _columns(line, v_max, (1.0, 0.0, 0.0)),
+        "global_traj_wpnts_iqp": waypoints,
+        "global_traj_markers_sp": _columns(line, v_max, (1.0, 1.0, 0.0)),
+        "global_traj_wpnts_sp": waypoints,
         "trackbounds_markers": _spheres(bounds, (0.5, 0.0, 0.5)),
     }
     return json.dumps(content) + "\n"
 
 
-def _middle(track):
-    """The line in the middle between the walls, at its own points; the track where that fails."""
-    offset = 0.5 * (track.d_left - track.d_right)
-    half = 0.5 * (track.d_left + track.d_right)
+def _middle(line):
+    """Middle line between the walls; the line itself where no curve can be built."""
+    offset = 0.5 * (line.d_left - line.d_right)
+    half = 0.5 * (line.d_left + line.d_right)
     try:
-        line = Raceline(
-            track.x - offset * np.sin(track.psi),
-            track.y + offset * np.cos(track.psi),
+        center = Raceline(
+            line.x - offset * np.sin(line.psi),
+            line.y + offset * np.cos(line.psi),
             d_left_m=half,
             d_right_m=half,
         )
     except RacelineError:
-        return track
-    at = line.sample(line.s_points)
+        return line
+    at = center.sample(center.s_points)
     return RacelineColumns(
-        *(track.name, line.length, line.s_points, at.x, at.y, at.psi, at.kappa),
-        *(None, None, at.d_left, at.d_right),
+        line.name,
+        center.length,
+        center.s_points,
+        at.x,
+        at.y,
+        at.psi,
+        at.kappa,
+        speed=None,
+        a_x=None,
+        d_left=at.d_left,
+        d_right=at.d_right,
     )
 
 
-def _waypoints(track):
+def _waypoints(line):
     points = [
-        dict({"id": number}, **dict(zip(_FIELDS, row)))
-        for number, row in enumerate(closed_rows(track).tolist())
+        dict({"id": number}, **dict(zip(WAYPOINT_FIELDS, row)))
+        for number, row in enumerate(closed_rows(line).tolist())
     ]
     return {"header": _header(), "wpnts": points}
 
@@ -277,12 +285,12 @@ def _spheres(xy, color):
     }
 
 
-def _columns(track, v_max, color):
+def _columns(line, v_max, color):
     """Columns as high as the speed, the highest 1 m; spheres where there are no speeds."""
-    xy = np.stack((track.x, track.y), axis=1)
+    xy = np.stack((line.x, line.y), axis=1)
     if v_max <= 0.0:
         return _spheres(xy, color)
-    heights = (track.speed / v_max).tolist()
+    heights = (line.speed / v_max).tolist()
     return {
         "markers": [
             _marker(number, 3, (x, y, 0.5 * height), (0.1, 0.1, height), color)
@@ -292,7 +300,7 @@ def _columns(track, v_max, color):
 
 
 def _marker(number, kind, position, size, color):
-    """A ``visualization_msgs/Marker`` with every field, as dictionaries of messages have them."""
+    """A ``visualization_msgs/Marker`` as a dictionary with every field."""
     return {
         "header": _header(),
         "ns": "",

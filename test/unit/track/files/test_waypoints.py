@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from map_racing.control.speed_plan import scaled_speed
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.errors import ParameterError
-from map_racing.track.files.waypoints import scaled_speed, waypoint_rows
+from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
@@ -21,7 +22,7 @@ def circle(radius=5.0, speed=3.0):
 
 def test_rows_of_a_circle():
     rows = waypoint_rows(circle(), spacing=0.5)
-    s, d, x, y, right, left, psi, kappa, v, a_x = rows.T
+    s, d, x, y, right, left, psi, kappa, v, a_x = (rows[name] for name in rows.dtype.names)
     # 31.42 m in steps of about half a meter that divide it.
     assert len(rows) == 63 and np.ptp(np.diff(s)) < 1e-12
     assert np.hypot(x, y) == pytest.approx(np.full(63, 5.0), abs=1e-5)
@@ -33,14 +34,15 @@ def test_rows_of_a_circle():
 
 def test_what_is_missing_is_zero():
     rows = waypoint_rows(Raceline(np.cos(ANGLE), np.sin(ANGLE)))
-    assert not rows[:, [1, 4, 5, 8, 9]].any()
+    for name in ("d_m", "d_right", "d_left", "vx_mps", "ax_mps2"):
+        assert not rows[name].any()
 
 
 def test_acceleration_is_constant_between_waypoints():
     raceline = circle()
     length = raceline.length
     rows = waypoint_rows(raceline, speed=lambda s: 3.0 + np.sin(2.0 * np.pi * s / length))
-    s, v, a_x = rows[:, 0], rows[:, 8], rows[:, 9]
+    s, v, a_x = rows["s_m"], rows["vx_mps"], rows["ax_mps2"]
     assert v[:-1] ** 2 + 2.0 * a_x[:-1] * np.diff(s) == pytest.approx(v[1:] ** 2)
     assert np.sum(a_x) == pytest.approx(0.0, abs=1e-9)
 
@@ -59,5 +61,5 @@ def test_impossible_scales_are_refused(scale):
 
 
 def test_a_scale_needs_speeds():
-    with pytest.raises(ParameterError, match="no speeds"):
+    with pytest.raises(ParameterError, match="expected speeds, got none"):
         scaled_speed(circle(speed=None))

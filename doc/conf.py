@@ -1,0 +1,69 @@
+"""The site of these pages: ``pip install '.[docs]'``, then ``sphinx-build doc site``."""
+
+import collections
+import pkgutil
+
+import map_racing
+
+project = "map_racing"
+version = release = map_racing.__version__
+html_title = "map_racing"
+html_theme = "furo"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+]
+exclude_patterns = ["_templates"]
+templates_path = ["_templates"]
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+
+# The API reference is made of the docstrings; what ROS and catkin bring need not be installed.
+autodoc_mock_imports = [
+    "ackermann_msgs",
+    "diagnostic_msgs",
+    "dynamic_reconfigure",
+    "genpy",
+    "geometry_msgs",
+    "map_racing.cfg",
+    "map_racing.msg",
+    "nav_msgs",
+    "rosbag",
+    "rosgraph",
+    "rosgraph_msgs",
+    "roslib",
+    "rospy",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+    "tf2_msgs",
+    "visualization_msgs",
+]
+# Two modules may use one name; which is meant follows from the page.
+suppress_warnings = ["ref.python"]
+# One page for each room, with all its modules.
+autosummary_context = {
+    "packages": [
+        module.name
+        for module in pkgutil.walk_packages(map_racing.__path__, "map_racing.")
+        if module.ispkg
+    ]
+}
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+
+def skip_field(app, what, name, obj, skip, options):
+    """Leave out the fields of named tuples, which the docstring of their class explains."""
+    return True if isinstance(obj, collections._tuplegetter) else None
+
+
+def setup(app):
+    """Connect the hook."""
+    app.connect("autodoc-skip-member", skip_field)

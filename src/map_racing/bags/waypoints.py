@@ -1,0 +1,168 @@
+"""Waypoints that a bag carries."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import BagError
+from ..validation import FARTHEST
+from . import messages as msg
+from .records import BagFile, Message
+from .samples import Waypoints
+
+__all__ = ["WaypointCollection", "read_waypoints"]
+
+# The lateral deviation of a raceline from itself is meaningless, and may be anything.
+_FIELDS = tuple(field for field in msg.WAYPOINT_FIELDS if field != "d_m")
+
+
+def read_waypoints(path: str | Path, topic: str | None = None) -> Waypoints:
+    """Read the first waypoint array (``f110_msgs/WpntArray``) of a bag, or its longest path.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    topic : str, optional
+        By default ``/global_waypoints``, then other topics of waypoint arrays, then of
+        ``nav_msgs/Path``; never local waypoints or paths, which cover only a part of the track.
+
+    Returns
+    -------
+    Waypoints
+
+    Raises
+    ------
+    BagError
+        If the bag has no waypoints, or none on `topic`.
+    """
+    with BagFile(path) as bag:
+        arrays = WaypointCollection(bag, topic)
+        first = min(arrays.connections.values(), key=_rank, default=None)
+        for message in bag.messages(set(arrays.connections)):
+            arrays.add(message)
+            if first in arrays.columns:
+                break
+        waypoints, notes = arrays.best(), arrays.notes
+        paths = {} if waypoints else _read_paths(bag, topic, notes)
+    if waypoints:
+        return waypoints
+    if paths:
+        name = min(paths, key=lambda name: (_rank(name), -len(paths[name]["x_m"])))
+        return Waypoints(name, "Path", paths[name])
+    asked = f" on {topic}" if topic else ""
+    why = f": {notes[0]}" if notes else ""
+    raise BagError(
+        f"{path}: no raceline (f110_msgs/WpntArray with waypoints, nav_msgs/Path){asked}{why}"
+    )
+
+
+class WaypointCollection:
+    """The first non-empty waypoint array on each topic of a bag.
+
+    Arrays of unknown versions are decoded by the definition that the bag carries.
+
+    Parameters
+    ----------
+    bag : BagFile
+    topic : str, optional
+        By default all topics except local waypoints.
+
+    Attributes
+    ----------
+    connections : dict of int to str
+        Topics of waypoint arrays by connection.
+    columns : dict of str to dict
+        Columns of the waypoints by topic.
+    notes : list of str
+        What could not be read.
+    """
+
+    def __init__(self, bag: BagFile, topic: str | None = None):
+        self._bag = bag
+        self.connections = _connections(
+            bag, topic, lambda connection: connection.type.rpartition("/")[2] == "WpntArray"
+        )
+        self.columns: dict[str, dict] = {}
+        self.notes: list[str] = []
+
+    def add(self, message: Message) -> None:
+        """Add a message of one of the `connections`."""
+        topic = self.connections[message.connection]
+        if topic in self.columns:
+            return
+        connection = self._bag.connections[message.connection]
+        try:
+            if connection.md5sum == msg.MD5[msg.WAYPOINTS]:
+                fields = msg.decode_waypoints(message.data)
+            else:
+                fields = _decode_by_definition(connection, message.data)
+        except Exception as error:
+            # rosbags raises many kinds of errors for invalid definitions and messages.
+            self.notes.append(f"{topic}: cannot decode {connection.type} ({error})")
+            return
+        columns = {field: fields[field] for field in _FIELDS if field in fields}
+        if any(np.any(~(np.abs(column) < FARTHEST)) for column in columns.values()):
+            self.notes.append(f"{topic}: waypoints with impossible values left out")
+        elif len(columns.get("x_m", ())) and "y_m" in columns:
+            self.columns[topic] = columns
+
+    def best(self) -> Waypoints | None:
+        """Waypoints of the preferred topic, or None."""
+        topic = min(self.columns, key=_rank, default=None)
+        return None if topic is None else Waypoints(topic, "WpntArray", self.columns[topic])
+
+
+def _connections(bag, topic, accept):
+    """Topics by connection: of accepted connections on a topic or, without one, not local."""
+    wanted = "/" + topic.lstrip("/") if topic else None
+    return {
+        number: connection.topic
+        for number, connection in bag.connections.items()
+        if accept(connection)
+        and (connection.topic == wanted if wanted else "local" not in connection.topic)
+    }
+
+
+def _rank(topic):
+    if topic == "/global_waypoints":
+        return (0, topic)
+    return (2 if "center" in topic else 1, topic)
+
+
+def _decode_by_definition(connection, data):
+    """Columns of a ``WpntArray`` of an unknown version, by its definition in the bag."""
+    # Rarely needed, and slow to import.
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    package, name = connection.type.split("/")
+    name = f"{package}/msg/{name}"
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_msg(connection.definition, name))
+    waypoints = types.deserialize_ros1(data, name).wpnts
+    return {
+        field: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
+        for field in _FIELDS
+        if waypoints and hasattr(waypoints[0], field)
+    }
+
+
+def _read_paths(bag, topic, notes):
+    """The longest path of each topic that has one of at least four poses."""
+    lines = _connections(bag, topic, lambda connection: connection.md5sum == msg.MD5[msg.PATH])
+    longest, paths = {}, {}
+    for message in bag.messages(set(lines)) if lines else ():
+        name = lines[message.connection]
+        if len(message.data) > len(longest.get(name, b"")):
+            longest[name] = bytes(message.data)
+    for name, data in longest.items():
+        try:
+            columns = msg.decode_path(data)
+        except struct.error as error:
+            notes.append(f"{name}: cannot decode {msg.PATH} ({error})")
+            continue
+        if columns["x_m"].size >= 4:
+            paths[name] = columns
+    return paths

@@ -1,0 +1,117 @@
+"""Live tuning of the running controller by dynamic_reconfigure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Callable
+
+import rospy
+from dynamic_reconfigure.server import Server
+
+from map_racing.cfg import ControllerConfig
+
+from ..control.controller import Controller, build_steering_map
+from ..control.parameters import STEERING_MAPS, load_controller_parameters
+from ..errors import MapRacingError, ParameterError
+
+if TYPE_CHECKING:
+    import threading
+
+    from ..control.safety import Supervisor
+
+__all__ = ["TuningServer"]
+
+
+class TuningServer:
+    """Changes parameters, steering map and safety limits while the car drives.
+
+    Each steering map keeps its own lookahead. A change that is impossible is rejected as a whole;
+    the answer holds the values in use.
+
+    Parameters
+    ----------
+    controller : Controller
+        Its steering map and largest speed are kept: the speed can be lowered, never raised above
+        the one at the start.
+    supervisor : Supervisor
+    lock : threading.RLock
+        Held while a change is applied, so that it falls between two control steps.
+    changing : threading.Lock
+        Held while a change is prepared, beside the control steps.
+    announce_speeds : callable
+        Called when the speed plan has changed.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        supervisor: Supervisor,
+        lock: threading.RLock,
+        changing: threading.Lock,
+        announce_speeds: Callable[[], None],
+    ):
+        self._controller, self._supervisor, self._lock = controller, supervisor, lock
+        self._changing, self._announce_speeds = changing, announce_speeds
+        parameters = controller.parameters
+        self._v_max = parameters.v_max_mps
+        self._maps = {parameters.steering_map: controller.steering_map}
+        shipped = {kind: load_controller_parameters(f) for kind, f in STEERING_MAPS.items()}
+        shipped[parameters.steering_map] = parameters
+        self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
+        # Start with the values in use, not with those that an earlier run left on the parameter
+        # server, and with ranges that include them: the server clamps all values at each call.
+        values = self._in_use()
+        ControllerConfig.defaults.update(values)
+        for name, value in values.items():
+            if isinstance(value, float):
+                ControllerConfig.min[name] = min(ControllerConfig.min[name], value)
+                ControllerConfig.max[name] = max(ControllerConfig.max[name], value)
+        rospy.set_param("~tuning", values)
+        self._server = Server(ControllerConfig, self._reconfigure, namespace="tuning")
+
+    def _in_use(self):
+        """The values in use, by the names of the configuration."""
+        values = {**vars(self._controller.parameters), **vars(self._supervisor.limits)}
+        for kind, (m_m, q_s) in self._lookaheads.items():
+            values[f"{kind}_m_m"], values[f"{kind}_q_s"] = m_m, q_s
+        return {name: values[name] for name in ControllerConfig.defaults}
+
+    def _reconfigure(self, config, _):
+        """Apply a requested configuration; return the one in use."""
+        try:
+            self._apply(config)
+        except MapRacingError as error:
+            rospy.logwarn("reconfigure rejected: %s", error)
+        config.update(self._in_use())
+        return config
+
+    def _apply(self, config):
+        for name, value in config.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ParameterError(f"{name}: expected a finite number, got {value}")
+        kind = config["steering_map"]
+        lookaheads = {k: (config[f"{k}_m_m"], config[f"{k}_q_s"]) for k in STEERING_MAPS}
+        m_m, q_s = lookaheads.get(kind, (0.0, 0.0))
+        parameters = _changed(
+            self._controller.parameters,
+            {**config, "m_m": m_m, "q_s": q_s, "v_max_mps": min(config["v_max_mps"], self._v_max)},
+        )
+        limits = _changed(self._supervisor.limits, config)
+        if kind not in self._maps:
+            self._maps[kind] = build_steering_map(kind, self._controller.vehicle, self._v_max)
+        with self._changing:
+            plan = self._controller.plan
+            setup = self._controller.prepare(parameters=parameters, steering_map=self._maps[kind])
+            with self._lock:
+                self._lookaheads = lookaheads
+                self._controller.apply(setup)
+                self._supervisor.limits = limits
+            if self._controller.plan is not plan:
+                self._announce_speeds()
+
+
+def _changed(values, config):
+    """A dataclass with the values of the same names in `config`."""
+    names = (field.name for field in fields(values))
+    return replace(values, **{name: config[name] for name in names if name in config})

@@ -1,0 +1,317 @@
+"""Centerline and widths of a track from a map image.
+
+The car's center can go where the nearest wall is at least half a passage away. What remains of the
+free space is a ring with one wall outside and one inside; narrower passages and gaps in walls are
+closed. The centerline is the curve in the ring equally far from both walls.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from ..errors import ParameterError, RacelineError
+from .findings import NOTE, WARNING, Finding
+from .map_image import MapImage
+from .raceline import Raceline
+from .walls import march, smooth_between
+
+__all__ = ["track_from_map"]
+
+# Islands up to this share of the size of the largest are obstacles on the track.
+_OBSTACLE = 1.0 / 3.0
+# The centerline is smoothed over this share of the width of the track.
+_SMOOTHED = 0.15
+
+
+def track_from_map(
+    image: MapImage,
+    start: Sequence[float],
+    psi: float | None = None,
+    *,
+    passage: float,
+    speckle: float | None = None,
+    spacing: float = 0.1,
+) -> Raceline:
+    """Find the centerline of the free space around a start, with distances to the walls.
+
+    Parameters
+    ----------
+    image : MapImage
+    start : tuple of float
+        A position on the track [m]; the lap begins beside it.
+    psi : float, optional
+        Direction of travel there [rad], to within 75 degrees; by default counter-clockwise.
+    passage : float
+        Close what is narrower than this [m]: at least the car's width. A larger value closes gaps
+        in walls; the narrowest place of the track must still be wider.
+    speckle : float, optional
+        Remove walls of less area than this as lidar noise [m^2]; by default walls of one or two
+        cells.
+    spacing : float, optional
+        Distance between the points [m].
+
+    Returns
+    -------
+    Raceline
+        With `findings`.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is impossible or the start is not on free space.
+    RacelineError
+        If the free space forms no loop, or several.
+    """
+    for key, value in (("passage", passage), ("spacing", spacing)):
+        if not 0.0 < value < math.inf:
+            raise ParameterError(f"{key}: expected more than 0 m, got {value}")
+    if not all(math.isfinite(value) for value in (*start, psi or 0.0)):
+        raise ParameterError(f"start: expected finite numbers, got {start}, {psi}")
+    name, resolution = image.source, image.resolution
+    findings = list(image.findings)
+    free, removed = _without_speckle(image, speckle)
+    if removed:
+        text = f"{removed} specks of walls removed as noise"
+        findings.append(Finding("speckle", NOTE, text))
+
+    # Beyond the image all is wall. The surface of a wall is half a cell before its center.
+    distance = np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5) * resolution
+    room = distance >= 0.5 * passage
+    labels, _ = ndimage.label(room)
+    column, row = (int(round(value)) + 1 for value in image.to_cells(start))
+    inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
+    if not inside or not labels[row, column]:
+        raise ParameterError(_bad_start(image, start, labels, distance, passage, row, column))
+    ring = labels == labels[row, column]
+
+    inner, outer, more = _two_sides(image, ring, passage)
+    findings += more
+    # On the centerline the distances to both sides are equal.
+    level = ndimage.distance_transform_edt(~inner) - ndimage.distance_transform_edt(~outer)
+    cells = _zero_contour(level) - 1.0
+    points = image.to_world(cells)
+
+    def clear(at):
+        where = image.to_cells(at).T[::-1] + 1.0
+        return ndimage.map_coordinates(distance, where, order=1, mode="nearest")
+
+    half = 0.5 * passage
+    line, kept = _as_driven(_smooth(points, clear, half, spacing), start, psi)
+    findings += kept
+    widths, more = _widths(line, clear, half, 4.0 * float(distance.max()))
+    findings += more
+    track = Raceline(
+        line.x,
+        line.y,
+        d_left_m=widths[0],
+        d_right_m=widths[1],
+        name=Path(name).stem,
+        source=name,
+    )
+    track.findings = tuple(findings)
+    return track
+
+
+def _widths(line, clear, half, farthest):
+    """Distances from a line to the walls, openings closed, and findings."""
+    at = np.stack((line.x, line.y), axis=1)
+    normal = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
+    # Half a passage wide, so that no post between two normals is missed.
+    widths = [march(clear, at, side * normal, half, farthest) + half for side in (1.0, -1.0)]
+    widths, openings = _without_openings(widths, line)
+    if not openings:
+        return widths, []
+    x, y, deep = max(openings, key=lambda opening: opening[2])
+    text = (
+        f"{len(openings)} openings in the walls shorter than the track is wide closed, the "
+        f"deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
+    )
+    return widths, [Finding("openings", NOTE, text)]
+
+
+def _without_speckle(image, speckle):
+    """Free space with the smallest walls removed, and their number."""
+    limit = 2.5 * image.resolution**2 if speckle is None else speckle
+    labels, count = ndimage.label(~image.free, structure=np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1) * image.resolution**2
+    small = sizes < limit
+    small[0] = False
+    return image.free | small[labels], int(small.sum())
+
+
+def _bad_start(image, start, labels, distance, passage, row, column):
+    """Why the start is not on the track, and the nearest place that is."""
+    where = f"{image.source}: start ({start[0]:.2f}, {start[1]:.2f})"
+    if not labels.any():
+        return f"{where}: no place on the map is {passage:.2f} m wide"
+    rows, columns = np.nonzero(labels)
+    k = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
+    x, y = image.to_world([[columns[k] - 1, rows[k] - 1]])[0]
+    inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
+    if not inside:
+        reason = "is not on the map"
+    elif distance[row, column] <= 0.0:
+        reason = "is in a wall or on unknown ground"
+    else:
+        reason = f"is {distance[row, column]:.2f} m from a wall, less than {0.5 * passage:.2f} m"
+    return f"{where} {reason}; the nearest place to start from is ({x:.2f}, {y:.2f})"
+
+
+def _two_sides(image, ring, passage):
+    """Cells inside and outside the ring; obstacles on it belong to the nearer side."""
+    labels, count = ndimage.label(~ring, structure=np.ones((3, 3)))
+    outside = labels[0, 0]
+    islands = [k for k in range(1, count + 1) if k != outside]
+    if not islands:
+        raise RacelineError(
+            f"{image.source}: expected a closed track, but the free space around the start has no "
+            "wall inside: is the start outside the walls, or the inner wall not on the map?"
+        )
+    boxes = ndimage.find_objects(labels)
+    extent = {
+        k: math.hypot(*(part.stop - part.start for part in boxes[k - 1]))
+        - passage / image.resolution
+        for k in islands
+    }
+    islands.sort(key=lambda k: -extent[k])
+    first = islands[0]
+    large = [k for k in islands if extent[k] > _OBSTACLE * extent[first]]
+    if len(large) > 1:
+        places = ", ".join(
+            f"({x:.1f}, {y:.1f}) of {extent[k] * image.resolution:.1f} m"
+            for k in large[:4]
+            for x, y in [_center(image, boxes[k - 1])]
+        )
+        raise RacelineError(
+            f"{image.source}: expected one loop, got {len(large)} ways around islands at {places}. "
+            f"Close the wrong way by a black line in the image, or gaps in walls by a passage "
+            f"wider than {passage:.2f} m"
+        )
+    inner, outer, findings = labels == first, labels == outside, []
+    obstacles = islands[1:]
+    gaps = [
+        ndimage.minimum(ndimage.distance_transform_edt(labels != side), labels, obstacles)
+        for side in (first, outside)
+        if obstacles
+    ]
+    for k, to_inner, to_outer in zip(obstacles, *gaps):
+        nearer = "inner" if to_inner < to_outer else "outer"
+        x, y = _center(image, boxes[k - 1])
+        text = f"obstacle at ({x:.2f}, {y:.2f}): closed toward the {nearer} wall"
+        findings.append(Finding("obstacle", WARNING, text))
+        side = inner if nearer == "inner" else outer
+        side |= labels == k
+    return inner, outer, findings
+
+
+def _center(image, box):
+    rows, columns = box
+    middle = [[0.5 * (columns.start + columns.stop - 3), 0.5 * (rows.start + rows.stop - 3)]]
+    return image.to_world(middle)[0]
+
+
+def _zero_contour(level):
+    """Closed curve around the negative values, as columns and rows, shape (n, 2).
+
+    Marching squares: the curve crosses each edge between a negative and another value where linear
+    interpolation is 0, with the negative values to its left.
+    """
+    negative = level < 0.0
+    following, place = {}, {}
+
+    def crossing(row, column, vertical):
+        key = (row, column, vertical)
+        if key not in place:
+            a = level[row, column]
+            b = level[row + 1, column] if vertical else level[row, column + 1]
+            part = a / (a - b)
+            place[key] = (column, row + part) if vertical else (column + part, row)
+        return key
+
+    low, high = negative[:-1], negative[1:]
+    corners = low[:, :-1] + 2 * low[:, 1:] + 4 * high[:, 1:] + 8 * high[:, :-1]
+    for row, column in np.argwhere((corners > 0) & (corners < 15)).tolist():
+        # Edges counter-clockwise from the lower one; signs: whether the first end is negative.
+        case = int(corners[row, column])
+        edges = (
+            (row, column, False),
+            (row, column + 1, True),
+            (row + 1, column, False),
+            (row, column, True),
+        )
+        signs = [bool(case >> k & 1) for k in range(4)]
+        # Around the cell, the curve leaves where the sign changes from negative.
+        leaves = [k for k in range(4) if signs[k] and not signs[(k + 1) % 4]]
+        enters = [k for k in range(4) if not signs[k] and signs[(k + 1) % 4]]
+        for k in leaves:
+            # With two pairs, each curve separates its negative corner.
+            end = enters[0] if len(enters) == 1 else (k - 1) % 4
+            following[crossing(*edges[k])] = crossing(*edges[end])
+    longest = []
+    left = set(following)
+    while left:
+        first = left.pop()
+        curve, key = [first], following[first]
+        while key != first:
+            left.discard(key)
+            curve.append(key)
+            key = following[key]
+        longest = max(longest, curve, key=len)
+    return np.array([place[key] for key in longest], dtype=float)
+
+
+def _smooth(points, clear, half, spacing):
+    """Closed curve without the steps of the cells and kinks, as even points."""
+    closed = np.concatenate((points, points[:1]))
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))))
+    count = 2 * len(points)
+    at = np.arange(count) * (s[-1] / count)
+    even = np.stack([np.interp(at, s, column) for column in closed.T], axis=1)
+    # The curve has a kink where another wall becomes the nearest.
+    deviation = _SMOOTHED * 2.0 * float(np.median(clear(even)))
+    even, _ = smooth_between(even, s[-1], deviation, clear, half)
+    line = Raceline(*even.T)
+    at = line.sample(np.linspace(0.0, line.length, max(8, round(line.length / spacing)), False))
+    return Raceline(at.x, at.y)
+
+
+def _as_driven(line, start, psi):
+    """Line from its point beside the start, in the direction of travel."""
+    findings = []
+    place = line.project(*start)
+    if psi is None:
+        area = 0.5 * np.sum(line.x * np.roll(line.y, -1) - line.y * np.roll(line.x, -1))
+        backwards = area < 0.0
+        text = "no direction given: driven counter-clockwise"
+        findings.append(Finding("direction", NOTE, text))
+    else:
+        backwards = math.cos(place.psi - psi) < 0.0
+        if abs(math.cos(place.psi - psi)) < 0.26:
+            raise ParameterError(
+                f"start: expected a direction within 75 degrees of the track, {place.psi:.2f} rad "
+                f"or the opposite, got {psi:.2f} rad"
+            )
+    line = line.rotated(place.s)
+    return (line.reversed() if backwards else line), findings
+
+
+def _without_openings(widths, line):
+    """Widths without deep short openings, gaps in a wall; position and depth of each opening."""
+    window = max(3, int(round(float(np.median(widths[0] + widths[1])) / line.ds)) | 1)
+    window = min(window, line.n // 4 * 2 + 1)
+    result, openings = [], []
+    for side, width in zip((1.0, -1.0), widths):
+        closed = ndimage.grey_opening(width, window, mode="wrap")
+        deep = width > closed + 0.5 * float(np.median(width))
+        labels, _ = ndimage.label(deep)
+        for k in range(1, labels.max() + 1):
+            i = int(np.flatnonzero(labels == k)[np.argmax(width[labels == k])])
+            x, y = line.to_cartesian(line.s[i], side * closed[i])
+            openings.append((float(x), float(y), float(width[i] - closed[i])))
+        result.append(np.where(deep, closed, width))
+    return result, openings

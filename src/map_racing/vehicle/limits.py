@@ -1,0 +1,60 @@
+"""Acceleration limits of a vehicle for speed profiles."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .lookup import LookupTable, default_grid
+from .parameters import Vehicle
+from .steady_state import steady_state_table
+
+__all__ = ["speed_limits"]
+
+
+def speed_limits(
+    vehicle: Vehicle,
+    table: LookupTable | None = None,
+    *,
+    lateral_scale: float = 1.0,
+    longitudinal_scale: float = 1.0,
+    v_max: float | None = None,
+    power: float | None = None,
+) -> dict[str, Any]:
+    """Limits of a vehicle, as keyword arguments of `map_racing.track.speed_profile.speed_profile`.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    table : LookupTable, optional
+        Table with the lateral limit, by default the vehicle's own.
+    lateral_scale, longitudinal_scale : float, optional
+        Share of the lateral acceleration, and of driving and braking, to use.
+    v_max : float, optional
+        Top speed [m/s], if lower than the vehicle's.
+    power : float, optional
+        Power of the drive [W]: at the speed v it accelerates by at most ``power / (m v)``.
+
+    Returns
+    -------
+    dict
+        ``a_lat_max``, ``a_drive_max``, ``a_brake_max`` [m/s^2] and ``v_max`` [m/s].
+    """
+    fastest = min(vehicle.v_max, v_max or math.inf)
+    if table is None:
+        table = steady_state_table(vehicle, *default_grid(vehicle, max(fastest, 0.5)))
+    drive = longitudinal_scale * vehicle.a_max
+    if power is not None:
+        corner = power / (vehicle.m * drive)  # the speed at which a_max takes all the power
+
+        def drive(v, most=drive):
+            return most * corner / np.maximum(v, corner)
+
+    return {
+        "a_lat_max": lambda v: lateral_scale * table.max_lateral_acceleration(v),
+        "a_drive_max": drive,
+        "a_brake_max": longitudinal_scale * vehicle.a_brake_max,
+        "v_max": fastest,
+    }

@@ -1,0 +1,26 @@
+"""Files that a command writes never replace its inputs or recordings."""
+
+import shutil
+
+from map_racing.resources import find_config
+
+
+def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, refused):
+    ours, theirs = (tmp_path / f"{name}.bag" for name in ("ours", "theirs"))
+    for path in (ours, theirs):
+        shutil.copy(str(bags["map"]), str(path))
+    before = ours.read_bytes()
+    assert "an input" in refused("evaluate", ours, "--csv", ours)
+    assert "another output" in refused(
+        "evaluate", ours, "--csv", tmp_path / "a", "--json", tmp_path / "a"
+    )
+    shutil.copy(str(ours), str(tmp_path / "unnamed"))
+    line = refused("evaluate", theirs, "--csv", tmp_path / "unnamed")
+    assert "is a bag, which would be lost" in line
+    car = tmp_path / "car.yaml"
+    shutil.copy(str(find_config("vehicles", "nuc4", (".yaml",))), str(car))
+    text = car.read_text()
+    assert "an input" in refused("lookup", "generate", "--vehicle", car, "--output", car)
+    assert "an input" in refused("race", "--vehicle", car, "--output", car)
+    assert "name of a file" in refused("race", "--output", ".")
+    assert (ours.read_bytes(), car.read_text()) == (before, text)

@@ -1,0 +1,91 @@
+"""The command line as a process: its streams, names of files, signals, and installation."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+
+def program(*arguments, **options):
+    """Run the command line as a process."""
+    command = [sys.executable, "-m", "map_racing", *map(str, arguments)]
+    pipe = subprocess.PIPE
+    return subprocess.run(command, **{"stdout": pipe, "stderr": pipe, "check": False, **options})
+
+
+def test_names_that_are_not_utf8(bags, tmp_path):
+    name = b"r\xfcn.bag"
+    path = os.fsdecode(os.fsencode(str(tmp_path)) + b"/" + name)
+    shutil.copy(str(bags["map"]), path)
+    done = program("evaluate", path, "--csv", tmp_path / "l.csv", "--json", tmp_path / "l.json")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert name in (tmp_path / "l.csv").read_bytes()
+    assert json.loads((tmp_path / "l.json").read_text())["runs"][0]["bag"] == path
+
+
+def test_a_terminal_that_knows_no_umlauts(bags, tmp_path):
+    path = tmp_path / "ru\u0308n_\u8d5b.bag"
+    shutil.copy(str(bags["map"]), str(path))
+    done = program("evaluate", path, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"n_\\u8d5b.bag" in done.stdout
+
+
+def test_without_any_stream(bags, tmp_path):
+    report = tmp_path / "l.json"
+    command = f'exec "{sys.executable}" -m map_racing evaluate "$0" --json "$1" <&- >&- 2>&-'
+    subprocess.run(["sh", "-c", command, str(bags["map"]), str(report)], check=True)
+    assert json.loads(report.read_text())["runs"][0]["summary"]["laps_completed"] == 2
+
+
+def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):
+    command = [sys.executable, "-m", "map_racing", "race", "--laps", "1000"]
+    process = subprocess.Popen(
+        [*command, "--output", str(tmp_path / "a.bag")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        # A script may start the tests in the background, where interrupts are ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    process.stdout.readline()  # it races now
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (130, b"map-racing: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_little_memory_is_one_line(refused, monkeypatch):
+    def exhausted(_):
+        raise MemoryError
+
+    monkeypatch.setattr("map_racing.cli.lookup.load_table", exhausted)
+    assert "not enough memory" in refused("lookup", "check", "table.csv")
+
+
+def test_installed_copy_finds_its_data(tmp_path):
+    """What pip installs, without the source tree: command, packages and data files."""
+    source = __file__[: __file__.index("/test/unit/")]
+    copy = tmp_path / "source"
+    ignore = shutil.ignore_patterns(".git", "results", "build", "*.egg-info", "test")
+    shutil.copytree(source, str(copy), ignore=ignore)
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--disable-pip-version-check"]
+    subprocess.run([*pip, "--target", str(tmp_path / "target"), str(copy)], check=True)
+    code = (
+        "from map_racing.cli import main; import map_racing, sys\n"
+        f"assert map_racing.__file__.startswith({str(tmp_path / 'target')!r})\n"
+        "sys.exit(main(['race', '--laps', '1', '--output', 'a.bag']))"
+    )
+    environment = {"PYTHONPATH": str(tmp_path / "target"), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=str(tmp_path),
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""  # no progress bar where stderr is no terminal
+    assert (tmp_path / "a.bag").is_file()

@@ -1,0 +1,116 @@
+"""``map-racing race`` as its users meet it."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from map_racing.bags.reader import read_recording
+from map_racing.cli import main
+
+
+def test_race_says_how_it_ended(tmp_path, capsys):
+    assert main(["race", "--laps", "1", "--output", str(tmp_path / "a.bag")]) == 0
+    assert "completed after 1 timed laps" in capsys.readouterr().out
+
+
+def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
+    arguments = ["--laps", "1", "--speed-scale", "1", "--output", str(tmp_path / "a.bag")]
+    assert main(["race", "--track", "club", *arguments]) == 0
+    slowed = re.search(r"grip_use 0\.\d+: (slower than the raceline on .*)", capsys.readouterr().out)
+    table = tmp_path / "t.csv"
+    vehicle = ["--vehicle", "nuc4", "--v-max", "12"]
+    assert main(["lookup", "generate", *vehicle, "--output", str(table)]) == 0
+    assert main(["lookup", "check", str(table), "--raceline", "club"]) == 0
+    assert slowed.group(1) in capsys.readouterr().out
+    paper = ["--controller", "map_paper"]
+    assert main(["lookup", "check", str(table), "--raceline", "club", *paper]) == 0
+    assert "map_paper, grip_use 0: drives the raceline's speeds" in capsys.readouterr().out
+
+
+def test_a_raceline_without_speeds_is_raced_within_the_grip(tmp_path, capsys):
+    line = tmp_path / "oval.csv"
+    angle = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)
+    rows = "".join(f"{8.0 * np.cos(a):.4f},{4.0 * np.sin(a):.4f}\n" for a in angle)
+    line.write_text("# x_m,y_m\n" + rows)
+    arguments = ["--track", str(line), "--laps", "1", "--output", str(tmp_path / "a.bag")]
+    assert main(["race", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "the raceline has no speeds: driven as fast as the grip allows" in printed
+    assert "completed after 1 timed laps" in printed
+    assert main(["race", *arguments, "--controller", "map_paper"]) == 1
+    assert "oval.csv: expected speeds, got none" in capsys.readouterr().err
+
+
+def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
+    path = tmp_path / "a.bag"
+    arguments = ["--controller", "pure_pursuit_paper", "--speed-scale", "0.9"]
+    assert main(["race", *arguments, "--output", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "crashed after 0 timed laps" in printed and "of the raceline" in printed
+    assert main(["evaluate", str(path)]) == 0
+    assert "N.C." in capsys.readouterr().out
+
+
+def test_same_seed_same_bag(tmp_path):
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        output = str(tmp_path / f"{name}.bag")
+        assert main(["race", "--laps", "1", "--seed", seed, "--output", output]) == 0
+    a, b, c = (read_recording(tmp_path / f"{name}.bag") for name in "abc")
+    assert np.array_equal(a.x, b.x) and not np.array_equal(a.x[:50], c.x[:50])
+
+
+def test_race_with_a_table_and_sectors(tmp_path):
+    table, sectors = tmp_path / "t.csv", tmp_path / "s.yaml"
+    assert main(["lookup", "generate", "--vehicle", "nuc4", "--output", str(table)]) == 0
+    sectors.write_text(
+        "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 365, scaling: 0.5}\n"
+    )
+    output = ["--laps", "1", "--output", str(tmp_path / "a.bag")]
+    extra = ["--lookup-table", str(table), "--speed-sectors", str(sectors)]
+    assert main(["race", "--speed-scale", "1", *extra, *output]) == 0
+    assert main(["evaluate", str(tmp_path / "a.bag"), "--json", str(tmp_path / "a.json")]) == 0
+    (run,) = json.loads((tmp_path / "a.json").read_text())["runs"]
+    assert run["summary"]["max_speed_mps"] == pytest.approx(0.5 * 8.5, abs=0.35)
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--track", "nowhere"], "nowhere: .*reference"),
+        (["--vehicle", "nowhere"], "nowhere: .*nuc4"),
+        (["--controller", "nowhere"], "nowhere: .*pure_pursuit"),
+        (["--plant", "nowhere"], "nowhere: "),
+        (["--laps", "0"], "--laps: expected 1 to 1000, got 0"),
+        (["--speed-scale", "-1"], "speed_scale"),
+        (["--speed-scale", "nan"], "speed_scale"),
+        (["--lookup-table", "nowhere.csv"], "nowhere.csv"),
+        (["--speed-sectors", "nowhere.yaml"], "nowhere.yaml"),
+        (["--controller", "pure_pursuit", "--lookup-table", "t.csv"], "no lookup table"),
+        (["--track", ""], "'': expected the name of a file"),
+    ],
+)
+def test_race_refuses(tmp_path, refused, arguments, said):
+    line = refused("race", *arguments, "--output", tmp_path / "a.bag")
+    assert re.search(said, line), line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_race_refuses_a_track_in_millimeters(tmp_path, refused):
+    angle = np.arange(100) * 2.0 * np.pi / 100
+    path = tmp_path / "mm.csv"
+    rows = zip((5000.0 * np.cos(angle)).tolist(), (5000.0 * np.sin(angle)).tolist())
+    path.write_text("x_m,y_m,vx_mps\n" + "\n".join(f"{x},{y},3" for x, y in rows))
+    line = refused("race", "--track", path, "--output", tmp_path / "a.bag")
+    assert "expected a lap of at most 5000 m, got 31416 m: is it in meters?" in line
+
+
+def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["race", "--laps", "1", "--controller", "map", "--output", "map"]) == 0
+    assert (tmp_path / "map").is_file()
+
+
+def test_race_refuses_a_folder_that_is_not_there(tmp_path, refused):
+    assert "does not exist" in refused("race", "--output", tmp_path / "no" / "a.bag")

@@ -1,0 +1,305 @@
+"""Every command in README and pages runs, in the order of its page.
+
+What a page uses before it makes it belongs to the reader: `READERS` lists these files, and `MAKERS`
+makes them. Only what takes minutes is cut short, by options added to the command (`SHORTER`).
+"""
+
+import gzip
+import re
+import shlex
+from glob import glob
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from matplotlib.figure import Figure
+from pages import PAGES, REPO, blocks, command_lines, name_of, prose
+from PIL import Image
+
+from map_racing.bags.writer import BagWriter
+from map_racing.cli import main
+from map_racing.control.parameters import STEERING_MAPS
+from map_racing.experiments import tuning
+from map_racing.identification.data import load_run
+from map_racing.resources import find_config
+from map_racing.track.files.load import save_raceline
+from map_racing.track.files.waypoints import waypoint_rows
+from map_racing.track.raceline import Raceline
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.steady_state import steady_state_table
+
+READERS = {
+    "README.md": ["map_racing_2025.bag"],
+    "doc/race_day.md": ["map_racing_2025.bag"],
+    "doc/evaluate.md": [
+        "run.bag",
+        "run1.bag",
+        "run2.bag",
+        "log.csv.gz",
+        "line.csv",
+        "my_raceline.csv",
+        "race_stack/global_waypoints.json",
+    ],
+    "doc/racelines.md": ["my_raceline.csv", "recorded.bag", "centerline.csv", "hall.yaml"],
+    "doc/identify.md": [
+        "my_base.yaml",
+        "steering_ramp_1.bag",
+        "steering_ramp_2.bag",
+        "circles_1/cmd.csv",
+        "old_table.csv",
+    ],
+    "doc/experiments.md": ["other/tire-models"],
+    "doc/results.md": ["hangar.bag", "Austin_centerline.csv", "Austin_raceline.csv"],
+}
+
+# The last value of an option counts.
+ON_THE_RING = ["--conditions", "ring.yaml", "--vehicle", "nuc4", "--jobs", "1"]
+SHORTER = {
+    "race": ["--laps", "1"],
+    "tune": [*ON_THE_RING, "--track", "ring.csv"],
+    "experiment": [*ON_THE_RING, "--no-tuning", "--laps", "1"],
+    "velocity-scaling": ["--to", "0.6"],
+}
+# The README prints what these give, so they run as they are.
+WHOLE = ("README.md",)
+
+# Not run: what prepares the car's workspace or an environment of one's own.
+PREPARATION = {
+    ". devel/setup.bash",
+    ". venv/bin/activate",
+    "./scripts/test",
+    "catkin build map_racing",
+    "cd ..",
+    "cd ~/catkin_ws/src",
+    "git clone <this repository> map_racing",
+    "pip install .",
+    "python3 -m venv venv",
+    "rosdep install --from-paths map_racing --ignore-src -y",
+}
+
+
+# -- the reader's files ----------------------------------------------------------------------------
+
+
+def ring(radius=1.2):
+    angle = 2.0 * np.pi * np.arange(60) / 60
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    half = np.full(60, 0.7)
+    return Raceline(x, y, vx_mps=np.full(60, 3.0), d_left_m=half, d_right_m=half, name="ring")
+
+
+def positions(line):
+    """Time [s] and pose of 2.5 laps at 3 m/s."""
+    for i in range(int(2.5 * line.length / 0.075)):
+        point = line.pose(0.075 * i - 2.0)
+        yield 0.025 * i, point.x, point.y, point.psi
+
+
+def raceline(path):
+    save_raceline(ring(), path)
+
+
+def wider(path):
+    save_raceline(ring(1.3), path)
+
+
+def centerline(path):
+    save_raceline(ring(), path, "centerline")
+
+
+def race_stack(path):
+    save_raceline(ring(), path, "race_stack")
+
+
+def bag(path):
+    line = ring()
+    with BagWriter(path) as written:
+        written.waypoints(1.0, waypoint_rows(line))
+        for t, x, y, psi in positions(line):
+            for topic in ("/car_state/odom", "/pf/pose/odom"):
+                written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5, topic=topic)
+
+
+def log(path):
+    with gzip.open(path, "wt") as file:
+        file.write("time,pose_x,pose_y\n")
+        file.writelines(f"{t},{x},{y}\n" for t, x, y, _ in positions(ring()))
+
+
+def hall(path):
+    """A map of map_server: free space between two ellipses; it is driven at (1.2, 0.5) on."""
+    y, x = np.mgrid[3.975:-4.0:-0.05, -6.975:3.0:0.05]
+    radius = np.hypot((x + 2.0) / 1.4, y)
+    pixels = np.where((radius > 1.5) & (radius < 3.2), 254, 0).astype(np.uint8)
+    Image.fromarray(pixels).save(path.with_suffix(".png"))
+    settings = {"image": "hall.png", "resolution": 0.05, "origin": [-7.0, -4.0, 0.0]}
+    settings.update(negate=0, occupied_thresh=0.65, free_thresh=0.196)
+    path.write_text(yaml.safe_dump(settings))
+
+
+def vehicle(path):
+    path.write_bytes(find_config("vehicles", "nuc4", (".yaml",)).read_bytes())
+
+
+def ramps(path):
+    path.write_bytes(find_config("recordings", "nuc4_ramps", (".bag",)).read_bytes())
+
+
+def circles(path):
+    """The shipped ramps as a log with the columns of the channel map circles_log."""
+    signals = load_run(find_config("recordings", "nuc4_ramps", (".bag",))).signals
+    t = signals["x"].t
+    columns = {"t": t, "pose_t": t}
+    for column, name, scale in (
+        ("x", "x", 1.0),
+        ("y", "y", 1.0),
+        ("yaw", "psi", 1.0),
+        ("erpm_meas", "v_x", 1.0 / 2.7964e-4),
+        ("wz", "yaw_rate", 1.0),
+        ("ax", "a_x", 1.0),
+        ("ay", "a_y", -1.0),
+        ("delta_cmd", "steering", 1.0),
+    ):
+        columns[column] = scale * np.interp(t, *signals[name])
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
+
+
+def table(path):
+    speeds, angles = np.linspace(0.5, 7.0, 14), np.linspace(0.0, 0.4, 21)
+    steady_state_table(load_vehicle("nuc4"), speeds, angles).save(path)
+
+
+def experiment(path):
+    run(f"map-racing experiment tire-models --output {path}", path.parent)
+
+
+MAKERS = {
+    "Austin_centerline.csv": centerline,
+    "Austin_raceline.csv": wider,
+    "centerline.csv": centerline,
+    "circles_1/cmd.csv": circles,
+    "hall.yaml": hall,
+    "hangar.bag": bag,
+    "line.csv": raceline,
+    "log.csv.gz": log,
+    "map_racing_2025.bag": bag,
+    "my_base.yaml": vehicle,
+    "my_raceline.csv": raceline,
+    "old_table.csv": table,
+    "other/tire-models": experiment,
+    "race_stack/global_waypoints.json": race_stack,
+    "recorded.bag": bag,
+    "run.bag": bag,
+    "run1.bag": bag,
+    "run2.bag": bag,
+    "steering_ramp_1.bag": ramps,
+    "steering_ramp_2.bag": ramps,
+}
+
+
+# -- commands --------------------------------------------------------------------------------------
+
+
+def conditions(folder):
+    """Conditions that take a second: one day on the ring."""
+    raceline(folder / "ring.csv")
+    (folder / "ring.yaml").write_text(
+        "track: ring.csv\nplant: nuc4\nmu_deviation: 0.05\nfront_stiffness_deviation: 0.1\n"
+        "rear_stiffness_deviation: 0.1\nseeds: [1]\npractice_seeds: [11]\ntuning_laps: 1\n"
+    )
+
+
+def run(line, folder, shorter=True):
+    """Run a command of map-racing as a shell would."""
+    words = []
+    for word in shlex.split(line)[1:]:
+        name = str(folder / word[2:]) if word.startswith("~/") else word
+        words += sorted(glob(name)) if "*" in name else [name]
+    for word in words[:2] if shorter else ():
+        words += SHORTER.get(word, ())
+    assert main(words) == 0, line
+
+
+def demo(folder):
+    """What scripts/demo does, without the environment that it makes."""
+    script = (REPO / "scripts" / "demo").read_text(encoding="utf-8").replace("\\\n", "")
+    controllers = re.search(r"for controller in (.+); do", script).group(1).split()
+    race = re.search(r'"\$map_racing" (race .+)', script).group(1)
+    bags = []
+    for controller in controllers:
+        bags.append(f"{controller}.bag")
+        words = shlex.split(race.replace("$controller", controller).replace("$bag", bags[-1]))
+        assert main(words) == 0
+    assert main(["evaluate", *bags]) == 0
+
+
+def executed(line, folder, whole):
+    """Run a line of a page, or check what it calls."""
+    line = line.replace("rosrun map_racing map-racing", "map-racing")
+    words = line.split()
+    if words[0] == "map-racing":
+        run(line, folder, shorter=not whole)
+    elif line == "./scripts/demo":
+        demo(folder)
+    elif words[0] == "./scripts/test_ros":
+        assert words[1] == "--shell" and words[2] == "roslaunch"
+    elif words[0] == "rosservice":
+        node, _, service = words[2].lstrip("/").partition("/")
+        assert node == "controller" and f'"~{service}"' in nodes(), line
+    elif words[:2] == ["rosrun", "dynamic_reconfigure"]:
+        node, _, name = words[4].lstrip("/").partition("/")
+        assert node == "controller" and f'namespace="{name}"' in nodes(), line
+        assert re.fullmatch(rf"({'|'.join(STEERING_MAPS)})_(m_m|q_s)", words[5]), line
+    else:
+        assert words[0] == "roslaunch" or line in PREPARATION, line
+
+
+def nodes():
+    """Source of the nodes, which cannot be imported without ROS."""
+    folder = REPO / "src" / "map_racing" / "nodes"
+    return "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.py")))
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Figures are composed, but not rendered; few pairs are tuned. Other tests do both."""
+    monkeypatch.setattr(Figure, "tight_layout", lambda figure, **_: None)
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
+    monkeypatch.setattr(tuning, "GRID", range(8, 17, 8))
+
+
+@pytest.fixture(scope="module")
+def done():
+    """Commands that ran on an earlier page."""
+    return set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_run(page, done, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    conditions(tmp_path)
+    for name in READERS.get(name_of(page), ()):
+        path = Path(tmp_path / name)
+        path.parent.mkdir(exist_ok=True)
+        MAKERS[name](path)
+    lines = [line for line in command_lines(page) if line not in done]
+    for line in lines:
+        executed(line, tmp_path, name_of(page) in WHOLE)
+    done.update(lines)
+    for block in blocks(page, "python"):
+        exec(compile(block, name_of(page), "exec"), {})
+    printed = capsys.readouterr().out.splitlines()
+    for block in blocks(page, "text"):
+        for line in block.splitlines():
+            assert line in printed
+
+
+def test_extras_exist():
+    """As in ``pip install 'map_racing[cluster]'``."""
+    project = (REPO / "pyproject.toml").read_text(encoding="utf-8")
+    for page in PAGES:
+        for extra in re.findall(r"pip\s+install\s+'[\w.]+\[(\w+)\]'", prose(page)):
+            assert re.search(rf"^{extra} = ", project, re.MULTILINE), (page, extra)
