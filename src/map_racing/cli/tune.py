@@ -73,7 +73,7 @@ def run_robust(arguments, controllers):
         for candidate in candidates:
             tried.append({"controller": label, **_values(candidate.controller)})
             tried[-1].update(
-                mean_rms_lateral_error_m=candidate.error,
+                typical_rms_lateral_error_m=candidate.error,
                 worst_rms_lateral_error_m=candidate.worst,
                 races=candidate.races,
             )
@@ -81,13 +81,13 @@ def run_robust(arguments, controllers):
         values = best.controller
         print(
             f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, delay "
-            f"{values.delay_s:g} s; all {best.races} races completed, RMS error {best.error:.4f} m,"
-            f" worst race {best.worst:.4f} m; {len(candidates)} candidates"
+            f"{values.delay_s:g} s; all {best.races} races completed, typical RMS error "
+            f"{best.error:.4f} m, worst race {best.worst:.4f} m; {len(candidates)} candidates"
         )
         if shares:
             print("\n".join(grid_lines(table)))
     frame = pd.DataFrame(tried)
-    for name in ("mean_rms_lateral_error_m", "worst_rms_lateral_error_m"):
+    for name in ("typical_rms_lateral_error_m", "worst_rms_lateral_error_m"):
         frame[name] = frame[name].where(np.isfinite(frame[name]))
     controllers = {label: candidates[0].controller for label, candidates in found.items()}
     session.write(pd.DataFrame(rows), controllers, candidates=frame)

@@ -63,15 +63,15 @@ def bearing(state: CarState, x: float, y: float) -> float:
         Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
     """
     # A car that rolls backwards will drive forwards, where its nose points.
-    v_x, v_y = state.v_x, state.v_y
+    _, own_x, own_y, psi, v_x, v_y, _ = state
     if v_x < 0.0:
         v_x = 0.0
     square = v_x * v_x + v_y * v_y
     if square < CRAWL * CRAWL:
         trust = math.sqrt(square) / CRAWL
         v_x, v_y = trust * v_x + (1.0 - trust) * CRAWL, trust * v_y
-    course = state.psi + math.atan2(v_y, v_x)
-    eta = math.atan2(y - state.y, x - state.x) - course
+    course = psi + math.atan2(v_y, v_x)
+    eta = math.atan2(y - own_y, x - own_x) - course
     return math.remainder(eta, math.tau)
 
 

@@ -49,7 +49,7 @@ COMPARED = {
         "mean_rms_lateral_error_m",
         "mean_lap_time_s",
     ],
-    "tune-robust": ["m_m", "q_s", "delay_s", "grip_use", "mean_rms_lateral_error_m"],
+    "tune-robust": ["m_m", "q_s", "delay_s", "grip_use", "typical_rms_lateral_error_m"],
 }
 
 

@@ -17,6 +17,7 @@ would not become the best.
 from __future__ import annotations
 
 import math
+import random
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,16 @@ import pandas as pd
 
 from ..errors import MapRacingError
 
-__all__ = ["Candidate", "Pair", "Tuned", "frame_of", "lap_error", "tune", "tune_robust"]
+__all__ = [
+    "Candidate",
+    "Pair",
+    "Tuned",
+    "frame_of",
+    "lap_error",
+    "tune",
+    "tune_robust",
+    "typical_error",
+]
 
 # Finest steps of m [m] and q [s]; all pairs are whole multiples of them.
 STEP_M, STEP_Q = 0.025, 0.00625
@@ -38,6 +48,8 @@ MOST_MOVES = 20
 # times the best one's on the same races: as means of more races tell more. On days and cars that
 # differ as much as those of the experiments, errors of neighboring candidates change alike.
 GIVE_UP = 0.3
+# Of a grid's races, which differ far more, that many are driven before candidates are given up.
+FEWEST = 24
 # Steps of the robust search: m [m], q [s] and delay [s]; it begins with twice these.
 ROBUST_STEPS = (("m_m", 0.025), ("q_s", 0.0125), ("delay_s", 0.005))
 
@@ -181,7 +193,7 @@ def tune(jobs_for, controller):
     return Tuned(with_pair(*best), errors[best], pairs)
 
 
-def _compare(groups, reference):
+def _compare(groups, reference, first=1, measure=lap_error):
     """Drive groups of races, each as far as it may become the best.
 
     Parameters
@@ -190,6 +202,10 @@ def _compare(groups, reference):
         Of each candidate, all in the same order.
     reference : list of RaceResult
         Of the best candidate so far; empty if there is none.
+    first : int, optional
+        Races before any candidate is given up for its error.
+    measure : callable, optional
+        Error of a list of RaceResult.
 
     Yields
     ------
@@ -202,22 +218,22 @@ def _compare(groups, reference):
     """
     found = [[] for _ in groups]
     going = list(range(len(groups)))
-    for begin, end in zip(*_stages(len(groups[0]))) if groups else ():
+    for begin, end in zip(*_stages(len(groups[0]), first)) if groups else ():
         results = iter((yield [job for k in going for job in groups[k][begin:end]]))
         for k in going:
             found[k] += [next(results) for _ in range(begin, end)]
         share = 1.0 + GIVE_UP / math.sqrt(end)
-        errors = {k: lap_error(found[k]) for k in going}
-        best = min([*errors.values(), lap_error(reference[:end]) if reference else math.inf])
+        errors = {k: measure(found[k]) for k in going}
+        best = min([*errors.values(), measure(reference[:end]) if reference else math.inf])
         going = [k for k in going if math.isfinite(errors[k]) and errors[k] <= share * best]
     return found
 
 
-def _stages(total):
-    """Beginnings and ends of the rounds in which races are driven: 1, 1, 2, 4, ..."""
+def _stages(total, first):
+    """Beginnings and ends of the rounds in which races are driven: 1, 1, 2, 4, ..., if from 1."""
     ends = []
     while not ends or ends[-1] < total:
-        ends.append(min(total, max(1, 2 * ends[-1]) if ends else 1))
+        ends.append(min(total, 2 * ends[-1] if ends else first))
     return [0, *ends[:-1]], ends
 
 
@@ -228,7 +244,7 @@ class Candidate(NamedTuple):
     ----------
     controller : ControllerParameters
     error : float
-        Mean RMS lateral error [m] of the races driven, infinite if one was not completed.
+        Error of the races driven [m], see `typical_error`; infinite if one was not completed.
     worst : float
         Largest RMS lateral error of a race [m].
     races : int
@@ -241,11 +257,26 @@ class Candidate(NamedTuple):
     races: int
 
 
+def typical_error(results):
+    """Geometric mean over races of their RMS lateral error [m]; infinite if one is not completed.
+
+    So a tenth less counts as much on a track where all errors are small as where a car slides.
+
+    Parameters
+    ----------
+    results : iterable of RaceResult
+    """
+    errors = [lap_error([result]) for result in results]
+    if not all(map(math.isfinite, errors)):
+        return math.inf
+    return float(np.exp(np.mean(np.log(np.maximum(errors, 1e-6)))))
+
+
 def tune_robust(jobs_for, controller):
     """Plan that tunes lookahead and delay of a controller over many tracks and cars.
 
-    The races are driven in the order of the errors that the given values have, the largest first,
-    so that what does not work is found out soon.
+    The races are driven in one random order, those first that the given values do not complete, so
+    that the first ones stand for all.
 
     Parameters
     ----------
@@ -265,9 +296,11 @@ def tune_robust(jobs_for, controller):
         From the generator, if no candidate completes all races.
     """
     first = yield jobs_for(controller)
-    order = sorted(range(len(first)), key=lambda k: -lap_error([first[k]]))
+    order = list(range(len(first)))
+    random.Random(1).shuffle(order)
+    order.sort(key=lambda k: first[k].completed)
     reference = [first[k] for k in order]
-    best = Candidate(controller, lap_error(first), _worst(first), len(first))
+    best = Candidate(controller, typical_error(first), _worst(first), len(first))
     candidates = {_key(controller): best}
     for width in (2, 1):
         for _ in range(MOST_MOVES):
@@ -277,9 +310,9 @@ def tune_robust(jobs_for, controller):
             groups = [[jobs_for(near)[k] for k in order] for near in around]
             # Until something completes all races, the search goes for what completes most.
             begun = reference if math.isfinite(best.error) else []
-            found = yield from _compare(groups, begun)
+            found = yield from _compare(groups, begun, FEWEST, typical_error)
             for near, results in zip(around, found):
-                driven = Candidate(near, lap_error(results), _worst(results), len(results))
+                driven = Candidate(near, typical_error(results), _worst(results), len(results))
                 candidates[_key(near)] = driven
                 if len(results) == len(order) and driven.error < best.error:
                     best, reference = driven, results

@@ -115,9 +115,9 @@ def test_robust_tuning(folder, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "all 3 races completed" in said and "grip_use 0.8: 3 of 3 completed" in said
     candidates = pd.read_csv(output / "candidates.csv")
-    best = candidates[candidates.races == 3].mean_rms_lateral_error_m.min()
+    best = candidates[candidates.races == 3].typical_rms_lateral_error_m.min()
     table = pd.read_csv(output / "table.csv").iloc[0]
-    assert table.mean_rms_lateral_error_m == best
+    assert table.typical_rms_lateral_error_m == best
     found = load_controller_parameters(output / "controllers" / "map.yaml")
     assert (found.m_m, found.q_s, found.delay_s) == (table.m_m, table.q_s, table.delay_s)
     assert found.grip_use == load_controller_parameters("map").grip_use

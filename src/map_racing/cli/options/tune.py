@@ -33,7 +33,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--robust",
         action="store_true",
         help="find m, q and the delay around the controller's own values with the smallest error "
-        "among those that complete every race of a grid of tracks and cars, at the grid's speeds",
+        "(geometric mean over the races) among those that complete every race of a grid of tracks "
+        "and cars, at the grid's speeds",
     )
     add_grid_options(parser)
     parser.add_argument(
