@@ -93,6 +93,10 @@ class ControllerNode:
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor = _build()
+        self._start(source, pose_source)
+
+    def _start(self, source, pose_source):
+        """Advertise, then subscribe: the first pose may drive the car."""
         self._reader, self._clock = StateReader(), SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
@@ -203,7 +207,7 @@ class ControllerNode:
 
     def _restart(self):
         """Time was set back: forget the past."""
-        rospy.loginfo("time was set back: starting anew")
+        rospy.loginfo("time was set back: starting over")
         self._controller.reset()
         self._reader.reset()
         self._diagnosis.restart()
