@@ -517,6 +517,13 @@ def test_walls_drawn_too_tight_are_not_elsewhere(drive, line, off, elsewhere):
         assert "off track by 0.30 m" in evaluate(recording(t, x, y), line).laps[1].reason
 
 
+def test_a_recording_is_judged_by_the_limits_given(drive, line):
+    limits = LapLimits(max_deviation=0.05)
+    assert evaluate(recording(*drive(12.0)), line, limits=limits).laps[1].reason == (
+        "off track by 0.05 m"
+    )
+
+
 @pytest.mark.parametrize(
     "walls, limit, off, elsewhere",
     [
