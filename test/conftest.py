@@ -11,3 +11,9 @@ def shared_data():
     if not SHARED_DATA.is_dir():
         pytest.skip(f"the real data are not beside the repository ({SHARED_DATA.parent.name}/data)")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def shared_cases(shared_data):
+    """Folder of small inputs of kinds that went wrong; what is right stands in its README."""
+    return shared_data.parent / "cases"

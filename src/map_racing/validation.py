@@ -139,6 +139,8 @@ def _expected(field):
     kind, data = _kind(field), field.metadata
     if kind == "bool":
         return "true or false"
+    if kind == "tuple":
+        return "a list"
     if kind not in ("float", "int"):
         return " or ".join(data["choices"]) or "a text"
     low, high = data["low"], data["high"]

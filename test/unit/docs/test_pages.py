@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import importlib.util
 import re
 from xml.etree import ElementTree
 
@@ -153,3 +154,14 @@ def test_parameters_of_the_nodes_are_documented():
         cells = "".join(re.findall(r"^\| (.+?) \|", section, re.M))
         documented = set(re.findall(r"`~(\w+)`", cells))
         assert read <= documented <= read | known, title
+
+
+def test_tables_of_parameters_are_those_of_the_classes():
+    """Where this fails, ``python doc/tables.py`` writes them anew."""
+    spec = importlib.util.spec_from_file_location("tables", REPO / "doc" / "tables.py")
+    tables = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tables)
+    texts = [page.read_text(encoding="utf-8") for page in PAGES]
+    assert [tables.with_tables(text) for text in texts] == texts
+    written = {kind for text in texts for _, kind, _ in tables.TABLE.findall(text)}
+    assert written == set(tables.KINDS)

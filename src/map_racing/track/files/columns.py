@@ -1,169 +1,248 @@
-"""Columns of racelines: their names in files and messages, and their meaning without names."""
+"""Columns of racelines by their names in files and messages."""
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+import math
+import re
+from typing import Any, Iterable, Mapping, NamedTuple
 
 import numpy as np
 
-from ...angles import wrap
-from ..findings import NOTE, WARNING, Finding
-from ..spline import distinct_points
-
 __all__ = [
     "ALIASES",
-    "LAYOUTS",
-    "MEANING",
     "REFERENCE",
+    "Meaning",
     "columns_of_waypoints",
     "from_reference_line",
-    "name_by_numbers",
+    "is_unit",
+    "meaning_of",
 ]
 
-# Names of columns in files and messages, compared in lower case.
+# Names of columns, without units and separators, in lower case. Where two columns of a file mean
+# the same, the name that comes first here is taken.
 ALIASES = {
-    "s": ("s_m", "s", "s_racetraj_m"),
-    "x": ("x_m", "x"),
-    "y": ("y_m", "y"),
-    "psi": ("psi_rad", "psi", "yaw", "theta", "heading_rad", "psi_racetraj_rad"),
-    "kappa": ("kappa_radpm", "kappa", "curvature", "kappa_racetraj_radpm"),
+    "s": ("s", "arc length", "arclength", "station", "chainage", "distance", "dist"),
+    "x": ("x", "easting", "east"),
+    "y": ("y", "northing", "north"),
+    "psi": ("psi", "yaw", "theta", "heading", "th", "phi", "orientation", "course", "hdg"),
+    "kappa": ("kappa", "curvature", "curv", "k"),
     "speed": (
-        "vx_mps",
-        "v_mps",
         "vx",
         "v",
         "speed",
-        "speed_mps",
         "velocity",
-        "vx_racetraj_mps",
+        "vel",
+        "v x",
+        "vel x",
+        "velocity x",
+        "speed x",
+        "lin vel",
+        "linear vel",
+        "linear velocity",
+        "linear speed",
+        "long vel",
+        "longitudinal velocity",
+        "longitudinal speed",
+        "vel long",
+        "v long",
     ),
-    "ax": ("ax_mps2", "ax", "ax_racetraj_mps2"),
-    "d_right": (
-        "d_right_m",
-        "d_right",
-        "w_tr_right_m",
-        "w_right_m",
-        "d_right_iqp",
-        "d_right_sp",
-        "width_right_m",
-    ),
-    "d_left": (
-        "d_left_m",
-        "d_left",
-        "w_tr_left_m",
-        "w_left_m",
-        "d_left_iqp",
-        "d_left_sp",
-        "width_left_m",
-    ),
-    "width": ("w_tr_m", "width_m", "width"),
+    "ax": ("ax", "a", "acc", "acceleration", "accel", "a x", "acc x", "long acceleration"),
+    "d_right": ("d right", "right"),
+    "d_left": ("d left", "left"),
+    "width": ("width", "w"),
+    "half_width": ("half width", "width half", "w half"),
     # A reference line with widths; the raceline lies `alpha` along its normals.
-    "x_ref": ("x_ref_m", "x_ref"),
-    "y_ref": ("y_ref_m", "y_ref"),
-    "x_normal": ("x_normvec_m", "x_normvec"),
-    "y_normal": ("y_normvec_m", "y_normvec"),
-    "alpha": ("alpha_m", "alpha"),
+    "x_ref": ("x ref",),
+    "y_ref": ("y ref",),
+    "x_normal": ("x normvec",),
+    "y_normal": ("y normvec",),
+    "alpha": ("alpha",),
+    # What no raceline needs.
+    "-": ("", "z", "height", "elevation", "altitude", "id", "index", "idx", "no", "nr", "number")
+    + ("d", "t", "time", "stamp", "timestamp", "lap", "frame", "banking"),
 }
-MEANING = {alias: column for column, aliases in ALIASES.items() for alias in aliases}
 REFERENCE = ("x_ref", "y_ref", "x_normal", "y_normal", "alpha")
 
-# Files without names, by number of columns; see `name_by_numbers` for "third" to "fifth".
-LAYOUTS = {
-    2: ("x", "y"),
-    3: ("x", "y", "third"),
-    4: ("x", "y", "d_right", "d_left"),
-    5: ("x", "y", "third", "fourth", "fifth"),
-    7: ("s", "x", "y", "psi", "kappa", "speed", "ax"),
-    8: ("s", "x", "y", "psi", "kappa", "speed", "ax", "z"),
-    9: ("s", "x", "y", "psi", "kappa", "speed", "ax", "d_right", "d_left"),
-    10: ("s", "x", "y", "psi", "kappa", "speed", "ax", "d_right", "d_left", "z"),
-    12: (
-        "x_ref",
-        "y_ref",
-        "d_right",
-        "d_left",
-        "x_normal",
-        "y_normal",
-        "alpha",
-        "s",
-        "psi",
-        "kappa",
-        "speed",
-        "ax",
-    ),
+_MEANING = {alias: column for column, aliases in ALIASES.items() for alias in aliases}
+_ORDER = [alias for aliases in ALIASES.values() for alias in aliases]
+
+
+def _words(text):
+    return frozenset(text.split())
+
+
+# Words that do not change what a column is.
+_FILLERS = _words(
+    "pos position positions pose coord coords coordinate coordinates point points wp wps "
+    "waypoint waypoints wpnt traj trajectory racetraj raceline racing line track path global "
+    "map world opt optimal optimized center centre centerline centreline iqp sp target targets "
+    "desired des reference goal cmd command profile value tr ref of the in and"
+)
+# Of these at least one stands beside "left" or "right" where the distance to a wall is meant.
+_WALL = _words(
+    "w width d dist distance wall boundary bound border edge side margin lane track tr limit n "
+    "to free space half"
+)
+_GLUED = {
+    **{name: "d left" for name in ("wl", "dl", "nl", "wleft", "dleft", "leftwidth", "widthleft")},
+    **{name: "d right" for name in ("wr", "dr", "wright", "dright", "rightwidth", "widthright")},
+    "trackwidth": "width",
+    "lanewidth": "width",
+    "halfwidth": "half width",
+    "targetspeed": "speed",
+    "targetvelocity": "speed",
+    "xpos": "x",
+    "ypos": "y",
+    "posx": "x",
+    "posy": "y",
+    "xref": "x ref",
+    "yref": "y ref",
+    "vref": "v",
 }
+
+_LENGTH = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0}
+_LENGTH.update(cm=0.01, mm=0.001, km=1000.0)
+_SPEED = {"mps": 1.0, "ms": 1.0, "meterssecond": 1.0, "ms1": 1.0, "msec": 1.0}
+_SPEED.update(kmh=1.0 / 3.6, kph=1.0 / 3.6, kmph=1.0 / 3.6, mph=0.44704, cms=0.01, mms=0.001)
+_ANGLE = {"rad": 1.0, "radian": 1.0, "radians": 1.0}
+_ANGLE.update(dict.fromkeys(("deg", "degree", "degrees", "\N{DEGREE SIGN}"), math.radians(1.0)))
+_CURVATURE = dict.fromkeys(("radpm", "radm", "1m", "m1", "pm"), 1.0)
+_ACCELERATION = dict.fromkeys(("mps2", "ms2", "mss", "mpss", "msec2"), 1.0)
+_UNITS = {
+    **dict.fromkeys(("s", "x", "y", "d_right", "d_left", "width", "half_width"), _LENGTH),
+    **dict.fromkeys(("x_ref", "y_ref", "alpha", "x_normal", "y_normal"), _LENGTH),
+    "psi": _ANGLE,
+    "kappa": _CURVATURE,
+    "speed": _SPEED,
+    "ax": _ACCELERATION,
+}
+_KNOWN_UNITS = frozenset(
+    unit for units in (_LENGTH, _SPEED, _ANGLE, _CURVATURE, _ACCELERATION) for unit in units
+)
+_NO_UNIT = frozenset(("", "-", "none", "1", "si"))
+
+
+class Meaning(NamedTuple):
+    """What a column is by its name.
+
+    Attributes
+    ----------
+    column : str
+        One of the keys of `ALIASES`: ``"-"`` for what no raceline needs, ``"?"`` for what is not
+        understood.
+    factor : float
+        By which its numbers are multiplied to have SI units.
+    unit : str
+        The unit as named, where it is not SI; empty otherwise.
+    unknown_unit : bool
+        Whether the unit is not one of this quantity.
+    rank : int
+        Where two columns mean the same, the one of lower rank is taken.
+    """
+
+    column: str
+    factor: float = 1.0
+    unit: str = ""
+    unknown_unit: bool = False
+    rank: int = 0
+
+
+def meaning_of(name: str, unit: str = "") -> Meaning:
+    """What a column is by its name, without regard to units, case, separators and order of words.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"x_m"``, ``"Target Speed [km/h]"``, ``"widthRight"``.
+    unit : str, optional
+        Its unit, where that stands elsewhere.
+
+    Returns
+    -------
+    Meaning
+    """
+    name, unit = name.strip().strip("#\"'").strip(), unit.strip("[](){}<> ")
+    bracket = re.search(r"[\[({<]([^\])}>]*)[\])}>]\s*$", name)
+    if bracket:
+        unit = unit or bracket.group(1)
+        name = name[: bracket.start()]
+    words = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    words = [word for word in re.split(r"[^a-z0-9]+", words.lower()) if word]
+    named = _by_words(words)
+    if named is None or (not unit and _ends_with_unit(words)):
+        # The longest ending that is a unit and leaves a name.
+        for size in (4, 3, 2, 1):
+            ending = _plain_unit(" ".join(words[-size:]))
+            if size < len(words) and ending in _KNOWN_UNITS:
+                shorter = _by_words(words[:-size])
+                if shorter is not None and ending in _UNITS.get(shorter[0], _KNOWN_UNITS):
+                    named, unit = shorter, unit or " ".join(words[-size:])
+                    break
+    if named is None:
+        return Meaning("?")
+    column, rank = named
+    return _with_unit(column, rank, unit)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit that columns of racelines have, such as ``m/s``."""
+    text = text.strip().strip("[](){}")
+    return _plain_unit(text) in _KNOWN_UNITS or text.lower() in _NO_UNIT
 
 
 def columns_of_waypoints(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Columns by the names in `ALIASES` of the fields of ``f110_msgs/Wpnt``."""
-    return {MEANING[field]: column for field, column in fields.items() if field in MEANING}
+    named = {field: meaning_of(field).column for field in fields}
+    return {column: fields[field] for field, column in named.items() if column not in ("-", "?")}
 
 
-def name_by_numbers(
-    columns: dict[str, np.ndarray], findings: list[Finding]
-) -> dict[str, np.ndarray]:
-    """Name the columns of a file without names whose meaning depends on their numbers."""
-    third = columns.pop("third", None)
-    if third is None:
-        return columns
-    if "fifth" in columns:
-        # The height is last or, as in the TUM tools, between position and widths.
-        fourth, fifth = columns.pop("fourth"), columns.pop("fifth")
-        last = not np.any(fifth > 0.0) or np.ptp(fifth) < 1e-9 < np.ptp(third)
-        between = not np.any(third > 0.0) or np.any(third < 0.0) or np.ptp(third) < 1e-9
-        if between and not last and np.all(fifth >= 0.0):
-            columns.update(d_right=fourth, d_left=fifth)
-            which = "third"
-        else:
-            columns.update(d_right=third, d_left=fourth)
-            which = "last"
-        findings.append(
-            Finding("height", NOTE, f"five unnamed columns: the {which} one taken as the height")
-        )
-        return columns
-    if np.any(third < 0.0) or not np.any(third):
-        text = "three unnamed columns: the third, partly negative or all 0, taken as the height"
-        findings.append(Finding("third-column", NOTE, text))
-        return columns
-    meaning, why = _third(columns["x"], columns["y"], third)
-    columns["speed" if meaning == "speed" else "width"] = third
-    findings.append(
-        Finding(
-            "third-column",
-            WARNING,
-            f"three unnamed columns: the third taken as {meaning}, as {why}; FILE#x,y,width or "
-            "FILE#x,y,speed decides",
-        )
-    )
-    return columns
+def _by_words(words: Iterable[str]) -> tuple[str, int] | None:
+    """Column and rank of a name given as words; None if it is not understood."""
+    words = " ".join(_GLUED.get(word, word) for word in words).split()
+    text = " ".join(words)
+    if text in _MEANING:
+        return _MEANING[text], _ORDER.index(text)
+    if {"x", "y"} & set(words) and {"ref", "normvec"} & set(words):
+        for column in ("x_ref", "y_ref", "x_normal", "y_normal"):
+            if set(column.replace("normal", "normvec").split("_")) == set(words) - {"vec"}:
+                return column, 0
+    side = [{"l": "left", "r": "right"}.get(word, word) for word in words]
+    sides = [word for word in side if word in ("left", "right")]
+    rest = [word for word in side if word not in ("left", "right") and word not in _FILLERS]
+    if len(sides) == 1:
+        bare = not rest and len(words) > 1 or words == sides
+        if bare or (rest and set(rest) <= _WALL):
+            return f"d_{sides[0]}", len(words)
+        return None
+    left = [word for word in words if word not in _FILLERS]
+    text = " ".join(left)
+    if left and len(left) < len(words) and text in _MEANING:
+        # A name with more words stands back behind the plain one.
+        return _MEANING[text], _ORDER.index(text) + 100 * (len(words) - len(left))
+    if len(left) == 2 and left[0] in ("width", "w") and "half" in left:
+        return "half_width", 0
+    return None
 
 
-def _third(x, y, third):
-    """Whether the third of three columns is a speed or a total width, and the evidence.
+def _ends_with_unit(words):
+    return len(words) > 1 and _plain_unit(words[-1]) in _KNOWN_UNITS
 
-    Speeds are low where the track bends; widths hardly depend on it. On 14 real racelines and
-    centerlines the correlation with the curvature, smoothed over nine points, is -0.73 to -0.91 for
-    speeds (but -0.52 on Monza, driven at top speed for most of a lap, and -0.28 on a circle), and
-    -0.52 or more for widths.
-    """
-    third = third[distinct_points(x, y)]
-    x, y = (column[distinct_points(x, y)] for column in (x, y))
-    if x.size < 9 or np.ptp(third) <= 1e-6 * np.max(third):
-        return "total width", "it is constant"
-    ways = np.stack((np.roll(x, -1) - x, np.roll(y, -1) - y))
-    heading = np.arctan2(ways[1], ways[0])
-    bend = np.abs(wrap(heading - np.roll(heading, 1))) / np.hypot(ways[0], ways[1])
-    bend = np.mean([np.roll(bend, shift) for shift in range(-4, 5)], axis=0)
-    if np.ptp(bend) <= 1e-9:
-        return "total width", "the curvature is constant, which tells nothing"
-    falling = float(np.corrcoef(bend, third)[0, 1])
-    most = float(np.mean(third >= np.max(third) * (1.0 - 1e-6)))
-    evidence = f"(correlation {falling:.2f})"
-    if falling < -0.6:
-        return "speed", f"it drops where the track bends {evidence}"
-    if falling < -0.4 and most > 0.2:
-        return "speed", f"it drops where the track bends {evidence}, from a maximum reached often"
-    return "total width", f"it does not drop where the track bends {evidence}"
+
+def _plain_unit(unit):
+    """A unit without what can be written in several ways: ``m/s^2``, ``m s-2`` are ``ms2``."""
+    unit = unit.strip().lower().replace("\N{SUPERSCRIPT TWO}", "2").replace("**", "")
+    unit = re.sub(r"\bper\b", "", unit)
+    return re.sub(r"[\s_/^*.\-]+", "", unit)
+
+
+def _with_unit(column, rank, unit):
+    units, plain = _UNITS.get(column), _plain_unit(unit)
+    if units is None or plain in _NO_UNIT:
+        return Meaning(column, rank=rank)
+    if plain not in units:
+        return Meaning(column, unit=unit, unknown_unit=True, rank=rank)
+    factor = units[plain]
+    return Meaning(column, factor, unit if factor != 1.0 else "", rank=rank)
 
 
 def from_reference_line(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -8,28 +8,23 @@ different origin have different headings under the same header line. The outcome
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from pathlib import Path
-from typing import Any, Mapping
+from typing import Any, Mapping, NamedTuple
 
 import numpy as np
 
 from ...errors import FileFormatError
 from ...resources import find_config
 from ...tables import is_number, open_text, parse_rows
-from ..findings import NOTE, Finding
+from ..findings import NOTE, WARNING, Finding
 from ..raceline import Raceline
 from .checks import raceline_of
-from .columns import (
-    ALIASES,
-    LAYOUTS,
-    MEANING,
-    REFERENCE,
-    from_reference_line,
-    name_by_numbers,
-)
+from .columns import ALIASES, REFERENCE, Meaning, from_reference_line, is_unit, meaning_of
 from .table import RacelineTable
+from .unnamed import LAYOUTS, name_by_numbers
 
 __all__ = [
     "ALIASES",
@@ -78,12 +73,12 @@ def read_raceline_file(path: str | Path, key: str | None = None) -> RacelineTabl
     ----------
     path : str or pathlib.Path
         CSV with comma, semicolon, tab or spaces between columns, with column names in the last
-        line before the data (after ``#`` or not) or with one of the `LAYOUTS`; or JSON with
-        waypoint arrays as race_stack writes it.
+        line before the data (after ``#`` or not) or told apart by their numbers; or JSON with
+        waypoint arrays as race_stack writes it. Names are those of `ALIASES`,
+        with or without units.
     key : str, optional
         Waypoint array of a JSON file, by default ``"global_traj_wpnts_iqp"``; or the names of the
-        columns of a CSV file, overriding its header, ``"x,y,speed"``. Unknown names such as ``-``
-        leave a column out.
+        columns of a CSV file, overriding its header, ``"x,y,speed"``; ``-`` leaves a column out.
 
     Returns
     -------
@@ -102,7 +97,9 @@ def read_raceline_file(path: str | Path, key: str | None = None) -> RacelineTabl
         name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
     if text.lstrip()[:1] in ("{", "["):
         key = key or DEFAULT_KEY
-        table = RacelineTable(_json_columns(text, path, key), layout=f"race_stack JSON, {key}")
+        columns, findings = _json_columns(text, path, key)
+        layout = f"race_stack JSON, {key}"
+        table = RacelineTable(columns, layout=layout, findings=tuple(findings))
     else:
         table = _csv_table(text, path, key)
     return table._replace(name=name, source=str(path))
@@ -151,29 +148,29 @@ def _csv_table(text, path, key=None):
     if separator != "," and any("," in line for _, line in data):
         data = [(number, line.replace(",", ".")) for number, line in data]
         findings.append(Finding("decimal-comma", NOTE, "decimal commas: read as points"))
-    rows = [[token.strip() for token in line.split(separator)] for _, line in data]
+    rows = [_split(line, separator) for _, line in data]
     if all(row[-1] == "" for row in rows):  # a separator ends each line
         rows = [row[:-1] for row in rows]
     width = len(rows[0])
-    named = True
-    if key is not None:
-        names = _given_names(key, width, path)
+    header = _header(lines[:begin], width, path) if key is None else _given(key, width, path)
+    shown = header.names if header is not None else [""] * width
+    numbered = [f"{k} ({name})" if name else str(k) for k, name in enumerate(shown, 1)]
+    # Columns that are not used may hold anything.
+    picked = [k for k in range(width) if header is None or header.meanings[k].column not in "-?"]
+    rows = zip((number for number, _ in data), rows)
+    parsed, numbers, _ = parse_rows(path, rows, numbered, picked)
+    values = np.full((len(numbers), width), np.nan)
+    values[:, picked] = parsed
+    if header is not None:
+        how = "as given" if key is not None else "named in the file"
+        columns = _named_columns(header, values.T, findings)
+    elif width < 2:
+        raise FileFormatError(f"{path}:{numbers[0]}: expected two columns or more, got 1")
     else:
-        names = _header(lines[:begin], width, path)
-        if names is None:
-            named, names = False, LAYOUTS.get(width)
-    if names is None:
-        known = ", ".join(str(count) for count in LAYOUTS)
-        raise FileFormatError(
-            f"{path}:{data[0][0]}: expected named columns or {known} of them, got {width}"
-        )
-    numbered = [f"{index} ({name})" for index, name in enumerate(names, 1)]
-    values, numbers, _ = parse_rows(path, zip((number for number, _ in data), rows), numbered)
-    columns = {name: values[:, k] for k, name in enumerate(names) if name != "-"}
-    how = "as given" if key is not None else "named in the file" if named else "by their number"
-    if not named:
-        columns = name_by_numbers(columns, findings)
-    columns = {name: column for name, column in columns.items() if name in ALIASES}
+        how = "by their numbers"
+        names, guesses = name_by_numbers(values, f"{path}:{numbers[0]}")
+        findings += guesses
+        columns = {name: values[:, k] for k, name in enumerate(names) if name != "-"}
     layout = f"CSV with columns {' '.join(columns)} ({how})"
     if "alpha" in columns:
         columns = from_reference_line(columns)
@@ -192,51 +189,130 @@ def _csv_table(text, path, key=None):
     )
 
 
-def _given_names(key, width, path):
-    names = [MEANING.get(name.strip().lower(), "-") for name in key.split(",")]
-    if not _complete(names):
+class _Header(NamedTuple):
+    """Names of the columns as written, what they mean, and where they stand."""
+
+    names: list
+    meanings: list
+    where: str
+
+
+def _given(key, width, path):
+    """Names given after ``FILE#``."""
+    names = key.split(",")
+    header = _Header(names, [_skipped(name) or meaning_of(name) for name in names], f"{path}: ")
+    if not _complete(header.meanings):
         raise FileFormatError(f"{path}: expected JSON with the key {key}, or columns with x and y")
     if len(names) != width:
         raise FileFormatError(f"{path}: expected {width} names of columns, got {len(names)}")
-    return _once(names, key.split(","), f"{path}: ")
+    return header
+
+
+def _skipped(name):
+    return Meaning("-") if name.strip() in ("-", "_", "") else None
 
 
 def _header(lines, width, path):
-    """Meaning of the columns by the last line before the data, None if it has no names."""
+    """Names of the columns in the lines before the data, None if there are none.
+
+    They are in the last of these lines, or in the one before a line of units.
+    """
+    units = [""] * width
+    if len(lines) > 1:
+        tokens = _tokens(lines[-1][1], width)
+        if len(tokens) == width and all(map(is_unit, tokens)) and any(map(_says_unit, tokens)):
+            units, lines = tokens, lines[:-1]
     if not lines:
         return None
     number, line = lines[-1]
-    tokens = [token.strip("# \"'").lower() for token in _split(line.strip("# "))]
-    if tokens[-1] == "" and len(tokens) == width + 1:
-        del tokens[-1]
-    names = [MEANING.get(token, "-") for token in tokens]
-    if not _complete(names):
-        if line[0] == "#":
-            return None
+    names = _tokens(line, width)
+    where = f"{path}:{number}: "
+    meanings = [meaning_of(name, unit) for name, unit in zip(names, units + [""] * len(names))]
+    if not _complete(meanings):
+        one_word_each = all(re.fullmatch(r"[^\W\d]\S*(\s*[\[(].*[\])])?", name) for name in names)
+        if line[0] == "#" and not (len(names) == width and one_word_each):
+            return None  # a remark
         raise FileFormatError(
-            f"{path}:{number}: expected names of columns with x_m and y_m, got {line!r}"
+            f"{where}expected names of columns with x_m and y_m, got {line!r}: FILE#x,y,... names "
+            "them otherwise"
         )
     if len(names) != width:
-        raise FileFormatError(
-            f"{path}:{number}: expected {width} names of columns, got {len(names)}"
-        )
-    return _once(names, tokens, f"{path}:{number}: ")
+        raise FileFormatError(f"{where}expected {width} names of columns, got {len(names)}")
+    return _Header(names, meanings, where)
 
 
-def _complete(names):
-    return {"x", "y"} <= set(names) or set(REFERENCE) <= set(names)
+def _tokens(line, width):
+    """Cells of a line of names or units, in any separator."""
+    line = line.strip("# ")
+    # A unit in brackets belongs to the name before it, whatever it holds.
+    line = re.sub(r"\s*[\[(][^\])]*[\])]", lambda unit: re.sub(r"[\s,;]", "", unit.group()), line)
+    tokens = [token.strip("# \"'") for token in _split(line)]
+    if tokens and tokens[-1] == "" and len(tokens) == width + 1:
+        del tokens[-1]
+    return tokens
 
 
-def _once(names, tokens, where):
-    twice = [tokens[k] for k, name in enumerate(names) if name in names[:k] and name != "-"]
-    if twice:
-        raise FileFormatError(f"{where}expected each column once, got {twice[0]} twice")
-    return names
+def _says_unit(token):
+    return token.strip("[](){} ") not in ("", "-", "1")
+
+
+def _complete(meanings):
+    columns = {meaning.column for meaning in meanings}
+    return any(set(pair) <= columns for pair in (("x", "y"), ("x_ref", "y_ref"), REFERENCE))
+
+
+def _named_columns(header, values, findings):
+    """Columns in SI units by their names in `ALIASES`; findings on names and units."""
+    names, meanings = header.names, list(header.meanings)
+    columns = {meaning.column for meaning in meanings}
+    if not set(REFERENCE) <= columns:
+        # A reference to be driven, not one with normals and shifts.
+        plain = {"x_ref": "x", "y_ref": "y"} if not {"x", "y"} <= columns else {}
+        meanings = [
+            meaning._replace(
+                column=plain.get(meaning.column, "?")
+                if meaning.column in REFERENCE
+                else meaning.column
+            )
+            for meaning in meanings
+        ]
+    taken, unused = {}, []
+    for k in sorted(range(len(names)), key=lambda k: meanings[k].rank):
+        column = meanings[k].column
+        if column == "-":
+            continue
+        if column in taken and meanings[k].rank == meanings[taken[column]].rank:
+            raise FileFormatError(f"{header.where}expected each column once, got {names[k]} twice")
+        if column == "?" or column in taken:
+            unused.append(k)
+        else:
+            taken[column] = k
+    result = {}
+    for k, meaning in enumerate(meanings):
+        if taken.get(meaning.column) != k:
+            continue
+        result[meaning.column] = meaning.factor * values[k] if meaning.unit else values[k]
+        if meaning.unknown_unit:
+            text = f"unit {meaning.unit} of column {names[k]} is not understood: taken as SI"
+            findings.append(Finding("unknown-unit", WARNING, text))
+        elif meaning.unit:
+            text = f"column {names[k]} converted from {meaning.unit} to SI"
+            findings.append(Finding("units", NOTE, text))
+    if "half_width" in result:
+        half = result.pop("half_width")
+        if not {"d_left", "d_right", "width"} & set(result):
+            result["width"] = 2.0 * half
+    if unused:
+        listed = ", ".join(names[k] for k in sorted(unused))
+        text = f"columns not understood and not used: {listed}"
+        findings.append(Finding("unknown-columns", WARNING, text))
+    return result
 
 
 def _separator(line):
     # Spaces come last, as they may surround any other separator. A comma between the digits of
     # every column separated otherwise is a decimal comma.
+    line = re.sub(r'"[^"]*"', "", line)
     if ";" in line:
         return ";"
     if "," in line:
@@ -247,13 +323,20 @@ def _separator(line):
     return "\t" if "\t" in line else None
 
 
-def _split(line):
-    return [token.strip() for token in line.split(_separator(line))]
+def _split(line, separator=""):
+    """Cells of a line, quoted ones as one; its own separator by default."""
+    separator = _separator(line) if separator == "" else separator
+    if '"' in line:
+        blanks = separator or " "
+        row = next(csv.reader([line], delimiter=blanks, skipinitialspace=True))
+        return [token.strip() for token in row]
+    return [token.strip() for token in line.split(separator)]
 
 
 def _is_data(line):
-    token = _split(line)[0]
-    return is_number(token) or bool(_DECIMAL_COMMA.fullmatch(token))
+    tokens = _split(line)
+    numeric = [is_number(token) or bool(_DECIMAL_COMMA.fullmatch(token)) for token in tokens]
+    return numeric[0] or (line[0] != "#" and sum(numeric) >= 2)
 
 
 # -- JSON ------------------------------------------------------------------------------------
@@ -275,25 +358,32 @@ def _json_columns(text, path, key):
     if key not in arrays:
         there = ", ".join(arrays) or "none"
         raise FileFormatError(f"{path}: expected waypoints under {key}, got {there}")
-    columns = {}
+    fields = {}
     for k, point in enumerate(arrays[key]):
         if not isinstance(point, dict):
             raise FileFormatError(f"{path}: {key}, waypoint {k}: expected named fields")
         for field, value in point.items():
-            name = MEANING.get(field.lower())
-            if name is None:
+            if meaning_of(field).column in ("-", "?"):
+                fields.setdefault(field, [])
                 continue
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise FileFormatError(
                     f"{path}: {key}, waypoint {k}: expected a number as {field}, got {value!r}"
                 )
-            columns.setdefault(name, []).append(value)
-    for name in ("x", "y"):
-        if len(columns.get(name, ())) != len(arrays[key]) or not arrays[key]:
-            raise FileFormatError(f"{path}: {key}: expected waypoints with x_m and y_m")
-    ragged = [name for name, column in columns.items() if len(column) != len(arrays[key])]
+            fields.setdefault(field, []).append(value)
+    meanings = [meaning_of(field) for field in fields]
+    if not _complete(meanings):
+        raise FileFormatError(f"{path}: {key}: expected waypoints with x_m and y_m")
+    ragged = [
+        field
+        for (field, column), meaning in zip(fields.items(), meanings)
+        if len(column) != len(arrays[key]) and meaning.column not in ("-", "?")
+    ]
     if ragged:
         raise FileFormatError(
             f"{path}: {key}: expected {ragged[0]} of all waypoints, got only some"
         )
-    return {name: np.array(column, dtype=float) for name, column in columns.items()}
+    findings = []
+    header = _Header(list(fields), meanings, f"{path}: {key}: ")
+    values = [np.array(column, dtype=float) for column in fields.values()]
+    return _named_columns(header, values, findings), findings

@@ -174,8 +174,8 @@ def test_three_unnamed_columns_are_told_apart_by_their_numbers(tmp_path):
         np.savetxt(str(path), np.stack((AT.x, AT.y, third), axis=1))
         read = read_raceline(path)
         assert np.array_equal(np.round(read.columns[key], 9), np.round(third, 9))
-        assert [finding.code for finding in read.findings] == ["third-column"]
-        assert "FILE#x,y,width" in read.findings[0].text
+        assert [finding.code for finding in read.findings] == ["unnamed-columns"]
+        assert f"Taken as x,y,{key}" in read.findings[0].text
         # Given, nothing is guessed.
         for name, meaning in (("v", "speed"), ("width", "width"), ("-", None)):
             told = read_raceline(f"{path}#x,y,{name}")
@@ -433,9 +433,9 @@ def test_garbage_in_the_middle_of_a_file(tmp_path):
     lines = text(("x", "y")).splitlines()
     for line, message in (
         ("oops", ":10: expected 2 columns, got 1"),
-        ("1.0,oops", r":10: column 2 \(y\): expected a number, got 'oops'"),
+        ("1.0,oops", r":10: column 2: expected a number, got 'oops'"),
         ("1.0;2.0", ":10: expected 2 columns, got 1"),
-        ("0x10,2", r":10: column 1 \(x\): expected a number, got '0x10'"),
+        ("0x10,2", r":10: column 1: expected a number, got '0x10'"),
     ):
         (tmp_path / "c.csv").write_text("\n".join([*lines[:9], line, *lines[9:]]))
         with pytest.raises(FileFormatError, match=message):

@@ -97,7 +97,8 @@ def test_centerline_with_walls(tmp_path, header):
     at, expected = assert_same_curve(track)
     np.testing.assert_allclose(at.d_left, expected.d_left, atol=1e-4)
     assert track.speed is None
-    assert track.findings == ()
+    # Without names the meaning is a guess, though a good one.
+    assert [finding.code for finding in track.findings] == ["unnamed-columns"][: header is None]
 
 
 def test_five_columns_end_with_the_height(tmp_path):
@@ -109,7 +110,7 @@ def test_three_columns_are_the_total_width(tmp_path):
     track = load_raceline(write(tmp_path / "c.csv", ["x_m", "y_m", "d_right"]))
     np.testing.assert_allclose(track.d_left, 0.5 * TRACK.d_right, atol=1e-4)
     np.testing.assert_allclose(track.d_right, 0.5 * TRACK.d_right, atol=1e-4)
-    assert [finding.code for finding in track.findings] == ["third-column", "total-width"]
+    assert [finding.code for finding in track.findings] == ["unnamed-columns", "total-width"]
 
 
 def test_two_columns_and_windows_line_ends(tmp_path):
@@ -211,14 +212,14 @@ def test_walls_crossed_are_counted():
         ("hello\nworld\n", "got no line of numbers"),
         (
             "1,2,3,4,5,6\n",
-            "1: expected named columns or 2, 3, 4, 5, 7, 8, 9, 10, 12 of them, got 6",
+            "1: expected names of the 6 columns",
         ),
         ("time,speed\n1,2\n", r"1: expected names of columns with x_m and y_m"),
         ("x_m,y_m\n1,2,3\n", "1: expected 3 names of columns, got 2"),
         ("x_m,y_m,x\n1,2,3\n", "1: expected each column once, got x twice"),
         ("x_m,y_m\n1,2\n3\n", "3: expected 2 columns, got 1"),
-        ("# c\nx_m,y_m\n1,2\n\n3,abc\n", r"5: column 2 \(y\): expected a number, got 'abc'"),
-        ("x_m,y_m\n1,2\n3,\n", r"3: column 2 \(y\): expected a number, got ''"),
+        ("# c\nx_m,y_m\n1,2\n\n3,abc\n", r"5: column 2 \(y_m\): expected a number, got 'abc'"),
+        ("x_m,y_m\n1,2\n3,\n", r"3: column 2 \(y_m\): expected a number, got ''"),
         ("{", "invalid JSON"),
         ("[1]", "expected waypoints under global_traj_wpnts_iqp, got none"),
         ('{"global_traj_wpnts_iqp": {"wpnts": [1]}}', "waypoint 0: expected named fields"),
@@ -229,7 +230,7 @@ def test_walls_crossed_are_counted():
         ),
         (
             '{"global_traj_wpnts_iqp": {"wpnts": [{"x": 1, "y": 1, "v": 1}, {"x": 1, "y": 2}]}}',
-            "expected speed of all waypoints, got only some",
+            "expected v of all waypoints, got only some",
         ),
     ],
 )
@@ -337,7 +338,8 @@ def test_real_racelines(shared_data, file, length, heading):
 def test_real_centerlines(shared_data, file):
     track = load_raceline(shared_data / file)
     # A line in the middle need not be driven, and its walls fold inside of its sharpest bends.
-    assert {finding.code for finding in track.findings} == {"tight-bend", "wall-folds"}
+    told = {"unnamed-columns"} if "ipz20" in file else set()
+    assert {finding.code for finding in track.findings} == {"tight-bend", "wall-folds"} | told
     assert {finding.severity for finding in track.findings} == {"note"}
     assert track.speed is None
     assert track.d_left.min() > 0.4

@@ -1,0 +1,236 @@
+"""Columns without names, or with names of any spelling: read right, or the trouble named."""
+
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.errors import FileFormatError
+from map_racing.track.files.columns import meaning_of
+from map_racing.track.files.load import load_raceline, read_raceline
+from map_racing.track.findings import NOTE, WARNING
+from map_racing.track.raceline import Raceline
+
+T = np.arange(150) * 2.0 * math.pi / 150
+LINE = Raceline(9.0 * np.cos(T), 4.5 * np.sin(T))
+AT = LINE.sample(LINE.s_points)
+SLOW = 4.5 - 1.5 * np.abs(AT.kappa) / np.max(np.abs(AT.kappa))  # 3.0 to 4.5 m/s or so
+COLUMNS = {
+    "s": AT.s,
+    "x": AT.x,
+    "y": AT.y,
+    "psi": AT.psi,
+    "kappa": AT.kappa,
+    "speed": SLOW,
+    "ax": np.gradient(0.5 * SLOW**2) / np.gradient(AT.s),
+    "d_right": 1.0 + 0.1 * np.sin(5.0 * T),
+    "d_left": 1.2 + 0.1 * np.cos(3.0 * T),
+    "z": 0.0 * T,
+    "high": 0.0 * T + 0.3,
+    "constant": 0.0 * T + 3.0,
+    "rising": 3.0 + np.abs(AT.kappa),
+    "qz": np.sin(0.5 * AT.psi),
+    "qw": np.cos(0.5 * AT.psi),
+    "index": np.arange(150.0),
+    "wild": 4.0 + np.sin(7.0 * T),
+}
+
+
+def write(path, *columns, header="", separator=", "):
+    columns = [COLUMNS[column] if isinstance(column, str) else column for column in columns]
+    rows = [separator.join(f"{value:.6f}" for value in row) for row in zip(*columns)]
+    path.write_text("\n".join([header] * bool(header) + rows) + "\n")
+    return path
+
+
+def codes(findings):
+    return {finding.code: finding.severity for finding in findings}
+
+
+@pytest.mark.parametrize(
+    "heading",
+    [
+        lambda psi: psi,
+        lambda psi: np.mod(psi, 2.0 * math.pi),
+        lambda psi: np.mod(psi - 0.5 * math.pi, 2.0 * math.pi),  # from north
+        lambda psi: 0.5 * math.pi - psi,  # compass
+        lambda psi: -psi,
+        lambda psi: np.unwrap(psi) + 4.0 * math.pi,
+        np.degrees,
+        lambda psi: np.mod(90.0 - np.degrees(psi), 360.0),
+        lambda psi: psi + 1.0,  # of a car whose localization is turned
+        lambda psi: psi + 0.05 * np.sin(np.arange(150)),  # measured
+    ],
+)
+@pytest.mark.parametrize("speed", ["speed", "constant", "rising"])
+def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
+    """x, y, yaw, speed in any convention of the heading: the speeds are speeds, and no walls."""
+    path = write(tmp_path / "wp.csv", "x", "y", heading(COLUMNS["psi"]), speed)
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", "psi", "speed"}
+    np.testing.assert_allclose(read.columns["speed"], COLUMNS[speed], atol=1e-5)
+    assert codes(load_raceline(path).findings)["unnamed-columns"] == WARNING
+
+
+@pytest.mark.parametrize(
+    "columns, expected, severity",
+    [
+        ("x y", "x y", None),
+        ("x y speed", "x y speed", WARNING),
+        ("s x y", "s x y", None),
+        ("index x y", "x y", None),
+        ("x y speed psi", "x y speed psi", WARNING),
+        ("x y d_right d_left", "x y d_right d_left", NOTE),
+        ("x y z psi speed", "x y psi speed", WARNING),
+        ("x y qz qw speed", "x y speed", WARNING),
+        ("x y z z z qz qw", "x y", NOTE),
+        ("x y z z z qz qw speed", "x y speed", WARNING),
+        ("x y kappa speed", "x y kappa speed", WARNING),
+        ("s x y psi kappa speed", "s x y psi kappa speed", WARNING),
+        ("s x y psi kappa speed ax", "s x y psi kappa speed ax", None),
+        ("x y psi kappa speed ax", "x y psi kappa speed ax", NOTE),
+        ("x y psi speed d_right d_left", "x y psi speed d_right d_left", WARNING),
+        ("x y psi speed d_right d_left z", "x y psi speed d_right d_left", WARNING),
+        ("x y speed d_right d_left", "x y speed d_right d_left", WARNING),
+        ("x y d_right d_left speed", "x y d_right d_left speed", WARNING),
+        ("x y d_right d_left z", "x y d_right d_left", NOTE),
+        ("x y high d_right d_left", "x y d_right d_left", NOTE),
+        ("index x y psi speed", "x y psi speed", WARNING),
+    ],
+)
+def test_columns_without_names(tmp_path, columns, expected, severity):
+    read = read_raceline(write(tmp_path / "c.csv", *columns.split()))
+    assert set(read.columns) == set(expected.split())
+    for name, column in read.columns.items():
+        np.testing.assert_allclose(column, COLUMNS[name], atol=1e-5, err_msg=name)
+    assert codes(read.findings).get("unnamed-columns") == severity
+
+
+def test_columns_that_numbers_do_not_tell_are_refused(tmp_path):
+    path = write(tmp_path / "c.csv", "x", "y", "wild", "rising", "constant", "d_right")
+    with pytest.raises(FileFormatError, match=r"expected names of the 6 columns.*FILE#x,y,speed"):
+        read_raceline(path)
+    read = read_raceline(f"{path}#x,y,speed,-,-,-")
+    assert set(read.columns) == {"x", "y", "speed"} and read.findings == ()
+
+
+@pytest.mark.parametrize(
+    "header, column, factor",
+    [
+        ("# X [m];Y [m];Speed [m/s]", "speed", 1.0),
+        ("x, y, v", "speed", 1.0),
+        ("X_M,Y_M,VX_MPS", "speed", 1.0),
+        ("pos_x,pos_y,target_speed", "speed", 1.0),
+        ("position.x,position.y,targetVelocity", "speed", 1.0),
+        ("x_ref,y_ref,v_ref", "speed", 1.0),
+        ("xRef;yRef;vRef", "speed", 1.0),
+        ('"x","y","velocity [m s^-1]"', "speed", 1.0),
+        ("x_m,y_m,speed_kmh", "speed", 3.6),
+        ("x,y,v (km/h)", "speed", 3.6),
+        ("x,y,Speed [kph]", "speed", 3.6),
+        ("x,y,speed_km_h", "speed", 3.6),
+        ("x,y,speed\nm,m,km/h", "speed", 3.6),
+        ("# x,y,speed\n# [m],[m],[m/s]", "speed", 1.0),
+        ("x,y,track_width", "width", 1.0),
+        ("x,y,half_width_m", "width", 0.5),
+        ("x [m] y [m] psi [deg]", "psi", 180.0 / math.pi),
+    ],
+)
+def test_names_of_any_spelling(tmp_path, header, column, factor):
+    expected = COLUMNS["psi" if column == "psi" else "speed"]
+    separator = ";" if ";" in header else " " if "," not in header else ","
+    path = write(
+        tmp_path / "c.csv", "x", "y", factor * expected, header=header, separator=separator
+    )
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", column}
+    np.testing.assert_allclose(read.columns[column], expected, atol=1e-5)
+    assert not {WARNING} & set(codes(read.findings).values())
+    if factor != 1.0 and column != "width":
+        assert codes(read.findings) == {"units": NOTE}
+
+
+@pytest.mark.parametrize(
+    "right, left",
+    [
+        ("width_right", "width_left"),
+        ("w_tr_right_m", "w_tr_left_m"),
+        ("w_r", "w_l"),
+        ("wr", "wl"),
+        ("right_width", "left_width"),
+        ("Width Right [m]", "Width Left [m]"),
+        ("distance_to_right_wall", "distance_to_left_wall"),
+        ("right_bound", "left_bound"),
+        ("dRight", "dLeft"),
+        ("d_right_sp", "d_left_sp"),
+        ("right", "left"),
+    ],
+)
+def test_names_of_walls(tmp_path, right, left):
+    path = write(
+        tmp_path / "c.csv", "x", "y", "d_left", "d_right", header=f"# x_m,y_m,{left},{right}"
+    )
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", "d_right", "d_left"} and read.findings == ()
+    np.testing.assert_allclose(read.columns["d_right"], COLUMNS["d_right"], atol=1e-5)
+    np.testing.assert_allclose(read.columns["d_left"], COLUMNS["d_left"], atol=1e-5)
+
+
+def test_names_that_are_not_understood_are_named(tmp_path):
+    path = write(tmp_path / "c.csv", "x", "y", "d_right", "speed", header="# x_m,y_m,foo,bar_mps")
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y"}
+    assert "foo, bar_mps" in str(read.findings[0]) and read.findings[0].severity == WARNING
+    # Nothing is taken by its position under a header, with # or not.
+    for mark in ("# ", "#", ""):
+        path = write(tmp_path / "c.csv", "x", "y", "speed", header=f"{mark}lat,lon,speed")
+        with pytest.raises(FileFormatError, match=r"1: expected names of columns with x_m and y_m"):
+            read_raceline(path)
+    # A remark is no header.
+    path = write(tmp_path / "c.csv", "x", "y", header="# recorded on Monday, by hand")
+    assert set(read_raceline(path).columns) == {"x", "y"}
+
+
+def test_a_unit_that_is_not_understood_is_named(tmp_path):
+    path = write(tmp_path / "c.csv", "x", "y", "speed", header="x_m,y_m,speed [furlongs]")
+    assert "furlongs" in str(read_raceline(path).findings[0])
+
+
+def test_of_two_columns_that_mean_the_same_the_plain_name_is_taken(tmp_path):
+    header = "x,y,target_speed,speed"
+    read = read_raceline(write(tmp_path / "c.csv", "x", "y", "constant", "speed", header=header))
+    np.testing.assert_allclose(read.columns["speed"], COLUMNS["speed"], atol=1e-5)
+    assert "target_speed" in str(read.findings[0])
+
+
+@pytest.mark.parametrize(
+    "name, column",
+    [("vy", "?"), ("x_left", "?"), ("yaw_rate", "?"), ("v_max", "?"), ("z_m", "-"), ("id", "-")],
+)
+def test_names_that_only_look_alike(name, column):
+    assert meaning_of(name).column == column
+
+
+@pytest.mark.parametrize("cell", ['"[0.1, 0.2]"', '"0.1,0.2"', "left", '""'])
+def test_cells_that_are_not_used_may_hold_anything(tmp_path, cell):
+    rows = [f'{cell},"{x:.6f}",{y:.6f}' for x, y in zip(COLUMNS["x"], COLUMNS["y"])]
+    (tmp_path / "c.csv").write_text("\n".join(["note,x,y", *rows]))
+    read = read_raceline(tmp_path / "c.csv")
+    np.testing.assert_allclose(read.columns["x"], COLUMNS["x"], atol=1e-6)
+    assert codes(read.findings) == {"unknown-columns": WARNING}
+
+
+def test_the_shared_cases(shared_cases):
+    """The column "right" of the README beside them."""
+    for name in ("wp_xyyawv.csv", "wp_xyyawv_2pi.csv"):
+        track = load_raceline(shared_cases / name)
+        assert track.d_left is None
+        assert (track.speed.min(), track.speed.max()) == pytest.approx((3.0, 4.5), abs=0.01)
+    walls = load_raceline(shared_cases / "hdr_width_right.csv")
+    assert np.ptp(walls.d_right) == np.ptp(walls.d_left) == 0.0
+    assert (walls.d_right[0], walls.d_left[0]) == pytest.approx((1.0, 1.2))
+    units = load_raceline(shared_cases / "hdr_units_2.csv")
+    assert units.d_left is None and np.unique(units.speed).tolist() == [3.5]
+    for name in ("quoted_list.csv", "quoted_tuple_before_xy.csv"):
+        read = read_raceline(shared_cases / name)
+        assert np.max(np.abs(np.hypot(*read.xy.T) - 6.0)) == pytest.approx(0.1, abs=1e-3)
