@@ -527,8 +527,8 @@ def test_a_recording_is_judged_by_the_limits_given(drive, line):
 @pytest.mark.parametrize(
     "walls, limit, off, elsewhere",
     [
-        ((1.0, 2.2), None, 1.4, False),
-        ((1.0, 2.2), None, 1.6, True),
+        ((0.3, 2.2), None, 0.7, False),
+        ((0.3, 2.2), None, 0.9, True),
         ((1.0, 2.2), None, -2.6, False),
         ((1.0, 2.2), None, -2.8, True),
         (None, None, 2.4, False),
