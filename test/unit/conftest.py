@@ -157,7 +157,7 @@ def curve_error():
     """Largest error of an identified axle over the covered slip, as a share of the true peak."""
 
     def error(found, true, axle):
-        fit, tire = getattr(found, axle), getattr(true, axle)
+        fit, tire = found.axles[axle].pacejka, getattr(true, axle)
         slip = np.linspace(0.0, fit.covered_slip, 300)
         expected = true.mu * tire.normalized_force(slip)
         return float(

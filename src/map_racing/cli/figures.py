@@ -78,23 +78,22 @@ def _table_figures(table):
     ]
 
 
-def draw_identification(folder: str, found, holds, table) -> None:
+def draw_identification(folder: str, found, left_out, table) -> None:
     """Draw identified tires, their data, the predictions, every run and the lookup table.
 
     Parameters
     ----------
     folder : str
     found : Identification
-    holds : list of Hold or None
-        Runs predicted from the others; None draws the predictions of the data fitted to.
+    left_out : list of Prediction or None
+        Runs predicted from the others; None draws the predictions of the fitted data.
     table : LookupTable
         Of the identified vehicle.
     """
     from ..plots import identification as plots
 
     axles = []
-    for name in ("front", "rear"):
-        points, fit = getattr(found, name + "_points"), getattr(found, name)
+    for name, (points, fit, linear) in found.axles.items():
         axles.append(
             plots.AxleFigure(
                 name=name,
@@ -102,7 +101,7 @@ def draw_identification(folder: str, found, holds, table) -> None:
                 force=points.force,
                 inlier=fit.inlier,
                 curve=_force(fit.tire, points.load),
-                linear=_force(getattr(found, name + "_linear").tire, points.load),
+                linear=_force(linear.tire, points.load),
                 covered=fit.covered_slip,
                 load=points.load,
             )
@@ -111,12 +110,12 @@ def draw_identification(folder: str, found, holds, table) -> None:
         np.concatenate([getattr(m, key)[cut][::5] for m in found.motions for cut in m.segments()])
         for key in ("v_x", "delta", "a_y")
     )
-    predicted = holds if holds is not None else found.holds()
-    title = "the runs left out, by the others" if holds is not None else "the data fitted to"
+    predicted = left_out if left_out is not None else found.predictions()
+    title = "each run, from the others" if left_out is not None else "the fitted data"
     prediction = (
-        [hold.run for hold in predicted],
-        [(hold.r, hold.a_y) for hold in predicted],
-        [(hold.r_predicted, hold.a_y_predicted) for hold in predicted],
+        [p.run for p in predicted],
+        [(p.r, p.a_y) for p in predicted],
+        [(p.r_predicted, p.a_y_predicted) for p in predicted],
         f"Steady cornering, predicted: {title}",
     )
     figures = [

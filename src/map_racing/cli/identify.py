@@ -13,9 +13,10 @@ from ..identification.identify import identify, leave_one_out
 from ..identification.limits import SteadyLimits
 from ..identification.report import report_data, report_text
 from ..vehicle.lookup import default_grid
-from ..vehicle.parameters import load_vehicle, parameter_hash, save_vehicle
+from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
+from .inputs import read_vehicle
 from .outputs import check_outputs
 
 
@@ -27,7 +28,7 @@ def run(arguments):
     table_path = output.with_suffix(".csv")
     outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
     check_outputs(outputs, [*arguments.data, arguments.vehicle, arguments.channels])
-    base = load_vehicle(arguments.vehicle)
+    base = read_vehicle(arguments.vehicle)
     channels = channel_map(arguments)
     runs = [
         load_run(path, channels) for path in tqdm(arguments.data, "read", disable=None, leave=False)
@@ -41,11 +42,11 @@ def run(arguments):
         "name": arguments.name or output.stem,
     }
     found = identify(runs, base, **options)
-    holds = leave_one_out(runs, base, **options) if arguments.leave_one_out else None
+    left_out = leave_one_out(runs, base, **options) if arguments.leave_one_out else None
     for recorded in runs:
         for note in recorded.notes:
             print(f"{recorded.label}: {note}")
-    print(report_text(found, holds))
+    print(report_text(found, left_out))
 
     if arguments.plots:
         # Before the first output: none is left behind if the folder cannot be made.
@@ -59,10 +60,10 @@ def run(arguments):
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
     if arguments.json:
-        write_json(arguments.json, report_data(found, holds))
+        write_json(arguments.json, report_data(found, left_out))
         print(f"report written to {arguments.json}")
     if arguments.plots:
-        draw_identification(arguments.plots, found, holds, table)
+        draw_identification(arguments.plots, found, left_out, table)
         print(f"figures are in {arguments.plots}")
 
 
@@ -87,12 +88,12 @@ def channel_map(arguments):
 def provenance(found):
     """Comment at the head of the vehicle file."""
     runs = ", ".join(motion.run.label for motion in found.motions)
-    front, rear = found.front, found.rear
+    front, rear = (axle.pacejka for axle in found.axles.values())
     return (
         f"Tires identified by map_racing {__version__} from {runs}; the rest is of "
         f"{found.base.name}.\n"
-        f"Held {found.largest_a_y:.2f} m/s^2; slip angles to {front.covered_slip:.3f} rad in front "
-        f"and {rear.covered_slip:.3f} rad behind; peak "
+        f"Reached {found.largest_a_y:.2f} m/s^2; slip angles to {front.covered_slip:.3f} rad in "
+        f"front and {rear.covered_slip:.3f} rad behind; peak "
         f"{'reached' if front.saturated else 'not reached'} in front, "
         f"{'reached' if rear.saturated else 'not reached'} behind.\n"
         f"Steering: wheel angle = {found.setup.steering_gain:.4f} * signal "

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bags.samples import Commands, Recording
+from ..bags.samples import Commands, Recording, is_odometry_frame
 from ..errors import EvaluationError, ParameterError
 from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
@@ -410,6 +410,11 @@ def evaluate(
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
     notes = list(recording.notes)
+    if is_odometry_frame(recording.frame):
+        notes.append(
+            f"warning: {recording.topic} is in frame {recording.frame}, which drifts against the "
+            "map: the lateral errors are not those on the track"
+        )
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
     return replace(result, source=recording.source, notes=tuple(notes))

@@ -1,41 +1,35 @@
-"""Many races, planned as they go: finished ones are on disk, others run wherever there is room.
+"""Many races, planned as they go: finished ones are read from disk, the others driven.
 
-A plan is a generator. It yields lists of jobs and is sent the list of their results in the same
-order, so it can decide by them what to drive next; what it returns is its result. Plans advance
-independently, and none of them can tell in which order, or where, its races were driven.
+A plan is a generator: it yields lists of jobs, receives the list of their results in the same order
+to decide what to drive next, and returns its result. Plans advance independently of each other, and
+of the order and place in which their races are driven.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from concurrent.futures import FIRST_COMPLETED, CancelledError, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import NamedTuple
+from typing import Any, Generator, NamedTuple
 
 from tqdm import tqdm
 
 from ..errors import MapRacingError
 from .jobs import code_fingerprint, execute
+from .store import Store
 
 __all__ = ["Effort", "Plan", "carry_out"]
 
 
 class Plan(NamedTuple):
-    """A generator of jobs, and how many it will about be.
+    """A generator of jobs, and about how many jobs to expect."""
 
-    Parameters
-    ----------
-    steps : generator
-    expected : int
-        For the remaining time.
-    """
-
-    steps: object
+    steps: Generator
     expected: int
 
 
 class Effort(NamedTuple):
-    """What a campaign cost: races driven, races found on disk, processor time of the former [s]."""
+    """Cost of a campaign: races driven, races found on disk, processor time of the former [s]."""
 
     driven: int
     found: int
@@ -45,26 +39,35 @@ class Effort(NamedTuple):
         return Effort(*(a + b for a, b in zip(self, other)))
 
 
-def carry_out(plans, store, executor, capacity, *, path=False, bags=False, title="races"):
+def carry_out(
+    plans: list[Plan],
+    store: Store,
+    executor: Executor,
+    capacity: int,
+    *,
+    path: bool = False,
+    bags: bool = False,
+    title: str = "races",
+) -> tuple[list[Any], Effort]:
     """Carry out plans.
 
     Parameters
     ----------
     plans : list of Plan
     store : Store
-        Each result is kept there at once, and looked for there before it is driven.
+        Searched before a race is driven; each result is kept at once.
     executor : concurrent.futures.Executor
     capacity : int
-        Jobs that are handed to it at a time.
+        Largest number of submitted jobs.
     path, bags : bool
-        Whether results need the driven path, and are to be kept as bags, too.
+        Whether results need the driven path, and their bags.
     title : str
         Of the progress bar.
 
     Returns
     -------
     results : list
-        What each plan returned.
+        The results of the plans.
     Effort
 
     Raises
@@ -96,7 +99,7 @@ def _outcome(future):
         executed = future.result()
     except (BrokenProcessPool, CancelledError):
         raise MapRacingError(
-            "a process that drove a race ended without result; what was finished is on disk"
+            "a process died while it drove a race; finished races are on disk"
         ) from None
     if executed.code != code_fingerprint():
         raise MapRacingError("a worker of the cluster has another version of map_racing")
@@ -104,7 +107,7 @@ def _outcome(future):
 
 
 class _Campaign:
-    """Which races are to be driven, and who waits for them."""
+    """The races still to be driven, and the plans that wait for them."""
 
     def __init__(self, plans, store, path, bags):
         self.waiting = deque()
@@ -112,14 +115,14 @@ class _Campaign:
         self.driven = self.found = 0
         self.cpu_s = 0.0
         self._plans, self._store, self._needs = plans, store, (path, bags)
-        self._batches = {}  # plan -> results of the jobs it waits for, None where not yet there
-        self._wanted = {}  # fingerprint -> (plan, place in its batch) for each that waits for it
+        self._batches = {}  # plan -> results of the jobs it waits for, None if pending
+        self._wanted = {}  # fingerprint -> (plan, place in its batch) that waits for it
         self._done = [0] * len(plans)
         for index in range(len(plans)):
             self._advance(index, None)
 
     def take(self, job, executed):
-        """Keep what was driven, and go on with the plans that waited for it."""
+        """Keep a driven race, and advance the plans that waited for it."""
         self._store.keep(job, executed.result, executed.bag)
         self.driven += 1
         self.cpu_s += executed.cpu_s
@@ -157,7 +160,7 @@ class _Campaign:
 
     @property
     def expected(self):
-        """Races of all plans, as far as can be told."""
+        """Races of all plans, as far as known."""
         return sum(
             self._done[index]
             if index not in self._batches
@@ -166,7 +169,7 @@ class _Campaign:
         )
 
     def show(self, bar):
-        """Progress; what was found took no time and must not tell how long the rest will take."""
+        """Progress; races found took no time and must not count in the estimate of the rest."""
         bar.total = self.expected
         bar.initial = self.found
         bar.n = sum(self._done)

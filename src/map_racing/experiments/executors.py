@@ -12,6 +12,7 @@ import threading
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import connection, get_context, parent_process
+from typing import Any, Callable, Iterator
 
 from ..errors import MapRacingError, ParameterError
 
@@ -26,14 +27,8 @@ _PATIENCE = 10.0  # for a scheduler to answer [s]
 class SerialExecutor(Executor):
     """Runs each job at once, in this process."""
 
-    def submit(self, fn, *args, **kwargs):
-        """Run a job.
-
-        Returns
-        -------
-        concurrent.futures.Future
-            Already done. An interruption by the user is raised here, not kept in it.
-        """
+    def submit(self, fn: Callable, *args: Any, **kwargs: Any) -> Future:
+        """Run a job at once; an interruption by the user is raised, not kept in the future."""
         future = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -43,22 +38,18 @@ class SerialExecutor(Executor):
 
 
 @contextmanager
-def open_executor(jobs=None, scheduler=None):
-    """An executor, and how many jobs it can be given at a time.
+def open_executor(
+    jobs: int | None = None, scheduler: str | None = None
+) -> Iterator[tuple[Executor, int]]:
+    """An executor, and how many jobs keep it busy.
 
     Parameters
     ----------
     jobs : int, optional
-        Processes; 1 is this one. By default one for each core that this process may use.
+        Processes; 1 is this one. Default: one for each available core.
     scheduler : str, optional
         Address of a Dask scheduler, such as ``tcp://host:8786``; needs the package ``distributed``
         here, and this package on its workers.
-
-    Yields
-    ------
-    executor : concurrent.futures.Executor
-    capacity : int
-        Jobs to keep it busy.
 
     Raises
     ------
@@ -71,7 +62,7 @@ def open_executor(jobs=None, scheduler=None):
         raise ParameterError(f"jobs: expected at least 1, got {jobs}")
     if scheduler is not None:
         if jobs is not None:
-            raise ParameterError("jobs: the workers of a scheduler decide that; give one or other")
+            raise ParameterError("jobs: expected none with a scheduler, whose workers decide")
         with _dask(scheduler) as given:
             yield given
         return
@@ -86,7 +77,7 @@ def open_executor(jobs=None, scheduler=None):
     try:
         pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin_work)
         with pool:
-            # Each process finds its next job waiting.
+            # Twice as many, so that each process finds its next job waiting.
             yield pool, 2 * jobs
     finally:
         for name, value in before.items():
@@ -104,7 +95,7 @@ def _cores():
 
 
 def _begin_work():
-    """In each process: the parent decides what an interruption means, and nobody outlives it."""
+    """In each process: leave interruptions to the parent, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch():
@@ -124,8 +115,8 @@ def _dask(address):
             "a scheduler needs the package distributed: pip install 'map_racing[cluster]'"
         ) from None
     try:
-        # A client that fails to connect is no longer needed, but stops its event loop when Python
-        # collects it, which can block the next one. So it is only made for who answers.
+        # A client that failed to connect stops its event loop when it is garbage-collected, which
+        # can block the next one: only connect to a scheduler that answers.
         socket.create_connection(get_address_host_port(address), timeout=_PATIENCE).close()
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:  # a timeout is an OSError there

@@ -1,38 +1,33 @@
-"""The day of identification: steering ramps on a plant, and tires from what was recorded."""
+"""The day of identification: steering ramps on a plant, and tires from their recording."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from ..control.steering_ramp import RampParameters
 from ..identification.data import ChannelMap, SensorSetup, load_run
-from ..identification.identify import identify
+from ..identification.identify import Identification, identify
 from ..identification.limits import SteadyLimits
+from ..simulation.plant import PlantParameters
+from ..simulation.public_simulator import PublicSimulatorParameters
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
 
 __all__ = ["RAMPS", "STEADY", "identify_on"]
 
-# From rolling to the limit of grip: at 4 m/s a car that corners with 1 g needs a circle of 1.6 m.
+# From rolling to the limit of grip: at 4 m/s and 1 g the circle has a radius of 1.6 m.
 RAMPS = tuple(RampParameters(speed_mps=speed) for speed in (2.0, 3.0, 4.0))
-# At 4 m/s the ramp itself changes the yaw rate by 0.26 rad/s^2, and the servo of the public
-# simulator, which knows only full rate to either side, rattles it by as much again and more.
+# At 4 m/s the ramp itself changes the yaw rate by 0.26 rad/s^2; the bang-bang servo of the public
+# simulator adds at least as much chatter.
 STEADY = SteadyLimits(dr_radps2=1.0)
 
 
-def identify_on(plant, seed, bag):
-    """Drive ramps, record them and identify the tires from the recording.
+def identify_on(
+    plant: PlantParameters | PublicSimulatorParameters, seed: int, bag: Path
+) -> Identification:
+    """Drive ramps, record them in `bag` and identify the tires from the recording.
 
-    Parameters
-    ----------
-    plant : PlantParameters or PublicSimulatorParameters
-        On the day of identification. Mass and geometry are taken to be known, the tires are not.
-    seed : int
-        Of the noise.
-    bag : pathlib.Path
-        Where the recording is kept.
-
-    Returns
-    -------
-    Identification
+    Mass and geometry of the plant are taken as known, the tires are not; `seed` sets the noise.
     """
     write_ramp_bag(bag, drive_ramps(plant, RAMPS, seed))
     vehicle = plant.vehicle

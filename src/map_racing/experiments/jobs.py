@@ -1,8 +1,8 @@
 """A race as a job: a description that can be sent anywhere, and its result.
 
-`execute` depends on nothing but its arguments, so the same description gives the same result on any
-process of any computer with the same libraries. The fingerprint of a description is that of its
-content and of the code that drives it: under it a result can be kept and found again.
+`execute` depends on nothing but its arguments, so a job has the same result in any process on any
+computer with the same libraries. The fingerprint of a job covers its content and the code that
+drives it; results are kept and found by it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from time import process_time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,10 +36,10 @@ from ..vehicle.parameters import Vehicle
 
 __all__ = ["LAP_COLUMNS", "RaceJob", "RaceResult", "code_fingerprint", "execute", "lap_row"]
 
-# The rooms, and modules of other rooms, that decide how a race goes and what is measured of it.
-_DECISIVE = (
-    *("vehicle", "track", "control", "simulation"),
-    *("evaluation/laps.py", "experiments/conditions.py", "experiments/jobs.py"),
+# Packages and modules that decide how a race goes and what is measured.
+_DECISIVE = ("vehicle", "track", "control", "simulation", "evaluation/laps.py") + (
+    "experiments/conditions.py",
+    "experiments/jobs.py",
 )
 
 
@@ -54,9 +54,9 @@ class RaceJob:
     controller : ControllerParameters
         With the scale of the speeds.
     vehicle : Vehicle
-        The car as the controller knows it.
+        The controller's model of the car.
     plant : PlantParameters or PublicSimulatorParameters
-        The car as it is; a Vehicle is driven as the public simulator's.
+        The true car.
     raceline : Raceline
     laps : int
         Timed laps after an out-lap.
@@ -73,23 +73,23 @@ class RaceJob:
     seed: int
 
     @property
-    def scale(self):
+    def scale(self) -> float:
         """Scale of the raceline's speeds."""
         return self.controller.speed_scale
 
     @property
-    def fingerprint(self):
-        """Sixteen hexadecimal digits of all that decides the result, the code included."""
+    def fingerprint(self) -> str:
+        """Sixteen hexadecimal digits of everything that decides the result, including the code."""
         return fingerprint([code_fingerprint(), self])
 
     @property
-    def file_stem(self):
-        """A name for files of this race, for people."""
+    def file_stem(self) -> str:
+        """A readable name for files of this race."""
         name = "".join(c if c.isalnum() or c in "_-" else "_" for c in self.name)
         return f"{name}_{100 * self.scale:05.1f}_seed{self.seed}_{self.fingerprint[:6]}"
 
 
-# What is kept of each `Lap` of a race.
+# Fields of each `Lap` to keep.
 LAP_COLUMNS = (
     "lap",
     "lap_time_s",
@@ -119,12 +119,11 @@ class RaceResult(NamedTuple):
     outcome : str
         "completed", "crashed" or "stalled".
     stretches : tuple of Lap
-        The whole true path: out-lap, laps, and what was begun when it ended. Its reference point is
-        the one whose pose localization gives.
+        The whole true path of the localized point: out-lap, laps, and the unfinished rest.
     duration_s : float
         Simulated time [s].
     path : tuple of (float, float, float)
-        Time [s] and true position [m] at each control step; empty if it was not asked for.
+        Time [s] and true position [m] at each control step; empty unless asked for.
     """
 
     outcome: str
@@ -144,27 +143,16 @@ class RaceResult(NamedTuple):
 
 
 class Executed(NamedTuple):
-    """A result and what belongs to its making: bag as bytes or None, processor time [s], code."""
+    """A result, its bag as bytes or None, processor time [s], and fingerprint of the code."""
 
     result: RaceResult
-    bag: object
+    bag: bytes | None
     cpu_s: float
     code: str
 
 
-def execute(job, path=False, bag=False):
-    """Drive a race.
-
-    Parameters
-    ----------
-    job : RaceJob
-    path, bag : bool
-        Whether to return the true path, and the bag of the race.
-
-    Returns
-    -------
-    Executed
-    """
+def execute(job: RaceJob, path: bool = False, bag: bool = False) -> Executed:
+    """Drive a race; return its true path, and its bag, if asked for."""
     begin = process_time()
     plant, localization = build_plant(job.plant, job.seed)
     controller = build_controller(job.controller, job.vehicle, job.raceline)
@@ -181,7 +169,7 @@ def execute(job, path=False, bag=False):
 
 
 def _bag_of(log, raceline):
-    """The race's bag as bytes, which travel from wherever this runs."""
+    """The bag of a race as bytes, which travel from any process or computer."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "race.bag"
         write_race_bag(path, log, raceline)
@@ -191,16 +179,16 @@ def _bag_of(log, raceline):
 # -- fingerprints ----------------------------------------------------------------------------------
 
 
-def fingerprint(value):
+def fingerprint(value: Any) -> str:
     """Sixteen hexadecimal digits of the content of parameters, racelines and plain values."""
     text = json.dumps(plain(value), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     """Parameters as dictionaries, lists, texts and numbers; a raceline as the hash of its curve.
 
-    Fields that do not count in comparisons are left out.
+    Fields excluded from comparison are left out.
     """
     if isinstance(value, Raceline):
         columns = (value.x, value.y, value.speed, value.d_left, value.d_right)
@@ -223,7 +211,7 @@ def plain(value):
 
 
 @lru_cache(maxsize=None)
-def code_fingerprint():
+def code_fingerprint() -> str:
     """Sixteen hexadecimal digits of the version and the sources that decide a race."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256(__version__.encode())

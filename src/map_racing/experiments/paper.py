@@ -1,4 +1,4 @@
-"""The experiments of the paper: what is raced with what, and what comes of it as tables.
+"""The experiments of the paper: the races they take and the tables they give.
 
 Becker et al., ICRA 2023, section on the experiments: *velocity scaling* (laps at rising speed until
 a crash, pure pursuit and MAP) and *tire models* (pure pursuit, MAP with linear tires and MAP with
@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 import pandas as pd
 
+from ..control.parameters import ControllerParameters
+from ..simulation.plant import PlantParameters
+from ..simulation.public_simulator import PublicSimulatorParameters
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 from .campaign import Plan
-from .conditions import Conditions, day_of
-from .jobs import RaceJob, lap_row
+from .conditions import Conditions, Day, day_of
+from .jobs import RaceJob, RaceResult, lap_row
 from .tuning import tune
 
 __all__ = [
@@ -39,23 +42,14 @@ __all__ = [
 
 
 class Contender(NamedTuple):
-    """A row of the tables.
-
-    Parameters
-    ----------
-    label : str
-    controller : str
-        Shipped controller.
-    tuned : bool
-        Whether its lookahead is tuned for the occasion, or that of its file.
-    """
+    """A row of the tables: label, shipped controller, and whether its lookahead is tuned."""
 
     label: str
     controller: str
     tuned: bool
 
 
-# As published, each tuned by itself; and what this project makes of it, as anyone gets it.
+# The published controllers, each tuned by itself, and the default of this package, untuned.
 CONTENDERS = (
     Contender("pure pursuit", "pure_pursuit_paper", True),
     Contender("MAP linear", "map_linear_paper", True),
@@ -66,29 +60,19 @@ CONTENDERS = (
 
 @dataclass(frozen=True)
 class Setting:
-    """Conditions with everything loaded.
-
-    Parameters
-    ----------
-    conditions : Conditions
-    raceline : Raceline
-    plant : PlantParameters or PublicSimulatorParameters
-        On the day of identification.
-    vehicle, linear_vehicle : Vehicle
-        The car as controllers know it, with Pacejka and with linear tires.
-    """
+    """Conditions with everything loaded; the vehicles are the models of the controllers."""
 
     conditions: Conditions
     raceline: Raceline
-    plant: object
+    plant: PlantParameters | PublicSimulatorParameters
     vehicle: Vehicle
     linear_vehicle: Vehicle
 
-    def day(self, seed):
+    def day(self, seed: int) -> Day:
         """The plant on the day of a seed."""
         return day_of(self.plant, self.conditions, seed)
 
-    def job(self, label, controller, day, laps):
+    def job(self, label: str, controller: ControllerParameters, day: Day, laps: int) -> RaceJob:
         """The race of a controller on a day."""
         linear = controller.steering_map == "linear_table"
         if self.plant.reference_point != "rear_axle":
@@ -105,32 +89,20 @@ class Setting:
 
 
 class Race(NamedTuple):
-    """A race of an experiment: whose, at what scale of the speeds, on which day, and its result."""
+    """A race of an experiment: controller, scale of the speeds, day, and its result."""
 
     label: str
     scale: float
     seed: int
     job: RaceJob
-    result: object
+    result: RaceResult
 
 
 # -- plans -----------------------------------------------------------------------------------------
 
 
-def tuning_plan(setting, label, controller):
-    """Plan that tunes a controller on the practice days; its result is a `Tuned`.
-
-    Parameters
-    ----------
-    setting : Setting
-    label : str
-    controller : ControllerParameters
-        What is not tuned of it is kept; the scale of the speeds does not matter.
-
-    Returns
-    -------
-    Plan
-    """
+def tuning_plan(setting: Setting, label: str, controller: ControllerParameters) -> Plan:
+    """Plan that tunes a controller's lookahead on the practice days; its result is a `Tuned`."""
     conditions = setting.conditions
     days = [setting.day(seed) for seed in conditions.practice_seeds]
 
@@ -145,25 +117,15 @@ def tuning_plan(setting, label, controller):
     return Plan(steps(), 90 * len(days))
 
 
-def scaling_plan(setting, label, controller, seed, laps, scales):
-    """Plan that races on one day at rising speeds until a race is not completed.
-
-    Parameters
-    ----------
-    setting : Setting
-    label : str
-    controller : ControllerParameters
-    seed : int
-        Of the day.
-    laps : int
-    scales : sequence of float
-        Rising.
-
-    Returns
-    -------
-    Plan
-        With a list of `Race` as result.
-    """
+def scaling_plan(
+    setting: Setting,
+    label: str,
+    controller: ControllerParameters,
+    seed: int,
+    laps: int,
+    scales: Sequence[float],
+) -> Plan:
+    """Plan that races on one day at rising scales until a race is not completed."""
 
     def steps():
         day, races = setting.day(seed), []
@@ -178,11 +140,15 @@ def scaling_plan(setting, label, controller, seed, laps, scales):
     return Plan(steps(), min(len(scales), 12))
 
 
-def single_plan(setting, label, controller, seed, laps, scales):
-    """Plan that races on one day at each of some speeds, whatever becomes of the others.
-
-    Parameters and result are those of `scaling_plan`.
-    """
+def single_plan(
+    setting: Setting,
+    label: str,
+    controller: ControllerParameters,
+    seed: int,
+    laps: int,
+    scales: Sequence[float],
+) -> Plan:
+    """Plan that races on one day at each scale; its result is a list of `Race`."""
 
     def steps():
         day = setting.day(seed)
@@ -198,18 +164,11 @@ def single_plan(setting, label, controller, seed, laps, scales):
 # -- tables ----------------------------------------------------------------------------------------
 
 
-def race_frame(races):
+def race_frame(races: list[Race]) -> pd.DataFrame:
     """One row for each race, with its seed.
 
-    Parameters
-    ----------
-    races : list of Race
-
-    Returns
-    -------
-    pandas.DataFrame
-        Lateral errors are those of everything driven after the out-lap (of the out-lap where it
-        ended there): the mean over time, and the maximum.
+    Lateral errors cover everything driven after the out-lap (the out-lap itself where the race
+    ended there): mean over time, and maximum.
     """
     rows = []
     for race in races:
@@ -245,8 +204,8 @@ def _over_time(values, time):
     return float(np.sum(values * time) / np.sum(time)) if time.size else math.nan
 
 
-def lap_frame(races):
-    """One row for each stretch of each race: the `LAP_COLUMNS` after those of the race."""
+def lap_frame(races: list[Race]) -> pd.DataFrame:
+    """One row for each stretch of each race, with its `LAP_COLUMNS`."""
     return _sorted(
         pd.DataFrame(
             [
@@ -265,7 +224,7 @@ def lap_frame(races):
 
 
 def _sorted(frame):
-    """By scale, controller in the order of the contenders, and seed."""
+    """Sorted by scale, contender, seed and lap."""
     order = {contender.label: place for place, contender in enumerate(CONTENDERS)}
     keys = [
         (row.speed_scale, order.get(row.controller, len(order)), row.seed, getattr(row, "lap", 0))
@@ -274,7 +233,7 @@ def _sorted(frame):
     return frame.iloc[sorted(range(len(keys)), key=keys.__getitem__)].reset_index(drop=True)
 
 
-def scaling_table(races, laps):
+def scaling_table(races: pd.DataFrame, laps: pd.DataFrame) -> pd.DataFrame:
     """Velocity scaling: one row for each scale and controller.
 
     Parameters
@@ -285,8 +244,8 @@ def scaling_table(races, laps):
     Returns
     -------
     pandas.DataFrame
-        ``days`` raced, of which ``days_completed``; minimum, quartiles and maximum of the RMS
-        lateral error and of the time of the laps of these; NaN where there are none.
+        ``days`` and ``days_completed``; minimum, quartiles and maximum of the RMS lateral error and
+        of the lap time on the days completed; NaN without any.
     """
     counted = laps[(laps.outcome == "completed") & laps.valid]
     rows = []
@@ -305,19 +264,11 @@ def scaling_table(races, laps):
     return pd.DataFrame(rows)
 
 
-def tire_table(races):
+def tire_table(races: pd.DataFrame) -> pd.DataFrame:
     """Tire models: one row for each scale and controller, with the paper's columns.
 
-    Parameters
-    ----------
-    races : pandas.DataFrame
-        From `race_frame`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Means over the days of lap time and mean deviation, and the largest deviation of all; of the
-        days completed or, where there are none, of all days until the crash.
+    Means over the days of lap time and mean lateral error, and the largest lateral error, on the
+    days completed or, without any, on all days up to the crash. `races` is from `race_frame`.
     """
     rows = []
     for (scale, label), group in races.groupby(["speed_scale", "controller"], sort=False):
@@ -347,18 +298,10 @@ def _completion(group):
     }
 
 
-def highest_scales(races):
-    """Highest scale that each controller completed on each day.
+def highest_scales(races: pd.DataFrame) -> pd.DataFrame:
+    """Highest scale completed: a row for each seed, a column for each controller; NaN for none.
 
-    Parameters
-    ----------
-    races : pandas.DataFrame
-        From `race_frame`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row for each seed, a column for each controller; NaN where it completed none.
+    `races` is from `race_frame`.
     """
     labels = list(dict.fromkeys(races.controller))
     completed = races[races.outcome == "completed"]
@@ -370,7 +313,7 @@ def highest_scales(races):
     return pd.DataFrame(rows, columns=["seed", *labels])
 
 
-def on_common_days(races, first, second):
+def on_common_days(races: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Two controllers at each scale, on the days on which both completed it.
 
     Parameters
@@ -383,9 +326,9 @@ def on_common_days(races, first, second):
     Returns
     -------
     pandas.DataFrame
-        ``speed_scale``, number of ``days``, on how many of them the first had the smaller RMS error
-        (``days_closer``), the ratio of both means (first to second), and by how much the first was
-        faster, ``gain_s`` [s].
+        ``speed_scale``; number of ``days``, and of ``days_closer`` on which the first had the
+        smaller RMS error; ``error_ratio`` of the mean RMS errors, first to second;
+        ``gain_s`` [s] per lap.
     """
     completed = races[races.outcome == "completed"]
     a, b = (
@@ -397,11 +340,9 @@ def on_common_days(races, first, second):
         both = [key for key in a.index if key[0] == scale and key in b.index]
         if not both:
             continue
-        error_a, error_b = (
-            frame.rms_lateral_error_m.reindex(both).values.astype(float) for frame in (a, b)
-        )
-        time_a, time_b = (
-            frame.mean_lap_time_s.reindex(both).values.astype(float) for frame in (a, b)
+        (error_a, error_b), (time_a, time_b) = (
+            [frame[column].reindex(both).values.astype(float) for frame in (a, b)]
+            for column in ("rms_lateral_error_m", "mean_lap_time_s")
         )
         rows.append(
             {

@@ -1,7 +1,7 @@
 """Result directories: tables with their provenance, and two of them compared.
 
 A result directory holds ``results.json`` (kind, table and provenance), the same table as
-``table.csv``, further tables, figures, what was identified and tuned, and the single races (see
+``table.csv``, further tables, figures, identified vehicles, tuned controllers, and all races (see
 `map_racing.experiments.store`).
 """
 
@@ -11,21 +11,24 @@ import json
 import platform
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import scipy
 
 from .. import __version__
+from ..control.parameters import ControllerParameters
 from ..errors import FileFormatError, ParameterError
 from ..files import replacing, write_json
 from .jobs import code_fingerprint, plain
+from .paper import Setting
 
 __all__ = ["Comparison", "Results", "compare", "provenance_of", "read_results", "write_results"]
 
 FILE = "results.json"
 KEYS = ["speed_scale", "controller"]
-# What is compared of each kind.
+# Columns to compare, by kind.
 COMPARED = {
     "velocity-scaling": [
         "days_completed",
@@ -53,29 +56,30 @@ class Results:
     table : pandas.DataFrame
         One row for each ``speed_scale`` and ``controller``.
     provenance : dict
-        Plain values of all that led to it.
+        Everything it depends on, as plain values.
     """
 
     kind: str
     table: pd.DataFrame
-    provenance: dict
+    provenance: dict[str, Any]
 
 
-def provenance_of(setting, identification, controllers, laps):
-    """What a result depends on, as plain values.
+def provenance_of(
+    setting: Setting,
+    identification: dict[str, Any],
+    controllers: dict[str, ControllerParameters],
+    laps: int,
+) -> dict[str, Any]:
+    """Everything a result depends on, as plain values.
 
     Parameters
     ----------
     setting : Setting
     identification : dict
-        How the controllers' car came about.
+        Source of the controllers' vehicle model.
     controllers : dict of str to ControllerParameters
         As raced, by label.
     laps : int
-
-    Returns
-    -------
-    dict
     """
     conditions = setting.conditions
     days = {
@@ -105,15 +109,8 @@ def provenance_of(setting, identification, controllers, laps):
     }
 
 
-def write_results(folder, results, **frames):
-    """Write results, and further tables as ``NAME.csv``.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-    results : Results
-    **frames : pandas.DataFrame
-    """
+def write_results(folder: str | Path, results: Results, **frames: pd.DataFrame) -> None:
+    """Write results, and further tables as ``NAME.csv``."""
     folder = Path(folder)
     for name, frame in {"table": results.table, **frames}.items():
         with replacing(folder / f"{name}.csv") as file:
@@ -126,21 +123,13 @@ def write_results(folder, results, **frames):
     write_json(folder / FILE, content)
 
 
-def read_results(folder):
+def read_results(folder: str | Path) -> Results:
     """Read a result directory.
-
-    Parameters
-    ----------
-    folder : str or pathlib.Path
-
-    Returns
-    -------
-    Results
 
     Raises
     ------
     FileFormatError
-        If it is none.
+        If it is not one.
     """
     path = Path(folder) / FILE
     try:
@@ -173,31 +162,23 @@ class Comparison:
     values : list of str
         Columns compared.
     table : pandas.DataFrame
-        Keys, then for each value ``NAME_a``, ``NAME_b`` and ``NAME_change`` (b less a).
+        Keys, then for each value ``NAME_a``, ``NAME_b`` and ``NAME_change`` (b - a).
     only_a, only_b : list of (float, str)
-        Keys that only one of them has.
+        Keys in only one of them.
     differences : list of (str, str, str)
-        Name and both values of what differs in provenance.
+        Names and both values of differing provenance.
     """
 
     kind: str
-    values: list
+    values: list[str]
     table: pd.DataFrame
-    only_a: list
-    only_b: list
-    differences: list
+    only_a: list[tuple[float, str]]
+    only_b: list[tuple[float, str]]
+    differences: list[tuple[str, str, str]]
 
 
-def compare(a, b):
+def compare(a: Results, b: Results) -> Comparison:
     """Compare two results.
-
-    Parameters
-    ----------
-    a, b : Results
-
-    Returns
-    -------
-    Comparison
 
     Raises
     ------
@@ -235,7 +216,7 @@ def compare(a, b):
         (name, flat_a.get(name, "-"), flat_b.get(name, "-"))
         for name in dict.fromkeys([*flat_a, *flat_b])
         if flat_a.get(name, "-") != flat_b.get(name, "-")
-        # That a day was raced in only one of them is already told by the seeds.
+        # The seeds already say which days were raced in only one of them.
         and (name in flat_a and name in flat_b or not name.startswith("days."))
     ]
     return Comparison(

@@ -1,22 +1,33 @@
-"""What commands that run many races share: setting, result directory, tuning, races."""
+"""Setting, result directory, tuning and races of a command that runs many races."""
+
+from __future__ import annotations
 
 import math
+from pathlib import Path
 from time import monotonic
+from typing import Any, Callable, Iterable
 
-from ..control.parameters import load_controller_parameters, save_controller_parameters
+import pandas as pd
+
+from ..control.parameters import (
+    ControllerParameters,
+    load_controller_parameters,
+    save_controller_parameters,
+)
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
-from .campaign import Effort, carry_out
+from .campaign import Effort, Plan, carry_out
+from .conditions import Conditions
 from .executors import open_executor
 from .identification_day import identify_on
-from .paper import CONTENDERS, Setting, tuning_plan
+from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
 from .store import Store
-from .tuning import frame_of
+from .tuning import Tuned, frame_of
 
 __all__ = ["Session"]
 
@@ -34,15 +45,13 @@ class Session:
         Result directory; an existing one is continued.
     conditions : Conditions
     vehicle : str, optional
-        The controllers' model of the car; by default it is identified from ramps on the plant.
+        The controllers' model of the car; default: identified from ramps on the plant.
     tuning : bool
         Whether the contenders are tuned.
-    jobs : int, optional
-        Processes.
-    scheduler : str, optional
-        Address of a Dask scheduler.
+    jobs, scheduler : int, str, optional
+        See `map_racing.experiments.executors.open_executor`.
     reuse : sequence of str
-        Result directories whose races are taken over.
+        Result directories to take races from.
 
     Attributes
     ----------
@@ -52,15 +61,15 @@ class Session:
 
     def __init__(
         self,
-        kind,
-        folder,
-        conditions,
+        kind: str,
+        folder: str | Path,
+        conditions: Conditions,
         *,
-        vehicle=None,
-        tuning=True,
-        jobs=None,
-        scheduler=None,
-        reuse=(),
+        vehicle: str | None = None,
+        tuning: bool = True,
+        jobs: int | None = None,
+        scheduler: str | None = None,
+        reuse: Iterable[str] = (),
     ):
         self.kind = kind
         raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
@@ -81,18 +90,19 @@ class Session:
             cars = self._identify(plant, conditions.identification_seed)
         else:
             cars = given, linearized(given)
+            self.notes += [f"{vehicle}: {note}" for note in given.notes]
             self.identification = {"vehicle": vehicle, "parameters": parameter_hash(given)}
         self.setting = Setting(conditions, raceline, plant, *cars)
         self.controllers = {}
 
     @property
-    def where(self):
+    def where(self) -> str:
         """Track and plant, for titles."""
         conditions = self.setting.conditions
         return f"{self.setting.raceline.name or conditions.track}, plant {conditions.plant}"
 
     @property
-    def days(self):
+    def days(self) -> str:
         """How many race days, in words."""
         count = len(self.setting.conditions.seeds)
         return f"{count} race day" + ("s" if count != 1 else "")
@@ -117,24 +127,17 @@ class Session:
         )
         return found.vehicle, found.linear_vehicle
 
-    def carry_out(self, plans, title, **needs):
-        """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
+    def carry_out(self, plans: list[Plan], title: str, **needs: bool) -> list[Any]:
+        """Carry out plans; `needs` as for `map_racing.experiments.campaign.carry_out`."""
         with open_executor(self._jobs, self._scheduler) as (executor, capacity):
             results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
         self.effort += effort
         return results
 
-    def tune(self, controllers):
+    def tune(self, controllers: dict[str, tuple[str, ControllerParameters]]) -> dict[str, Tuned]:
         """Tune controllers; write files, maps and tables.
 
-        Parameters
-        ----------
-        controllers : dict of str to (str, ControllerParameters)
-            Label to the stem of its files and what is tuned.
-
-        Returns
-        -------
-        dict of str to Tuned
+        `controllers` has for each label the stem of its files and the parameters to start from.
         """
         if not controllers:
             return {}
@@ -164,8 +167,8 @@ class Session:
             )
         return tuned
 
-    def race(self, plan, laps, scales, **needs):
-        """Tune the contenders that are to be tuned, and race all of them on all days."""
+    def race(self, plan: Callable, laps: int, scales: Iterable[float], **needs: bool) -> list[Race]:
+        """Tune the contenders as configured, and race all of them on all days."""
         shipped = {c.label: load_controller_parameters(c.controller) for c in CONTENDERS}
         to_tune = {c.label: c.controller for c in CONTENDERS if c.tuned and self._tuning}
         tuned = self.tune({label: (stem, shipped[label]) for label, stem in to_tune.items()})
@@ -180,23 +183,13 @@ class Session:
         ]
         return [race for races in self.carry_out(plans, "races", **needs) for race in races]
 
-    def write(self, table, timed_laps, **frames):
-        """Write tables and provenance.
-
-        Parameters
-        ----------
-        table : pandas.DataFrame
-            The table of the results.
-        timed_laps : int
-            Laps of each race.
-        **frames : pandas.DataFrame
-            Further tables.
-        """
+    def write(self, table: pd.DataFrame, timed_laps: int, **frames: pd.DataFrame) -> None:
+        """Write the table of the results, further tables, and the provenance."""
         provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 
-    def report(self):
-        """What it took, and where it is."""
+    def report(self) -> None:
+        """Print effort and place of the results."""
         driven, found, cpu_s = self.effort
         print(
             f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "

@@ -1,4 +1,4 @@
-"""Results of races on disk, each written when it is there, found again by its fingerprint."""
+"""Results of races on disk, each written at once and found by its fingerprint."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..errors import FileFormatError, MapRacingError
 from ..evaluation.results import Lap
 from ..files import replacing, write_json
 from ..simulation.race import Outcome
-from .jobs import LAP_COLUMNS, RaceResult, lap_row, plain
+from .jobs import LAP_COLUMNS, RaceJob, RaceResult, lap_row, plain
 
 __all__ = ["Store"]
 
@@ -25,7 +25,7 @@ class Store:
     folder : pathlib.Path
         Result directory; it exists.
     reuse : iterable of pathlib.Path
-        Other result directories whose results are taken over.
+        Result directories to take results from.
 
     Raises
     ------
@@ -41,19 +41,8 @@ class Store:
                 raise MapRacingError(f"{other}: expected a result directory with a folder runs")
         (self.folder / "runs").mkdir(exist_ok=True)
 
-    def find(self, job, path=False, bag=False):
-        """The result of a race, or None.
-
-        Parameters
-        ----------
-        job : RaceJob
-        path, bag : bool
-            Whether a result without the driven path, or without a bag beside it, is not enough.
-
-        Returns
-        -------
-        RaceResult or None
-        """
+    def find(self, job: RaceJob, path: bool = False, bag: bool = False) -> RaceResult | None:
+        """The result of a race, if there is one with the path and the bag asked for."""
         name = f"{job.fingerprint}.json"
         for folder in (self.folder, *self._others):
             record = _read(folder / "runs" / name)
@@ -73,8 +62,8 @@ class Store:
             return result
         return None
 
-    def keep(self, job, result, bag=None):
-        """Write a result; its own file comes last, so that it is there only as a whole."""
+    def keep(self, job: RaceJob, result: RaceResult, bag: bytes | None = None) -> None:
+        """Write the bag, then the result, so that a result is always complete."""
         if bag is not None:
             path = self.folder / "bags" / f"{job.file_stem}.bag"
             path.parent.mkdir(exist_ok=True)
@@ -111,10 +100,10 @@ def _result(record, path):
         driven = tuple((t, x, y) for t, x, y in values["path"])
         result = RaceResult(values["outcome"], stretches, values["duration_s"], driven)
         Outcome(result.outcome)
-        # The last column is a text.
+        # The last column is text.
         numbers = [getattr(lap, name) for lap in stretches for name in LAP_COLUMNS[:-1]]
         for value in chain([result.duration_s], numbers, *driven):
-            math.isnan(value)  # a TypeError for what is no number
+            math.isnan(value)  # a TypeError for anything but a number
         return result
     except (KeyError, TypeError, ValueError):
         raise FileFormatError(f"{path}: expected the result of a race; delete it") from None

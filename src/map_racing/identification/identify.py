@@ -1,8 +1,8 @@
 """From recorded driving to a car with identified tires.
 
-Runs are brought to one clock (`cornering`), their sensors checked against physics and, if asked,
-corrected (`sensor_checks`); what is steady cornering gives points of axle force over slip angle,
-and a curve through them is the tire (`map_racing.identification.tire_fit`).
+All signals of a run go to one clock (`cornering`); sensors are checked against physics and
+corrected on demand (`sensor_checks`); steady cornering gives points of axle force over slip angle,
+and the curve through them is the tire (`tire_fit`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Iterable, NamedTuple
 
 import numpy as np
 
@@ -19,15 +19,17 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
-from .cornering import motion_of
-from .data import SensorSetup
+from .cornering import Motion, motion_of
+from .data import Run, SensorSetup
 from .limits import RATE_HZ, SteadyLimits
 from .sensor_checks import check, correct, reason_to_refuse
+from .sensor_findings import SensorFinding
 from .tire_fit import AxlePoints, LinearFit, PacejkaFit, axle_points, fit_linear, fit_pacejka
 
 __all__ = [
-    "Hold",
+    "Axle",
     "Identification",
+    "Prediction",
     "identify",
     "largest_a_y",
     "leave_one_out",
@@ -38,14 +40,13 @@ __all__ = [
 
 POINT_RATE_HZ = 10.0
 WINDOW_S = 1.5
-# Relative errors of smaller lateral accelerations say nothing [m/s^2].
+# Relative errors of, and tires from, smaller lateral accelerations mean nothing [m/s^2].
 SMALLEST_MPS2 = 1.0
 AT_LIMIT = 0.9
-LEAST_MPS2 = 1.0
 
 
-class Hold(NamedTuple):
-    """A piece of steady cornering, measured and predicted by the steady state of a car.
+class Prediction(NamedTuple):
+    """A piece of steady cornering, as measured and as the steady state of a car predicts it.
 
     Parameters
     ----------
@@ -57,9 +58,9 @@ class Hold(NamedTuple):
     a_y, r : float
         Measured lateral acceleration [m/s^2] and yaw rate [rad/s].
     a_y_predicted, r_predicted : float
-        Those of the steady state at that speed and angle; NaN where it has none.
+        Predicted from speed and steering angle; NaN without a steady state.
     at_limit : bool
-        Whether the measured acceleration is beyond 90 % of the largest.
+        Whether the measured acceleration exceeds 90 % of the largest.
     """
 
     run: str
@@ -73,31 +74,34 @@ class Hold(NamedTuple):
     at_limit: bool
 
 
+class Axle(NamedTuple):
+    """Measured points of an axle and both tires fitted to them."""
+
+    points: AxlePoints
+    pacejka: PacejkaFit
+    linear: LinearFit
+
+
 @dataclass(frozen=True)
 class Identification:
-    """What driving data say about the tires of a car.
+    """Tires identified from driving data, and what they rest on.
 
     Parameters
     ----------
-    vehicle : Vehicle
-        The car with the identified Pacejka tires, ``mu = 1``.
-    linear_vehicle : Vehicle
-        The car with linear tires by regression on the same points.
+    vehicle, linear_vehicle : Vehicle
+        The car with Pacejka tires and with linear tires fitted to the same points, ``mu = 1``.
     base : Vehicle
-        The car that was given: mass, geometry, and what the data do not determine.
-    front, rear : PacejkaFit
-    front_linear, rear_linear : LinearFit
-    front_points, rear_points : AxlePoints
+        The given car: mass, geometry, and what the data do not determine.
+    axles : dict of str to Axle
+        Keys are ``front`` and ``rear``.
     motions : list of Motion
         The runs used.
     refused : list of (str, str)
-        Runs of which nothing could be used, and why.
-    findings : list of Finding
-        What the checks of the sensors say, after corrections.
-    corrections : list of Finding
-        What was corrected.
+        Unusable runs, with the reason.
+    findings, corrections : list of SensorFinding
+        Results of the sensor checks after corrections, and the corrections made.
     setup : SensorSetup
-        The setup that was used.
+        As used, after corrections.
     front_force, acceleration : str
         As given to `identify`.
     """
@@ -105,77 +109,68 @@ class Identification:
     vehicle: Vehicle
     linear_vehicle: Vehicle
     base: Vehicle
-    front: PacejkaFit
-    rear: PacejkaFit
-    front_linear: LinearFit
-    rear_linear: LinearFit
-    front_points: AxlePoints
-    rear_points: AxlePoints
-    motions: list
-    refused: list
-    findings: list
-    corrections: list
+    axles: dict[str, Axle]
+    motions: list[Motion]
+    refused: list[tuple[str, str]]
+    findings: list[SensorFinding]
+    corrections: list[SensorFinding]
     setup: SensorSetup
     front_force: str
     acceleration: str
 
     @property
-    def largest_a_y(self):
-        """Largest lateral acceleration that was held [m/s^2]: 98th percentile of the points."""
+    def largest_a_y(self) -> float:
+        """Largest sustained lateral acceleration [m/s^2]: 98th percentile of the points."""
         return largest_a_y(self.motions)
 
     @property
-    def friction(self):
+    def friction(self) -> float:
         """Friction coefficient that this acceleration takes [-]."""
         return self.largest_a_y / GRAVITY
 
     @property
-    def understeer_gradient(self):
-        """Steering angle beyond Ackermann's per lateral acceleration [rad s^2/m], of both slopes.
-
-        ``m / l_wb (l_r / C_f - l_f / C_r)`` with the stiffness of the curves at zero slip.
-        """
+    def understeer_gradient(self) -> float:
+        """``m / l_wb (l_r / C_f - l_f / C_r)`` [rad s^2/m], with the stiffness at zero slip."""
         car = self.vehicle
-        front = self.front.parameters["stiffness_n_per_rad"].value
-        rear = self.rear.parameters["stiffness_n_per_rad"].value
+        front, rear = (
+            axle.pacejka.parameters["stiffness_n_per_rad"].value for axle in self.axles.values()
+        )
         return car.m / car.l_wb * (car.l_r / front - car.l_f / rear)
 
-    def holds(self):
-        """The data that were fitted to, and what the identified car makes of them."""
+    def predictions(self) -> list[Prediction]:
+        """The fitted data as the identified car predicts them."""
         return predict(self.vehicle, self.motions, self.largest_a_y)
 
 
 def identify(
-    runs,
-    base_vehicle,
+    runs: Iterable[Run],
+    base_vehicle: Vehicle,
     *,
-    fix=False,
-    limits=None,
-    front_force="model",
-    acceleration="imu",
-    name=None,
-):
+    fix: bool = False,
+    limits: SteadyLimits | None = None,
+    front_force: str = "model",
+    acceleration: str = "imu",
+    name: str | None = None,
+) -> Identification:
     """Identify the tires of a car from one or more runs.
 
     Parameters
     ----------
     runs : iterable of Run
-        See `map_racing.identification.data.load_run`. They must be of one car, and are taken
-        to have one setup of sensors: that of the first.
+        Runs of one car with one sensor setup: the setup of the first is used for all.
     base_vehicle : Vehicle
-        Mass and geometry; its tires are where parameters stay that the data do not determine.
+        Mass and geometry, and the tire parameters to keep where the data determine none.
     fix : bool
-        Correct the sensors' setup where it contradicts physics. Without it, what would spoil the
-        tires is an error.
+        Correct the sensor setup where it contradicts physics; by default a critical contradiction
+        is an error.
     limits : SteadyLimits, optional
         What counts as steady.
     front_force : {"model", "paper"}
         See `map_racing.identification.tire_fit.axle_points`.
     acceleration : {"imu", "yaw_rate"}
-        Where the lateral acceleration comes from, see
-        `map_racing.identification.cornering.motion_of`.
+        Source of the lateral acceleration, see `map_racing.identification.cornering.motion_of`.
     name : str, optional
-        Of the identified car; by default that of the base with ``_identified`` appended.
+        Name of the identified car; default: the base's with ``_identified`` appended.
 
     Returns
     -------
@@ -184,8 +179,8 @@ def identify(
     Raises
     ------
     IdentificationError
-        If no run has steady cornering in it, or sensors contradict each other (the message says
-        what would repair it), or the points fit no tire.
+        If no run has steady cornering, or sensors contradict each other (the message says what
+        would repair it), or no tire curve fits the points.
     """
     runs, limits = list(runs), limits or SteadyLimits()
     if not runs:
@@ -193,75 +188,24 @@ def identify(
     setup, corrections = runs[0].setup, []
 
     def motions_with(setup):
-        motions, refused = [], []
-        for run in runs:
-            changed = dataclasses.replace(run, setup=setup)
-            try:
-                motion = motion_of(changed, base_vehicle, limits, acceleration)
-                reason = reason_to_refuse(motion)
-            except IdentificationError as error:
-                motion, reason = None, str(error).replace(f"{run.name}: ", "")
-            if reason:
-                refused.append((run.label, reason))
-            if motion is not None:
-                motions.append((motion, not reason))
-        return motions, refused
+        return _motions(runs, setup, base_vehicle, limits, acceleration)
 
     if fix:
         setup, corrections = correct(motions_with, setup, base_vehicle)
     motions, refused = motions_with(setup)
     findings = check([motion for motion, _ in motions], setup, base_vehicle)
-    grave = [finding for finding in findings if finding.grave]
     used = [motion for motion, good in motions if good]
-    if grave:
-        raise IdentificationError(
-            "; ".join(finding.text for finding in grave)
-            + (" (--fix applies that)" if not fix and grave[0].fix else "")
-        )
-    if not used:
-        reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)
-        raise IdentificationError(f"nothing to identify tires from: {reasons}")
-    if largest_a_y(used) < LEAST_MPS2:
-        raise IdentificationError(
-            f"straight driving: at most {largest_a_y(used):.2f} m/s^2 of lateral acceleration in "
-            f"{len(used)} runs, which say nothing about tires"
-        )
+    _require_evidence(findings, used, refused, fix)
 
-    front_points, rear_points = points_of(used, base_vehicle, front_force)
-    oversampling = max(POINT_RATE_HZ / (2.0 * limits.cutoff_hz), 1.0)
-    fits = []
-    for axle, points, start in (
-        ("front", front_points, base_vehicle.front),
-        ("rear", rear_points, base_vehicle.rear),
-    ):
-        try:
-            fits.append(
-                fit_pacejka(points, _with_friction(start, base_vehicle.mu), 10.0, oversampling)
-            )
-        except IdentificationError as error:
-            raise IdentificationError(f"{axle} axle: {error}") from None
-    front, rear = fits
-    front_linear = fit_linear(front_points, front.inlier, oversampling)
-    rear_linear = fit_linear(rear_points, rear.inlier, oversampling)
+    axles = _fit_axles(used, base_vehicle, limits, front_force)
     name = name or base_vehicle.name + "_identified"
+    tires = {key: axle.pacejka.tire for key, axle in axles.items()}
+    linear = {key: axle.linear.tire for key, axle in axles.items()}
     return Identification(
-        vehicle=dataclasses.replace(
-            base_vehicle, name=name, mu=1.0, front=front.tire, rear=rear.tire
-        ),
-        linear_vehicle=dataclasses.replace(
-            base_vehicle,
-            name=name + "_linear",
-            mu=1.0,
-            front=front_linear.tire,
-            rear=rear_linear.tire,
-        ),
+        vehicle=dataclasses.replace(base_vehicle, name=name, mu=1.0, **tires),
+        linear_vehicle=dataclasses.replace(base_vehicle, name=name + "_linear", mu=1.0, **linear),
         base=base_vehicle,
-        front=front,
-        rear=rear,
-        front_linear=front_linear,
-        rear_linear=rear_linear,
-        front_points=front_points,
-        rear_points=rear_points,
+        axles=axles,
         motions=used,
         refused=refused,
         findings=findings,
@@ -272,20 +216,68 @@ def identify(
     )
 
 
-def leave_one_out(runs, base_vehicle, **options):
-    """Predict each run with what the others say.
+def _motions(runs, setup, vehicle, limits, acceleration):
+    """Motions of the runs with a setup and whether each is usable, and the unusable runs."""
+    motions, refused = [], []
+    for run in runs:
+        changed = dataclasses.replace(run, setup=setup)
+        try:
+            motion = motion_of(changed, vehicle, limits, acceleration)
+            reason = reason_to_refuse(motion)
+        except IdentificationError as error:
+            motion, reason = None, str(error).replace(f"{run.name}: ", "")
+        if reason:
+            refused.append((run.label, reason))
+        if motion is not None:
+            motions.append((motion, not reason))
+    return motions, refused
 
-    Corrections of the sensors, too, come from the others alone.
+
+def _require_evidence(findings, used, refused, fixed):
+    """Raise an error where sensors contradict each other or no run says anything about tires."""
+    critical = [finding for finding in findings if finding.critical]
+    if critical:
+        raise IdentificationError(
+            "; ".join(finding.text for finding in critical)
+            + (" (--fix applies that)" if not fixed and critical[0].fix else "")
+        )
+    if not used:
+        reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)
+        raise IdentificationError(f"no usable run: {reasons}")
+    if largest_a_y(used) < SMALLEST_MPS2:
+        raise IdentificationError(
+            f"straight driving: expected at least {SMALLEST_MPS2:g} m/s^2 of lateral acceleration "
+            f"to identify tires from, got {largest_a_y(used):.2f} m/s^2 in {len(used)} runs"
+        )
+
+
+def _fit_axles(motions, vehicle, limits, front_force):
+    """Both axles by name."""
+    oversampling = max(POINT_RATE_HZ / (2.0 * limits.cutoff_hz), 1.0)
+    axles = {}
+    for name, points in zip(("front", "rear"), points_of(motions, vehicle, front_force)):
+        start = getattr(vehicle, name)
+        if isinstance(start, PacejkaTire):  # as it is where mu is 1
+            start = dataclasses.replace(start, D=start.D * vehicle.mu)
+        try:
+            fit = fit_pacejka(points, start, 10.0, oversampling)
+        except IdentificationError as error:
+            raise IdentificationError(f"{name} axle: {error}") from None
+        axles[name] = Axle(points, fit, fit_linear(points, fit.inlier, oversampling))
+    return axles
+
+
+def leave_one_out(runs: Iterable[Run], base_vehicle: Vehicle, **options: Any) -> list[Prediction]:
+    """Predict each run with the tires, and sensor corrections, identified from the others.
 
     Parameters
     ----------
     runs, base_vehicle, options
-        As of `identify`. At least two of the runs must be usable.
+        As for `identify`; at least two runs must be usable.
 
     Returns
     -------
-    list of Hold
-        Those of all usable runs, each predicted by the identification from the others.
+    list of Prediction
 
     Raises
     ------
@@ -297,32 +289,31 @@ def leave_one_out(runs, base_vehicle, **options):
     usable = {motion.run.name for motion in everything.motions}
     runs = [run for run in runs if run.name in usable]
     if len(runs) < 2:
-        raise IdentificationError("leaving one run out needs at least two usable runs")
-    holds = []
+        raise IdentificationError("--leave-one-out: expected at least two usable runs, got 1")
+    predictions = []
     for left_out in runs:
         others = identify([run for run in runs if run is not left_out], base_vehicle, **options)
         run = dataclasses.replace(left_out, setup=others.setup)
         motion = motion_of(run, base_vehicle, options.get("limits"), others.acceleration)
-        holds += predict(others.vehicle, [motion], everything.largest_a_y)
-    return holds
+        predictions += predict(others.vehicle, [motion], everything.largest_a_y)
+    return predictions
 
 
-def predict(vehicle, motions, largest):
-    """Compare steady cornering with the steady state of a car.
+def predict(vehicle: Vehicle, motions: Iterable[Motion], largest: float) -> list[Prediction]:
+    """Predict pieces of steady cornering of about 1.5 s and at least 1 m/s^2.
 
     Parameters
     ----------
     vehicle : Vehicle
     motions : iterable of Motion
     largest : float
-        Largest lateral acceleration of the data [m/s^2], to tell what is at the limit.
+        Largest lateral acceleration of the data [m/s^2]: the limit.
 
     Returns
     -------
-    list of Hold
-        Pieces of at most 1.5 s with at least 1 m/s^2.
+    list of Prediction
     """
-    holds = []
+    predictions = []
     for motion in motions:
         for cut in motion.segments():
             count = max(round((cut.stop - cut.start) / (WINDOW_S * RATE_HZ)), 1)
@@ -334,17 +325,18 @@ def predict(vehicle, motions, largest):
                 if abs(a_y) < SMALLEST_MPS2:
                     continue
                 predicted = float(np.copysign(steady_acceleration(vehicle, v, abs(delta)), delta))
-                holds.append(
-                    Hold(
-                        *(motion.run.label, t, v, delta, a_y, r, predicted, predicted / v),
-                        abs(a_y) > AT_LIMIT * largest,
-                    )
+                at_limit = abs(a_y) > AT_LIMIT * largest
+                label, r_predicted = motion.run.label, predicted / v
+                predictions.append(
+                    Prediction(label, t, v, delta, a_y, r, predicted, r_predicted, at_limit)
                 )
-    return holds
+    return predictions
 
 
-def steady_acceleration(vehicle, v, delta):
-    """Lateral acceleration of the steady state at a speed and a steering angle.
+def steady_acceleration(vehicle: Vehicle, v: float, delta: float) -> float:
+    """Lateral acceleration of the steady state [m/s^2].
+
+    Without a stable steady state at that angle, the largest at smaller angles; NaN if none exists.
 
     Parameters
     ----------
@@ -353,12 +345,6 @@ def steady_acceleration(vehicle, v, delta):
         Speed [m/s].
     delta : float
         Steering angle [rad], not negative.
-
-    Returns
-    -------
-    float
-        [m/s^2]; where no stable steady state exists at that angle, the largest of smaller angles,
-        and NaN where none exists at all.
     """
     try:
         table = steady_state_table(vehicle, [v], delta * np.arange(1, 33) / 32.0)
@@ -368,20 +354,10 @@ def steady_acceleration(vehicle, v, delta):
     return float(column[-1]) if np.isfinite(column[-1]) else float(np.nanmax(column))
 
 
-def points_of(motions, vehicle, front_force="model"):
-    """Points of both axles from the steady cornering of runs, at 10 Hz.
-
-    Parameters
-    ----------
-    motions : iterable of Motion
-    vehicle : Vehicle
-        Mass and geometry.
-    front_force : {"model", "paper"}
-
-    Returns
-    -------
-    front, rear : AxlePoints
-    """
+def points_of(
+    motions: Iterable[Motion], vehicle: Vehicle, front_force: str = "model"
+) -> tuple[AxlePoints, AxlePoints]:
+    """Points of the front and the rear axle from the steady cornering of runs, at 10 Hz."""
     columns = [[] for _ in range(5)]
     beta_noise, a_y_noise = [], []
     for motion in motions:
@@ -402,22 +378,7 @@ def points_of(motions, vehicle, front_force="model"):
     )
 
 
-def largest_a_y(motions):
-    """Largest lateral acceleration that was held in steady cornering [m/s^2].
-
-    Parameters
-    ----------
-    motions : iterable of Motion
-
-    Returns
-    -------
-    float
-        The 98th percentile of its magnitude.
-    """
+def largest_a_y(motions: Iterable[Motion]) -> float:
+    """Largest sustained lateral acceleration [m/s^2]: 98th percentile of its magnitude."""
     held = [np.abs(motion.a_y[cut]) for motion in motions for cut in motion.segments()]
     return float(np.percentile(np.concatenate(held), 98.0)) if held else 0.0
-
-
-def _with_friction(tire, mu):
-    """A tire of the base as it is where ``mu`` is 1."""
-    return dataclasses.replace(tire, D=tire.D * mu) if isinstance(tire, PacejkaTire) else tire

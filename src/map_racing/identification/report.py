@@ -1,13 +1,15 @@
-"""What an identification found, as text for the terminal and as plain data for JSON."""
+"""An identification as text for the terminal and as plain data for JSON."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, Iterable
 
 import numpy as np
 
 from ..errors import ParameterError
 from ..vehicle.steady_state import steady_state_table
+from .identify import Identification, Prediction
 from .limits import RATE_HZ
 
 __all__ = ["prediction_errors", "report_data", "report_text"]
@@ -16,54 +18,43 @@ SPEEDS_MPS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 SHARES = (0.3, 0.6, 0.9)
 
 
-def prediction_errors(holds):
-    """Mean relative errors of predicted holds, below the limit and at it.
-
-    Parameters
-    ----------
-    holds : iterable of Hold
+def prediction_errors(predictions: Iterable[Prediction]) -> dict[str, dict[str, Any]]:
+    """Mean relative errors of predictions below the limit and at it.
 
     Returns
     -------
     dict
-        ``below_limit`` and ``at_limit``, each with ``holds``, ``yaw_rate`` and
-        ``lateral_acceleration`` (mean absolute relative errors; None without holds).
+        ``below_limit`` and ``at_limit``, each with their number (``holds``) and the mean absolute
+        relative errors ``yaw_rate`` and ``lateral_acceleration`` (None without predictions).
     """
-    holds = [hold for hold in holds if math.isfinite(hold.a_y_predicted)]
+    finite = [p for p in predictions if math.isfinite(p.a_y_predicted)]
     result = {}
     for name, at_limit in (("below_limit", False), ("at_limit", True)):
-        own = [hold for hold in holds if hold.at_limit == at_limit]
+        own = [p for p in finite if p.at_limit == at_limit]
         result[name] = {
             "holds": len(own),
-            "yaw_rate": _mean(abs(h.r_predicted / h.r - 1.0) for h in own),
-            "lateral_acceleration": _mean(abs(h.a_y_predicted / h.a_y - 1.0) for h in own),
+            "yaw_rate": _mean(abs(p.r_predicted / p.r - 1.0) for p in own),
+            "lateral_acceleration": _mean(abs(p.a_y_predicted / p.a_y - 1.0) for p in own),
         }
     return result
 
 
-def report_data(identification, holds=None):
-    """All that was found, as plain dictionaries, lists and numbers.
+def report_data(found: Identification, left_out: list[Prediction] | None = None) -> dict[str, Any]:
+    """The identification as plain dictionaries, lists and numbers; None for missing values.
 
     Parameters
     ----------
-    identification : Identification
-    holds : list of Hold, optional
-        Of `map_racing.identification.identify.leave_one_out`.
-
-    Returns
-    -------
-    dict
-        Values that do not exist are None.
+    found : Identification
+    left_out : list of Prediction, optional
+        From `map_racing.identification.identify.leave_one_out`.
     """
-    found = identification
     axles = {}
-    for name in ("front", "rear"):
-        fit, linear = getattr(found, name), getattr(found, name + "_linear")
+    for name, (points, fit, linear) in found.axles.items():
         axles[name] = {
             "points": int(fit.inlier.size),
             "rejected_share": fit.rejected_share,
             "mean_residual_n": fit.mean_residual_n,
-            "static_load_n": getattr(found, name + "_points").load,
+            "static_load_n": points.load,
             "covered_slip_rad": fit.covered_slip,
             "rise_at_covered_slip": fit.rise,
             "peak_reached": bool(fit.saturated),
@@ -89,25 +80,15 @@ def report_data(identification, holds=None):
         "largest_lateral_acceleration_mps2": found.largest_a_y,
         "friction": found.friction,
         "understeer_gradient_rad_s2_per_m": found.understeer_gradient,
-        "fit_errors": prediction_errors(found.holds()),
-        "leave_one_out": prediction_errors(holds) if holds is not None else None,
+        "fit_errors": prediction_errors(found.predictions()),
+        "leave_one_out": prediction_errors(left_out) if left_out is not None else None,
         "tables": _tables(found),
     }
 
 
-def report_text(identification, holds=None):
-    """The same as text, some forty lines.
-
-    Parameters
-    ----------
-    identification, holds
-        As of `report_data`.
-
-    Returns
-    -------
-    str
-    """
-    found, lines = identification, []
+def report_text(found: Identification, left_out: list[Prediction] | None = None) -> str:
+    """The identification as text, some forty lines; arguments as for `report_data`."""
+    lines = []
     for motion in found.motions:
         seconds = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
         driven = np.count_nonzero(motion.moving) / RATE_HZ
@@ -126,22 +107,21 @@ def report_text(identification, holds=None):
         lines += ["setup of the sensors, as for a channel map:", "  setup:"]
         lines += [f"    {name}: {value}" for name, value in found.setup.changes().items()]
     lines.append("")
-    for name in ("front", "rear"):
-        lines += _axle(found, name)
+    for name, axle in found.axles.items():
+        lines += _axle(name, axle, found.base.name)
     lines += _summary(found)
-    lines += _predictions("the data fitted to", found.holds())
-    if holds is not None:
-        lines += _predictions("runs left out, by the others", holds)
-        for run in dict.fromkeys(hold.run for hold in holds):
-            own = [hold for hold in holds if hold.run == run]
+    lines += _predictions("the fitted data", found.predictions())
+    if left_out is not None:
+        lines += _predictions("each run, from the others", left_out)
+        for run in dict.fromkeys(p.run for p in left_out):
+            own = [p for p in left_out if p.run == run]
             lines += [f"  {line}" for line in _predictions(run, own)]
     lines += _comparison(found)
     return "\n".join(lines)
 
 
-def _axle(found, name):
-    fit, linear = getattr(found, name), getattr(found, name + "_linear")
-    points = getattr(found, name + "_points")
+def _axle(name, axle, base):
+    points, fit, linear = axle
     p = fit.parameters
     reach = (
         "the peak was reached"
@@ -172,7 +152,7 @@ def _axle(found, name):
         lines.append(f"  Pacejka, measured: {', '.join(known)}")
     if unknown:
         lines.append(
-            f"  Pacejka, not determined alone (held near {found.base.name}'s, and within the "
+            f"  Pacejka, not determined alone (kept near {base}'s, and within the "
             f"bounds): {', '.join(unknown)}"
         )
     lines.append(
@@ -196,7 +176,7 @@ def _summary(found):
     understeer = found.understeer_gradient
     kind = "understeers" if understeer > 0.0 else "oversteers"
     return [
-        f"largest lateral acceleration held: {found.largest_a_y:.2f} m/s^2, friction "
+        f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction "
         f"{found.friction:.3f}",
         f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
         f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, forwards and backwards",
@@ -206,14 +186,14 @@ def _summary(found):
     ]
 
 
-def _predictions(what, holds):
+def _predictions(what, predictions):
     lines = []
-    for name, errors in prediction_errors(holds).items():
+    for name, errors in prediction_errors(predictions).items():
         if errors["holds"]:
             lines.append(
                 f"{what}, {name.replace('_', ' ')}: yaw rate {errors['yaw_rate']:.1%}, lateral "
                 f"acceleration {errors['lateral_acceleration']:.1%} mean error in "
-                f"{errors['holds']} {'hold' if errors['holds'] == 1 else 'holds'}"
+                f"{errors['holds']} steady segment{'s' if errors['holds'] != 1 else ''}"
             )
     return lines
 
@@ -236,7 +216,7 @@ def _comparison(found):
     beyond = max((limit for limit in limits if limit is not None), default=0.0)
     if beyond > 1.05 * found.largest_a_y:
         lines.append(
-            f"  beyond the {found.largest_a_y:.2f} m/s^2 that were held, the new table is "
+            f"  beyond the {found.largest_a_y:.2f} m/s^2 that were reached, the new table is "
             "extrapolated: drive faster, or steer farther, to measure it"
         )
     return lines
@@ -275,7 +255,7 @@ def _finding(finding):
         "check": finding.check,
         "text": finding.text,
         "fix": dict(finding.fix),
-        "grave": bool(finding.grave),
+        "grave": bool(finding.critical),
     }
 
 

@@ -1,4 +1,4 @@
-"""Steady-state cornering: which lateral acceleration a held steering angle settles at.
+"""Steady-state cornering: the lateral acceleration at which a constant steering angle settles.
 
 In steady state at constant speed (v_y' = r' = 0, a_long = 0) the moment balance makes both axles
 use the same share of their friction, and the equations of `single_track` reduce to::
@@ -17,15 +17,14 @@ peak belongs to the branch: the car plows, stably. States that a car can only ju
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from .. import __version__
 from ..errors import ParameterError
 from .lookup import LookupTable, Provenance
-from .parameters import parameter_hash
-from .single_track import GRAVITY, single_track_derivatives
+from .parameters import Vehicle, parameter_hash
+from .single_track import GRAVITY
 
-__all__ = ["simulate_to_steady_state", "steady_state_table"]
+__all__ = ["steady_state_table"]
 
 # front slip angles [rad] between which each branch is followed, dense where tires are stiff ...
 _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
@@ -34,7 +33,7 @@ _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
 _AROUND_PEAK = 1.0 + np.outer((-1.0, 1.0), np.logspace(-6.0, -1.0, 41)).ravel()
 
 
-def steady_state_table(vehicle, speeds, angles):
+def steady_state_table(vehicle: Vehicle, speeds: np.ndarray, angles: np.ndarray) -> LookupTable:
     """Steady-state lateral acceleration on a grid of speed and steering angle.
 
     The published 60 x 65 grid of ``nuc4`` takes 6 ms, 0.1 % of integrating each cell for 2 s.
@@ -56,7 +55,7 @@ def steady_state_table(vehicle, speeds, angles):
     Raises
     ------
     ParameterError
-        If an axis is not as said, or the car has no stable steady state at all.
+        If an axis is invalid, or the car has no stable steady state at all.
     """
     speeds, angles = np.asarray(speeds, dtype=float), np.asarray(angles, dtype=float)
     for name, axis, least in (("speeds", speeds, 1e-3), ("angles", angles, 0.0)):
@@ -76,40 +75,7 @@ def steady_state_table(vehicle, speeds, angles):
     try:
         return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
     except ParameterError as error:
-        raise ParameterError(f"{vehicle.name}: its steady states make no table: {error}") from None
-
-
-def simulate_to_steady_state(vehicle, v, delta, duration=20.0):
-    """Integrate the single-track model from straight running until it settles: the reference.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    v : float
-        Speed [m/s], positive.
-    delta : float
-        Steering angle [rad], held from the start.
-    duration : float
-        Time to integrate [s].
-
-    Returns
-    -------
-    float
-        Lateral acceleration ``v r`` at the end [m/s^2]; NaN if it still changes by more than
-        1e-6 m/s^2 per second.
-    """
-    derivatives = single_track_derivatives(vehicle, v_eps=1e-9)
-
-    def right_hand_side(_, state):
-        return derivatives(v, state[0], state[1], delta, 0.0)
-
-    solution = solve_ivp(
-        right_hand_side, (0.0, duration), (0.0, 0.0), method="LSODA", rtol=1e-10, atol=1e-12
-    )
-    v_y, r = solution.y[:, -1]
-    v_y_dot, r_dot = derivatives(v, v_y, r, delta, 0.0)
-    settled = solution.success and max(abs(v_y_dot), abs(v * r_dot)) < 1e-6
-    return v * r if settled else float("nan")
+        raise ParameterError(f"{vehicle.name}: its steady states form no table: {error}") from None
 
 
 def _solve(vehicle, speeds, angles):

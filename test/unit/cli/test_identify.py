@@ -119,7 +119,7 @@ def test_csv_with_a_map_fix_and_leave_one_out(ramps_csv, tmp_path, refused, caps
     assert not output.exists()
     assert main([str(a) for a in (*arguments, "--fix", "--leave-one-out")]) == 0
     printed = capsys.readouterr().out
-    assert "    lateral_scale: -1" in printed and "runs left out, by the others" in printed
+    assert "    lateral_scale: -1" in printed and "each run, from the others" in printed
     assert "corrected: lateral acceleration: a_y is -1.0" in printed
 
 

@@ -34,7 +34,7 @@ def found(ramps):
 @pytest.mark.parametrize("axle", ["front", "rear"])
 def test_curves_of_the_plant_are_recovered_from_its_bag(found, ramps, curve_error, axle):
     assert curve_error(found, ramps.true, axle) < 0.03
-    assert getattr(found, axle).covered_slip > {"front": 0.2, "rear": 0.01}[axle]
+    assert found.axles[axle].pacejka.covered_slip > {"front": 0.2, "rear": 0.01}[axle]
 
 
 @pytest.mark.parametrize("seed", [11, 12, 13])
@@ -71,8 +71,10 @@ def test_a_quarter_of_gross_outliers_in_the_bag(ramps, curve_error, tmp_path, se
 
 def test_the_papers_front_force_overrates_this_model(ramps, found):
     paper = identify([ramps.run], ramps.base, front_force="paper")
-    slip = found.front.covered_slip
-    ratio = paper.front.tire.normalized_force(slip) / found.front.tire.normalized_force(slip)
+    slip = found.axles["front"].pacejka.covered_slip
+    ratio = np.divide(
+        *(each.axles["front"].pacejka.tire.normalized_force(slip) for each in (paper, found))
+    )
     widest = max(
         np.abs(motion.delta[c]).max() for motion in found.motions for c in motion.segments()
     )
@@ -167,7 +169,8 @@ def test_a_fast_part_of_the_data_says_nothing_of_the_peak(ramps):
         name: Signal(s.t[s.t < 35.0], s.value[s.t < 35.0]) for name, s in ramps.run.signals.items()
     }
     found = identify([dataclasses.replace(ramps.run, signals=slow)], ramps.base)
-    assert not found.front.saturated and not found.front.parameters["peak_n"].determined
+    front = found.axles["front"].pacejka
+    assert not front.saturated and not front.parameters["peak_n"].determined
     text = report_text(found)
     assert "not determined by these data" in text and "extrapolated" in text
 
@@ -196,7 +199,7 @@ def test_one_bad_run_does_not_spoil_the_others(ramps, found):
 
 
 def test_report_is_plain_json(found):
-    data = report_data(found, found.holds())
+    data = report_data(found, found.predictions())
     again = json.loads(json.dumps(data, allow_nan=False))
     assert again["axles"]["front"]["parameters"]["B"]["value"] == found.vehicle.front.B
     assert again["leave_one_out"] == again["fit_errors"]
@@ -268,6 +271,6 @@ def test_second_real_car(shared_data):
     found = identify(runs, SECOND, fix=True, limits=SteadyLimits(cutoff_hz=0.4))
     assert found.setup.time_scale == pytest.approx(0.863, abs=0.01)
     # One steering angle to one side does not tell a tire's peak.
-    assert not found.front.saturated and not found.rear.saturated
-    assert not found.front.parameters["peak_n"].determined
+    assert not found.axles["front"].pacejka.saturated and not found.axles["rear"].pacejka.saturated
+    assert not found.axles["front"].pacejka.parameters["peak_n"].determined
     assert any("driven to the left only" in finding.text for finding in found.findings)

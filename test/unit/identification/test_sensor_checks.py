@@ -88,7 +88,7 @@ def test_gravity_on_the_lateral_axis(ramps):
     signals = dict(ramps.run.signals)
     signals["a_z"], signals["a_y"] = signals["a_y"], signals["a_z"]
     run = dataclasses.replace(ramps.run, signals=signals)
-    texts = [f.text for f in findings_of(run, ramps.base) if f.grave]
+    texts = [f.text for f in findings_of(run, ramps.base) if f.critical]
     assert any("gravity is on its y axis" in text for text in texts), texts
     assert identify([run], ramps.base, fix=True).setup.lateral_axis == "z"
 
@@ -150,7 +150,7 @@ def test_one_side_says_what_it_cannot_say(ramps):
     }
     findings = findings_of(dataclasses.replace(ramps.run, signals=half), ramps.base)
     texts = " ".join(finding.text for finding in findings)
-    assert "driven to the left only" in texts and "cannot be told apart" in texts
+    assert "driven to the left only" in texts and "cannot be separated" in texts
     assert not any(finding.fix for finding in findings)
 
 

@@ -1,0 +1,214 @@
+"""Checks of pose and steering against the kinematics of a slowly cornering car."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..vehicle.parameters import Vehicle
+from .cornering import Motion
+from .data import SensorSetup
+from .sensor_findings import TURNING_RADPS, SensorFinding
+
+__all__ = ["both_sides", "check_front_slip", "check_pose_point", "check_steering_gain"]
+
+# Share of the largest acceleration below which understeer is nearly proportional.
+LOW_SHARE = 0.45
+PICK = 5  # samples per point: the low-pass leaves neighbors dependent
+
+
+def check_pose_point(
+    motions: list[Motion], setup: SensorSetup, vehicle: Vehicle
+) -> list[SensorFinding]:
+    """Which point of the car the pose tracks, and whether its heading is the car's axis.
+
+    For a slowly cornering car ``beta = d r / v - c a_y + heading offset`` at a point `d` ahead of
+    the rear axle, whose slip is proportional to the acceleration.
+    """
+    cornering = _low(motions, vehicle)
+    if cornering is None:
+        return []
+    v, r, beta, a_y, sigma = (cornering[key] for key in ("v", "r", "beta", "a_y", "beta_noise"))
+    matrix = np.column_stack((r / v, -a_y, np.ones(v.size)))
+    both = both_sides(r)
+    columns = [0, 1, 2] if both else [0, 1]
+    solution, error = _regression(matrix[:, columns], beta, sigma)
+    findings = []
+    d, d_error = solution[0], error[0]
+    if d_error < 0.04 and not _one_speed(v):
+        text = f"pose: its point is {d:.3f} +- {d_error:.3f} m ahead of the rear axle"
+        fix = {}
+        if abs(d - setup.pose_x_m) > max(0.06, 3.0 * d_error):
+            guesses = (0.0, vehicle.l_r, vehicle.l_wb)
+            near = min(guesses, key=lambda guess: abs(guess - d))
+            fix = {"pose_x_m": round(near if abs(near - d) < 0.05 else d, 4)}
+            text += f", not {setup.pose_x_m:.3f} m"
+        findings.append(SensorFinding("pose", text, fix, critical=bool(fix)))
+    else:
+        text = (
+            f"pose: driven at one speed only, its position ({setup.pose_x_m:.3f} m ahead of the "
+            "rear axle) cannot be separated from the slip of the rear axle"
+        )
+        findings.append(SensorFinding("pose", text))
+    if both and error[-1] < 0.01:
+        offset = solution[-1]
+        fix = {}
+        if abs(offset) > max(0.003, 3.0 * error[-1]):
+            fix = {"heading_offset_rad": round(setup.heading_offset_rad + offset, 4)}
+        text = (
+            f"heading: {offset:+.4f} +- {error[-1]:.4f} rad off the car's axis, left against right"
+        )
+        findings.append(SensorFinding("heading", text, fix))
+    return findings
+
+
+def check_steering_gain(
+    motions: list[Motion], setup: SensorSetup, vehicle: Vehicle
+) -> list[SensorFinding]:
+    """Gain and offset of the steering: at low acceleration the car follows Ackermann.
+
+    The road-wheel angle is ``atan(l_wb r / v) + K a_y`` with the understeer gradient K, and
+    ``gain * signal + offset``.
+    """
+    cornering = _low(motions, vehicle)
+    if cornering is None:
+        return []
+    if not both_sides(cornering["r"]):
+        text = (
+            "steering: gain and offset cannot be separated: no slow cornering (below "
+            f"{LOW_SHARE:.0%} of the largest acceleration) to both sides"
+        )
+        return [SensorFinding("steering", text)]
+    if _one_speed(cornering["v"]):
+        text = "steering: driven at one speed only, its gain cannot be separated from understeer"
+        return [SensorFinding("steering", text)]
+    gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
+    text = (
+        f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
+        f"{offset:+.4f} +- {offset_error:.4f} rad"
+    )
+    fix = {}
+    if abs(gain - 1.0) > max(0.05, 3.0 * gain_error) and gain_error < 0.1:
+        fix["steering_gain"] = round(setup.steering_gain * gain, 4)
+        text += f", or {vehicle.l_wb:.3f} m is not the car's wheelbase"
+    if abs(offset) > max(0.003, 3.0 * offset_error):
+        scale = gain if "steering_gain" in fix else 1.0
+        fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
+    elif "steering_gain" in fix:
+        fix["steering_offset_rad"] = round(setup.steering_offset_rad * gain, 4)
+    return [
+        SensorFinding("steering", text, fix, critical=abs(gain - 1.0) > 0.3 and gain_error < 0.1)
+    ]
+
+
+def _steering(columns, vehicle, with_offset):
+    """Gain and offset of the steering with their errors.
+
+    The signal is regressed on the motion: the other way round, the acceleration would explain the
+    yaw rate, to which it is nearly proportional.
+    """
+    geometric = np.arctan(vehicle.l_wb * columns["r"] / columns["v"])
+    matrix = [geometric, columns["a_y"]] + [np.ones(geometric.size)] * with_offset
+    solution, error = _regression(np.column_stack(matrix), columns["delta"], 0.0)
+    inverse = solution[0]
+    if abs(inverse) < 0.05:
+        return math.inf, math.inf, 0.0, math.inf
+    gain, gain_error = 1.0 / inverse, error[0] / inverse**2
+    if not with_offset:
+        return gain, gain_error, 0.0, 0.0
+    return gain, gain_error, -solution[2] / inverse, error[2] / abs(inverse)
+
+
+def check_front_slip(
+    motions: list[Motion], setup: SensorSetup, vehicle: Vehicle
+) -> list[SensorFinding]:
+    """Does the front force oppose the front slip, as it must?"""
+    columns = _cornering(motions)
+    if columns is None:
+        return []
+    v, r, delta, a_y = (columns[key] for key in ("v", "r", "delta", "a_y"))
+    # Without the slip of the rear axle, which would only widen the gap.
+    least = np.arctan(vehicle.l_wb * r / v)
+    hard = np.abs(a_y) > 0.5 * np.percentile(np.abs(a_y), 98.0)
+    if np.count_nonzero(hard) < 10:
+        return []
+    missing = float(np.median(((least - delta) * np.sign(r))[hard]))
+    if missing < 0.01 or both_sides(r):
+        return []
+    angle, signal = (float(np.median(np.abs(values[hard]))) for values in (least, delta))
+    gain, error, _, _ = _steering(columns, vehicle, with_offset=False)
+    text = (
+        f"steering: the signal says {signal:.3f} rad, but even without slip the car turns as at "
+        f"{angle:.3f} rad: the wheels turn more than it says"
+    )
+    fix = {}
+    if _one_speed(v) or not 0.0 < 10.0 * error < gain:
+        text += "; driven at one speed only, how much more is unknown"
+    else:
+        text += (
+            f"; if they have no offset and understeer is proportional, {gain:.3f} +- {error:.3f} "
+            "times as much"
+        )
+        fix = {"steering_gain": round(setup.steering_gain * gain, 4)}
+    return [SensorFinding("front slip", text, fix, critical=True)]
+
+
+def both_sides(r: np.ndarray) -> bool:
+    """Whether a substantial share of the yaw rates is to either side."""
+    left = np.count_nonzero(r > 0.5 * TURNING_RADPS)
+    right = np.count_nonzero(r < -0.5 * TURNING_RADPS)
+    return min(left, right) > 0.1 * max(left, right, 1)
+
+
+def _one_speed(v):
+    """Whether curvature and lateral acceleration, which is v^2 times as much, look alike."""
+    low, middle, high = np.percentile(v, (5.0, 50.0, 95.0))
+    return high - low < 0.15 * middle
+
+
+def _cornering(motions):
+    """Points of steady cornering as columns, or None if there are none."""
+    columns = {key: [] for key in ("v", "r", "delta", "beta", "a_y")}
+    for motion in motions:
+        for cut in motion.segments():
+            pick = slice(cut.start, cut.stop, PICK)
+            for key, values in (
+                ("v", motion.v_x),
+                ("r", motion.r),
+                ("delta", motion.delta),
+                ("beta", motion.beta),
+                ("a_y", motion.v_x * motion.r),
+            ):
+                columns[key].append(values[pick])
+    if not columns["v"]:
+        return None
+    return {key: np.concatenate(parts) for key, parts in columns.items()}
+
+
+def _low(motions, vehicle):
+    """Points of steady cornering at low acceleration, or None if there are too few."""
+    columns = _cornering(motions)
+    if columns is None:
+        return None
+    largest = np.percentile(np.abs(columns["a_y"]), 98.0)
+    low = (np.abs(columns["a_y"]) < LOW_SHARE * largest) & (np.abs(columns["r"]) > 0.2)
+    if np.count_nonzero(low) < 10:
+        return None
+    columns = {key: values[low] for key, values in columns.items()}
+    columns["beta_noise"] = float(np.median([motion.beta_noise for motion in motions]))
+    return columns
+
+
+def _regression(matrix, values, noise):
+    """Least squares with standard errors; half of the points count as independent."""
+    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-9)
+    solution = np.linalg.lstsq(matrix / scale, values, rcond=None)[0]
+    residual = values - matrix / scale @ solution
+    variance = max(float(residual @ residual) / max(values.size - matrix.shape[1], 1), noise**2)
+    normal = (matrix / scale).T @ (matrix / scale)
+    covariance = np.linalg.pinv(normal) * variance * 10.0 / 2.0
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if np.linalg.cond(normal) > 1e10:
+        error[:] = np.inf
+    return solution / scale, error / scale

@@ -1,0 +1,41 @@
+"""A finding of the sensor checks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["TURNING_RADPS", "SensorFinding"]
+
+TURNING_RADPS = 0.3  # the car turns, and its yaw rate can be compared
+
+
+@dataclass(frozen=True)
+class SensorFinding:
+    """Result of one check.
+
+    Parameters
+    ----------
+    check : str
+        Name of the check.
+    text : str
+        The measurement, in one line.
+    fix : dict
+        Changes of the `SensorSetup` that repair a contradiction; empty without one.
+    critical : bool
+        Whether tires identified without the repair would be meaningless.
+    """
+
+    check: str
+    text: str
+    fix: dict = field(default_factory=dict)
+    critical: bool = False
+
+    def __post_init__(self):
+        plain = {k: v if isinstance(v, str) else float(v) for k, v in self.fix.items()}
+        object.__setattr__(self, "fix", plain)
+        object.__setattr__(self, "critical", bool(self.critical))
+
+    @property
+    def contradiction(self) -> bool:
+        """Whether there is something to repair."""
+        return bool(self.fix) or self.critical
