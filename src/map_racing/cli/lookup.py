@@ -11,9 +11,10 @@ from ..track.corners import corners
 from ..track.files.load import load_raceline
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
 from ..vehicle.lookup import default_grid, load_table, published_grid
-from ..vehicle.parameters import linearized, load_vehicle, parameter_hash
+from ..vehicle.parameters import linearized, parameter_hash
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table
+from .inputs import read_vehicle
 from .outputs import check_outputs
 
 
@@ -74,7 +75,7 @@ def _draw(folder, table):
 
 
 def _vehicle(arguments):
-    vehicle = load_vehicle(arguments.vehicle)
+    vehicle = read_vehicle(arguments.vehicle)
     return linearized(vehicle) if arguments.linear else vehicle
 
 

@@ -12,7 +12,8 @@ from ..simulation.recorded import write_race_bag
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
-from ..vehicle.parameters import load_vehicle, parameter_hash
+from ..vehicle.parameters import parameter_hash
+from .inputs import read_vehicle
 from .outputs import check_outputs
 from .progress import progress_bar
 
@@ -71,7 +72,7 @@ def load_track(source):
 
 def controller_of(arguments, parameters, plant_vehicle, raceline):
     """The controller, with a note where its model of the car is not the plant's."""
-    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
     if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
         print(f"the controller knows {vehicle.name}, but the plant is {plant_vehicle.name}")
     steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)

@@ -90,6 +90,7 @@ class Session:
             cars = self._identify(plant, conditions.identification_seed)
         else:
             cars = given, linearized(given)
+            self.notes += [f"{vehicle}: {note}" for note in given.notes]
             self.identification = {"vehicle": vehicle, "parameters": parameter_hash(given)}
         self.setting = Setting(conditions, raceline, plant, *cars)
         self.controllers = {}

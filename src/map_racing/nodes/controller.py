@@ -1,7 +1,7 @@
 """Node ``controller``: poses in, drive commands out, under supervision.
 
-Each pose makes one control step, in the callback that brings it. A timer looks for poses that stop
-coming. The controller and its supervisor are the core's; here messages are converted.
+Each pose triggers one control step, in its callback; a timer notices a dropout of the poses.
+Controller and supervisor are in `map_racing.control`; the node converts messages.
 """
 
 import gc
@@ -57,6 +57,8 @@ def _build():
     """Controller and supervisor from the node's parameters."""
     source = get_parameter("controller", "map", "shipped name or file")
     vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
+    for note in vehicle.notes:
+        rospy.logwarn("~vehicle: %s", note)
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
     parameters = overridden(load_controller_parameters(source))
     kind, v_max = parameters.steering_map, parameters.v_max_mps
@@ -91,6 +93,10 @@ class ControllerNode:
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor = _build()
+        self._start(source, pose_source)
+
+    def _start(self, source, pose_source):
+        """Advertise, then subscribe: the first pose may drive the car."""
         self._reader, self._clock = StateReader(), SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
@@ -200,14 +206,14 @@ class ControllerNode:
         self._command(header, self._supervisor.refuse(now))
 
     def _restart(self):
-        """Time was set back: nothing that was known before holds."""
-        rospy.loginfo("time was set back: starting anew")
+        """Time was set back: forget the past."""
+        rospy.loginfo("time was set back: starting over")
         self._controller.reset()
         self._reader.reset()
         self._diagnosis.restart()
 
     def _watch(self, _):
-        """Notice poses that stop coming."""
+        """Notice a dropout of the poses."""
         with self._lock:
             header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
             try:
@@ -231,7 +237,7 @@ class ControllerNode:
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
-        # One message for all commands: making one takes as long as the control step.
+        # One message for all commands: creating one takes as long as a control step.
         command = self._message
         command.header = header
         command.drive.steering_angle = steering_angle
@@ -239,7 +245,7 @@ class ControllerNode:
         self._drive.publish(command)
 
     def _show(self, header, state, result, decision, latency):
-        """Publish what led to the command, as far as anybody listens."""
+        """Publish guidance and figures on the topics that have subscribers."""
         if result is None:
             return
         numbers = {
@@ -278,15 +284,14 @@ class ControllerNode:
         )
 
     def _end(self):
-        """Tell the car to stop, for good."""
+        """Stop the car before the node ends."""
         with self._lock:
             self._ending = True
             if self._supervisor.mode is Mode.WAITING:
                 return
         for _ in range(LAST_COMMANDS):
-            self._send(
-                Header(stamp=rospy.Time.now(), frame_id=self._frames[0]), self._last_angle, 0.0
-            )
+            header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
+            self._send(header, self._last_angle, 0.0)
             time.sleep(LAST_PERIOD_S)
 
     # -- raceline ----------------------------------------------------------------------------
@@ -334,7 +339,7 @@ class ControllerNode:
         with self._lock:
             self._failing = False
             self._supervisor.resume()
-        return TriggerResponse(True, "driving again where nothing else is against it")
+        return TriggerResponse(True, "resumed; drives unless another stop reason is active")
 
     def _on_save(self, _):
         parameters = self._controller.parameters
@@ -353,7 +358,7 @@ _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
 
 
 def _trace(text):
-    """A text with the exception that is being handled and where it came from, in one line."""
+    """A text with the current exception and its origin, in one line."""
     error = sys.exc_info()[1]
     trace = error.__traceback__
     while trace.tb_next is not None:
@@ -364,7 +369,7 @@ def _trace(text):
 
 
 def main():
-    """Run the node; an impossible parameter or file is one line and exit code 1."""
-    # rospy sends in a thread of its own: it shall not wait 5 ms for the one that computes.
+    """Run the node."""
+    # rospy sends in a thread of its own, which must not wait 5 ms for the one that computes.
     sys.setswitchinterval(SWITCH_S)
     run("controller", ControllerNode)

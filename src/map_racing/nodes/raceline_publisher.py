@@ -18,20 +18,20 @@ __all__ = ["RacelinePublisherNode", "main"]
 
 
 class RacelinePublisherNode:
-    """Publish once, latched; and the waypoints again and again, as the public stacks do."""
+    """Publishes latched, and repeats the waypoints as the public stacks do."""
 
     def __init__(self):
         self._raceline = load_raceline(
             get_parameter("raceline", "reference", "track, raceline file, or bag[#topic]")
         )
-        scale = get_parameter("speed_scale", 1.0, "on the raceline's speeds")
+        scale = get_parameter("speed_scale", 1.0, "scale of the raceline's speeds")
         sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
-        spacing = get_parameter("spacing", 0.1, "distance between the waypoints [m]")
-        self._period = get_parameter("period", 2.0, "at which waypoints are repeated [s]")
+        spacing = get_parameter("spacing", 0.1, "distance between waypoints [m]")
+        self._period = get_parameter("period", 2.0, "time between repetitions [s]")
         self._frame = frame(get_parameter("map_frame", "map", "frame of the raceline"))
         for name, value in (("spacing", spacing), ("period", self._period)):
             if not value > 0.0:
-                raise ParameterError(f"~{name}: expected more than 0, got {value}")
+                raise ParameterError(f"~{name}: expected a positive number, got {value}")
         speed = scaled_speed(
             self._raceline,
             scale,
@@ -64,7 +64,7 @@ class RacelinePublisherNode:
             message.header.stamp = rospy.Time.now()
             message.header.frame_id = self._frame
             waypoints.publish(message)
-            # By the wall clock: when a replay is paused, who joins still gets the raceline.
+            # By the wall clock, so that a paused replay still repeats the raceline.
             if not sleep(self._period):
                 return
 

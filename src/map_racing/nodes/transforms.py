@@ -1,10 +1,13 @@
-"""Transforms from and to ``/tf`` and ``/tf_static``, in plain Python.
+"""Transforms in the plane from and to ``/tf`` and ``/tf_static``, in plain Python.
 
-tf2's own buffer is compiled for one version of Python; a transform is a message like any other.
+tf2's buffer is compiled for one version of Python only.
 """
+
+from __future__ import annotations
 
 import math
 import threading
+from typing import Callable
 
 import rospy
 from geometry_msgs.msg import TransformStamped
@@ -15,7 +18,7 @@ from .conversions import frame, heading, stamp_ns, to_time
 
 __all__ = ["TransformBroadcaster", "TransformListener"]
 
-KEPT_NS = 5 * 10**9  # as long back as the history of a frame goes
+KEPT_NS = 5 * 10**9  # length of a frame's history
 
 
 class TransformListener:
@@ -27,7 +30,7 @@ class TransformListener:
         Called without arguments after each message of ``/tf``.
     """
 
-    def __init__(self, on_change=None):
+    def __init__(self, on_change: Callable[[], None] | None = None):
         self._tree, self._on_change = TransformTree(KEPT_NS), on_change
         self._lock = threading.Lock()
         self._subscribers = (
@@ -35,7 +38,7 @@ class TransformListener:
             rospy.Subscriber("/tf", TFMessage, self._receive, False, tcp_nodelay=True),
         )
 
-    def lookup(self, parent, child, stamp=None):
+    def lookup(self, parent: str, child: str, stamp: int | None = None) -> tuple | None:
         """As `map_racing.transforms.TransformTree.lookup`."""
         with self._lock:
             return self._tree.lookup(parent, child, stamp)
@@ -54,13 +57,13 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Send transforms of the plane on ``/tf``, or latched on ``/tf_static``."""
+    """Sends transforms in the plane on ``/tf``, or latched on ``/tf_static``."""
 
-    def __init__(self, static=False):
+    def __init__(self, static: bool = False):
         topic = "/tf_static" if static else "/tf"
         self._publisher = rospy.Publisher(topic, TFMessage, queue_size=10, latch=static)
 
-    def send(self, parent, child, stamp, x, y, psi):
+    def send(self, parent: str, child: str, stamp: int, x: float, y: float, psi: float) -> None:
         """Send the pose of `child` in `parent` [m, m, rad] at a time [ns]."""
         transform = TransformStamped()
         transform.header.stamp = to_time(stamp)

@@ -334,12 +334,14 @@ def load_table(path):
     ------
     FileFormatError
         If a row is ragged or a cell is not a number (the message names the line), if an axis does
-        not ascend or cell [0, 0] is not 0. Likewise for a damaged sidecar.
+        not ascend. Likewise for a damaged sidecar.
+
+    Notes
+    -----
+    Cell [0, 0] means nothing; in published tables it is often uninitialized memory.
     """
     path = Path(path)
     table = _read_rows(path)
-    if table[0, 0] != 0.0:
-        raise FileFormatError(f"{path}:1: expected 0 in the first cell, got {table[0, 0]:g}")
     try:
         return LookupTable(table[0, 1:], table[1:, 0], table[1:, 1:], _read_provenance(path))
     except ParameterError as error:
@@ -416,6 +418,7 @@ def _read_rows(path):
     columns = range(1, 1 + len(rows[0][1]) if rows else 1)
     if len(rows) < 2 or len(columns) < 2:
         raise FileFormatError(f"{path}: expected speeds, then rows of angles, with commas between")
+    rows[0][1][0] = "0"  # means nothing, and may be anything
     return parse_rows(path, rows, columns)[0]
 
 

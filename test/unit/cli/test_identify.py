@@ -170,9 +170,9 @@ def test_refusals(tmp_path, refused, capsys):
     assert list(tmp_path.iterdir()) == [bag]
     ramp = ["ramp", "--output", tmp_path / "b.bag"]
     for option, value, expected in (
-        ("--speed", "-1", "speed_mps: expected more than 0"),
+        ("--speed", "-1", "speed_mps: expected a positive number"),
         ("--rate", "1e-6", "--rate: expected a drive of at most an hour"),
-        ("--sides", "up", "sides: expected both, left, right"),
+        ("--sides", "up", "sides: expected both or left or right"),
         ("--plant", "nowhere", "nowhere"),
     ):
         assert expected in refused(*ramp, option, value)

@@ -532,11 +532,18 @@ def test_walls_drawn_too_tight_are_not_elsewhere(drive, line, off, elsewhere):
         assert "off track by 0.30 m" in evaluate(recording(t, x, y), line).laps[1].reason
 
 
+def test_a_recording_is_judged_by_the_limits_given(drive, line):
+    limits = LapLimits(max_deviation=0.05)
+    assert evaluate(recording(*drive(12.0)), line, limits=limits).laps[1].reason == (
+        "off track by 0.05 m"
+    )
+
+
 @pytest.mark.parametrize(
     "walls, limit, off, elsewhere",
     [
-        ((1.0, 2.2), None, 1.4, False),
-        ((1.0, 2.2), None, 1.6, True),
+        ((0.3, 2.2), None, 0.7, False),
+        ((0.3, 2.2), None, 0.9, True),
         ((1.0, 2.2), None, -2.6, False),
         ((1.0, 2.2), None, -2.8, True),
         (None, None, 2.4, False),
