@@ -96,6 +96,10 @@ class ControllerNode:
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor = _build()
+        self._start(source, pose_source)
+
+    def _start(self, source, pose_source):
+        """Advertise, then subscribe: the first pose may drive the car."""
         self._logged_plan = None
         # Held by whoever changes what the controller drives with; the steps never wait for it.
         self._changing = threading.Lock()
@@ -214,7 +218,7 @@ class ControllerNode:
 
     def _restart(self):
         """Time was set back: forget the past."""
-        rospy.loginfo("time was set back: starting anew")
+        rospy.loginfo("time was set back: starting over")
         self._controller.reset()
         self._reader.reset()
         self._diagnosis.restart()
