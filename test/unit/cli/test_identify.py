@@ -112,7 +112,7 @@ def test_csv_with_a_map_fix_and_leave_one_out(ramps_csv, tmp_path, refused, caps
     first, second, channels = ramps_csv
     output = tmp_path / "a.yaml"
     arguments = ["identify", first, second, "--vehicle", "nuc4", "--output", output]
-    assert "needs a channel map" in refused(*arguments)
+    assert "expected a channel map" in refused(*arguments)
     arguments += ["--channels", channels]
     line = refused(*arguments)
     assert "its sign is wrong" in line and "--fix applies that" in line
@@ -170,7 +170,7 @@ def test_refusals(tmp_path, refused, capsys):
     assert list(tmp_path.iterdir()) == [bag]
     ramp = ["ramp", "--output", tmp_path / "b.bag"]
     for option, value, expected in (
-        ("--speed", "-1", "speed_mps: expected more than 0"),
+        ("--speed", "-1", "speed_mps: expected a positive number"),
         ("--rate", "1e-6", "--rate: expected a drive of at most an hour"),
         ("--sides", "up", "sides: expected both, left, right"),
         ("--plant", "nowhere", "nowhere"),

@@ -200,7 +200,7 @@ def test_refusals():
     for missing, expected in (
         ("psi", r"no pose in it \(psi\)"),
         ("steering", "no drive command"),
-        ("a_y", "no lateral acceleration .*--acceleration yaw_rate"),
+        ("a_y", "expected a lateral acceleration.*--acceleration yaw_rate"),
     ):
         signals = {name: s for name, s in run.signals.items() if name != missing}
         with pytest.raises(IdentificationError, match=expected):
