@@ -194,7 +194,7 @@ class LookupTable:
         return (delta if a_lat >= 0.0 else -delta), saturated
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration [m/s^2] that `steering` reaches, of the shape of `v` [m/s]."""
+        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, self._v[0]) ** 2
         inverse = [1.0 / column.limit for column in self._columns]

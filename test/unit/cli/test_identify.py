@@ -155,7 +155,7 @@ def test_refusals(tmp_path, refused, capsys):
     capsys.readouterr()
     for arguments, expected in (
         ((tmp_path / "none.bag", *good), "no such file, nor one of the shipped recordings"),
-        ((bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"), "ends in .yaml"),
+        ((bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"), "expected a vehicle file (.yaml)"),
         ((bag, "--vehicle", "nowhere", "--output", tmp_path / "a.yaml"), "nowhere"),
         ((bag, *good, "--servo-topic", "/servo"), "/servo: expected messages"),
         ((bag, *good, "--servo-topic", "/servo", "--servo-gain", "0"), "--servo-gain"),
@@ -172,7 +172,7 @@ def test_refusals(tmp_path, refused, capsys):
     for option, value, expected in (
         ("--speed", "-1", "speed_mps: expected a positive number"),
         ("--rate", "1e-6", "--rate: expected a drive of at most an hour"),
-        ("--sides", "up", "sides: expected both, left, right"),
+        ("--sides", "up", "sides: expected both or left or right"),
         ("--plant", "nowhere", "nowhere"),
     ):
         assert expected in refused(*ramp, option, value)

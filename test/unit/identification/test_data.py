@@ -159,7 +159,7 @@ def test_channels_of_a_bag(bag, tmp_path):
 def test_bag_refusals(bag, tmp_path):
     for text, error, expected in (
         ("v_x: /nowhere\n", BagError, "/nowhere: expected messages of .*; it has none"),
-        ("v_x: {topic: /vesc/odom, field: a_x}\n", ParameterError, "not 'a_x'"),
+        ("v_x: {topic: /vesc/odom, field: a_x}\n", ParameterError, "got 'a_x'"),
         ("x: /vesc/odom\n", ParameterError, "x: expected in CSV files only"),
     ):
         with pytest.raises(error, match=expected):
