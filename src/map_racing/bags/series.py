@@ -14,7 +14,7 @@ from .messages import decode_transforms
 from .records import Message
 from .samples import in_order, jump_back, usable
 
-__all__ = ["FramePoses", "Series", "TransformTree"]
+__all__ = ["FramePoses", "Series", "RecordedTransforms"]
 
 _BATCH = 2048
 
@@ -104,7 +104,7 @@ class Series:
         return in_order(times, columns, notes, topic, self._coordinates)
 
 
-class _Edge:
+class _RecordedEdge:
     """Poses of a frame in its parent frame over time."""
 
     def __init__(self, parent):
@@ -129,7 +129,7 @@ class _Edge:
         return in_order(times, columns, notes, what, required=3)
 
 
-class TransformTree:
+class RecordedTransforms:
     """Transforms of tf in the plane.
 
     Parameters
@@ -151,7 +151,7 @@ class TransformTree:
                 for transform in decode_transforms(message.data):
                     edge = self.edges.get(transform.child)
                     if edge is None or edge.parent != transform.parent:
-                        edge = self.edges[transform.child] = _Edge(transform.parent)
+                        edge = self.edges[transform.child] = _RecordedEdge(transform.parent)
                     edge.stamps.append(transform.stamp_ns or message.time_ns)
                     edge.times.append(message.time_ns)
                     edge.values.extend(transform[3:])
@@ -207,7 +207,7 @@ class TransformTree:
 class FramePoses(NamedTuple):
     """Poses of a frame of a tree, with the methods of a `Series` of poses."""
 
-    tree: TransformTree
+    tree: RecordedTransforms
     child: str
 
     def jump_back(self, received: bool = False) -> float | None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from ..errors import BagError
 from . import messages as msg
 from .records import BagFile
-from .series import FramePoses, TransformTree
+from .series import FramePoses, RecordedTransforms
 
 __all__ = ["DRIVE_TOPIC", "choose_source", "drive_connections", "imu_topic"]
 
@@ -127,7 +127,7 @@ def _tf_sources(bag):
     """Frames of tf: ``base_link`` is the car, others are used only on demand."""
     md5sum = msg.MD5[msg.TF]
     numbers = {number for number, c in bag.connections.items() if c.md5sum == md5sum}
-    tree = TransformTree(bag.messages(numbers)) if numbers else None
+    tree = RecordedTransforms(bag.messages(numbers)) if numbers else None
     sources = []
     for child in tree.edges if tree else ():
         frame = tree.chain(child)[-1]

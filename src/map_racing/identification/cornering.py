@@ -22,7 +22,7 @@ from ..vehicle.parameters import Vehicle
 from .data import POSE, Run, Signal
 from .limits import RATE_HZ, SteadyLimits
 
-__all__ = ["Motion", "low_passed", "motion_of"]
+__all__ = ["ProcessedRun", "low_passed", "motion_of"]
 
 # A signal is known between samples this far apart [s]; a command holds until the next one.
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
@@ -43,7 +43,7 @@ STANDSTILL_MPS = 0.05
 
 
 @dataclass(frozen=True)
-class Motion:
+class ProcessedRun:
     """One drive on one clock, low-passed; all arrays have shape (n,).
 
     Parameters
@@ -124,7 +124,7 @@ def motion_of(
     vehicle: Vehicle,
     limits: SteadyLimits | None = None,
     acceleration: str = "imu",
-) -> Motion:
+) -> ProcessedRun:
     """Bring a run to one clock.
 
     Parameters
@@ -167,7 +167,7 @@ def motion_of(
     v_x, r, turning = smooth["v_x"], smooth["r"], smooth["heading_rate"]
     path_speed = np.hypot(smooth["along"], smooth["sideways"])
     beta = np.where(path_speed > 0.3, np.arctan2(smooth["sideways"], smooth["along"]), 0.0)
-    motion = Motion(
+    motion = ProcessedRun(
         run=run,
         t=t,
         v_x=v_x,
