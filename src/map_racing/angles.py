@@ -26,7 +26,7 @@ def wrap(angle):
 
 
 def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
-    """Yaw of a unit quaternion, the rotation about the vertical axis (REP-103).
+    """Yaw of a quaternion of any length, the rotation about the vertical axis (REP-103).
 
     Parameters
     ----------
@@ -38,4 +38,4 @@ def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     float
         Yaw [rad] in [-pi, pi].
     """
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

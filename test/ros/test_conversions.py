@@ -22,7 +22,6 @@ from map_racing.nodes.conversions import (
     stamp_ns,
     to_time,
 )
-from map_racing.nodes.transforms import TransformTree
 from map_racing.nodes.waypoints import (
     RacelineSubscriber,
     raceline_from_message,
@@ -90,78 +89,6 @@ def test_lateral_velocity_that_is_never_sent_is_unknown():
 
 
 # -- transforms ----------------------------------------------------------------------------------
-
-MS = 10**6
-
-
-def tree():
-    """The car drives along x in odom, which lies turned in map; a laser sits on it."""
-    tree = TransformTree()
-    for k in range(5):
-        tree.add("odom", "base_link", 100 * MS * k, (1.0 * k, 0.0, 0.0))
-    for k in range(4):
-        tree.add("map", "odom", 100 * MS * k, (0.0, 5.0, 0.5 * math.pi))
-    tree.add("base_link", "laser", 0, (0.3, 0.0, 0.0), static=True)
-    return tree
-
-
-def test_the_latest_time_that_all_of_a_chain_have():
-    stamp, *pose = tree().lookup("map", "base_link")
-    assert stamp == 300 * MS
-    assert pose == pytest.approx([0.0, 8.0, 0.5 * math.pi])
-    stamp, *pose = tree().lookup("map", "laser")
-    assert stamp == 300 * MS
-    assert pose == pytest.approx([0.0, 8.3, 0.5 * math.pi])
-
-
-def test_between_two_transforms():
-    assert tree().lookup("odom", "base_link", 150 * MS) == (150 * MS, 1.5, 0.0, 0.0)
-
-
-def test_headings_are_interpolated_the_short_way():
-    tree = TransformTree()
-    tree.add("map", "base_link", 0, (0.0, 0.0, math.pi - 0.1))
-    tree.add("map", "base_link", 100, (0.0, 0.0, -math.pi + 0.1))
-    assert abs(tree.lookup("map", "base_link", 50)[3]) == pytest.approx(math.pi)
-
-
-@pytest.mark.parametrize("stamp", [-1, 401 * MS])
-def test_nothing_is_extrapolated(stamp):
-    assert tree().lookup("odom", "base_link", stamp) is None
-
-
-def test_unknown_frames_and_circles_have_no_pose():
-    assert tree().lookup("map", "camera") is None
-    assert tree().lookup("laser", "map") is None
-    circle = TransformTree()
-    circle.add("a", "b", 0, (0.0, 0.0, 0.0))
-    circle.add("b", "a", 0, (0.0, 0.0, 0.0))
-    assert circle.lookup("map", "a") is None
-
-
-def test_static_frames_alone():
-    static = TransformTree()
-    static.add("base_link", "laser", 7, (0.3, 0.0, 0.0), static=True)
-    assert static.lookup("base_link", "laser") == (0, 0.3, 0.0, 0.0)
-
-
-def test_history_ends_after_seconds_and_with_a_clock_set_back():
-    tree = TransformTree()
-    for second in range(20):
-        tree.add("map", "base_link", second * 1000 * MS, (float(second), 0.0, 0.0))
-    assert tree.lookup("map", "base_link", 13_000 * MS) is None
-    assert tree.lookup("map", "base_link", 14_500 * MS)[1] == 14.5
-    tree.add("map", "base_link", 18_000 * MS, (7.0, 0.0, 0.0))
-    assert tree.lookup("map", "base_link") == (18_000 * MS, 7.0, 0.0, 0.0)
-    assert tree.lookup("map", "base_link", 17_500 * MS) is None
-
-
-def test_transforms_may_come_in_any_order_within_half_a_second():
-    tree = TransformTree()
-    for ms in (0, 300, 100, 200):
-        tree.add("map", "base_link", ms * MS, (0.01 * ms, 0.0, 0.0))
-    assert tree.lookup("map", "base_link") == (300 * MS, 3.0, 0.0, 0.0)
-    assert tree.lookup("map", "base_link", 150 * MS)[1] == pytest.approx(1.5)
 
 
 def test_a_transform_without_rotation_is_no_pose(ros, advertise, start, listen):

@@ -63,7 +63,7 @@ def test_path_and_markers_close_and_carry_the_speed(start, listen):
     [
         ({"raceline": "nowhere"}, "nowhere: no such file"),
         ({"speed_scale": -1.0}, "speed_scale: expected 0 or more"),
-        ({"period": 0.0}, "~period: expected more than 0"),
+        ({"period": 0.0}, "~period: expected a positive number, got 0.0"),
     ],
 )
 def test_what_it_refuses_it_says_in_a_line(start, parameters, words):

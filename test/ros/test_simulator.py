@@ -204,7 +204,7 @@ def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
         ({"raceline": "nowhere"}, "nowhere: no such file"),
         ({"clock_rate": "fast"}, "~clock_rate: expected float, got 'fast'"),
         ({"clock_rate": -1.0}, "~clock_rate: expected 0 or more"),
-        ({"lockstep": True}, "~lockstep: real time waits for nobody"),
+        ({"lockstep": True}, "~lockstep: expected a ~clock_rate, got 0"),
     ],
 )
 def test_what_it_refuses_it_says_in_a_line(start, parameters, words):

@@ -167,7 +167,7 @@ def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
     [
         ({"speed_mps": -1.0}, "speed_mps: expected a positive number, got -1"),
         ({"box": [0, 1, 2]}, "~box: expected x_min"),
-        ({"radius": 0.0}, "~radius: expected more than 0"),
+        ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
     ],
 )
 def test_what_it_refuses_it_says_in_a_line(start, parameters, words):

@@ -64,3 +64,10 @@ def test_yaw_of_a_car_that_pitches_and_rolls(yaw, pitch, roll):
 def test_a_quaternion_and_its_negative_are_the_same_rotation(yaw):
     z, w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
     assert yaw_from_quaternion(0.0, 0.0, -z, -w) == yaw_from_quaternion(0.0, 0.0, z, w)
+
+
+@settings(deadline=None)
+@given(yaw=st.floats(-3.14, 3.14), length=st.floats(0.01, 100.0))
+def test_the_length_of_a_quaternion_does_not_matter(yaw, length):
+    z, w = length * math.sin(0.5 * yaw), length * math.cos(0.5 * yaw)
+    assert yaw_from_quaternion(0.0, 0.0, z, w) == pytest.approx(yaw, abs=1e-12)

@@ -30,7 +30,10 @@ ALLOWED = {
         *("track", "track/files", "vehicle", "bags"),
     },
 }
-GROUND = {"errors", "angles", "files", "resources", "tables", "validation", "__version__"}
+GROUND = {
+    *("errors", "angles", "files", "resources", "tables", "transforms", "validation"),
+    "__version__",
+}
 # Starting points of the programs, above all rooms.
 ENTRIES = ("start.py", "__main__.py")
 ROS = ("rospy", "rosbag", "genpy", "tf2_ros", "roslib")

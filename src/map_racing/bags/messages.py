@@ -25,12 +25,15 @@ __all__ = [
     "PATH",
     "POSE",
     "POSE_COVARIANCE",
+    "SHORTEST_QUATERNION",
     "TF",
+    "UNIT_QUATERNION",
     "WAYPOINTS",
     "WAYPOINT_FIELDS",
     "Transform",
     "decode_drive",
     "decode_float64",
+    "decode_frames",
     "decode_header",
     "decode_imu",
     "decode_odometry",
@@ -131,12 +134,20 @@ _IMU_FIELDS = {
 _NAN = math.nan
 
 
+SHORTEST_QUATERNION = 0.1
+"""A shorter one is no orientation: zeros that nobody filled in."""
+UNIT_QUATERNION = 0.99, 1.01
+"""Lengths that rounding explains."""
+
 # Stamps [ns], values and which messages are good, see `decode_odometry`.
 Decoded = Tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Transform(NamedTuple):
-    """A transform of tf in the plane: the pose of ``child`` in ``parent``."""
+    """A transform of tf in the plane: the pose of ``child`` in ``parent``.
+
+    ``length`` is that of the quaternion; without any, ``psi`` is NaN.
+    """
 
     stamp_ns: int
     parent: str
@@ -144,6 +155,7 @@ class Transform(NamedTuple):
     x: float
     y: float
     psi: float
+    length: float = 1.0
 
 
 def decode_header(data: bytes, at: int = 0) -> tuple[int, str, int]:
@@ -152,6 +164,16 @@ def decode_header(data: bytes, at: int = 0) -> tuple[int, str, int]:
     at += 16
     frame = data[at : at + length].decode("utf-8", "replace").lstrip("/")
     return sec * 1000000000 + nsec, frame, at + length
+
+
+def decode_frames(data: bytes, has_child: bool) -> tuple[str, str]:
+    """Frame of a message with a header, and its ``child_frame_id``, empty if it has none."""
+    _, frame, at = decode_header(data)
+    if not has_child:
+        return frame, ""
+    (length,) = _U32.unpack_from(data, at)
+    child = data[at + 4 : at + 4 + length].decode("utf-8", "replace").lstrip("/")
+    return frame, child
 
 
 def decode_odometry(batch: list[bytes]) -> Decoded:
@@ -165,8 +187,9 @@ def decode_odometry(batch: list[bytes]) -> Decoded:
     -------
     stamps : ndarray of int64, shape (n,)
         Stamps [ns].
-    values : ndarray, shape (n, 6)
-        ``x y psi v_x v_y yaw_rate`` [m, m, rad, m/s, m/s, rad/s].
+    values : ndarray, shape (n, 7)
+        ``x y psi q v_x v_y yaw_rate`` [m, m, rad, 1, m/s, m/s, rad/s]; ``q`` is the length of the
+        quaternion, which the heading does not depend on, except that one of 0 is no heading: NaN.
     good : ndarray of bool, shape (n,)
         False for messages that do not have the layout of their type.
     """
@@ -200,9 +223,16 @@ def _decode(batch, body, fields, has_child=False):
     x, y, q_x, q_y, q_z, q_w, *twist = columns.T
     # Damaged messages hold any numbers.
     with np.errstate(all="ignore"):
-        psi = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z))
+        psi, length = _yaw(q_x, q_y, q_z, q_w)
     twist = twist or [np.full(x.size, _NAN)] * 3
-    return stamps, np.stack([x, y, psi, *twist], axis=1), good
+    return stamps, np.stack([x, y, psi, length, *twist], axis=1), good
+
+
+def _yaw(q_x, q_y, q_z, q_w):
+    """Yaw of quaternions as `yaw_from_quaternion`, NaN for those of zeros, and their lengths."""
+    psi = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
+    length = np.sqrt(q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w)
+    return np.where(length > SHORTEST_QUATERNION, psi, _NAN), length
 
 
 def _table(batch, body, fields, has_child=False):
@@ -252,8 +282,10 @@ def decode_transforms(data: bytes) -> list[Transform]:
         at += 4 + length
         x, y, q_x, q_y, q_z, q_w = _PLANE_POSE.unpack_from(data, at)
         at += _POSE.size
-        psi = yaw_from_quaternion(q_x, q_y, q_z, q_w)
-        transforms.append(Transform(stamp_ns, parent, child, x, y, psi))
+        length = math.sqrt(q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w)
+        known = length > SHORTEST_QUATERNION
+        psi = yaw_from_quaternion(q_x, q_y, q_z, q_w) if known else _NAN
+        transforms.append(Transform(stamp_ns, parent, child, x, y, psi, length))
     return transforms
 
 
@@ -283,10 +315,9 @@ def decode_path(data: bytes) -> dict[str, np.ndarray]:
     x, y, q_x, q_y, q_z, q_w = poses.T
     columns = {"x_m": x, "y_m": y}
     # Planners often leave all orientations at their defaults: 0 0 0 1, or 0 0 0 0.
-    if np.any(q_z):
-        columns["psi_rad"] = np.arctan2(
-            2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z)
-        )
+    psi = _yaw(q_x, q_y, q_z, q_w)[0]
+    if np.any(q_z) and np.isfinite(psi).all():
+        columns["psi_rad"] = psi
     return columns
 
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from ..errors import BagError
 from . import messages as msg
+from .clocks import stamps_are_unusable
 from .records import BagFile
 from .samples import Commands, Recording
 from .series import Series
-from .topics import POSE_DECODERS, choose_source, drive_connections, imu_topic
+from .topics import drive_connections, imu_topic, pose_sources
 from .waypoints import WaypointCollection
 
 __all__ = ["read_recording", "read_signals"]
 
+# A pose that moves less [m] in all the recording stands still.
+_STANDS_STILL = 0.2
 # Signals that can be read: decoder, and the names of its last columns.
 _SIGNALS = {
     msg.MD5[msg.ODOMETRY]: (msg.decode_odometry, ("v_x", "v_y", "yaw_rate")),
@@ -58,22 +65,37 @@ def read_recording(path: str | Path, pose_topic: str | None = None) -> Recording
     A recording of 63 s with 52,000 messages takes 0.04 s, an hour of odometry at 100 Hz 1.0 s.
     """
     with BagFile(path) as bag:
-        source, notes = choose_source(bag, pose_topic)
-        drive_topic, drives = drive_connections(bag)
-        pose = source.poses or Series(POSE_DECODERS[source.md5sum], coordinates=2)
-        command, waypoints = Series(msg.decode_drive), WaypointCollection(bag)
-        for message in bag.messages(source.connections.union(drives, waypoints.connections)):
-            if message.connection in source.connections:
-                pose.add(message)
-            elif message.connection in drives:
-                command.add(message)
-            else:
-                waypoints.add(message)
-        damage = bag.notes()
-        notes += waypoints.notes + damage
-    received = _use_receive_time(path, pose, command, notes)
+        sources = pose_sources(bag, pose_topic)
+        first = _read(path, bag, *next(sources))
+        if pose_topic is not None or _moves(first):
+            return first
+        for source, notes in sources:
+            with suppress(BagError):
+                other = _read(path, bag, source, notes)
+                if _moves(other):
+                    said = f"warning: {first.topic} stands still while {other.topic} moves"
+                    return replace(other, notes=[*other.notes, said])
+    return first
+
+
+def _read(path, bag, source, notes):
+    """The recording with the pose of a source."""
+    notes = list(notes)
+    drive_topic, drives = drive_connections(bag)
+    pose, command = source.series(bag), Series(msg.decode_drive)
+    waypoints = WaypointCollection(bag)
+    for message in bag.messages(source.connections.union(drives, waypoints.connections)):
+        if message.connection in source.connections:
+            pose.add(message)
+        elif message.connection in drives:
+            command.add(message)
+        else:
+            waypoints.add(message)
+    damage = bag.notes()
+    notes += waypoints.notes + damage
+    clock = pose.clock(_use_receive_time(path, pose, command, notes))
     before = len(notes)
-    times, columns = pose.columns(notes, source.topic, received)
+    times, columns = pose.columns(notes, source.topic, clock)
     if times.size < 2:
         why = "; ".join([*notes[before:], *damage])
         raise BagError(
@@ -83,8 +105,15 @@ def read_recording(path: str | Path, pose_topic: str | None = None) -> Recording
     t0_ns = int(times[0])
     commands = None
     if drives:
-        at, (angle, speed) = command.columns(notes, drive_topic, received)
+        at, (angle, speed) = command.columns(notes, drive_topic, clock)
         commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic)
+        if at.size and (at[-1] < times[0] or at[0] > times[-1]):
+            when = "before" if at[-1] < times[0] else "after"
+            notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")
+    first = waypoints.best()
+    later = waypoints.later.get(first.topic, []) if first else []
+    at = np.array([received for received, _ in later], dtype=np.int64)
+    at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
     return Recording(
         (times - t0_ns) * 1e-9,
         *columns,
@@ -94,21 +123,32 @@ def read_recording(path: str | Path, pose_topic: str | None = None) -> Recording
         type=source.type,
         frame=source.frame,
         commands=commands,
-        waypoints=waypoints.best(),
-        receive_time=received,
+        waypoints=first,
+        later_waypoints=[
+            (float(t), first._replace(columns=columns)) for t, (_, columns) in zip(at, later)
+        ],
+        clock=clock,
         notes=notes,
     )
 
 
+def _moves(recording):
+    return max(np.ptp(recording.x), np.ptp(recording.y)) > _STANDS_STILL
+
+
 def _use_receive_time(path, pose, command, notes):
-    """Whether the stamps of pose or command fall back, so that the times of receipt are used."""
+    """Whether stamps of pose or command are unusable, so that the times of receipt are used."""
     jump = pose.jump_back() or command.jump_back()
-    if not jump:
-        return False
+    if jump:
+        why = f"header stamps jump back by {jump:.1f} s"
+    else:
+        why = stamps_are_unusable(*pose.stamps())
+        if not why:
+            return False
     again = pose.jump_back(received=True) or command.jump_back(received=True)
     if again:
         raise BagError(f"{path}: time jumps back by {again:.1f} s: two runs in one bag?")
-    notes.append(f"header stamps jump back by {jump:.1f} s: time of receipt used instead")
+    notes.append(f"{why}: time of receipt used instead")
     return True
 
 
@@ -171,10 +211,10 @@ def _on_clock(path, recording, topic, series, columns):
     """Times on the clock of a recording, and named columns of a series."""
     if not series.size:
         raise BagError(f"{path}: {topic}: expected messages, got none")
-    received = recording.receive_time
-    back = series.jump_back(received)
+    clock = recording.clock
+    back = series.jump_back(received=clock is not None and clock.use_receipt)
     if back:
         raise BagError(f"{path}: {topic}: time jumps back by {back:.1f} s")
-    times, values = series.columns(recording.notes, topic, received)
+    times, values = series.columns(recording.notes, topic, clock)
     at = (times - recording.t0_ns) * 1e-9
     return at, dict(zip(columns, values[-len(columns) :]))

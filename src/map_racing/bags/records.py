@@ -141,12 +141,16 @@ _LAYOUTS = [_Layout.of(order) for order in permutations(_MESSAGE_FIELDS)]
 
 
 class Connection(NamedTuple):
-    """A publisher on a topic, with type and definition of its messages."""
+    """A publisher on a topic, with type and definition of its messages.
+
+    The topic begins with a slash; the sender is empty where the bag does not name it.
+    """
 
     topic: str
     type: str
     md5sum: str
     definition: str
+    sender: str = ""
 
 
 class Message(NamedTuple):
@@ -298,12 +302,15 @@ class BagFile:
         number, about = header.u32(b"conn"), _header(buffer, start, stop)
         if about is None or number is None:
             return False
-        # The header's topic is after remapping, the data's before.
+        # The header's topic is after remapping, the data's before. Recorders that were given names
+        # without a slash write them so.
+        topic = header.text(b"topic") or about.text(b"topic")
         self.connections[number] = Connection(
-            topic=header.text(b"topic") or about.text(b"topic"),
+            topic="/" + topic.lstrip("/"),
             type=about.text(b"type"),
             md5sum=about.text(b"md5sum"),
             definition=about.text(b"message_definition"),
+            sender=about.text(b"callerid"),
         )
         return True
 

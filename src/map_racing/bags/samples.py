@@ -8,8 +8,17 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 from ..validation import FARTHEST
+from .clocks import Clock
 
-__all__ = ["Commands", "Recording", "Waypoints", "in_order", "jump_back", "usable"]
+__all__ = [
+    "Commands",
+    "Recording",
+    "Waypoints",
+    "in_order",
+    "is_odometry_frame",
+    "jump_back",
+    "usable",
+]
 
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
@@ -78,10 +87,13 @@ class Recording:
         Drive commands of the same recording.
     waypoints : Waypoints, optional
         Raceline in the recording, as it was sent.
-    receive_time : bool
-        Whether the times are times of receipt, because the header stamps are unusable.
+    later_waypoints : list of (float, Waypoints)
+        Other racelines on the same topic, with the times at which they came [s].
+    clock : Clock, optional
+        Clock of the poses in a bag, to bring further topics to it.
     notes : list of str
-        What was chosen, repaired or left out while reading, one line each.
+        What was chosen, repaired or left out while reading, one line each; what makes results
+        doubtful begins with ``warning:``.
     """
 
     t: np.ndarray
@@ -98,8 +110,14 @@ class Recording:
     frame: str = ""
     commands: Commands | None = None
     waypoints: Waypoints | None = None
-    receive_time: bool = False
+    later_waypoints: list[tuple[float, Waypoints]] = field(default_factory=list)
+    clock: Clock | None = None
     notes: list[str] = field(default_factory=list)
+
+
+def is_odometry_frame(frame: str) -> bool:
+    """Whether a frame is one of wheel odometry, which drifts against the map."""
+    return "odom" in frame.rpartition("/")[2].lower()
 
 
 def usable(times: np.ndarray, columns: Sequence[np.ndarray]) -> np.ndarray:

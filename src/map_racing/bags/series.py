@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
-import struct
-from array import array
-from typing import Callable, Iterable, NamedTuple
+from typing import Callable
 
 import numpy as np
 
-from ..angles import wrap
-from .messages import decode_transforms
-from .records import Message
+from .clocks import Clock
+from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION
+from .records import Connection, Message
 from .samples import in_order, jump_back, usable
 
-__all__ = ["FramePoses", "Series", "RecordedTransforms"]
+__all__ = ["PoseSeries", "Series", "quaternion_note"]
 
 _BATCH = 2048
+# After so long without a message [ns] a node is gone, and another may take its place.
+_SENDER_GONE = 10**9
 
 
 class Series:
@@ -65,17 +64,26 @@ class Series:
 
         Samples that `columns` leaves out do not count.
         """
-        self._flush()
-        times, values = self._samples(received)
-        found = jump_back(times[usable(times, values.T[: self._coordinates])], 10**9)
+        stamps, times = self.stamps()
+        found = jump_back(times if received else stamps, 10**9)
         return found and found[1]
 
-    def _samples(self, received):
-        times = np.concatenate(self._times if received else self._stamps)
-        return times, np.concatenate(self._values)
+    def stamps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps, or times of receipt where they are 0, and times of receipt of usable samples."""
+        self._flush()
+        stamps, times, values = (
+            np.concatenate(part) for part in (self._stamps, self._times, self._values)
+        )
+        keep = usable(stamps, values.T[: self._coordinates])
+        return stamps[keep], times[keep]
+
+    def clock(self, use_receipt: bool) -> Clock:
+        """Clock of the stamps, or of receipt."""
+        stamps, received = self.stamps()
+        return Clock(received, received - stamps, use_receipt)
 
     def columns(
-        self, notes: list[str], topic: str, received: bool = False
+        self, notes: list[str], topic: str, clock: Clock | None = None
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Samples in strict order of time.
 
@@ -85,8 +93,8 @@ class Series:
             Gets a line for each kind of repair.
         topic : str
             Name of the samples in the notes.
-        received : bool, optional
-            Take the times of receipt instead of the stamps.
+        clock : Clock, optional
+            Brings the stamps to this clock.
 
         Returns
         -------
@@ -95,127 +103,100 @@ class Series:
         columns : list of ndarray
         """
         self._flush()
-        times, values = self._samples(received)
+        stamps, times, values = (
+            np.concatenate(part) for part in (self._stamps, self._times, self._values)
+        )
         if self._broken:
             notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
-        if self._unstamped and not received:
+        if self._unstamped and not (clock and clock.use_receipt):
             notes.append(f"{topic}: {self._unstamped} of {times.size} stamps are 0: receive time")
+        if clock is not None:
+            stamps = clock.times(stamps, times, notes, topic)
         columns = [np.ascontiguousarray(column) for column in values.T]
-        return in_order(times, columns, notes, topic, self._coordinates)
+        return in_order(stamps, columns, notes, topic, self._coordinates)
 
 
-class _RecordedEdge:
-    """Poses of a frame in its parent frame over time."""
-
-    def __init__(self, parent):
-        self.parent = parent
-        self.stamps, self.times, self.values = array("q"), array("q"), array("d")
-
-    def _samples(self, received):
-        times = np.array(self.times if received else self.stamps, dtype=np.int64)
-        return times, list(np.array(self.values).reshape(-1, 3).T)
-
-    def jump_back(self, received):
-        times, columns = self._samples(received)
-        keep = usable(times, columns)
-        if all(np.ptp(column[keep]) == 0.0 for column in columns if keep.any()):
-            # A constant transform holds at any time; static ones are sent at random times.
-            return None
-        found = jump_back(times[keep], 10**9)
-        return found and found[1]
-
-    def columns(self, notes, what, received):
-        times, columns = self._samples(received)
-        return in_order(times, columns, notes, what, required=3)
-
-
-class RecordedTransforms:
-    """Transforms of tf in the plane.
+class PoseSeries(Series):
+    """Poses of one topic: of its first sender, for as long as it sends, and in its first frame.
 
     Parameters
     ----------
-    messages : iterable of Message
-        From ``/tf`` and ``/tf_static``.
-
-    Attributes
-    ----------
-    edges : dict of str to object
-        Frames that have a parent.
+    decode : callable
+        Of a pose: the first columns are ``x y psi q``, see `messages.decode_odometry`.
+    connections : dict of int to Connection
+        By number.
     """
 
-    def __init__(self, messages: Iterable[Message]):
-        self.edges = {}
-        self._broken = 0
-        for message in messages:
-            try:
-                for transform in decode_transforms(message.data):
-                    edge = self.edges.get(transform.child)
-                    if edge is None or edge.parent != transform.parent:
-                        edge = self.edges[transform.child] = _RecordedEdge(transform.parent)
-                    edge.stamps.append(transform.stamp_ns or message.time_ns)
-                    edge.times.append(message.time_ns)
-                    edge.values.extend(transform[3:])
-            except struct.error:
-                self._broken += 1
+    def __init__(self, decode: Callable, connections: dict[int, Connection]):
+        super().__init__(decode, coordinates=2)
+        self._senders = {n: c.sender or f"connection {n}" for n, c in connections.items()}
+        self._several = len(set(self._senders.values())) > 1
+        self._sender, self._heard = None, -_SENDER_GONE
+        self._frame = None
+        self._others, self._elsewhere = {}, {}
 
-    def chain(self, child: str) -> list[str]:
-        """Frames from ``child`` up to ``map``, or to the root of the tree."""
-        frames = [child]
-        while frames[-1] != "map" and frames[-1] in self.edges:
-            parent = self.edges[frames[-1]].parent
-            if parent in frames:
-                break
-            frames.append(parent)
-        return frames
+    def add(self, message: Message) -> None:
+        """Add a message."""
+        if self._several:
+            sender = self._senders[message.connection]
+            if sender != self._sender:
+                if message.time_ns - self._heard < _SENDER_GONE:
+                    self._others[sender] = self._others.get(sender, 0) + 1
+                    return
+                self._sender = sender
+            self._heard = message.time_ns
+        super().add(message)
 
-    def jump_back(self, child: str, received: bool = False) -> float | None:
-        """How far the times of the chain of ``child`` fall back [s]; None if they do not."""
-        jumps = (self.edges[frame].jump_back(received) for frame in self.chain(child)[:-1])
-        return next((jump for jump in jumps if jump), None)
+    def _flush(self):
+        if self._data:
+            if self._frame is None:
+                self._frame = _frame_bytes(self._data[0])
+            size = 12 + len(self._frame)
+            same = [data[12:size] == self._frame for data in self._data]
+            if not all(same):
+                self._leave_out(same)
+        super()._flush()
 
-    def columns(
-        self, child: str, notes: list[str], topic: str, received: bool = False
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses of ``child`` in the last frame of its chain, as from `Series.columns`.
+    def _leave_out(self, same):
+        """Leave out messages in another frame; those that are cut off are found by the decoder."""
+        for keep, data in zip(same, self._data):
+            if not keep:
+                name = _frame_bytes(data)[4:].decode("utf-8", "replace")
+                self._elsewhere[name] = self._elsewhere.get(name, 0) + 1
+        self._data = [data for data, keep in zip(self._data, same) if keep]
+        self._received = [at for at, keep in zip(self._received, same) if keep]
 
-        They have the times of the edge that is sent most often; the others are interpolated.
-        """
-        if self._broken:
-            notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
-        edges = [
-            self.edges[frame].columns(
-                notes, f"{topic}: {self.edges[frame].parent} to {frame}", received
+    def columns(self, notes, topic, clock=None):
+        """Samples in strict order of time: ``x y psi v_x v_y yaw_rate``."""
+        times, columns = super().columns(notes, topic, clock)
+        quaternion_note(notes, topic, columns.pop(3))
+        for sender, count in self._others.items():
+            notes.append(
+                f"warning: {topic}: {count} messages of a second sender, {sender}, left out: "
+                f"only the first, {self._sender}, counts"
             )
-            for frame in self.chain(child)[:-1]
-        ]
-        nan = np.full(0, math.nan)
-        if not all(own.size for own, _ in edges):
-            return np.zeros(0, dtype=np.int64), [nan] * 6
-        times = max((own for own, _ in edges), key=len)
-        x, y, psi = np.zeros((3, times.size))
-        for own, columns in edges:
-            columns[2] = np.unwrap(columns[2])
-            # Differences of nanoseconds fit into a float; nanoseconds since 1970 do not.
-            since, known = (times - times[0]) * 1e-9, (own - times[0]) * 1e-9
-            e_x, e_y, e_psi = (np.interp(since, known, column) for column in columns)
-            cos, sin = np.cos(e_psi), np.sin(e_psi)
-            x, y, psi = e_x + cos * x - sin * y, e_y + sin * x + cos * y, psi + e_psi
-        nan = np.full(times.size, math.nan)
-        return in_order(times, [x, y, wrap(psi), nan, nan, nan], notes, topic, required=2)
+        for frame, count in self._elsewhere.items():
+            first = self._frame[4:].decode("utf-8", "replace")
+            notes.append(
+                f"warning: {topic}: {count} messages in another frame, {frame or '(unnamed)'}, "
+                f"left out: only the first, {first or '(unnamed)'}, counts"
+            )
+        return times, columns
 
 
-class FramePoses(NamedTuple):
-    """Poses of a frame of a tree, with the methods of a `Series` of poses."""
+def _frame_bytes(data):
+    """Length and name of the frame of a message."""
+    return bytes(data[12 : 16 + int.from_bytes(data[12:16], "little")])
 
-    tree: RecordedTransforms
-    child: str
 
-    def jump_back(self, received: bool = False) -> float | None:
-        """How far the times fall back [s]; None if they do not."""
-        return self.tree.jump_back(self.child, received)
-
-    def columns(
-        self, notes: list[str], topic: str, received: bool = False
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in strict order of time."""
-        return self.tree.columns(self.child, notes, topic, received)
+def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
+    """Say where quaternions have not the length 1."""
+    low, high = UNIT_QUATERNION
+    with np.errstate(invalid="ignore"):
+        other = lengths[~((lengths > low) & (lengths < high))]
+    if other.size:
+        notes.append(
+            f"{topic}: {other.size} of {lengths.size} quaternions have not the length 1 but "
+            f"{np.median(other):.3g}: normalized"
+            + (", no heading without length" if not np.all(other > SHORTEST_QUATERNION) else "")
+        )

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Iterator, NamedTuple
 
 from ..errors import BagError
 from . import messages as msg
 from .records import BagFile
-from .series import FramePoses, RecordedTransforms
+from .samples import is_odometry_frame
+from .series import PoseSeries
+from .transforms import ComposedPoses, FramePoses, RecordedTransforms
 
-__all__ = ["DRIVE_TOPIC", "choose_source", "drive_connections", "imu_topic"]
+__all__ = ["DRIVE_TOPIC", "PoseSource", "drive_connections", "imu_topic", "pose_sources"]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
 """Where racing stacks publish the drive command."""
@@ -30,12 +32,13 @@ _TRUTH = ("ground_truth", "groundtruth", "gt_pose")
 _SLOWEST_POSE = 5.0
 
 
-class _Source(NamedTuple):
+class PoseSource(NamedTuple):
     """A topic or frame of tf with the pose of the car.
 
     ``rank`` orders sources, the best first: (doubt, frame, kind, name, -count, topic), where doubt
     is 0 for none, 1 for a source that is chosen only if there is no better one, 2 for a source
-    that is used only on demand. ``poses`` is for tf.
+    that is used only on demand. ``poses`` is for tf; ``transforms`` bring poses of another frame
+    into the map, of the car's frame ``child``.
     """
 
     topic: str
@@ -45,23 +48,47 @@ class _Source(NamedTuple):
     rank: tuple
     connections: frozenset = frozenset()
     poses: FramePoses | None = None
+    transforms: RecordedTransforms | None = None
+    own_frame: str = ""
+    child: str = ""
+
+    def series(self, bag: BagFile) -> PoseSeries | FramePoses | ComposedPoses:
+        """What collects the poses."""
+        if self.poses is not None:
+            return self.poses
+        lines = {number: bag.connections[number] for number in self.connections}
+        series = PoseSeries(POSE_DECODERS[self.md5sum], lines)
+        if self.transforms is None:
+            return series
+        return ComposedPoses(series, self.own_frame, self.child, self.transforms)
 
 
-def choose_source(bag: BagFile, pose_topic: str | None) -> tuple[_Source, list[str]]:
-    """The source of the pose, and notes that explain the choice."""
+def pose_sources(bag: BagFile, pose_topic: str | None) -> Iterator[tuple[PoseSource, list[str]]]:
+    """Sources of the pose, the best first, each with notes that explain the choice.
+
+    Raises
+    ------
+    BagError
+        If there is none, or none on `pose_topic`.
+    """
     sources = _topic_sources(bag)
     wanted = None if pose_topic is None else _canonical(pose_topic)
     matching = [source for source in sources if source.topic == wanted]
-    certain = sources and sources[0].rank[:2] == (0, 0)
-    if (wanted and not matching) or not (wanted or certain):
-        sources = sorted(sources + _tf_sources(bag), key=lambda source: source.rank)
+    first = matching if wanted else sources
+    certain = [s for s in first[:1] if s.frame == "map" and (wanted or s.rank[0] == 0)]
+    if wanted and certain:
+        yield certain[0], []
+        return
+    if wanted or not certain:
+        sources = _with_transforms(bag, sources)
         matching = [source for source in sources if source.topic == wanted]
     described = ", ".join(source.topic for source in sources[:12])
     if wanted:
         if not matching:
             offers = f"expected one of {described}" if sources else "the bag has no pose at all"
             raise BagError(f"{bag.path}: no pose on {wanted}: {offers}")
-        return matching[0], []
+        yield matching[0], _origin(matching[0])
+        return
     if not sources or sources[0].rank[0] == 2:
         topics = sorted(
             {f"{c.topic} ({c.type})" for n, c in bag.connections.items() if bag.counts.get(n)}
@@ -71,10 +98,26 @@ def choose_source(bag: BagFile, pose_topic: str | None) -> tuple[_Source, list[s
         what = "; ".join([what, *bag.notes()])
         on_demand = f"; --pose-topic can take {described}" if sources else ""
         raise BagError(f"{bag.path}: no topic with the pose of a car; {what}{on_demand}")
-    best = sources[0]
-    others = [source.topic for source in sources[1:] if source.rank[0] < 2]
-    note = f"pose: {best.topic} ({best.type} in frame {best.frame or '(unnamed)'})"
-    return best, [note + (f", preferred to {', '.join(others)}" if others else "")]
+    yield sources[0], _described(sources[0], sources)
+    if certain:
+        sources = _with_transforms(bag, sources)
+        sources = certain + [source for source in sources if source.topic != certain[0].topic]
+    for source in sources[1:]:
+        if source.rank[0] == 0:
+            yield source, _described(source, [source])
+
+
+def _described(source, sources):
+    """Notes on a source that was chosen among others."""
+    note = f"pose: {source.topic} ({source.type} in frame {source.frame or '(unnamed)'})"
+    others = [s.topic for s in sources if s.rank[0] < 2 and s is not source]
+    return [note + (f", preferred to {', '.join(others)}" if others else ""), *_origin(source)]
+
+
+def _origin(source):
+    if source.transforms is None:
+        return []
+    return [f"{source.topic}: from {source.own_frame} into map by the transforms of tf"]
 
 
 def _canonical(topic):
@@ -97,50 +140,78 @@ def _topic_sources(bag):
     sources = []
     for (topic, md5sum), numbers in groups.items():
         count = sum(bag.counts[number] for number in numbers)
-        frame = frames.get((topic, md5sum), "")
+        frame, child = frames.get((topic, md5sum), ("", ""))
         doubt = 2 if "frenet" in topic.lower() else int(count < _SLOWEST_POSE * duration)
         if any(word in topic.lower() for word in _TRUTH):
             doubt = max(doubt, 1)
         rank = (doubt, _frame_rank(frame), _KINDS[md5sum], _name_rank(topic, _KNOWN_POSES))
         kind = bag.connections[numbers[0]].type
         sources.append(
-            _Source(topic, kind, md5sum, frame, rank + (-count, topic), frozenset(numbers))
+            PoseSource(
+                *(topic, kind, md5sum, frame, rank + (-count, topic), frozenset(numbers)),
+                child=child,
+            )
         )
     return sorted(sources, key=lambda source: source.rank)
 
 
 def _first_frames(bag, groups):
-    """Frame of the first message of each group of connections."""
+    """Frame, and frame of the car, of the first message of each group of connections."""
     missing = {number: key for key, numbers in groups.items() for number in numbers}
     frames = {}
     for message in bag.messages(set(missing)) if missing else ():
         key = missing[message.connection]
         if key not in frames:
             with suppress(struct.error):
-                frames[key] = msg.decode_header(message.data)[1]
+                frames[key] = msg.decode_frames(message.data, key[1] == msg.MD5[msg.ODOMETRY])
             if len(frames) == len(groups):
                 break
     return frames
 
 
-def _tf_sources(bag):
+def _with_transforms(bag, sources):
+    """Sources with frames of tf, and poses that tf brings into the map, best first."""
+    transforms = RecordedTransforms(bag)
+    sources = [_composed(source, transforms) for source in sources]
+    return sorted(sources + _tf_sources(transforms), key=lambda source: source.rank)
+
+
+def _composed(source, transforms):
+    """A source in another frame than the map, brought there where tf has the way."""
+    child = source.child or "base_link"
+    if source.frame in ("map", "") or child == source.frame:
+        return source
+    if not (transforms.connected("map", source.frame) or transforms.connected("map", child)):
+        return source
+    doubt, _, kind, *rest = source.rank
+    return source._replace(
+        frame="map",
+        # After tf's own pose, which needs no second topic.
+        rank=(doubt, 0, len(_KINDS) + 1 + kind, *rest),
+        transforms=transforms,
+        own_frame=source.frame,
+        child=child,
+    )
+
+
+def _tf_sources(transforms):
     """Frames of tf: ``base_link`` is the car, others are used only on demand."""
-    md5sum = msg.MD5[msg.TF]
-    numbers = {number for number, c in bag.connections.items() if c.md5sum == md5sum}
-    tree = RecordedTransforms(bag.messages(numbers)) if numbers else None
     sources = []
-    for child in tree.edges if tree else ():
-        frame = tree.chain(child)[-1]
+    for child in transforms.frames:
+        poses = FramePoses(transforms, child)
+        frame = poses.root
+        if not transforms.links(frame, child):
+            continue
         base = child.rpartition("/")[2] == "base_link"
         topic = "/tf" if child == "base_link" else f"/tf:{child}"
         rank = (0 if base else 2, _frame_rank(frame), len(_KINDS), int(child != "base_link"))
-        poses = FramePoses(tree, child)
-        sources.append(_Source(topic, msg.TF, md5sum, frame, rank + (0, topic), poses=poses))
+        md5sum = msg.MD5[msg.TF]
+        sources.append(PoseSource(topic, msg.TF, md5sum, frame, rank + (0, topic), poses=poses))
     return sources
 
 
 def _frame_rank(frame):
-    return 0 if frame == "map" else 2 if frame.rpartition("/")[2] == "odom" else 1
+    return 0 if frame == "map" else 2 if is_odometry_frame(frame) else 1
 
 
 def _name_rank(topic, known):

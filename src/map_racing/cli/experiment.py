@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from ..control.parameters import load_controller_parameters
 from ..errors import ParameterError
 from ..evaluation.report import aligned
 from ..experiments.jobs import RaceResult
@@ -23,8 +25,9 @@ from ..experiments.paper import (
     single_plan,
     tire_table,
 )
-from .figures import draw_scaling, draw_trajectories
-from .session import open_session
+from ..experiments.robustness import grid_table
+from .figures import draw_robustness, draw_scaling, draw_trajectories
+from .session import open_grid, open_session
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
@@ -93,6 +96,35 @@ def run_tires(arguments: argparse.Namespace) -> None:
     session.report()
 
 
+def run_robustness(arguments):
+    """Robustness."""
+    if arguments.laps is not None:
+        check_laps(arguments.laps)
+    controllers = named_controllers(arguments.controller)
+    session = open_grid(arguments, "robustness")
+    races = session.race(controllers)
+    scale = session.grid.conditions.speed_scale
+    table = grid_table(races, scale)
+    session.write(table, controllers, races=races)
+    print("\n".join(robustness_lines(races)), end="\n\n")
+    print("\n".join(not_completed_lines(races)))
+    print("\n".join(grid_lines(table)))
+    title = f"Robustness: {scale:.0%} speed, {session.grid.conditions.laps} timed laps"
+    for label in controllers:
+        own = races[races.controller == label]
+        draw_robustness(session.figures, own, f"{title}, {label}", Path(label).stem)
+    session.report()
+
+
+def named_controllers(names):
+    """Controllers of files or shipped names, by the stems of these."""
+    names = list(dict.fromkeys(names))
+    stems = [Path(name).stem for name in names]
+    if len(set(stems)) < len(stems):
+        raise ParameterError("--controller: two files of one name would give one result")
+    return {stem: load_controller_parameters(name) for stem, name in zip(stems, names)}
+
+
 def _laps(arguments):
     """The number of laps in words."""
     return f"{arguments.laps} lap" + ("s" if arguments.laps != 1 else "")
@@ -151,6 +183,46 @@ def completion(row: tuple) -> str:
 def not_completed(row: tuple) -> str:
     """Not completed, and the laps driven until then."""
     return f"N.C. after {row.laps_until_end.replace(' ', ', ')} laps"
+
+
+def robustness_lines(races: pd.DataFrame) -> list[str]:
+    """A row for each controller and track: how many cars completed it, and how close."""
+    titles = ["controller", "track", "completed", "lap [s]", "RMS error [m]", "worst", "max error"]
+    rows = [titles]
+    for (label, track), group in races.groupby(["controller", "track"], sort=False):
+        done = group[group.outcome == "completed"]
+        rows.append([label, track, f"{len(done)} of {len(group)}"])
+        if len(done):
+            rows[-1] += [
+                f"{done.lap_time_s.median():.3f}",
+                f"{done.rms_lateral_error_m.mean():.3f}",
+                f"{done.rms_lateral_error_m.max():.3f}",
+                f"{done.max_abs_lateral_error_m.max():.3f}",
+            ]
+        else:
+            rows[-1] += ["", "", "", ""]
+    return aligned(rows, left=2)
+
+
+def not_completed_lines(races: pd.DataFrame) -> list[str]:
+    """Each race that was not completed, with place and cause."""
+    rows = [
+        [
+            f"N.C. {row.controller} on {row.track}, {row.car}:",
+            f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
+        ]
+        for row in races[races.outcome != "completed"].itertuples()
+    ]
+    return [*aligned(rows, left=2), ""] if rows else []
+
+
+def grid_lines(table: pd.DataFrame) -> list[str]:
+    """How many races each controller completed, and how close."""
+    return [
+        f"{row.controller}: {row.races_completed} of {row.races} completed, RMS error "
+        f"{row.mean_rms_lateral_error_m:.4f} m, worst race {row.worst_rms_lateral_error_m:.4f} m"
+        for row in table.itertuples()
+    ]
 
 
 def highest_lines(highest: pd.DataFrame) -> list[str]:

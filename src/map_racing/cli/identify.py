@@ -16,9 +16,10 @@ from ..identification.identify import Identification, identify, leave_one_out
 from ..identification.limits import SteadyLimits
 from ..identification.report import report_data, report_text
 from ..vehicle.lookup import default_grid
-from ..vehicle.parameters import load_vehicle, parameter_hash, save_vehicle
+from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
+from .inputs import read_vehicle
 from .outputs import check_outputs
 
 
@@ -30,7 +31,7 @@ def run(arguments: argparse.Namespace) -> None:
     table_path = output.with_suffix(".csv")
     outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
     check_outputs(outputs, [*arguments.data, arguments.vehicle, arguments.channels])
-    base = load_vehicle(arguments.vehicle)
+    base = read_vehicle(arguments.vehicle)
     channels = channel_map(arguments)
     runs = [
         load_run(path, channels) for path in tqdm(arguments.data, "read", disable=None, leave=False)

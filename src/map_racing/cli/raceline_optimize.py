@@ -26,8 +26,8 @@ from ..track.speed_profile import raceline_speeds
 from ..track.walls import clearance_of
 from ..vehicle.limits import speed_limits
 from ..vehicle.lookup import load_table
-from ..vehicle.parameters import load_vehicle
 from .figures import draw_optimized
+from .inputs import read_vehicle
 from .outputs import check_outputs
 
 # Findings that make the walls unusable, though the line itself can be driven.
@@ -44,7 +44,7 @@ def run_optimize(arguments):
     check_outputs(outputs, [*tracks, arguments.vehicle, arguments.lookup_table])
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
-    vehicle = load_vehicle(arguments.vehicle)
+    vehicle = read_vehicle(arguments.vehicle)
     limits = speed_limits(
         vehicle,
         load_table(arguments.lookup_table) if arguments.lookup_table else None,

@@ -49,7 +49,8 @@ def to_frame(results: Iterable[RunResult]) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        A row for each lap or part of one, valid or not: ``bag`` and the columns of `Lap.row`.
+        A row for each lap or part of one, valid or not: ``bag``, the columns of `Lap.row`, and
+        ``warnings`` on what makes the run doubtful.
     """
     import pandas as pd  # takes half a second, and only this function needs it
 
@@ -58,7 +59,11 @@ def to_frame(results: Iterable[RunResult]) -> pd.DataFrame:
 
 
 def _rows(results):
-    return [{"bag": result.source, **lap.row()} for result in results for lap in result.laps]
+    return [
+        {"bag": result.source, **lap.row(), "warnings": "; ".join(result.warnings)}
+        for result in results
+        for lap in result.laps
+    ]
 
 
 def lap_data(results: Iterable[RunResult]) -> dict:
@@ -126,6 +131,7 @@ def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
     str
     """
     rows = [["run", "laps", "lap time [s]", "best [s]", "RMS error [m]", "max [m]", "max v [m/s]"]]
+    said = []
     for name, result in named_results:
         summary = result.summary
         rows.append(
@@ -139,7 +145,8 @@ def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
                 _text(summary.max_speed_mps, "{:.2f}", "N.C."),
             ]
         )
-    return "\n".join(aligned(rows, left=0))
+        said += [f"{name}: warning: {warning}" for warning in result.warnings]
+    return "\n".join([*aligned(rows, left=0), *said])
 
 
 def _sentence(summary):

@@ -157,7 +157,8 @@ class RunResult:
     source : str
         File of the recording.
     notes : tuple of str
-        Notes on what was read and evaluated.
+        Notes on what was read and evaluated; what makes the values doubtful begins with
+        ``warning:``.
     """
 
     laps: list[Lap]
@@ -166,3 +167,9 @@ class RunResult:
     start_s: float = 0.0
     source: str = ""
     notes: tuple = ()
+
+    @property
+    def warnings(self) -> list[str]:
+        """Notes on what makes the values doubtful."""
+        mark = "warning: "
+        return [note[len(mark) :] for note in self.notes if note.startswith(mark)]

@@ -1,10 +1,12 @@
 """Colors of markers."""
 
+from __future__ import annotations
+
 from std_msgs.msg import ColorRGBA
 
 __all__ = ["WALL", "gradient"]
 
-# Of the color map viridis, which the figures use: its order is also that of the brightness.
+# The color map viridis, as in the figures: brighter means more.
 _STOPS = (
     (0.27, 0.00, 0.33),
     (0.23, 0.32, 0.55),
@@ -16,13 +18,13 @@ _STOPS = (
 WALL = (0.55, 0.55, 0.55)
 
 
-def gradient(fraction, alpha=1.0):
+def gradient(fraction: float, alpha: float = 1.0) -> ColorRGBA:
     """Color from dark violet over teal to yellow.
 
     Parameters
     ----------
     fraction : float
-        0 to 1; what lies outside is drawn as the nearer end.
+        From 0 to 1, clipped.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Node ``controller``: poses in, drive commands out, under supervision.
 
-Each pose makes one control step, in the callback that brings it. A timer looks for poses that stop
-coming. The controller and its supervisor are the core's; here messages are converted.
+Each pose triggers one control step, in its callback; a timer notices a dropout of the poses.
+Controller and supervisor are in `map_racing.control`; the node converts messages.
 """
 
 import gc
@@ -21,7 +21,7 @@ from tf2_msgs.msg import TFMessage
 
 from map_racing.msg import Guidance
 
-from ..control.controller import Controller, Status, build_steering_map
+from ..control.controller import Controller, Status, build_steering_maps
 from ..control.parameters import (
     load_controller_parameters,
     load_safety_limits,
@@ -32,6 +32,7 @@ from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
 from ..track.files.load import load_raceline
+from ..track.files.waypoints import waypoint_rows
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
@@ -39,7 +40,7 @@ from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, run
 from .transforms import TransformListener
 from .tuning import TuningServer
-from .waypoints import RacelineSubscriber
+from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messages
 
 __all__ = ["ControllerNode", "main"]
 
@@ -57,14 +58,18 @@ def _build():
     """Controller and supervisor from the node's parameters."""
     source = get_parameter("controller", "map", "shipped name or file")
     vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
+    for note in vehicle.notes:
+        rospy.logwarn("~vehicle: %s", note)
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
     parameters = overridden(load_controller_parameters(source))
     kind, v_max = parameters.steering_map, parameters.v_max_mps
     if table and kind == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     limits = overridden(load_safety_limits(source))
-    steering_map = load_table(table) if table else build_steering_map(kind, vehicle, v_max)
-    return Controller(parameters, steering_map, vehicle), Supervisor(limits, v_max)
+    steering_map, grip = build_steering_maps(parameters, vehicle)
+    if table:
+        steering_map = grip = load_table(table)
+    return Controller(parameters, steering_map, vehicle, grip=grip), Supervisor(limits, v_max)
 
 
 def _publisher(topic, kind, queue_size=10):
@@ -91,6 +96,13 @@ class ControllerNode:
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor = _build()
+        self._start(source, pose_source)
+
+    def _start(self, source, pose_source):
+        """Advertise, then subscribe: the first pose may drive the car."""
+        self._logged_plan = None
+        # Held by whoever changes what the controller drives with; the steps never wait for it.
+        self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
@@ -103,6 +115,9 @@ class ControllerNode:
             name: _publisher(name, Float64)
             for name in ("lateral_error", "speed_error", "latency", "pose_age")
         }
+        self._driven = rospy.Publisher(
+            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
+        )
         topic = "/tf" if pose_source == "tf" else rospy.resolve_name(pose_source)
         self._pose_from = "/tf, {} to {}".format(*self._frames) if topic == "/tf" else topic
         pose_type = POSE_TYPES[pose_source]._type
@@ -122,7 +137,9 @@ class ControllerNode:
             rospy.Service("~resume", Trigger, self._on_resume),
             rospy.Service("~save", Trigger, self._on_save),
         ]
-        self._tuning = TuningServer(self._controller, self._supervisor, self._lock)
+        self._tuning = TuningServer(
+            self._controller, self._supervisor, self._lock, self._changing, self._announce_speeds
+        )
         self._subscribe_poses(pose_source)
         period = rospy.Duration.from_sec(1.0 / WATCHDOG_HZ)
         self._timer = rospy.Timer(period, self._watch, reset=True)
@@ -200,14 +217,14 @@ class ControllerNode:
         self._command(header, self._supervisor.refuse(now))
 
     def _restart(self):
-        """Time was set back: nothing that was known before holds."""
-        rospy.loginfo("time was set back: starting anew")
+        """Time was set back: forget the past."""
+        rospy.loginfo("time was set back: starting over")
         self._controller.reset()
         self._reader.reset()
         self._diagnosis.restart()
 
     def _watch(self, _):
-        """Notice poses that stop coming."""
+        """Notice a dropout of the poses."""
         with self._lock:
             header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
             try:
@@ -231,7 +248,7 @@ class ControllerNode:
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
-        # One message for all commands: making one takes as long as the control step.
+        # One message for all commands: creating one takes as long as a control step.
         command = self._message
         command.header = header
         command.drive.steering_angle = steering_angle
@@ -239,7 +256,7 @@ class ControllerNode:
         self._drive.publish(command)
 
     def _show(self, header, state, result, decision, latency):
-        """Publish what led to the command, as far as anybody listens."""
+        """Publish guidance and figures on the topics that have subscribers."""
         if result is None:
             return
         numbers = {
@@ -278,15 +295,14 @@ class ControllerNode:
         )
 
     def _end(self):
-        """Tell the car to stop, for good."""
+        """Stop the car before the node ends."""
         with self._lock:
             self._ending = True
             if self._supervisor.mode is Mode.WAITING:
                 return
         for _ in range(LAST_COMMANDS):
-            self._send(
-                Header(stamp=rospy.Time.now(), frame_id=self._frames[0]), self._last_angle, 0.0
-            )
+            header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
+            self._send(header, self._last_angle, 0.0)
             time.sleep(LAST_PERIOD_S)
 
     # -- raceline ----------------------------------------------------------------------------
@@ -299,16 +315,32 @@ class ControllerNode:
 
     def _follow(self, raceline):
         sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-        if raceline.speed is None:
-            raise ParameterError(f"{raceline.source}: the raceline has no speeds")
         # What is costly about a first search is done here, not in the first control step.
         raceline.project(0.0, 0.0)
-        with self._lock:
-            self._controller.sectors = sectors
-            self._controller.raceline = raceline
-            self._supervisor.raceline_changed(True)
-            self._diagnosis.refused = ""
-        rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
+        with self._changing:
+            setup = self._controller.prepare(raceline=raceline, sectors=sectors)
+            with self._lock:
+                self._controller.apply(setup)
+                self._supervisor.raceline_changed(True)
+                self._diagnosis.refused = ""
+            rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
+            self._announce_speeds()
+
+    def _announce_speeds(self):
+        """Log where the car drives slower than the raceline, and publish the speeds driven."""
+        controller = self._controller
+        raceline, plan = controller.raceline, controller.plan
+        if raceline is None:
+            return
+        if plan is not self._logged_plan:
+            self._logged_plan = plan
+            text = plan or "the speeds are the raceline's, whatever the grip"
+            rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
+        rows = waypoint_rows(raceline, speed=controller.planned_speed)
+        message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
+        message.header.stamp = rospy.Time.now()
+        message.header.frame_id = self._frames[0]
+        self._driven.publish(message)
 
     def _refuse_raceline(self, error):
         with self._lock:
@@ -334,7 +366,7 @@ class ControllerNode:
         with self._lock:
             self._failing = False
             self._supervisor.resume()
-        return TriggerResponse(True, "driving again where nothing else is against it")
+        return TriggerResponse(True, "resumed; drives unless another stop reason is active")
 
     def _on_save(self, _):
         parameters = self._controller.parameters
@@ -353,7 +385,7 @@ _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
 
 
 def _trace(text):
-    """A text with the exception that is being handled and where it came from, in one line."""
+    """A text with the current exception and its origin, in one line."""
     error = sys.exc_info()[1]
     trace = error.__traceback__
     while trace.tb_next is not None:
@@ -364,7 +396,7 @@ def _trace(text):
 
 
 def main():
-    """Run the node; an impossible parameter or file is one line and exit code 1."""
-    # rospy sends in a thread of its own: it shall not wait 5 ms for the one that computes.
+    """Run the node."""
+    # rospy sends in a thread of its own, which must not wait 5 ms for the one that computes.
     sys.setswitchinterval(SWITCH_S)
     run("controller", ControllerNode)

@@ -1,4 +1,4 @@
-"""Node ``lap_evaluator``: laps of live or replayed driving, the same as of its recording."""
+"""Node ``lap_evaluator``: laps of live or replayed driving, equal to the laps of its recording."""
 
 import math
 import queue
@@ -26,23 +26,23 @@ from .waypoints import RacelineSubscriber
 __all__ = ["LapEvaluatorNode", "main"]
 
 _STOP = object()
-_SILENCE_S = 5.0  # without any pose it is said that none come
-_LAST_WORDS_S = 5.0  # so long a shutdown waits for the sum
+_SILENCE_S = 5.0  # warn after this time without poses
+_SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
 _NAN = math.nan
+LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
 
 
 class LapEvaluatorNode:
-    """Queue what comes, evaluate it in one thread, publish the laps.
+    """Queues messages, evaluates them in one thread and publishes the laps.
 
-    Callbacks only queue: a message that waits in the queue is not lost, however fast a bag is
-    played.
+    Callbacks only queue, so that no message is lost, however fast a bag is played.
     """
 
     def __init__(self):
         source = get_parameter("raceline", "", "raceline file; empty: topic global_waypoints")
         pose = get_parameter("pose_source", "odom", "odom or pose")
         start_s = get_parameter("start_line", 0.0, "arc length of the start line [m]")
-        car_width = get_parameter("car_width", 0.3, "[m]")
+        car_width = get_parameter("car_width", 0.3, "width of the car [m]")
         sectors = get_parameter("sectors", 3, "number of sectors")
         deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
         patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
@@ -51,7 +51,7 @@ class LapEvaluatorNode:
         if pose not in ("odom", "pose"):
             raise ParameterError(f"~pose_source: expected odom or pose, got {pose!r}")
         if not deviation >= 0.0:
-            raise ParameterError(f"~max_deviation: expected 0 or more [m], got {deviation}")
+            raise ParameterError(f"~max_deviation: expected 0 m or more, got {deviation}")
 
         self._queue = queue.SimpleQueue()
         self._frame = "map"
@@ -90,7 +90,7 @@ class LapEvaluatorNode:
         self._subscribe(pose, kind, add, sender.sent)
 
     def _subscribe(self, topic, kind, handle, counts=lambda _: True):
-        # Without a queue size nothing is dropped; the buffer takes in many messages at once.
+        # Without a queue size nothing is dropped; the buffer holds many messages.
         rospy.Subscriber(
             topic,
             kind,
@@ -104,7 +104,7 @@ class LapEvaluatorNode:
         self._queue.put((handle, message, rospy.Time.now().to_nsec(), time.monotonic()))
 
     def run(self):
-        """Evaluate until the node is shut down, then sum up."""
+        """Evaluate until the node is shut down, then summarize."""
         self._idle.clear()
         try:
             self._evaluate()
@@ -119,7 +119,7 @@ class LapEvaluatorNode:
     def _stop(self):
         """Let the last lap be published before rospy closes the topics."""
         self._queue.put((_STOP, None, 0, 0.0))
-        self._idle.wait(_LAST_WORDS_S)
+        self._idle.wait(_SUMMARY_S)
 
     def _evaluate(self):
         while True:
@@ -139,7 +139,7 @@ class LapEvaluatorNode:
             if self._queue.empty() or self._queue.qsize() % 256 == 0:
                 self._laps.advance(time.monotonic())
 
-    # -- in ------------------------------------------------------------------------------------
+    # -- input ---------------------------------------------------------------------------------
 
     def _set_raceline(self, raceline, _received_ns, _received):
         first = self._laps.raceline is None
@@ -151,26 +151,30 @@ class LapEvaluatorNode:
         at, velocity = message.pose.pose.position, message.twist.twist.linear
         self._frame = frame(message.header.frame_id) or "map"
         stamp = stamp_ns(message.header, received_ns)
-        self._add(stamp, at.x, at.y, velocity.x, velocity.y, received)
+        self._add(*(stamp, at.x, at.y, velocity.x, velocity.y, received, received_ns - stamp))
 
     def _add_pose(self, message, received_ns, received):
         at = message.pose.position
         self._frame = frame(message.header.frame_id) or "map"
-        self._add(stamp_ns(message.header, received_ns), at.x, at.y, _NAN, _NAN, received)
+        stamp = stamp_ns(message.header, received_ns)
+        self._add(stamp, at.x, at.y, _NAN, _NAN, received, received_ns - stamp)
 
     def _add(self, *sample):
         self._no_poses = ""
         if self._laps.raceline is None:
-            rospy.logwarn_throttle(10.0, "poses, but no raceline yet: they are kept")
+            rospy.logwarn_throttle(10.0, "poses wait for a raceline")
         self._laps.add_pose(*sample)
 
     def _add_command(self, message, received_ns, _received):
-        drive = message.drive
-        self._laps.add_command(
-            stamp_ns(message.header, received_ns), drive.speed, drive.steering_angle
-        )
+        drive, stamp = message.drive, stamp_ns(message.header, received_ns)
+        self._laps.add_command(stamp, drive.speed, drive.steering_angle, received_ns - stamp)
+        offset = self._laps.command_offset_s
+        if offset:
+            rospy.logwarn_throttle(
+                30.0, f"drive commands are of another clock, {offset:.3f} s behind: shifted"
+            )
 
-    # -- out -----------------------------------------------------------------------------------
+    # -- output --------------------------------------------------------------------------------
 
     def _publish(self, live_lap):
         lap = live_lap.lap
@@ -196,9 +200,8 @@ class LapEvaluatorNode:
     def _marker(self, text):
         raceline = self._laps.raceline
         size = (0.0, 0.0, self._text_size)
-        marker = make_marker(
-            Marker.TEXT_VIEW_FACING, "lap", self._frame, LAP_TEXT_COLOR, scale=size
-        )
+        kind = Marker.TEXT_VIEW_FACING
+        marker = make_marker(kind, "lap", self._frame, LAP_TEXT_COLOR, scale=size)
         marker.text = text
         marker.pose.position.x = 0.5 * (raceline.x.min() + raceline.x.max())
         marker.pose.position.y = 0.5 * (raceline.y.min() + raceline.y.max())
@@ -208,10 +211,6 @@ class LapEvaluatorNode:
     def _summarize(self, run, result):
         self._best, self._counted = _NAN, 0
         rospy.loginfo("run %d\n%s", run, lap_table(result))
-
-
-LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
-"""White: nothing else in the layout is."""
 
 
 def _text(lap, best):

@@ -1,4 +1,8 @@
-"""Markers for RViz: what all of them have alike."""
+"""Markers for RViz."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Iterable
 
 import numpy as np
 import rospy
@@ -8,11 +12,22 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from .colors import WALL, gradient
 
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
+
 __all__ = ["delete_all", "make_marker", "points_of", "raceline_markers"]
 
 
-def make_marker(kind, namespace, frame, color, *, scale=(0.0, 0.0, 0.0), lifetime=0.0):
-    """Marker of one namespace, with the stamp 0: RViz takes the latest transform.
+def make_marker(
+    kind: int,
+    namespace: str,
+    frame: str,
+    color: tuple,
+    *,
+    scale: tuple = (0.0, 0.0, 0.0),
+    lifetime: float = 0.0,
+) -> Marker:
+    """Marker with stamp 0, so that RViz uses the latest transform.
 
     Parameters
     ----------
@@ -21,9 +36,9 @@ def make_marker(kind, namespace, frame, color, *, scale=(0.0, 0.0, 0.0), lifetim
     namespace, frame : str
     color : tuple of 3 floats
     scale : tuple of 3 floats, optional
-        Meaning and unit [m] depend on the kind.
+        Its meaning depends on the kind [m].
     lifetime : float, optional
-        After so many seconds without another one it disappears; 0: never.
+        Time after which it disappears unless it is replaced [s]; 0: never.
     """
     marker = Marker(ns=namespace, type=kind, action=Marker.ADD)
     marker.header.frame_id = frame
@@ -34,17 +49,17 @@ def make_marker(kind, namespace, frame, color, *, scale=(0.0, 0.0, 0.0), lifetim
     return marker
 
 
-def points_of(xy, z=0.0):
+def points_of(xy: Iterable, z: float = 0.0) -> list[Point]:
     """Points of a marker from an iterable of ``x, y`` [m] at height `z` [m]."""
     return [Point(x, y, z) for x, y in xy]
 
 
-def delete_all():
+def delete_all() -> MarkerArray:
     """Message that removes all markers of its topic."""
     return MarkerArray([Marker(action=Marker.DELETEALL)])
 
 
-def raceline_markers(raceline, rows, frame):
+def raceline_markers(raceline: Raceline, rows: np.ndarray, frame: str) -> MarkerArray:
     """A raceline colored by speed, from its slowest to its fastest, and its walls.
 
     Parameters
@@ -57,7 +72,7 @@ def raceline_markers(raceline, rows, frame):
     Returns
     -------
     visualization_msgs/MarkerArray
-        All former markers of the topic are deleted first.
+        It first deletes all former markers of the topic.
     """
     closed = {name: [*rows[name].tolist(), float(rows[name][0])] for name in rows.dtype.names}
     least = min(closed["vx_mps"])
@@ -75,6 +90,6 @@ def raceline_markers(raceline, rows, frame):
             wall.points = points_of(zip(x.tolist(), y.tolist()))
             array.markers.append(wall)
     for marker in array.markers:
-        # Drawn with the latest transform, whatever its time.
+        # Use the latest transform, whatever its time.
         marker.frame_locked = True
     return array

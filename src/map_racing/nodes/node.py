@@ -1,4 +1,6 @@
-"""What all nodes do alike: read parameters, and end in one line where they cannot run."""
+"""Common to all nodes: parameters, start and end, clock, and whose messages count."""
+
+from __future__ import annotations
 
 import math
 import os
@@ -7,6 +9,7 @@ import sys
 import threading
 import time
 from dataclasses import fields, replace
+from typing import Callable, TypeVar
 
 import rosgraph
 import rospy
@@ -25,14 +28,15 @@ __all__ = [
     "why_silent",
 ]
 
-# A clock that goes on by more or less than this [s] than the time that passed was set.
+# A wall clock that drifts this far [s] from the monotonic clock was set.
 CLOCK_STEP_S = 0.2
 MASTER_PERIOD_S = 10.0
-# Whoever publishes nothing for so long [s] has gone.
+Value = TypeVar("Value", bool, int, float, str, list)
+# A node that has published nothing for this long [s] is gone.
 SENDER_GONE_S = 1.0
 
 
-def get_parameter(name, default, meaning):
+def get_parameter(name: str, default: Value, meaning: str) -> Value:
     """Read a private parameter and log its value, and whether that is the default.
 
     Parameters
@@ -40,7 +44,7 @@ def get_parameter(name, default, meaning):
     name : str
         Without the ``~``.
     default : bool, int, float, str or list
-        Its type is the type that the parameter must have; an integer passes for a float.
+        The parameter must have its type; an integer passes for a float.
     meaning : str
         For the log, with the unit.
 
@@ -63,8 +67,8 @@ def get_parameter(name, default, meaning):
     return value
 
 
-def overridden(values):
-    """A dataclass of parameters with those values replaced that are parameters of the node.
+def overridden(values: object) -> object:
+    """A dataclass of parameters, with the values that are private parameters of the node.
 
     Parameters
     ----------
@@ -88,20 +92,20 @@ def overridden(values):
     return replace(values, **changes)
 
 
-def run(name, make):
+def run(name: str, make: Callable[[], object]) -> None:
     """Run a node until it is shut down.
 
     Parameters
     ----------
     name : str
     make : callable
-        Makes the node; what it returns may have a method ``run`` that does not return before the
-        node is shut down. A `MapRacingError` ends the node with one line and exit code 1.
+        Makes the node, which may have a method ``run`` that returns when the node is shut down. A
+        `MapRacingError` ends the node with one line and exit code 1.
     """
     to_launch_folder()
     _wait_for_master()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        # A node that was started with nohup outlives its terminal.
+        # A node started with nohup outlives its terminal.
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _shut_down)
     node = None
@@ -115,16 +119,15 @@ def run(name, make):
         rospy.logfatal("%s", error)
         raise SystemExit(1) from None
     except Exception as error:
-        # What fails because the node is shut down is no fault: anything while it starts, and what
-        # it publishes when the topics are closed.
+        # During shutdown a starting node may fail anywhere, and a running one on closed topics.
         expected = node is None or isinstance(error, rospy.ROSException)
         if not (expected and rospy.core.is_shutdown_requested()):
             raise
 
 
 def _wait_for_master():
-    """Wait for the master where Ctrl-C works; ``init_node`` without one can only be killed."""
-    # Not by an exception, which `is_master_online` would take for a master that is not there.
+    """Wait for the master; Ctrl-C works here, but not in ``init_node`` without a master."""
+    # An exception would look like a missing master to `is_master_online`.
     interrupted = threading.Event()
     signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     try:
@@ -146,14 +149,14 @@ def _wait_for_master():
 
 
 def _watch_master():
-    """Say it where the master has gone or was started again; what is connected stays connected."""
+    """Log a master that is gone or was restarted; existing connections stay."""
     while sleep(MASTER_PERIOD_S):
         try:
             rosgraph.Master(rospy.get_name()).lookupNode(rospy.get_name())
         except rosgraph.MasterError:
             rospy.logerr(
-                "the ROS master was started again and does not know this node: nodes and commands "
-                "that start now do not reach it; start it again"
+                "the ROS master was started again and does not know this node: new nodes and "
+                "commands do not reach it; restart the node"
             )
         except Exception as error:
             rospy.logerr(
@@ -161,15 +164,15 @@ def _watch_master():
             )
 
 
-def why_silent(topic, kind):
-    """What the master knows about a topic from which nothing comes.
+def why_silent(topic: str, kind: str) -> str:
+    """Why no messages come on a topic, as far as the master knows.
 
     Parameters
     ----------
     topic : str
-        Its resolved name.
+        Resolved name.
     kind : str
-        Type that was expected, such as ``nav_msgs/Odometry``.
+        Expected type, such as ``nav_msgs/Odometry``.
     """
     try:
         master = rosgraph.Master(rospy.get_name())
@@ -187,37 +190,39 @@ def why_silent(topic, kind):
 def _shut_down(number, _):
     """Handle a signal in a thread of its own.
 
-    rospy's own handler asks the master in the thread that it interrupts, and waits for ever where
-    that one is waiting for the master's answer, as a node does all the time while it starts.
+    rospy's own handler calls the master in the interrupted thread, and deadlocks if that thread is
+    waiting for the master's answer, as a starting node mostly is.
     """
     threading.Thread(target=rospy.signal_shutdown, args=(f"signal {number}",)).start()
 
 
-def to_launch_folder():
-    """Go where roslaunch was called, so that relative paths are the user's; it starts nodes in
-    ``ROS_HOME``."""
+def to_launch_folder() -> None:
+    """Change to the folder of the shell that called roslaunch, which starts nodes in ``ROS_HOME``.
+
+    Relative paths are then the user's.
+    """
     folder = os.environ.get("MAP_RACING_LAUNCH_FOLDER", "")
     if os.path.isdir(folder):
         os.chdir(folder)
 
 
 class SteadyClock:
-    """ROS time, but for the steps that somebody makes who sets the computer's clock.
+    """ROS time without the steps of a wall clock that is set.
 
-    A car must not stop dead, nor go on for an hour, because its computer found a time server.
-    Simulated time may do as it likes.
+    A car must not stop dead, nor drive on for an hour, because its computer found a time server.
+    Simulated time is left alone.
 
     Attributes
     ----------
     steps : float
-        Sum of the steps so far [s]: subtract it from stamps.
+        Sum of the steps so far [s], to be subtracted from stamps.
     """
 
     def __init__(self):
         self.steps = 0.0
         self._ahead = None
 
-    def now(self):
+    def now(self) -> float:
         """Time [s]."""
         now = rospy.Time.now().to_sec()
         if rospy.rostime.is_wallclock():
@@ -230,7 +235,7 @@ class SteadyClock:
 
 
 class FirstSender:
-    """Of several nodes that publish on one topic, the first, for as long as it publishes.
+    """Picks the first of several nodes that publish on one topic, for as long as it publishes.
 
     Parameters
     ----------
@@ -238,11 +243,11 @@ class FirstSender:
         For the log.
     """
 
-    def __init__(self, topic):
+    def __init__(self, topic: str):
         self._topic, self._sender, self._heard = topic, None, -math.inf
 
-    def sent(self, message):
-        """Whether a message is of the sender that counts."""
+    def sent(self, message: object) -> bool:
+        """Whether a message comes from the node that counts."""
         sender, now = message._connection_header["callerid"], time.monotonic()
         if sender != self._sender:
             if now - self._heard < SENDER_GONE_S:
@@ -256,7 +261,7 @@ class FirstSender:
         return True
 
 
-def sleep(seconds):
+def sleep(seconds: float) -> bool:
     """Wait by the wall clock; false if the node is shut down meanwhile."""
     end = time.monotonic() + seconds
     while not rospy.is_shutdown():

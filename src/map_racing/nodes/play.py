@@ -1,7 +1,9 @@
-"""``play``: play a bag when the nodes that read it are there.
+"""``play``: play a bag once its subscribers are there.
 
-A node takes seconds to start on a small computer, and what is played before then is lost to it.
+A node takes seconds to start on a small computer, and misses what is played before.
 """
+
+from __future__ import annotations
 
 import os
 import sys
@@ -17,19 +19,19 @@ PATIENCE_S = 60.0
 AWAIT = "--await="
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Wait for subscribers, then become ``rosbag play``.
 
     Parameters
     ----------
     arguments : list of str, optional
-        ``--await=NODE:TOPIC``, any number of times, names a subscriber to wait for; all others go
-        to ``rosbag play``.
+        ``--await=NODE:TOPIC`` names a subscriber to wait for, and may be repeated; all others go to
+        ``rosbag play``.
 
     Returns
     -------
     int
-        Exit code 1 if a subscriber did not come; otherwise it does not return.
+        Exit code, if a bag or a subscriber is missing; otherwise it does not return.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     to_launch_folder()

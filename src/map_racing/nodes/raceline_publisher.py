@@ -5,33 +5,34 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from visualization_msgs.msg import MarkerArray
 
+from ..control.speed_plan import scaled_speed
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..track.files.load import load_raceline
-from ..track.files.waypoints import scaled_speed, waypoint_rows
+from ..track.files.waypoints import waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
 from .node import get_parameter, run, sleep
-from .waypoints import waypoint_array_class
+from .waypoints import waypoint_array_class, waypoint_messages
 
 __all__ = ["RacelinePublisherNode", "main"]
 
 
 class RacelinePublisherNode:
-    """Publish once, latched; and the waypoints again and again, as the public stacks do."""
+    """Publishes latched, and repeats the waypoints as the public stacks do."""
 
     def __init__(self):
         self._raceline = load_raceline(
             get_parameter("raceline", "reference", "track, raceline file, or bag[#topic]")
         )
-        scale = get_parameter("speed_scale", 1.0, "on the raceline's speeds")
+        scale = get_parameter("speed_scale", 1.0, "scale of the raceline's speeds")
         sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
-        spacing = get_parameter("spacing", 0.1, "distance between the waypoints [m]")
-        self._period = get_parameter("period", 2.0, "at which waypoints are repeated [s]")
+        spacing = get_parameter("spacing", 0.1, "distance between waypoints [m]")
+        self._period = get_parameter("period", 2.0, "time between repetitions [s]")
         self._frame = frame(get_parameter("map_frame", "map", "frame of the raceline"))
         for name, value in (("spacing", spacing), ("period", self._period)):
             if not value > 0.0:
-                raise ParameterError(f"~{name}: expected more than 0, got {value}")
+                raise ParameterError(f"~{name}: expected a positive number, got {value}")
         speed = scaled_speed(
             self._raceline,
             scale,
@@ -46,11 +47,8 @@ class RacelinePublisherNode:
             self._rows["vx_mps"].min(),
             self._rows["vx_mps"].max(),
         )
-        self._array, waypoint = waypoint_array_class()
-        self._waypoints = [
-            waypoint(number, *row)
-            for number, row in enumerate(self._rows[waypoint.__slots__[1:]].tolist())
-        ]
+        self._array = waypoint_array_class()[0]
+        self._waypoints = waypoint_messages(self._rows)
 
     def run(self):
         """Publish until the node is shut down."""
@@ -64,7 +62,7 @@ class RacelinePublisherNode:
             message.header.stamp = rospy.Time.now()
             message.header.frame_id = self._frame
             waypoints.publish(message)
-            # By the wall clock: when a replay is paused, who joins still gets the raceline.
+            # By the wall clock, so that a paused replay still repeats the raceline.
             if not sleep(self._period):
                 return
 

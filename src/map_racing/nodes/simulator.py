@@ -1,4 +1,4 @@
-"""Node ``simulator``: the simulated car in real time, or ahead of it with a clock of its own."""
+"""Node ``simulator``: the simulated car in real time, or with a simulated clock."""
 
 import math
 import threading
@@ -23,19 +23,17 @@ from .transforms import TransformBroadcaster
 
 __all__ = ["SimulatorNode", "main"]
 
-"""Value of ``~plant`` for the plant of the public ROS 1 simulator."""
-
 SECOND = 1000000000
-CLOCK_PERIOD_NS = 10000000  # of /clock, besides the instants at which a pose arrives
+CLOCK_PERIOD_NS = 10000000  # of /clock, besides the arrival of each pose
 LONGEST_CATCH_UP = 0.5  # s; after a longer pause of the computer, simulated time is lost
 LOCKSTEP_PATIENCE = 1.0  # s of wall time to wait for the answer to a pose
 
 
 class SimulatorNode:
-    """Advance the car to each event and publish what it reports.
+    """Advances the car to each event and publishes its sensors.
 
-    Without ``~clock_rate`` the stamps are those of the wall clock. With it, simulated time begins
-    at 1 s, runs that many times as fast, and is published on ``/clock``.
+    Without ``~clock_rate`` stamps are wall time. With it, simulated time begins at 1 s, runs that
+    many times as fast, and is published on ``/clock``.
     """
 
     def __init__(self):
@@ -43,20 +41,20 @@ class SimulatorNode:
             get_parameter("raceline", "reference", "track, raceline file or bag: start and walls")
         )
         plant_name = get_parameter("plant", "nuc4", "shipped plant or plant file")
-        seed = get_parameter("seed", 1, "of the noise")
+        seed = get_parameter("seed", 1, "seed of the noise")
         start_s = get_parameter("start_s", START_S, "arc length at which the car starts [m]")
         self._clock_rate = get_parameter(
             "clock_rate", 0.0, "simulated seconds per second, published on /clock; 0: real time"
         )
         self._lockstep = get_parameter(
-            "lockstep", False, "with clock_rate: time waits for a controller's answer to each pose"
+            "lockstep", False, "with clock_rate: time waits for the answer to each pose"
         )
         self._map = frame(get_parameter("map_frame", "map", "frame of the poses"))
         self._base = frame(get_parameter("base_frame", "base_link", "frame of the rear axle"))
         if not (math.isfinite(self._clock_rate) and self._clock_rate >= 0.0):
             raise ParameterError(f"~clock_rate: expected 0 or more, got {self._clock_rate}")
         if self._lockstep and not self._clock_rate:
-            raise ParameterError("~lockstep: real time waits for nobody; it needs ~clock_rate")
+            raise ParameterError("~lockstep: expected a ~clock_rate, got 0: real time cannot wait")
 
         plant, localization = build_plant(load_plant(plant_name), seed)
         self._car = DrivenCar(SimulatedCar(plant, localization), raceline)
@@ -77,22 +75,24 @@ class SimulatorNode:
         self._collision.publish(False)
         self._collided = False
 
-        # Wall time at simulated time 0; in real time the stamps count from here, too.
-        self._rate = self._clock_rate or 1.0
-        if self._clock_rate:
-            self._clock = rospy.Publisher("/clock", Clock, queue_size=100, tcp_nodelay=True)
-            self._origin_ns = SECOND
-            self._wall_origin = time.monotonic()
-        else:
-            self._clock = None
-            self._wall_origin = time.monotonic()
-            self._origin_ns = time.time_ns()
+        self._start_clock()
         self._drive = rospy.Subscriber(
             "drive", AckermannDriveStamped, self._on_drive, queue_size=10, tcp_nodelay=True
         )
         rospy.Subscriber("initialpose", PoseWithCovarianceStamped, self._on_initial_pose)
 
     # -- time ----------------------------------------------------------------------------------
+
+    def _start_clock(self):
+        # Wall time at simulated time 0; in real time stamps count from here as well.
+        self._rate = self._clock_rate or 1.0
+        self._wall_origin = time.monotonic()
+        if self._clock_rate:
+            self._clock = rospy.Publisher("/clock", Clock, queue_size=100, tcp_nodelay=True)
+            self._origin_ns = SECOND
+        else:
+            self._clock = None
+            self._origin_ns = time.time_ns()
 
     def run(self):
         """Simulate until the node is shut down."""
@@ -112,14 +112,14 @@ class SimulatorNode:
             time.sleep(max(wall - time.monotonic(), 0.0))
 
     def _advance(self):
-        """Drive up to the present and publish what arrives on the way."""
+        """Drive up to the present and publish what is measured on the way."""
         car = self._car.car
         step = car.plant.time_step
         behind = (time.monotonic() - self._wall_origin) * self._rate - car.now
         if behind > LONGEST_CATCH_UP * self._rate:
             lost = behind - step
             if self._clock is None:
-                rospy.logwarn("the simulation fell behind by %.2f s, which are lost", lost)
+                rospy.logwarn("the simulation fell behind and skips %.2f s", lost)
                 self._origin_ns += round(lost * SECOND)
             self._wall_origin += lost / self._rate
             behind = step
@@ -136,7 +136,7 @@ class SimulatorNode:
             self._collided = self._car.crashed
             self._collision.publish(self._collided)
             if self._collided:
-                rospy.logwarn("the car touched a wall; initialpose puts it back")
+                rospy.logwarn("the car touched a wall; initialpose resets it")
 
     def _next_clock_tick(self):
         each = self._ticks_per_clock
@@ -156,17 +156,17 @@ class SimulatorNode:
         return self._odom.get_num_connections() and self._drive.get_num_connections()
 
     def _wait_for_answer(self, stamp):
-        """Let the command through that was computed from the pose with this stamp."""
+        """Wait for the command computed from the pose with this stamp."""
         if self._has_controller():
             begin = time.monotonic()
             self._changed.wait_for(
                 lambda: self._answered >= stamp or rospy.is_shutdown(), LOCKSTEP_PATIENCE
             )
-            # Time stood still, and is not caught up with.
+            # Simulated time stood still meanwhile, and does not catch up.
             waited = time.monotonic() - begin
             self._wall_origin += max(0.0, waited - self._car.car.plant.time_step / self._rate)
 
-    # -- in ------------------------------------------------------------------------------------
+    # -- input ---------------------------------------------------------------------------------
 
     def _on_drive(self, message):
         with self._changed:
@@ -183,15 +183,15 @@ class SimulatorNode:
             return
         named = frame(message.header.frame_id)
         if named not in ("", self._map):
-            rospy.logwarn("initialpose: expected it in %s, got it in %s", self._map, named)
+            rospy.logwarn("initialpose: expected the frame %s, got %s", self._map, named)
             return
         with self._changed:
             if not self._lockstep:
                 self._advance()
             self._car.put(x, y, psi)
-        rospy.loginfo("the car was put to x %.2f m, y %.2f m, heading %.2f rad", x, y, psi)
+        rospy.loginfo("the car was reset to x %.2f m, y %.2f m, heading %.2f rad", x, y, psi)
 
-    # -- out -----------------------------------------------------------------------------------
+    # -- output --------------------------------------------------------------------------------
 
     def _publish(self, seen):
         measured = seen.measured
@@ -206,7 +206,7 @@ class SimulatorNode:
         pose = PoseStamped()
         pose.header.stamp, pose.header.frame_id = stamp, self._map
         set_plane_pose(pose.pose, *measured[1:4])
-        # A controller acts on the odometry, so all else goes first.
+        # The odometry comes last, as controllers act on it.
         self._imu.publish(imu)
         self._transforms.send(self._map, self._base, stamp_ns, *measured[1:4])
         self._truth.publish(self._odometry(seen.true, stamp))
@@ -220,7 +220,7 @@ class SimulatorNode:
         set_plane_pose(message.pose.pose, *state[1:4])
         twist = message.twist.twist
         twist.linear.x, twist.angular.z = state.v_x, state.r
-        # As real odometry does that measures none.
+        # Like real odometry that does not measure it.
         twist.linear.y = 0.0 if math.isnan(state.v_y) else state.v_y
         return message
 

@@ -1,4 +1,4 @@
-"""Node ``steering_ramp``: the drive from which tires are identified."""
+"""Node ``steering_ramp``: the maneuver for tire identification."""
 
 import math
 import threading
@@ -24,19 +24,19 @@ LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
 
 
 class SteeringRampNode:
-    """A command for each pose; a stop where none come."""
+    """Answers each pose with a command, and stops without poses."""
 
     def __init__(self):
         self._parameters = overridden(RampParameters())
-        self._radius = get_parameter("radius", 8.0, "of the area around the first pose [m]")
+        self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
         self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
         self._button = get_parameter("button", 5, "index of that button in the joystick's message")
         self._patience = get_parameter(
-            "dead_man_timeout", 0.5, "so long one message counts as holding it [s]"
+            "dead_man_timeout", 0.5, "time for which one message counts as holding it [s]"
         )
         if not 0.0 < self._radius < math.inf:
-            raise ParameterError(f"~radius: expected more than 0, got {self._radius}")
+            raise ParameterError(f"~radius: expected a positive number, got {self._radius}")
         if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
             raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
         area = Box(*map(float, box)) if box else None
@@ -61,7 +61,7 @@ class SteeringRampNode:
         rospy.Subscriber("odom", Odometry, self._on_odometry, queue_size=1, tcp_nodelay=True)
 
     def run(self):
-        """Watch over the poses until the drive is done."""
+        """Watch the poses until the maneuver is done."""
         while sleep(WATCHDOG_S):
             with self._lock:
                 last = self._last_pose
@@ -79,7 +79,7 @@ class SteeringRampNode:
         self._hold(message.data)
 
     def _hold(self, held):
-        # By the wall clock: it is about a hand.
+        # By the wall clock, as a hand holds the button.
         self._held_until = time.monotonic() + self._patience if held else -math.inf
 
     def _on_odometry(self, message):
@@ -90,7 +90,7 @@ class SteeringRampNode:
             if self._ended or not self._sender.sent(message):
                 return
             enabled = not self._dead_man or time.monotonic() < self._held_until
-            # An old pose is none: the car is not where it says.
+            # The car is not where an old pose says.
             if not math.isfinite(x + y):
                 rospy.logwarn_throttle(1.0, "pose not finite")
                 enabled = False
@@ -115,8 +115,8 @@ class SteeringRampNode:
             if command.phase is Phase.OUTSIDE:
                 rospy.logwarn_throttle(
                     5.0,
-                    f"({x:.2f}, {y:.2f}) is outside of the area, {self._ramp.area}: "
-                    "drive the car back into it, or set a larger ~radius or ~box",
+                    f"({x:.2f}, {y:.2f}) is outside of the area, {self._ramp.area}: drive the car "
+                    "back into it, or set a larger ~radius or ~box",
                 )
             self._send(message.header, command.steering_angle, command.speed)
 
@@ -127,7 +127,7 @@ class SteeringRampNode:
         self._drive.publish(command)
 
     def _end(self):
-        """Tell the car to stop, for good."""
+        """Stop the car before the node ends."""
         with self._lock:
             self._ended = True
         for _ in range(LAST_COMMANDS):

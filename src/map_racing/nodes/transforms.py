@@ -1,112 +1,28 @@
-"""The little of tf that a car in the plane needs, in plain Python.
+"""Transforms in the plane from and to ``/tf`` and ``/tf_static``, in plain Python.
 
-tf2's own buffer is compiled for one version of Python; a transform is a message like any other.
+tf2's buffer is compiled for one version of Python only.
 """
+
+from __future__ import annotations
 
 import math
 import threading
-from bisect import bisect_left, bisect_right
-from collections import deque
+from typing import Callable
 
 import rospy
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
+from ..transforms import TransformTree
 from .conversions import frame, heading, stamp_ns, to_time
 
-__all__ = ["TransformBroadcaster", "TransformListener", "TransformTree"]
+__all__ = ["TransformBroadcaster", "TransformListener"]
 
-KEPT_NS = 5 * 10**9  # as long back as the history of a frame goes
-# A transform that is older by more than this than the last was sent after the clock was set back.
-BACKWARDS_NS = 5 * 10**8
-
-
-class _Edge:
-    """Poses of a frame in its parent frame, the latest few seconds; a static one has no time."""
-
-    def __init__(self, parent, static):
-        self.parent, self.static = parent, static
-        self.times, self.poses = deque(), deque()
-
-    def add(self, stamp, pose):
-        if self.static or (self.times and stamp < self.times[-1] - BACKWARDS_NS):
-            self.times.clear()
-            self.poses.clear()
-        index = bisect_right(self.times, stamp)
-        self.times.insert(index, stamp)
-        self.poses.insert(index, pose)
-        while self.times[0] < self.times[-1] - KEPT_NS:
-            self.times.popleft()
-            self.poses.popleft()
-
-    def at(self, stamp):
-        """Pose at a time, linear between the two around it; None outside of the history."""
-        if self.static:
-            return self.poses[-1]
-        index = bisect_left(self.times, stamp)
-        if index == len(self.times):
-            return None
-        if self.times[index] == stamp:
-            return self.poses[index]
-        if index == 0:
-            return None
-        (x_1, y_1, psi_1), (x_2, y_2, psi_2) = self.poses[index - 1], self.poses[index]
-        before, after = self.times[index - 1], self.times[index]
-        part = (stamp - before) / (after - before)
-        turn = math.remainder(psi_2 - psi_1, math.tau)
-        return x_1 + part * (x_2 - x_1), y_1 + part * (y_2 - y_1), psi_1 + part * turn
-
-
-class TransformTree:
-    """Poses of frames in their parent frames over the last seconds, in the plane."""
-
-    def __init__(self):
-        self._edges = {}
-
-    def add(self, parent, child, stamp, pose, static=False):
-        """Add the pose ``(x, y, psi)`` of `child` in `parent` at a time [ns]."""
-        edge = self._edges.get(child)
-        if edge is None or edge.parent != parent or edge.static != static:
-            edge = self._edges[child] = _Edge(parent, static)
-        edge.add(stamp, pose)
-
-    def lookup(self, parent, child, stamp=None):
-        """Pose of a frame in one of its ancestors.
-
-        Parameters
-        ----------
-        parent, child : str
-        stamp : int, optional
-            Time [ns]; by default the latest that all transforms in between are known for.
-
-        Returns
-        -------
-        (stamp, x, y, psi) or None
-            None where they are not connected, or not at that time. Where all transforms are
-            static the latest time is 0.
-        """
-        chain = []
-        while child != parent:
-            edge = self._edges.get(child)
-            if edge is None or len(chain) > len(self._edges):
-                return None
-            chain.append(edge)
-            child = edge.parent
-        if stamp is None:
-            stamp = min((edge.times[-1] for edge in chain if not edge.static), default=0)
-        x = y = psi = 0.0
-        for edge in chain:
-            pose = edge.at(stamp)
-            if pose is None:
-                return None
-            cos, sin = math.cos(pose[2]), math.sin(pose[2])
-            x, y = pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y
-            psi += pose[2]
-        return stamp, x, y, math.remainder(psi, math.tau)
+KEPT_NS = 5 * 10**9  # length of a frame's history
 
 
 class TransformListener:
-    """A `TransformTree` fed by ``/tf`` and ``/tf_static``.
+    """A `map_racing.transforms.TransformTree` fed by ``/tf`` and ``/tf_static``.
 
     Parameters
     ----------
@@ -114,16 +30,16 @@ class TransformListener:
         Called without arguments after each message of ``/tf``.
     """
 
-    def __init__(self, on_change=None):
-        self._tree, self._on_change = TransformTree(), on_change
+    def __init__(self, on_change: Callable[[], None] | None = None):
+        self._tree, self._on_change = TransformTree(KEPT_NS), on_change
         self._lock = threading.Lock()
         self._subscribers = (
             rospy.Subscriber("/tf_static", TFMessage, self._receive, True, tcp_nodelay=True),
             rospy.Subscriber("/tf", TFMessage, self._receive, False, tcp_nodelay=True),
         )
 
-    def lookup(self, parent, child, stamp=None):
-        """As `TransformTree.lookup`."""
+    def lookup(self, parent: str, child: str, stamp: int | None = None) -> tuple | None:
+        """As `map_racing.transforms.TransformTree.lookup`."""
         with self._lock:
             return self._tree.lookup(parent, child, stamp)
 
@@ -141,13 +57,13 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Send transforms of the plane on ``/tf``, or latched on ``/tf_static``."""
+    """Sends transforms in the plane on ``/tf``, or latched on ``/tf_static``."""
 
-    def __init__(self, static=False):
+    def __init__(self, static: bool = False):
         topic = "/tf_static" if static else "/tf"
         self._publisher = rospy.Publisher(topic, TFMessage, queue_size=10, latch=static)
 
-    def send(self, parent, child, stamp, x, y, psi):
+    def send(self, parent: str, child: str, stamp: int, x: float, y: float, psi: float) -> None:
         """Send the pose of `child` in `parent` [m, m, rad] at a time [ns]."""
         transform = TransformStamped()
         transform.header.stamp = to_time(stamp)

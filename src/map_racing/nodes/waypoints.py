@@ -1,8 +1,11 @@
-"""Racelines as ``f110_msgs/WpntArray``, without that package being built.
+"""Racelines as ``f110_msgs/WpntArray``, without a build of that package.
 
-A publisher sends the definition of its messages when it connects; so what it sends can be read, and
-likewise sent.
+A ROS 1 publisher sends the definition of its messages when it connects.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Callable
 
 import rosgraph
 import rospy
@@ -15,29 +18,37 @@ from ..track.files.columns import columns_of_waypoints
 from ..track.files.readers import raceline_from_columns
 from .node import get_parameter
 
-__all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
+
+__all__ = [
+    "RacelineSubscriber",
+    "raceline_from_message",
+    "waypoint_array_class",
+    "waypoint_messages",
+]
 
 _LINE = "=" * 80 + "\n"
 _classes = {}
 
 
 def _generated(kind, md5sum, definition):
-    """Message class of a definition, made once: each costs a temporary module."""
+    """Message class of a definition, cached: each one costs a temporary module."""
     key = kind, md5sum
     if key not in _classes:
         _classes[key] = generate_dynamic(kind, definition)
     return _classes[key]
 
 
-def waypoint_array_class():
-    """Classes to publish a raceline with.
+def waypoint_array_class() -> tuple:
+    """Message classes of a raceline.
 
     Returns
     -------
     array : class
         ``f110_msgs/WpntArray`` with `header` and `wpnts`.
     waypoint : class
-        ``f110_msgs/Wpnt``, one of its elements.
+        ``f110_msgs/Wpnt``.
     """
     definition = (
         messages.DEFINITIONS["f110_msgs/msg/WpntArray"]
@@ -48,8 +59,25 @@ def waypoint_array_class():
     return kinds[messages.WAYPOINTS], kinds["f110_msgs/Wpnt"]
 
 
-def raceline_from_message(message, source):
-    """Raceline of a ``WpntArray`` of whatever version, received as ``rospy.AnyMsg``.
+def waypoint_messages(rows):
+    """Waypoints as messages.
+
+    Parameters
+    ----------
+    rows : structured array
+        From `map_racing.track.files.waypoints.waypoint_rows`.
+
+    Returns
+    -------
+    list of f110_msgs/Wpnt
+    """
+    waypoint = waypoint_array_class()[1]
+    rows = rows[waypoint.__slots__[1:]].tolist()
+    return [waypoint(number, *row) for number, row in enumerate(rows)]
+
+
+def raceline_from_message(message: rospy.AnyMsg, source: str) -> Raceline:
+    """Raceline of a ``WpntArray`` of any version, received as ``rospy.AnyMsg``.
 
     Parameters
     ----------
@@ -64,7 +92,7 @@ def raceline_from_message(message, source):
     Raises
     ------
     RacelineError
-        If it is no such message, or its waypoints make no closed track.
+        If it is another message, or its waypoints do not form a closed track.
     """
     connection = message._connection_header
     kind = connection["type"]
@@ -83,7 +111,7 @@ def raceline_from_message(message, source):
                 if array.wpnts and hasattr(array.wpnts[0], field)
             }
     except Exception as error:
-        # genpy raises errors of many kinds for a definition or a message that it cannot digest.
+        # genpy raises all kinds of errors for a definition or message that it cannot parse.
         raise RacelineError(f"{source}: cannot read {kind}: {error}") from error
     columns = columns_of_waypoints(fields)
     if "x" not in columns or "y" not in columns or not len(columns["x"]):
@@ -92,10 +120,10 @@ def raceline_from_message(message, source):
 
 
 class RacelineSubscriber:
-    """Racelines of a topic as they come; the same one sent again is not a new one.
+    """Racelines of a topic; a repeated one is ignored.
 
-    Two nodes that publish different racelines would take turns. The parameter ``~waypoints_from``
-    names the one that counts; without it, it is the first one for as long as it publishes.
+    Two nodes with different racelines would alternate. The parameter ``~waypoints_from`` names the
+    node that counts; without it, it is the first one for as long as it publishes.
 
     Parameters
     ----------
@@ -103,10 +131,10 @@ class RacelineSubscriber:
     on_raceline : callable
         Called with each new Raceline.
     on_error : callable
-        Called with the RacelineError of a message that holds none, once for the same content.
+        Called with the RacelineError of an invalid message, once for the same content.
     """
 
-    def __init__(self, topic, on_raceline, on_error):
+    def __init__(self, topic: str, on_raceline: Callable, on_error: Callable):
         self._on_raceline, self._on_error = on_raceline, on_error
         sender = get_parameter("waypoints_from", "", "node whose racelines count; empty: the first")
         self._only = rospy.resolve_name(sender) if sender else ""
@@ -130,7 +158,7 @@ class RacelineSubscriber:
             self._on_raceline(raceline)
 
     def _counts(self, sender):
-        """Whether a node's racelines are followed."""
+        """Whether a node's racelines count."""
         holder = self._only or self._sender
         topic = self._subscriber.resolved_name
         if sender != holder and holder and (self._only or self._publishes(holder)):
@@ -145,6 +173,6 @@ class RacelineSubscriber:
     def _publishes(self, node):
         try:
             publishing = dict(rosgraph.Master(rospy.get_name()).getSystemState()[0])
-        except Exception:  # nobody knows: nothing changes
+        except Exception:  # the master does not answer: nothing changes
             return True
         return node in publishing.get(self._subscriber.resolved_name, ())

@@ -313,12 +313,14 @@ def load_table(path: str | Path) -> LookupTable:
     ------
     FileFormatError
         If a row is ragged or a cell is not a number (the message names the line), an axis does not
-        ascend, cell [0, 0] is not 0, or the provenance is damaged.
+        ascend, or the provenance is damaged.
+
+    Notes
+    -----
+    Cell [0, 0] means nothing; in published tables it is often uninitialized memory.
     """
     path = Path(path)
     table = _read_rows(path)
-    if table[0, 0] != 0.0:
-        raise FileFormatError(f"{path}:1: expected 0 in the first cell, got {table[0, 0]:g}")
     try:
         return LookupTable(table[0, 1:], table[1:, 0], table[1:, 1:], _read_provenance(path))
     except ParameterError as error:
@@ -397,6 +399,7 @@ def _read_rows(path):
         raise FileFormatError(
             f"{path}: expected comma-separated speeds, then rows of angles, got {len(rows)} rows"
         )
+    rows[0][1][0] = "0"  # means nothing, and may be anything
     return parse_rows(path, rows, columns)[0]
 
 

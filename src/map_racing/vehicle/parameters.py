@@ -15,7 +15,7 @@ import yaml
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
-from ..validation import POSITIVE, check, documented, finite, parameter
+from ..validation import POSITIVE, check, documented, finite, parameter, positive
 from .single_track import GRAVITY
 from .tires import LinearTire, PacejkaTire
 
@@ -60,6 +60,12 @@ class Vehicle:
     a_brake_max: float = _positive("Largest deceleration, positive", "m/s^2", 8.26)
     width: float = _positive("Outer width", "m", 0.296)
     length: float = _positive("Outer length", "m", 0.568)
+    notes: tuple[str, ...] = dataclasses.field(
+        default=(),
+        compare=False,
+        repr=False,
+        metadata=parameter("What was assumed or left out when it was read from a file").metadata,
+    )
 
     def __post_init__(self):
         check(self)
@@ -87,7 +93,23 @@ _LIMITS = ("delta_max", "delta_rate_max", "v_max", "a_max", "a_brake_max", "widt
 _REQUIRED = ("m", "I_z", "l_f", "l_r", "h_cg", "mu")
 
 # other spellings of the published model files
-_SYNONYMS = {"model_name": "name", "friction_coeff": "mu"}
+_SYNONYMS = {
+    "model_name": "name",
+    "racecar_version": "name",
+    "friction_coeff": "mu",
+    "mass": "m",
+    "Iz": "I_z",
+    "lf": "l_f",
+    "lr": "l_r",
+    "wheelbase": "l_wb",
+    "width_m": "width",
+    "max_steering_angle": "delta_max",
+    "s_max": "delta_max",
+    "max_steering_velocity": "delta_rate_max",
+    "sv_max": "delta_rate_max",
+}
+# keys of the drive and the servo in the files of the identification of the MAP controller's authors
+_DRIVE_KEYS = frozenset(("C_0d", "C_d", "C_acc", "C_dec", "C_R", "C_0v", "C_v", "tau_steer"))
 
 # tire coefficients of one axle ("f" or "r"), in each spelling of the published model files
 _TIRE_KEYS = {
@@ -99,6 +121,8 @@ _TIRE_KEYS = {
 def load_vehicle(source: str | Path) -> Vehicle:
     """Read a car from a YAML file, also from a published model file.
 
+    Keys that are not used and what is assumed are in `Vehicle.notes`.
+
     Parameters
     ----------
     source : str or pathlib.Path
@@ -107,7 +131,7 @@ def load_vehicle(source: str | Path) -> Vehicle:
     Raises
     ------
     ParameterError
-        If there is no such file; if a parameter is missing, unknown or impossible.
+        If there is no such file; if a parameter is missing or impossible.
     FileFormatError
         If the file is not a YAML mapping.
     """
@@ -175,19 +199,23 @@ def linearized(vehicle: Vehicle) -> Vehicle:
 
 
 def _vehicle(values, default_name):
-    """Build a `Vehicle` from the keys of a file; each key must be understood."""
-    rest = {}
+    """Build a `Vehicle` from the keys of a file."""
+    rest, notes = {}, []
     for key, value in values.items():
         key = _SYNONYMS.get(key, key)
         if key in rest:
             raise ParameterError(f"{key}: expected once, got it under two names")
         rest[key] = value
+    if "h_cg" not in rest and "h" in rest:
+        rest["h_cg"] = rest.pop("h")
 
-    model = rest.pop("tire_model", None)
-    if model is None:
-        raise ParameterError(f"tire_model: missing, expected {' or '.join(_TIRE_KEYS)}")
-    if not isinstance(model, str) or model not in _TIRE_KEYS:
-        raise ParameterError(f"tire_model: expected {' or '.join(_TIRE_KEYS)}, got {model!r}")
+    model = _tire_model(rest, default_name)
+    published = "name" not in values and (
+        "model_name" in values
+        or default_name.endswith(("_pacejka", "_linear"))
+        or _DRIVE_KEYS & set(values)
+    )
+    rest["mu"] = _friction(rest.get("mu"), published and "mu" in values, notes)
     arguments = {
         "name": rest.pop("name", default_name),
         "front": _tire(model, "f", rest),
@@ -205,16 +233,55 @@ def _vehicle(values, default_name):
             raise ParameterError("a_min: expected either a_min or a_brake_max, got both")
         # published with either sign
         arguments["a_brake_max"] = abs(finite("a_min", rest.pop("a_min")))
-    # a time constant of the steering servo, which belongs to the plant, not to the model
-    rest.pop("tau_steer", None)
     wheelbase = rest.pop("l_wb", None)
-    if rest:
-        raise ParameterError(f"{', '.join(map(str, rest))}: unknown; known keys are {_known()}")
+    # The servo's time constant belongs to the plant, not to the model.
+    unknown = [str(key) for key in rest if key != "tau_steer"]
+    if unknown:
+        notes.append(f"keys not used: {', '.join(unknown)}")
 
     vehicle = Vehicle(**arguments)
     if wheelbase is not None and abs(finite("l_wb", wheelbase) - vehicle.l_wb) > 1e-6:
-        raise ParameterError(f"l_wb: expected l_f + l_r = {vehicle.l_wb:g}, got {wheelbase:g}")
-    return vehicle
+        text = f"l_wb: expected l_f + l_r = {vehicle.l_wb:g}, got {wheelbase:g}"
+        if not published:
+            raise ParameterError(text)
+        notes.append(f"{text}: not used")  # nor is it by the readers of these files
+    return dataclasses.replace(vehicle, notes=tuple(notes))
+
+
+def _tire_model(rest, file_name):
+    """Take the tire model out of a file, or tell it by the coefficients or the name of the file."""
+    given = [
+        model
+        for model in _TIRE_KEYS
+        if any(key in rest for keys in _TIRE_KEYS[model]("f") for key in keys)
+    ]
+    model = rest.pop("tire_model", None)
+    if model is None:
+        named = [model for model in given if file_name.lower().endswith(model)]
+        if len(given) != 1 and len(named) != 1:
+            raise ParameterError(f"tire_model: missing, expected {' or '.join(_TIRE_KEYS)}")
+        return (named or given)[0]
+    if not isinstance(model, str) or model.lower() not in _TIRE_KEYS:
+        raise ParameterError(f"tire_model: expected {' or '.join(_TIRE_KEYS)}, got {model!r}")
+    return model.lower()
+
+
+def _friction(mu, ignored, notes):
+    """Friction coefficient as the readers of a file take it.
+
+    The single-track model with which the authors of the MAP controller fit tires and make tables
+    has no friction coefficient: the tires' ``D`` holds it. A ``mu`` in these files changes nothing.
+    """
+    if mu is None:
+        notes.append("no mu: taken as 1")
+        return 1.0
+    if ignored and positive("mu", mu) != 1.0:
+        notes.append(
+            f"mu: {mu:g} not used but 1, as the program that wrote this file does (rename "
+            "model_name to name to have it used)"
+        )
+        return 1.0
+    return mu
 
 
 def _tire(model, axle, values):
@@ -241,9 +308,3 @@ def _tire(model, axle, values):
     except ParameterError as error:
         where = "front tire" if axle == "f" else "rear tire"
         raise ParameterError(f"{where} ({', '.join(keys)}): {error}") from None
-
-
-def _known():
-    tires = [keys for model in _TIRE_KEYS.values() for keys in model("f") + model("r")]
-    names = ["name", *_REQUIRED, "l_wb", "tire_model", *sum(tires, ()), *_LIMITS]
-    return ", ".join([*names, "a_min", "tau_steer", *_SYNONYMS])

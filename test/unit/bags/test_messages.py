@@ -42,15 +42,16 @@ def test_md5_sums_are_those_of_the_definitions(types, name):
 @settings(deadline=None)
 def test_odometry_round_trip(x, y, psi, v_x, v_y, yaw_rate, frame):
     data = msg.encode_odometry(7, STAMP, frame, "base_link", x, y, psi, v_x, v_y, yaw_rate)
-    stamp, x_2, y_2, psi_2, *twist = one(msg.decode_odometry, data)
+    stamp, x_2, y_2, psi_2, length, *twist = one(msg.decode_odometry, data)
     assert (stamp, x_2, y_2, twist) == (STAMP, x, y, [v_x, v_y, yaw_rate])
+    assert length == pytest.approx(1.0)
     assert math.cos(psi_2 - psi) == pytest.approx(1.0, abs=1e-12)
 
 
 @given(FINITE, FINITE, ANGLE)
 @settings(deadline=None)
 def test_pose_round_trip(x, y, psi):
-    stamp, x_2, y_2, psi_2, *twist = one(
+    stamp, x_2, y_2, psi_2, _, *twist = one(
         msg.decode_pose, msg.encode_pose(0, STAMP, "map", x, y, psi)
     )
     assert (stamp, x_2, y_2) == (STAMP, x, y)
@@ -92,7 +93,7 @@ def test_odometry_of_a_general_serializer_is_decoded(types):
         twist=kind["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=covariance),
     )
     data = bytes(types.serialize_ros1(odometry, ros(msg.ODOMETRY)))
-    assert one(msg.decode_odometry, data) == (5000000006, 1.0, 2.0, math.pi, 4.0, 5.0, 9.0)
+    assert one(msg.decode_odometry, data) == (5000000006, 1.0, 2.0, math.pi, 1.0, 4.0, 5.0, 9.0)
     assert msg.decode_header(data)[:2] == (5000000006, "map")
     stamped = kind[ros(msg.POSE_COVARIANCE)](header=header, pose=odometry.pose)
     data = bytes(types.serialize_ros1(stamped, ros(msg.POSE_COVARIANCE)))
@@ -147,7 +148,7 @@ def test_messages_of_different_layouts_keep_their_places():
     np.testing.assert_array_equal(values[:, 0], index)
     np.testing.assert_array_equal(values[:, 1], 10.0 + index)
     np.testing.assert_allclose(values[:, 2], 0.1 * index)
-    np.testing.assert_array_equal(values[:, 3], 20.0 + index)
+    np.testing.assert_array_equal(values[:, 4], 20.0 + index)
 
 
 @pytest.mark.parametrize("decode", [msg.decode_odometry, msg.decode_pose, msg.decode_drive])
@@ -180,3 +181,19 @@ def test_float64_has_a_value_and_no_stamp():
     assert stamps.tolist() == [0, 0, 0] and good.tolist() == [True, False, True]
     assert values[good].tolist() == [[0.25], [-1.5]]
     assert msg.decode_float64([])[1].shape == (0, 1)
+
+
+@settings(deadline=None)
+@given(ANGLE, st.floats(0.2, 20.0))
+def test_the_length_of_a_quaternion_does_not_turn_the_car(psi, length):
+    data = bytearray(msg.encode_pose(0, STAMP, "map", 1.0, 2.0, psi))
+    z, w = length * math.sin(0.5 * psi), length * math.cos(0.5 * psi)
+    data[-16:] = struct.pack("<2d", z, w)
+    _, _, _, found, measured, *_ = one(msg.decode_pose, bytes(data))
+    assert math.remainder(found - psi, math.tau) == pytest.approx(0.0, abs=1e-9)
+    assert measured == pytest.approx(length)
+
+
+def test_a_quaternion_of_zeros_is_no_heading():
+    data = msg.encode_pose(0, STAMP, "map", 1.0, 2.0, 0.5)[:-16] + bytes(16)
+    assert math.isnan(one(msg.decode_pose, data)[3])

@@ -155,7 +155,10 @@ def test_refusals(tmp_path, refused, capsys):
     capsys.readouterr()
     for arguments, expected in (
         ((tmp_path / "none.bag", *good), "no such file, nor one of the shipped recordings"),
-        ((bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"), "expected a vehicle file (.yaml)"),
+        (
+            (bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"),
+            "expected a vehicle file (.yaml)",
+        ),
         ((bag, "--vehicle", "nowhere", "--output", tmp_path / "a.yaml"), "nowhere"),
         ((bag, *good, "--servo-topic", "/servo"), "/servo: expected messages"),
         ((bag, *good, "--servo-topic", "/servo", "--servo-gain", "0"), "--servo-gain"),

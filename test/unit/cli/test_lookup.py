@@ -35,6 +35,29 @@ def test_a_table_may_differ_from_its_vehicle_as_much_as_tires_do(tmp_path, refus
             assert "not a table of NUC4: off by 0.1" in refused(*check)
 
 
+def test_a_published_table_checks_against_its_model_file_as_it_comes(tmp_path, capsys):
+    """The table's program does not use the mu of the file, and leaves its corner cell as it was."""
+    model = (
+        "{C_0d: 0.5, C_R: 3.7, C_Pf: [4.8, 2.16, 0.65, 0.37], C_Pr: [20.0, 1.5, 0.62, 0.0], "
+        "I_z: 0.058, h_cg: 0.014, l_f: 0.162, l_r: 0.145, m: 3.54, MODEL, mu: MU}"
+    )
+    table = tmp_path / "NUC7_pacejka_lookup_table.csv"
+    for name, mu in (("name: own", "1"), ("model_name: NUC7", "0.95")):
+        path = tmp_path / "NUC7_pacejka.txt"
+        path.write_text(model.replace("MODEL", name).replace("MU", mu))
+        arguments = ["--vehicle", str(path), "--output", str(table), "--published-grid"]
+        if mu == "1":
+            assert main(["lookup", "generate", *arguments]) == 0
+            (tmp_path / "NUC7_pacejka_lookup_table.meta.yaml").unlink()
+            table.write_text(table.read_text().replace("0.0", "6.9e-310", 1))
+    capsys.readouterr()
+    assert main(["lookup", "check", str(table), "--vehicle", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "largest difference 0.00e+00" in out
+    assert f"{path}: mu: 0.95 not used but 1" in out
+    assert f"{path}: keys not used: C_0d, C_R" in out
+
+
 def test_table_is_drawn(tmp_path):
     arguments = ["--vehicle", "sim", "--output", str(tmp_path / "t.csv"), "--v-max", "8"]
     plots = tmp_path / "plots"

@@ -7,8 +7,14 @@ import pytest
 import yaml
 
 from map_racing.control.guidance import LookaheadLaw
-from map_racing.control.parameters import ControllerParameters, load_controller_parameters
-from map_racing.errors import FileFormatError, ParameterError
+from map_racing.control.parameters import (
+    ControllerParameters,
+    load_controller_parameters,
+    load_safety_limits,
+    save_controller_parameters,
+)
+from map_racing.control.safety import SafetyLimits
+from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.resources import find_config, list_config
 
 NUMBERS = [
@@ -20,6 +26,9 @@ NUMBERS = [
     "speed_lookahead_s",
     "speed_scale",
     "v_max_mps",
+    "grip_use",
+    "a_drive_max_mps2",
+    "a_brake_max_mps2",
 ]
 
 
@@ -63,7 +72,9 @@ def test_compensation_is_on_by_default_and_off_as_published(name, steering_map):
     paper = load_controller_parameters(name + "_paper")
     assert paper.steering_map == steering_map
     assert paper.delay_s == paper.speed_lookahead_s == 0.0
-    assert paper.speed_source == "command"
+    assert paper.speed_source == "command" and paper.eta_from == "heading"
+    assert paper.curvature_feedforward == paper.yaw_rate_gain_s == 0.0
+    assert paper.table_v_max_mps == 7.0
 
 
 def test_a_file_reads_back(tmp_path):
@@ -121,7 +132,9 @@ def test_an_empty_value_is_refused_by_name(tmp_path, name):
     assert f"{name}: expected a finite number, got None" in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["steering_map", "speed_source", "reference_point"])
+@pytest.mark.parametrize(
+    "name", ["steering_map", "speed_source", "eta_from", "lookahead_from", "reference_point"]
+)
 @pytest.mark.parametrize("value", ["Table", "", 1, ["table"], {"a": 1}])
 def test_choices_are_refused_with_what_there_is(tmp_path, name, value):
     message = refusal(written(tmp_path, **{name: value}))
@@ -136,6 +149,11 @@ def test_choices_are_refused_with_what_there_is(tmp_path, name, value):
         {"speed_scale": -1e-9},
         {"v_max_mps": 0.0},
         {"v_max_mps": -3.0},
+        {"table_v_max_mps": 0.0},
+        {"curvature_feedforward": 1.1},
+        {"curvature_feedforward": -0.1},
+        {"yaw_rate_gain_s": -0.01},
+        {"yaw_rate_gain_s": 0.6},
         {"lookahead_min_m": 0.0},
         {"lookahead_min_m": -0.5},
         {"lookahead_max_m": 0.2},
@@ -165,3 +183,54 @@ def test_unknown_files_and_broken_ones_are_refused(tmp_path):
     path.write_text("steering_map: [table\n")
     with pytest.raises(FileFormatError, match=r"broken\.yaml:"):
         load_controller_parameters(path)
+
+
+# -- saved ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", list_config("controllers"))
+def test_saved_parameters_are_read_back(tmp_path, name):
+    parameters = load_controller_parameters(name).with_(q_s=0.1234567890123, v_max_mps=7)
+    path = tmp_path / "tuned.yaml"
+    save_controller_parameters(parameters, path)
+    assert load_controller_parameters(path) == parameters
+    assert [file.name for file in tmp_path.iterdir()] == ["tuned.yaml"]
+
+
+def test_safety_limits_are_saved_and_read_back(tmp_path):
+    limits = SafetyLimits(max_deviation_m=0.7, recovery_s=1.5)
+    path = tmp_path / "tuned.yaml"
+    save_controller_parameters(load_controller_parameters("map"), path, limits)
+    assert load_controller_parameters(path) == load_controller_parameters("map")
+    assert load_safety_limits(path) == limits
+    assert load_safety_limits("map") == SafetyLimits()
+
+
+@pytest.mark.parametrize(
+    "safety, text",
+    [
+        ("[1, 2]", "tuned.yaml: safety: expected names and values"),
+        ("{max_age: 1.0}", "tuned.yaml: safety: unknown parameter max_age"),
+        ("{recovery_s: 0.01}", "tuned.yaml: safety: recovery_s: expected 0.15 or more, got 0.01"),
+    ],
+)
+def test_safety_limits_that_cannot_be(tmp_path, safety, text):
+    path = tmp_path / "tuned.yaml"
+    save_controller_parameters(load_controller_parameters("map"), path)
+    path.write_text(f"{path.read_text()}safety: {safety}\n")
+    with pytest.raises(MapRacingError, match=text):
+        load_safety_limits(path)
+
+
+def test_a_file_is_replaced_whole(tmp_path):
+    path = tmp_path / "tuned.yaml"
+    path.write_text("longer than before\n" * 100)
+    save_controller_parameters(ControllerParameters("table", 0.2, 0.1), path)
+    assert load_controller_parameters(path).q_s == 0.1
+
+
+def test_what_cannot_be_written_is_said_in_one_line(tmp_path):
+    with pytest.raises(MapRacingError, match="cannot write"):
+        save_controller_parameters(
+            ControllerParameters("table", 0.2, 0.1), tmp_path / "no" / "folder.yaml"
+        )

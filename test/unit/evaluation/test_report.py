@@ -45,7 +45,7 @@ def test_csv(tmp_path, results):
     assert list(table["valid"]) == [False, True, True, False, False]
     assert table["lap_time_s"][1] == pytest.approx(results[0].laps[1].lap_time_s, abs=1e-12)
     assert math.isnan(table["lap_time_s"][0])
-    assert list(table.columns[-3:]) == ["sector_1_s", "sector_2_s", "sector_3_s"]
+    assert list(table.columns[-4:]) == ["sector_1_s", "sector_2_s", "sector_3_s", "warnings"]
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -7,7 +7,6 @@ from matplotlib import pyplot
 from map_racing.bags.samples import Recording
 from map_racing.errors import EvaluationError, MapRacingError, ParameterError
 from map_racing.evaluation.laps import LapEvaluator, evaluate
-from map_racing.plots.lookup import plot_lookup_curves, plot_lookup_surface
 from map_racing.plots.runs import plot_boxes, plot_laps, plot_path
 from map_racing.plots.style import save
 
@@ -81,20 +80,6 @@ def test_boxes(tmp_path, result):
     assert names == ["pure pursuit", "MAP"]
     save(figure, tmp_path / "boxes.png")
     assert is_png(tmp_path / "boxes.png")
-
-
-def test_lookup_table(tmp_path):
-    speeds, angles = np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.4, 15)
-    a_lat = np.minimum(7.0, speeds**2 * np.tan(angles)[:, None] / 0.33)
-    a_lat[12:, 15:] = math.nan
-    for name, plot in (
-        ("surface", plot_lookup_surface),
-        ("curves", plot_lookup_curves),
-    ):
-        save(plot(speeds, angles, a_lat), tmp_path / f"{name}.png")
-        assert is_png(tmp_path / f"{name}.png")
-        with pytest.raises(ParameterError, match="15 angles x 20 speeds"):
-            plot(speeds, angles, a_lat.T)
 
 
 def test_errors(tmp_path, result, driven, track):

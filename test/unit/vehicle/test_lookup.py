@@ -309,7 +309,6 @@ def test_a_table_without_provenance_does_not_inherit_an_old_one(tmp_path):
         ("0,1,2\n0.1,1\n", "table.csv:2: expected 3 columns, got 2"),
         ("0,1,2\n0.1,1,2\n\n0.2,x,4\n", "table.csv:4: column 2: expected a number, got 'x'"),
         ("0;1;2\n0.1;1;2\n", "table.csv: expected comma-separated speeds, then rows"),
-        ("3,1,2\n0.1,1,2\n", "table.csv:1: expected 0 in the first cell, got 3"),
         ("0,2,1\n0.1,1,2\n", "speeds: expected ascending values, got 2 before 1"),
         ("0,1\n0.2,1\n0.1,2\n", "angles: expected ascending values, got 0.2 before 0.1"),
         ("0,1\n0.1,inf\n", "a_lat: expected finite values or NaN"),
@@ -371,3 +370,19 @@ def test_cells_that_give_no_wheelbase_are_no_table():
         with pytest.raises(ParameterError, match="^a_lat: expected cells .*wheelb"):
             one_column(impossible)
     assert one_column(9.5).l_wb == pytest.approx(9.5)
+
+
+@pytest.mark.parametrize(
+    "cell", ["6.934876035770011697e-310", "nan", "-inf", "1e300", "", "3", "v"]
+)
+def test_the_corner_cell_means_nothing(tmp_path, cell):
+    """In published tables it is uninitialized memory."""
+    (tmp_path / "t.csv").write_text(f"{cell},1,2\n0,0,0\n0.1,1,3\n0.2,2,nan\n")
+    table = load_table(tmp_path / "t.csv")
+    assert table.speeds.tolist() == [1.0, 2.0] and table.angles.tolist() == [0.0, 0.1, 0.2]
+    assert table.steering(1.0, 1.0)[0] == pytest.approx(0.1)
+
+
+def test_a_published_table_with_a_junk_corner(shared_data):
+    table = load_table(shared_data / "vehicles" / "NUC5_glc_pacejka_lookup_table.csv")
+    assert table.a_lat.shape == (60, 65) and table.l_wb == pytest.approx(0.32, abs=1e-4)

@@ -469,6 +469,7 @@ REAL = {
     "tracks/circle/global_waypoints.json.gz": ("heading-x", 1),
     "tracks/circle/global_waypoints.json.gz#global_traj_wpnts_sp": ("heading-x", 1),
 }
+OTHER_CIRCUITS = tuple(f"tracks/{name}/" for name in MAPS[1:])
 
 
 @pytest.mark.parametrize("source", REAL)
@@ -491,9 +492,9 @@ def test_real_files_are_read_right(shared_data, tmp_path, source):
         zero = 0.0 if heading == "heading-x" else 0.5 * math.pi
         off = np.abs(wrap(table.columns["psi"][rows] + zero - at.psi))
         assert np.percentile(off, 95) < 0.02
-    # And they go through every format that can hold them, unmoved.
+    # And they go through every format that can hold them, unmoved; circuits are all alike there.
     track = driven_columns(table)
-    for form in FORMATS:
+    for form in () if source.startswith(OTHER_CIRCUITS) else FORMATS:
         if line.speed is None and form in ("tum", "racetracks"):
             continue
         if line.d_left is None and form == "centerline":

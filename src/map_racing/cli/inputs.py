@@ -1,0 +1,30 @@
+"""Inputs that several commands read, with what there is to say about them."""
+
+from __future__ import annotations
+
+from ..vehicle.parameters import Vehicle, load_vehicle
+
+__all__ = ["read_vehicle"]
+
+
+def read_vehicle(source: str) -> Vehicle:
+    """Load a car and print the notes on its file.
+
+    Parameters
+    ----------
+    source : str
+        See `load_vehicle`.
+
+    Returns
+    -------
+    Vehicle
+
+    Raises
+    ------
+    FileFormatError, ParameterError
+        If it cannot be read.
+    """
+    vehicle = load_vehicle(source)
+    for note in vehicle.notes:
+        print(f"{source}: {note}")
+    return vehicle
