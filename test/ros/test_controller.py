@@ -238,7 +238,7 @@ def test_speeds_within_the_grip_are_told_published_driven_and_changed(rig, liste
     told(rig, "reconfigure rejected: grip_use: expected 0 (off) or 0.1 to 1.2")
     assert rig.node.output.count("grip_use 0.5: ") == 1 and len(driven) == 2
     client.update_configuration({"grip_use": 0.0})
-    told(rig, "grip_use 0: speeds are the raceline's, whatever the grip")
+    told(rig, "grip_use 0: the speeds are the raceline's, whatever the grip")
     wait_for(lambda: len(driven) == 3, what="the raceline's speeds")
     assert driven[-1].wpnts[50].vx_mps == pytest.approx(raceline.speed_at(driven[-1].wpnts[50].s_m))
 
