@@ -80,9 +80,9 @@ def add_race_options(parser):
     parser.add_argument(
         "--no-tuning",
         action="store_true",
-        help="race all controllers as shipped; those as published then have the lookahead of the "
+        help="race all controllers as shipped; the published ones have the lookahead of the "
         "authors' code",
     )
     parser.add_argument(
-        "--bags", action="store_true", help="also keep the races of the tables as bags"
+        "--bags", action="store_true", help="also write the races of the tables as bags"
     )
