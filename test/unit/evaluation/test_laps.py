@@ -490,14 +490,29 @@ def test_commands_are_held(drive, line):
 
 def test_commands_that_begin_later_or_never(drive, line):
     t, x, y = drive(12.0)
-    none, late = np.zeros(0), np.array([7.0])
-    for commands in (Commands(none, none, none), Commands(late, np.zeros(1), np.full(1, 4.0))):
+    none, late = np.zeros(0), np.arange(7.0, 12.0)
+    for commands in (Commands(none, none, none), Commands(late, 0.0 * late, 0.0 * late + 4.0)):
         laps = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line).laps
         before = [lap for lap in laps if lap.end_time_s < 7.0]
         assert [lap.speed_reference for lap in before] == ["raceline", "raceline"]
         assert before[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
     assert laps[-1].speed_reference == "command"
     assert laps[-1].rms_speed_error_mps == pytest.approx(2.0)
+
+
+def test_commands_that_end_are_not_held_for_ever(drive, line):
+    """The speed error is of the time with commands, and that is said."""
+    t, x, y = drive(18.0)
+    at = np.arange(0.0, 8.0, 0.025)
+    commands = Commands(at, 0.0 * at, np.where(at < 7.9, 6.0, 1.0))
+    result = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line)
+    assert result.laps[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
+    assert result.laps[3].speed_reference == "raceline"
+    assert result.warnings == [
+        "no drive commands in laps 3: their speed error, if any, is to the raceline",
+        "drive commands are missing for a part of laps 2: their speed error and steering rate are "
+        "of the rest",
+    ]
 
 
 def test_car_that_drove_elsewhere(drive, line):
