@@ -232,7 +232,7 @@ def test_a_raceline_without_speeds_needs_grip_use():
     with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         subject.parameters = LIMITED.with_(grip_use=0.0)
     assert subject.parameters == LIMITED
-    with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):
+    with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         Controller(LIMITED.with_(grip_use=0.0), TABLE, NUC4, bare)
 
 
