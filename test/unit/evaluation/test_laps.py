@@ -293,7 +293,11 @@ def test_off_track(drive, track, line):
 @pytest.mark.parametrize("beyond, counts", [(-0.1, True), (0.1, False)])
 @pytest.mark.parametrize(
     "limit, fault",
-    [("max_gap", "gap"), ("max_reverse", "reverse"), ("no walls", "off track by 0.10 m")],
+    [
+        ("max_gap", "gap of 0.38 s"),
+        ("max_reverse", "reverse of 0.60 m"),
+        ("no walls", "off track by 0.10 m"),
+    ],
 )
 def test_limits_as_documented(drive, track, line, limit, fault, beyond, counts):
     """A gap of 0.25 s, falling back by 0.5 m, and 2 m off a track without walls."""
@@ -389,7 +393,8 @@ def test_samples_that_cannot_be_used_are_passed_over(drive, line):
     for i, row in enumerate(zip(t, x, y)):
         rows.append(row)
         if i % 50 == 0:
-            rows += [row, (row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
+            rows += [row, (row[0], row[1] + 0.2, row[2])]
+            rows += [(row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
             rows += [(math.nan, row[1], row[2]), (row[0] + 0.001, 1e300, 0.0)]
     assert as_bits(run(line, *np.array(rows).T)) == as_bits(expected)
 

@@ -254,7 +254,7 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
             "^angles: expected ascending values, got 0.3 before 0.2",
         ),
         (
-            ([1.0], [-0.1, 0.1], [[1], [2]]),
+            ([1.0], [-0.1, 0.0, 0.1], [[1], [2], [3]]),
             r"angles: expected them within \[0, pi/2\) rad, got -0.1 to 0.1",
         ),
         (([1.0], [0.1, 2.0], [[1], [2]]), r"angles: expected them within .* got 0.1 to 2"),
