@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Clock", "stamps_are_unusable"]
+__all__ = ["LATENCY_NS", "Clock", "stamps_are_unusable"]
+
+LATENCY_NS = 15 * 10**7
+"""Larger differences between the lags of two topics [ns] are no latency."""
 
 _SECOND = 10**9
-# Larger differences between the lags of two topics [ns] are no latency.
-_LATENCY = 15 * 10**7
 # The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
 _FUTURE = 2 * 10**7
 # If the lags spread by more [ns] around their median, the offset of the clocks is not constant.
@@ -79,7 +80,7 @@ class Clock(NamedTuple):
         offset = int(np.median(apart))
         ahead, sound = sorted((np.median(lag), np.median(expected)))
         impossible = ahead < -_FUTURE and abs(sound) <= _FUTURE
-        if abs(offset) <= _LATENCY and not impossible:
+        if abs(offset) <= LATENCY_NS and not impossible:
             return stamps
         steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
         notes.append(

@@ -110,6 +110,10 @@ def _read(path, bag, source, notes):
         if at.size and (at[-1] < times[0] or at[0] > times[-1]):
             when = "before" if at[-1] < times[0] else "after"
             notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")
+    first = waypoints.best()
+    later = waypoints.later.get(first.topic, []) if first else []
+    at = np.array([received for received, _ in later], dtype=np.int64)
+    at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
     return Recording(
         (times - t0_ns) * 1e-9,
         *columns,
@@ -119,7 +123,10 @@ def _read(path, bag, source, notes):
         type=source.type,
         frame=source.frame,
         commands=commands,
-        waypoints=waypoints.best(),
+        waypoints=first,
+        later_waypoints=[
+            (float(t), first._replace(columns=columns)) for t, (_, columns) in zip(at, later)
+        ],
         clock=clock,
         notes=notes,
     )

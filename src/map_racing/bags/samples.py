@@ -87,6 +87,8 @@ class Recording:
         Drive commands of the same recording.
     waypoints : Waypoints, optional
         Raceline in the recording, as it was sent.
+    later_waypoints : list of (float, Waypoints)
+        Other racelines on the same topic, with the times at which they came [s].
     clock : Clock, optional
         Clock of the poses in a bag, to bring further topics to it.
     notes : list of str
@@ -108,6 +110,7 @@ class Recording:
     frame: str = ""
     commands: Commands | None = None
     waypoints: Waypoints | None = None
+    later_waypoints: list[tuple[float, Waypoints]] = field(default_factory=list)
     clock: Clock | None = None
     notes: list[str] = field(default_factory=list)
 

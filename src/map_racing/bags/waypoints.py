@@ -60,7 +60,7 @@ def read_waypoints(path: str | Path, topic: str | None = None) -> Waypoints:
 
 
 class WaypointCollection:
-    """The first non-empty waypoint array on each topic of a bag.
+    """The first non-empty waypoint array on each topic of a bag, and others that follow it.
 
     Arrays of unknown versions are decoded by the definition that the bag carries.
 
@@ -75,7 +75,9 @@ class WaypointCollection:
     connections : dict of int to str
         Topics of waypoint arrays by connection.
     columns : dict of str to dict
-        Columns of the waypoints by topic.
+        Columns of the first waypoints by topic.
+    later : dict of str to list of (int, dict)
+        Times of receipt [ns] and columns of different waypoints that came later, by topic.
     notes : list of str
         What could not be read.
     """
@@ -86,13 +88,17 @@ class WaypointCollection:
             bag, topic, lambda connection: connection.type.rpartition("/")[2] == "WpntArray"
         )
         self.columns: dict[str, dict] = {}
+        self.later: dict[str, list[tuple[int, dict]]] = {}
         self.notes: list[str] = []
+        self._bodies: dict[str, bytes] = {}
 
     def add(self, message: Message) -> None:
         """Add a message of one of the `connections`."""
         topic = self.connections[message.connection]
-        if topic in self.columns:
+        body = message.data[12:]  # without number and stamp
+        if self._bodies.get(topic) == body:
             return
+        self._bodies[topic] = body
         connection = self._bag.connections[message.connection]
         try:
             if connection.md5sum == msg.MD5[msg.WAYPOINTS]:
@@ -101,13 +107,20 @@ class WaypointCollection:
                 fields = _decode_by_definition(connection, message.data)
         except Exception as error:
             # rosbags raises many kinds of errors for invalid definitions and messages.
-            self.notes.append(f"{topic}: cannot decode {connection.type} ({error})")
+            self._say(f"{topic}: cannot decode {connection.type} ({error})")
             return
         columns = {field: fields[field] for field in _FIELDS if field in fields}
         if any(np.any(~(np.abs(column) < FARTHEST)) for column in columns.values()):
-            self.notes.append(f"{topic}: waypoints with impossible values left out")
+            self._say(f"{topic}: waypoints with impossible values left out")
         elif len(columns.get("x_m", ())) and "y_m" in columns:
-            self.columns[topic] = columns
+            if topic not in self.columns:
+                self.columns[topic] = columns
+            else:
+                self.later.setdefault(topic, []).append((message.time_ns, columns))
+
+    def _say(self, note):
+        if note not in self.notes:
+            self.notes.append(note)
 
     def best(self) -> Waypoints | None:
         """Waypoints of the preferred topic, or None."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..errors import MapRacingError, ParameterError
+from ..errors import EvaluationError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
-from ..evaluation.recordings import load_recording, recorded_raceline
+from ..evaluation.recordings import load_recording, recorded_runs
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..files import write_json
 from ..track.files.load import load_raceline
@@ -32,12 +32,13 @@ def run(arguments):
     bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
     for source, name in zip(bar, run_names(arguments.recordings)):
         try:
-            results.append(evaluate_one(source, track, arguments))
+            runs = evaluate_one(source, track, arguments)
         except MapRacingError as error:
             tqdm.write(f"map-racing: {error}", file=sys.stderr)
             failed = 1
             continue
-        names.append(name)
+        results += runs
+        names += [name] if len(runs) == 1 else [f"{name} ({i})" for i in range(1, len(runs) + 1)]
 
     for result in results:
         print(f"{result.source}")
@@ -61,18 +62,30 @@ def run(arguments):
 
 
 def evaluate_one(source, track, arguments):
-    """Laps of one recording on the track given or, without one, on its own."""
+    """Runs of one recording on the track given or, without one, on its own racelines."""
     recording = load_recording(source, arguments.pose_topic, arguments.columns)
-    notes = recording.notes
-    raceline, origin = track, arguments.raceline
-    if track is None:
-        raceline, origin = recorded_raceline(recording), recording.waypoints.topic
-    notes = [*notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
+    if track is not None:
+        return [evaluate_run(recording, track, arguments.raceline, arguments)]
+    results, errors = [], []
+    for part, raceline in recorded_runs(recording):
+        try:
+            results.append(evaluate_run(part, raceline, recording.waypoints.topic, arguments))
+        except EvaluationError as error:
+            errors.append(error)
+    if not results:
+        raise errors[0]
+    said = [f"warning: {error}" for error in errors]
+    return [replace(result, notes=(*result.notes, *said)) for result in results]
+
+
+def evaluate_run(recording, raceline, origin, arguments):
+    """Laps of a recording on a raceline, with a note on where that came from."""
+    notes = [*recording.notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
     if arguments.reverse:
         raceline = raceline.reversed()
         notes = [*notes, "raceline reversed"]
     return evaluate(
-        replace(recording, notes=list(notes)),
+        replace(recording, notes=notes),
         raceline,
         start_s=arguments.start_line,
         car_width=arguments.car_width,

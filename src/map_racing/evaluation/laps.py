@@ -31,7 +31,10 @@ from ..validation import FARTHEST
 from .results import Lap, LapTrace, RunResult, Summary
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 
-__all__ = ["LapEvaluator", "LapLimits", "evaluate"]
+__all__ = ["COMMAND_HOLD_S", "LapEvaluator", "LapLimits", "evaluate"]
+
+COMMAND_HOLD_S = 1.5
+"""An older drive command [s] is not in force: no driver heeds it."""
 
 _NAN = math.nan
 # Shorter stretches [m], [s] are jitter of a car parked on the line.
@@ -410,6 +413,8 @@ def evaluate(
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
     notes = list(recording.notes)
+    if speed_command is not None:
+        notes += _uncommanded(recording.t, speed_command, result.laps)
     if is_odometry_frame(recording.frame):
         notes.append(
             f"warning: {recording.topic} is in frame {recording.frame}, which drifts against the "
@@ -418,6 +423,31 @@ def evaluate(
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
     return replace(result, source=recording.source, notes=tuple(notes))
+
+
+def _uncommanded(t, command, laps):
+    """Warning about complete laps in which there were no commands for a time."""
+    without, partly = [], []
+    for lap in laps:
+        if math.isnan(lap.lap_time_s):
+            continue
+        missing = np.isnan(command[(t >= lap.start_time_s) & (t <= lap.end_time_s)])
+        if missing.all():
+            without.append(str(lap.lap))
+        elif missing.mean() > 0.02:
+            partly.append(str(lap.lap))
+    notes = []
+    if without:
+        notes.append(
+            f"warning: no drive commands in laps {', '.join(without)}: their speed error, if any, "
+            "is to the raceline"
+        )
+    if partly:
+        notes.append(
+            f"warning: drive commands are missing for a part of laps {', '.join(partly)}: their "
+            "speed error and steering rate are of the rest"
+        )
+    return notes
 
 
 def _check_followed(recording, result, progress, max_deviation):
@@ -460,7 +490,10 @@ def _name(raceline):
 def _held(t: np.ndarray, commands: Commands, values: np.ndarray) -> np.ndarray:
     """Command in force at each time, NaN before the first."""
     # Index -1, before the first, is the NaN behind the last.
-    return np.append(values, _NAN)[np.searchsorted(commands.t, t, side="right") - 1]
+    index = np.searchsorted(commands.t, t, side="right") - 1
+    with np.errstate(invalid="ignore"):
+        fresh = t - np.append(commands.t, _NAN)[index] <= COMMAND_HOLD_S
+    return np.where(fresh, np.append(values, _NAN)[index], _NAN)
 
 
 def _driven(x, y):

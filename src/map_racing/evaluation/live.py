@@ -19,10 +19,12 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
+from ..bags.clocks import LATENCY_NS
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
-from .laps import LapEvaluator, LapLimits, check_options
+from .laps import COMMAND_HOLD_S, LapEvaluator, LapLimits, check_options
+from .recordings import same_raceline
 from .report import csv_cells
 from .results import Lap, RunResult
 
@@ -30,6 +32,8 @@ __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 
 # Poses kept while there is no raceline: 30 minutes at 100 Hz.
 _LONGEST_WAIT = 180000
+# Messages whose lags tell whether commands are stamped by another clock.
+_LAGS = 25
 # Past commands are deleted in groups of this size.
 _PASSED = 4096
 
@@ -96,7 +100,9 @@ class _Commands:
     def at(self, stamp_ns):
         """Command in force; later calls must not ask for earlier times."""
         index = bisect_right(self._stamps, stamp_ns) - 1
-        value = self._values[index] if index >= 0 else (math.nan, math.nan)
+        value = (math.nan, math.nan)
+        if index >= 0 and (stamp_ns - self._stamps[index]) * 1e-9 <= COMMAND_HOLD_S:
+            value = self._values[index]
         if index > _PASSED:
             self._forget(index)
         return value
@@ -112,6 +118,25 @@ class _Commands:
 
     def _forget(self, count):
         del self._stamps[:count], self._values[:count]
+
+
+class _CommandClock:
+    """What is to be added to the stamps of commands of another clock than the poses'."""
+
+    def __init__(self):
+        self._poses, self._commands = deque(maxlen=_LAGS), deque(maxlen=_LAGS)
+        self.offset_ns = 0
+
+    def add_pose(self, lag_ns):
+        self._poses.append(lag_ns)
+
+    def on_poses_clock(self, stamp_ns, lag_ns):
+        """Stamp of a command on the clock of the poses."""
+        if self._poses:
+            self._commands.append(lag_ns - self._poses[-1])
+            apart = int(np.median(self._commands))
+            self.offset_ns = apart if abs(apart) > LATENCY_NS else 0
+        return stamp_ns + self.offset_ns
 
 
 class LiveEvaluation:
@@ -172,7 +197,7 @@ class LiveEvaluation:
         self._run = 1
         self._t0_ns = self._last_ns = None
         self._gap_ns = int(round(self._limits.max_gap * 1e9))
-        self._commands = _Commands(self._gap_ns)
+        self._commands, self._clock = _Commands(self._gap_ns), _CommandClock()
         self._reported = 0
         if raceline is not None:
             self.set_raceline(raceline)
@@ -192,14 +217,26 @@ class LiveEvaluation:
     def set_raceline(self, raceline: Raceline) -> None:
         """Evaluate on this raceline from now on; an identical one changes nothing."""
         if self._raceline is not None:
-            if _same(self._raceline, raceline):
+            if same_raceline(self._raceline, raceline):
                 return
             self.finish()
         self._evaluator = LapEvaluator(raceline, **self._options)
         self._raceline = raceline
 
+    @property
+    def command_offset_s(self) -> float:
+        """How far the clock that stamps the commands is behind the poses' [s]; 0: the same."""
+        return self._clock.offset_ns * 1e-9
+
     def add_pose(
-        self, stamp_ns: int, x: float, y: float, v_x: float, v_y: float, received: float
+        self,
+        stamp_ns: int,
+        x: float,
+        y: float,
+        v_x: float,
+        v_y: float,
+        received: float,
+        lag_ns: int = 0,
     ) -> None:
         """Add a pose.
 
@@ -213,14 +250,23 @@ class LiveEvaluation:
             Velocity in the body frame [m/s], NaN where unknown.
         received : float
             Time of arrival on any steady clock [s].
+        lag_ns : int, optional
+            Time of receipt minus stamp [ns].
         """
+        self._clock.add_pose(lag_ns)
         if abs(x) < FARTHEST and abs(y) < FARTHEST:
             # As for a recording; math.hypot differs in the last bit.
             v = float(np.hypot(v_x, 0.0 if math.isnan(v_y) else v_y))
             self._poses.append(_Pose(stamp_ns, x, y, v, received))
 
-    def add_command(self, stamp_ns: int, speed: float, steering_angle: float) -> None:
-        """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad]."""
+    def add_command(
+        self, stamp_ns: int, speed: float, steering_angle: float, lag_ns: int = 0
+    ) -> None:
+        """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad], lag as of poses.
+
+        Where its lag is another than the poses' by more than latency, another clock stamped it.
+        """
+        stamp_ns = self._clock.on_poses_clock(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
 
     def advance(self, now: float) -> None:
@@ -343,11 +389,3 @@ class LapLog:
             os.fsync(self._file.fileno())
         except OSError as error:
             raise MapRacingError(f"{self.path}: cannot write: {error.strerror}") from None
-
-
-def _same(one, other):
-    """Whether two racelines are identical, to the last bit."""
-    return all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for name in ("x", "y", "speed", "d_left", "d_right")
-    )

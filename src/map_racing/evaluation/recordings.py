@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,14 +12,21 @@ import numpy as np
 from ..bags.reader import read_recording
 from ..bags.records import is_bag
 from ..bags.samples import Commands, Recording, in_order, jump_back, usable
-from ..errors import BagError, FileFormatError, ParameterError
+from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
 from ..files import refuse_special
 from ..tables import column_index, read_columns, some_names
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
 from ..track.raceline import Raceline
 
-__all__ = ["load_recording", "parse_columns", "read_csv_recording", "recorded_raceline"]
+__all__ = [
+    "load_recording",
+    "parse_columns",
+    "read_csv_recording",
+    "recorded_raceline",
+    "recorded_runs",
+    "same_raceline",
+]
 
 # Usual names of the columns of a CSV file; the first that is in the file is taken.
 _ALIASES = {
@@ -92,6 +100,70 @@ def recorded_raceline(recording: Recording) -> Raceline:
     if recording.waypoints is None:
         raise BagError(f"{recording.source}: no raceline in it; give one with --raceline")
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
+
+
+def recorded_runs(recording: Recording) -> list[tuple[Recording, Raceline]]:
+    """Runs of a recording: each raceline that was sent begins one, as while the car drives.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    list of (Recording, Raceline)
+        The driving on each raceline; one, of the whole recording, if the raceline did not change.
+
+    Raises
+    ------
+    BagError, RacelineError
+        As `recorded_raceline`.
+    """
+    racelines, notes = [(-math.inf, recorded_raceline(recording))], []
+    for t, waypoints in recording.later_waypoints:
+        try:
+            raceline = raceline_of(table_of_waypoints(recording.source, waypoints))
+        except MapRacingError as error:
+            notes.append(f"warning: the raceline that came at {t:.2f} s is unusable: {error}")
+            continue
+        if not same_raceline(raceline, racelines[-1][1]):
+            racelines.append((t, raceline))
+    ends = [t for t, _ in racelines[1:]] + [math.inf]
+    parts = [
+        (begin, end, raceline)
+        for (begin, raceline), end in zip(racelines, ends)
+        if np.count_nonzero((recording.t >= begin) & (recording.t < end)) > 1
+    ]
+    if len(parts) < 2:
+        raceline = parts[0][2] if parts else racelines[0][1]
+        return [(replace(recording, notes=[*recording.notes, *notes]), raceline)]
+    runs = []
+    for number, (begin, end, raceline) in enumerate(parts, 1):
+        inside = (recording.t >= begin) & (recording.t < end)
+        columns = {
+            name: getattr(recording, name)[inside]
+            for name in ("t", "x", "y", "psi", "v_x", "v_y", "yaw_rate")
+        }
+        said = f"warning: run {number} of {len(parts)}: the raceline was another"
+        said += f" until {begin:.2f} s" if number > 1 else f" from {end:.2f} s on"
+        source = f"{recording.source} (run {number})"
+        runs.append(
+            (
+                replace(
+                    recording, **columns, source=source, notes=[*recording.notes, *notes, said]
+                ),
+                raceline,
+            )
+        )
+    return runs
+
+
+def same_raceline(one: Raceline, other: Raceline) -> bool:
+    """Whether two racelines are identical, to the last bit."""
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("x", "y", "speed", "d_left", "d_right")
+    )
 
 
 def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:

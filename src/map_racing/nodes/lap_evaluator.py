@@ -151,12 +151,13 @@ class LapEvaluatorNode:
         at, velocity = message.pose.pose.position, message.twist.twist.linear
         self._frame = frame(message.header.frame_id) or "map"
         stamp = stamp_ns(message.header, received_ns)
-        self._add(stamp, at.x, at.y, velocity.x, velocity.y, received)
+        self._add(*(stamp, at.x, at.y, velocity.x, velocity.y, received, received_ns - stamp))
 
     def _add_pose(self, message, received_ns, received):
         at = message.pose.position
         self._frame = frame(message.header.frame_id) or "map"
-        self._add(stamp_ns(message.header, received_ns), at.x, at.y, _NAN, _NAN, received)
+        stamp = stamp_ns(message.header, received_ns)
+        self._add(stamp, at.x, at.y, _NAN, _NAN, received, received_ns - stamp)
 
     def _add(self, *sample):
         self._no_poses = ""
@@ -165,10 +166,13 @@ class LapEvaluatorNode:
         self._laps.add_pose(*sample)
 
     def _add_command(self, message, received_ns, _received):
-        drive = message.drive
-        self._laps.add_command(
-            stamp_ns(message.header, received_ns), drive.speed, drive.steering_angle
-        )
+        drive, stamp = message.drive, stamp_ns(message.header, received_ns)
+        self._laps.add_command(stamp, drive.speed, drive.steering_angle, received_ns - stamp)
+        offset = self._laps.command_offset_s
+        if offset:
+            rospy.logwarn_throttle(
+                30.0, f"drive commands are of another clock, {offset:.3f} s behind: shifted"
+            )
 
     # -- output --------------------------------------------------------------------------------
 

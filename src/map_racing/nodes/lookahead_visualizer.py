@@ -1,12 +1,15 @@
 """Node ``lookahead_visualizer``: lookahead, steering, car and trail as markers.
 
 They are drawn from the message ``guidance``; without it, as in replays of other stacks' bags, car
-and trail are drawn from the poses. The raceline is the one on ``global_waypoints``.
+and trail are drawn from the poses. The raceline is the one on ``global_waypoints``, colored by the
+speeds on ``driven_waypoints``.
 """
 
 import math
+import threading
 from collections import deque
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
@@ -24,7 +27,7 @@ from .conversions import frame as plain_frame
 from .conversions import plane_pose, stamp_ns
 from .markers import delete_all, make_marker, points_of, raceline_markers
 from .node import get_parameter, run
-from .waypoints import RacelineSubscriber
+from .waypoints import RacelineSubscriber, waypoint_array_class
 
 __all__ = ["LookaheadVisualizer", "main"]
 
@@ -35,6 +38,8 @@ _TRAIL_LIFETIME = 5.0
 _TRAIL_STEP, _TRAIL_JUMP = 0.05, 2.0
 # Draw the poses after this time without guidance [ns].
 _UNGUIDED_NS = 500000000
+# Racelines whose lengths differ by less than this share are taken for the same one.
+_SAME_LENGTH = 0.01
 _CIRCLE = [2.0 * math.pi * i / 48 for i in range(49)]
 
 LOOKAHEAD_COLOR = (1.0, 0.0, 0.0)
@@ -76,7 +81,8 @@ class LookaheadVisualizer:
         self._l_wb = vehicle.l_wb
         self._trail_length = trail
         self._trail = deque()
-        self._tracker = None
+        self._coloring = threading.Lock()
+        self._tracker = self._shown = self._driven = None
         self._guided_ns = -_UNGUIDED_NS
         self._restart()
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
@@ -84,6 +90,9 @@ class LookaheadVisualizer:
         self._course = rospy.Publisher("course_markers", MarkerArray, queue_size=2, latch=True)
         self._raceline = RacelineSubscriber(
             "global_waypoints", self._draw_raceline, lambda error: rospy.logwarn("%s", error)
+        )
+        rospy.Subscriber(
+            "driven_waypoints", waypoint_array_class()[0], self._receive_driven, queue_size=1
         )
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
         kind, what = (Odometry, _pose_of_odometry) if pose == "odom" else (PoseStamped, _pose)
@@ -143,8 +152,34 @@ class LookaheadVisualizer:
 
     def _draw_raceline(self, raceline):
         self._tracker = RacelineTracker(raceline)
-        rows = waypoint_rows(raceline)
-        self._course.publish(raceline_markers(raceline, rows, self._map))
+        self._shown = raceline
+        self._color_course()
+
+    def _receive_driven(self, message):
+        s = np.array([waypoint.s_m for waypoint in message.wpnts])
+        v = np.array([waypoint.vx_mps for waypoint in message.wpnts])
+        if s.size < 2 or not np.all(np.isfinite(s + v)) or np.any(np.diff(s) <= 0.0):
+            return
+        self._driven = s, v
+        self._color_course()
+
+    def _color_course(self):
+        """Draw the raceline by the speeds that are driven on it, or by its own."""
+        with self._coloring:
+            raceline, speed = self._shown, None
+            if raceline is None:
+                return
+            if self._driven is not None:
+                s, v = self._driven
+                length = s[-1] + s[1] - s[0]
+                # The controller may still follow another one.
+                if abs(length - raceline.length) < _SAME_LENGTH * raceline.length:
+
+                    def speed(at):
+                        return np.interp(at, s, v, period=length)
+
+            rows = waypoint_rows(raceline, speed=speed)
+            self._course.publish(raceline_markers(raceline, rows, self._map))
 
     def _extend_trail(self, x, y, deviation):
         driven = 0.0
@@ -163,85 +198,57 @@ class LookaheadVisualizer:
     def _drawn(self, guidance, frame):
         """Markers of one guidance message."""
         x, y, distance = guidance.x, guidance.y, guidance.lookahead_distance
-
-        circle = make_marker(
-            Marker.LINE_STRIP,
-            "distance",
-            frame,
-            CIRCLE_COLOR,
-            scale=(0.02, 0.0, 0.0),
-            lifetime=_LIFETIME,
-        )
-        circle.points = points_of(
-            ((x + distance * math.cos(a), y + distance * math.sin(a)) for a in _CIRCLE), 0.02
-        )
-        yield circle
-
-        arc = make_marker(
-            Marker.LINE_STRIP,
-            "arc",
-            frame,
-            LABEL_COLOR if guidance.saturated else ARC_COLOR,
-            scale=(0.05, 0.0, 0.0),
-            lifetime=_LIFETIME,
-        )
-        arc.points = points_of(
-            arc_to(x, y, guidance.lookahead_x, guidance.lookahead_y, guidance.eta), 0.04
-        )
-        yield arc
-
-        steering = make_marker(
-            Marker.ARROW,
-            "steering",
-            self._base,
-            STEERING_COLOR,
-            scale=(0.6, 0.05, 0.05),
-            lifetime=_LIFETIME,
-        )
-        steering.frame_locked = True
-        steering.pose.position.x, steering.pose.position.z = self._l_wb, self._size[2]
-        half = 0.5 * guidance.steering_angle
-        steering.pose.orientation.z, steering.pose.orientation.w = math.sin(half), math.cos(half)
-        yield steering
+        around = ((x + distance * math.cos(a), y + distance * math.sin(a)) for a in _CIRCLE)
+        arc = arc_to(x, y, guidance.lookahead_x, guidance.lookahead_y, guidance.eta)
+        arc_color = LABEL_COLOR if guidance.saturated else ARC_COLOR
+        yield _line("distance", frame, CIRCLE_COLOR, 0.02, points_of(around, 0.02))
+        yield _line("arc", frame, arc_color, 0.05, points_of(arc, 0.04))
+        yield self._drawn_steering(guidance.steering_angle)
         yield self._drawn_car()
-
-        label = make_marker(
-            Marker.TEXT_VIEW_FACING,
-            "label",
-            frame,
-            LABEL_COLOR,
-            scale=(0.0, 0.0, 0.3),
-            lifetime=_LIFETIME,
-        )
-        label.text = _label(guidance)
-        # Beside the circle, where it hides nothing.
-        label.pose.position.x, label.pose.position.y = x, y + distance + 0.3
-        label.pose.position.z = 0.3
-        if not label.text:
+        # The label is beside the circle, where it hides nothing.
+        size, text = (0.0, 0.0, 0.3), _label(guidance)
+        label = _marker(Marker.TEXT_VIEW_FACING, "label", frame, LABEL_COLOR, size)
+        _place(label, x, y + distance + 0.3, 0.3)
+        label.text = text
+        if not text:
             label.action = Marker.DELETE
         yield label
 
+    def _drawn_steering(self, angle):
+        arrow = _marker(Marker.ARROW, "steering", self._base, STEERING_COLOR, (0.6, 0.05, 0.05))
+        arrow.frame_locked = True
+        _place(arrow, self._l_wb, 0.0, self._size[2])
+        q = arrow.pose.orientation
+        q.z, q.w = math.sin(0.5 * angle), math.cos(0.5 * angle)
+        return arrow
+
     def _drawn_car(self):
-        car = make_marker(
-            Marker.CUBE, "car", self._base, CAR_COLOR, scale=self._size, lifetime=_LIFETIME
-        )
+        car = _marker(Marker.CUBE, "car", self._base, CAR_COLOR, self._size)
         car.frame_locked = True
-        car.pose.position.x, car.pose.position.z = 0.5 * self._l_wb, 0.5 * self._size[2]
+        _place(car, 0.5 * self._l_wb, 0.0, 0.5 * self._size[2])
         return car
 
     def _drawn_trail(self, frame):
-        trail = make_marker(
-            Marker.LINE_STRIP,
-            "trail",
-            frame,
-            CAR_COLOR,
-            # Broad and beneath the raceline, so that both are seen where they coincide.
-            scale=(0.14, 0.0, 0.0),
-            lifetime=_TRAIL_LIFETIME,
-        )
-        trail.points = points_of((x, y) for x, y, _, _ in self._trail)
+        points = points_of((x, y) for x, y, _, _ in self._trail)
+        # Broad and beneath the raceline, so that both are visible where they coincide.
+        trail = _line("trail", frame, CAR_COLOR, 0.14, points, _TRAIL_LIFETIME)
         trail.colors = [error_color(error / self._error) for _, _, error, _ in self._trail]
         return trail
+
+
+def _marker(kind, namespace, frame, color, scale, lifetime=_LIFETIME):
+    return make_marker(kind, namespace, frame, color, scale=scale, lifetime=lifetime)
+
+
+def _line(namespace, frame, color, width, points, lifetime=_LIFETIME):
+    line = _marker(Marker.LINE_STRIP, namespace, frame, color, (width, 0.0, 0.0), lifetime)
+    line.points = points
+    return line
+
+
+def _place(marker, x, y, z):
+    at = marker.pose.position
+    at.x, at.y, at.z = x, y, z
 
 
 def _pose(message):
@@ -253,17 +260,9 @@ def _pose_of_odometry(message):
 
 
 def _lookahead_point(guidance, frame):
-    point = make_marker(
-        Marker.SPHERE,
-        "lookahead",
-        frame,
-        LOOKAHEAD_COLOR,
-        scale=(0.15, 0.15, 0.15),
-        lifetime=_LIFETIME,
-    )
-    point.pose.position.x, point.pose.position.y = guidance.lookahead_x, guidance.lookahead_y
+    point = _marker(Marker.SPHERE, "lookahead", frame, LOOKAHEAD_COLOR, (0.15, 0.15, 0.15))
     # Above the steering arrow, which often points at it.
-    point.pose.position.z = 0.3
+    _place(point, guidance.lookahead_x, guidance.lookahead_y, 0.3)
     return point
 
 

@@ -75,22 +75,24 @@ class SimulatorNode:
         self._collision.publish(False)
         self._collided = False
 
-        # Wall time at simulated time 0; in real time the stamps count from here, too.
-        self._rate = self._clock_rate or 1.0
-        if self._clock_rate:
-            self._clock = rospy.Publisher("/clock", Clock, queue_size=100, tcp_nodelay=True)
-            self._origin_ns = SECOND
-            self._wall_origin = time.monotonic()
-        else:
-            self._clock = None
-            self._wall_origin = time.monotonic()
-            self._origin_ns = time.time_ns()
+        self._start_clock()
         self._drive = rospy.Subscriber(
             "drive", AckermannDriveStamped, self._on_drive, queue_size=10, tcp_nodelay=True
         )
         rospy.Subscriber("initialpose", PoseWithCovarianceStamped, self._on_initial_pose)
 
     # -- time ----------------------------------------------------------------------------------
+
+    def _start_clock(self):
+        # Wall time at simulated time 0; in real time stamps count from here as well.
+        self._rate = self._clock_rate or 1.0
+        self._wall_origin = time.monotonic()
+        if self._clock_rate:
+            self._clock = rospy.Publisher("/clock", Clock, queue_size=100, tcp_nodelay=True)
+            self._origin_ns = SECOND
+        else:
+            self._clock = None
+            self._origin_ns = time.time_ns()
 
     def run(self):
         """Simulate until the node is shut down."""

@@ -24,6 +24,8 @@ __all__ = ["track_from_map"]
 
 # Islands up to this share of the size of the largest are obstacles on the track.
 _OBSTACLE = 1.0 / 3.0
+# Jump of the distance to a wall, relative to the usual one, beside a gap.
+_JUMP = 1.0
 # The centerline is smoothed over this share of the width of the track.
 _SMOOTHED = 0.15
 
@@ -89,6 +91,7 @@ def track_from_map(
         raise ParameterError(_bad_start(image, start, labels, distance, passage, row, column))
     ring = labels == labels[row, column]
 
+    _check_not_cut(image, ring, distance, (row, column), passage)
     inner, outer, more = _two_sides(image, ring, passage)
     findings += more
     # On the centerline the distances to both sides are equal.
@@ -160,6 +163,50 @@ def _bad_start(image, start, labels, distance, passage, row, column):
     else:
         reason = f"is {distance[row, column]:.2f} m from a wall, less than {0.5 * passage:.2f} m"
     return f"{where} {reason}; the nearest place to start from is ({x:.2f}, {y:.2f})"
+
+
+def _check_not_cut(image, ring, distance, start, passage):
+    """Refuse a passage so wide that the track itself is closed somewhere."""
+    if _encloses(ring):
+        return
+    # The widest passage, to a cell, at which the way around is open.
+    low, high = 0.0, passage
+    if not _encloses(_around(distance > 0.0, start)):
+        return
+    while high - low > 0.5 * image.resolution:
+        middle = 0.5 * (low + high)
+        opened = _encloses(_around(distance >= 0.5 * middle, start))
+        low, high = (middle, high) if opened else (low, middle)
+    row, column = _narrowest(_around(distance >= 0.5 * low, start))
+    x, y = image.to_world([[column - 1, row - 1]])[0]
+    raise RacelineError(
+        f"{image.source}: passages narrower than {passage:.2f} m are closed, and that closes the "
+        f"track itself, which is {low:.2f} m wide near ({x:.2f}, {y:.2f}): choose a passage below "
+        f"that (--passage {math.floor(20.0 * low) / 20.0:.2f}; a car must still fit)"
+    )
+
+
+def _around(room, start):
+    """The connected part of the room around a cell; empty if that is not in it."""
+    labels, _ = ndimage.label(room)
+    return (labels == labels[start]) & (labels[start] > 0)
+
+
+def _narrowest(ring):
+    """The cell of a ring where its two sides are closest."""
+    labels, _ = ndimage.label(~ring, structure=np.ones((3, 3)))
+    outside = labels[0, 0]
+    sizes = np.bincount(labels.ravel())
+    sizes[[0, outside]] = 0
+    apart = sum(
+        ndimage.distance_transform_edt(labels != side) for side in (outside, np.argmax(sizes))
+    )
+    return np.unravel_index(np.argmin(np.where(ring, apart, np.inf)), ring.shape)
+
+
+def _encloses(ring):
+    """Whether there are cells inside of a region."""
+    return ndimage.label(~ring, structure=np.ones((3, 3)))[1] > 1
 
 
 def _two_sides(image, ring, passage):
@@ -301,7 +348,11 @@ def _as_driven(line, start, psi):
 
 
 def _without_openings(widths, line):
-    """Widths without deep short openings, gaps in a wall; position and depth of each opening."""
+    """Widths without deep short openings, gaps in a wall; position and depth of each opening.
+
+    In the corner of a room the width changes from point to point by little more than the points are
+    apart; beside a gap it jumps.
+    """
     window = max(3, int(round(float(np.median(widths[0] + widths[1])) / line.ds)) | 1)
     window = min(window, line.n // 4 * 2 + 1)
     result, openings = [], []
@@ -311,6 +362,12 @@ def _without_openings(widths, line):
         labels, _ = ndimage.label(deep)
         for k in range(1, labels.max() + 1):
             i = int(np.flatnonzero(labels == k)[np.argmax(width[labels == k])])
+            beside = ndimage.binary_dilation(labels == k, iterations=2)
+            if np.max(np.abs(np.diff(width))[beside[1:] & beside[:-1]]) < _JUMP * float(
+                np.median(width)
+            ):
+                deep[labels == k] = False
+                continue
             x, y = line.to_cartesian(line.s[i], side * closed[i])
             openings.append((float(x), float(y), float(width[i] - closed[i])))
         result.append(np.where(deep, closed, width))

@@ -10,12 +10,12 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..files import read_yaml_mapping
-from .findings import WARNING, Finding
+from .findings import NOTE, WARNING, Finding
 
 __all__ = ["MapImage", "read_map_image"]
 
-# What map_saver writes for unknown cells.
-_UNSEEN = 205
+# What map_saver writes for unknown cells, and the threshold that it writes beside.
+_UNSEEN, _SAVERS_FREE = 205, 0.196
 # Larger images are refused: Pillow would read them and use all memory.
 _MOST_PIXELS = 100_000_000
 
@@ -87,13 +87,11 @@ def read_map_image(path: str | Path) -> MapImage:
     if not isinstance(origin, list) or len(origin) != 3:
         raise FileFormatError(f"{path}: origin: expected [x, y, yaw], got {origin!r}")
     origin = tuple(_number(path, {"origin": value}, "origin") for value in origin)
-    free_below = _number(path, content, "free_thresh", 0.196)
+    free_below = _number(path, content, "free_thresh", _SAVERS_FREE)
     occupied_above = _number(path, content, "occupied_thresh", 0.65)
-    if not 0.0 <= free_below <= occupied_above <= 1.0:
-        raise FileFormatError(
-            f"{path}: expected 0 <= free_thresh <= occupied_thresh <= 1, got {free_below:g} and "
-            f"{occupied_above:g}"
-        )
+    for key, value in (("free_thresh", free_below), ("occupied_thresh", occupied_above)):
+        if not 0.0 <= value <= 1.0:
+            raise FileFormatError(f"{path}: {key}: expected 0 to 1, got {value:g}")
     negate = content.get("negate", 0)
     if negate not in (0, 1):
         raise FileFormatError(f"{path}: negate: expected 0 or 1, got {negate!r}")
@@ -107,17 +105,30 @@ def read_map_image(path: str | Path) -> MapImage:
 
     # The rule of map_server: the darker a cell, the more likely it is occupied.
     occupied = gray / 255.0 if negate else (255.0 - gray) / 255.0
-    free = occupied < free_below
-    findings = ()
-    unseen = gray == _UNSEEN
-    if not negate and (free & unseen).any() and np.isin(gray, (0, _UNSEEN, 254, 255)).all():
-        free &= ~unseen
+    free, findings = (occupied < free_below) & (occupied <= occupied_above), []
+    if occupied_above < free_below:
         text = (
-            f"free_thresh {free_below:g} would free the {int(unseen.sum())} cells that map_saver "
-            f"wrote as unknown (gray {_UNSEEN}): taken as unknown"
+            f"occupied_thresh {occupied_above:g} is below free_thresh {free_below:g}: cells up to "
+            f"{occupied_above:g} are free and all others occupied, as in map_server"
         )
-        findings = (Finding("unknown-cells", WARNING, text),)
-    return MapImage(free[::-1], resolution, origin, str(path), findings)
+        findings.append(Finding("thresholds", NOTE, text))
+    unseen = int(np.sum(free & (gray == _UNSEEN)))
+    # A map of map_saver, in which some cells may have been painted since.
+    painted = int(np.sum((gray > 0) & (gray < 254) & (gray != _UNSEEN)))
+    if not negate and unseen > painted:
+        free &= occupied < _SAVERS_FREE
+        text = (
+            f"free_thresh {free_below:g} would free the {unseen} cells that map_saver wrote as "
+            f"unknown (gray {_UNSEEN}): taken as unknown"
+        )
+        findings.append(Finding("unknown-cells", WARNING, text))
+    if origin[2] != 0.0:
+        text = (
+            f"the map is turned by the yaw of its origin, {origin[2]:g} rad, as map_server says; a "
+            "line made by a program that ignores it does not fit"
+        )
+        findings.append(Finding("origin-yaw", NOTE, text))
+    return MapImage(free[::-1], resolution, origin, str(path), tuple(findings))
 
 
 def _number(path, content, key, default=None):

@@ -8,8 +8,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.cli.evaluate import run_names
+from map_racing.track.files.waypoints import waypoint_rows
 
 
 def test_evaluate_writes_what_it_prints(bags, tmp_path, capsys):
@@ -157,3 +159,24 @@ def test_figures_of_runs_with_strange_names(bags, tmp_path, capsys):
     assert main(["evaluate", str(latin), "--plots", str(plots)]) == 0
     assert len(list(plots.iterdir())) == 8
     assert capsys.readouterr().err == ""
+
+
+def test_a_second_raceline_begins_a_second_run(tmp_path, track, capsys):
+    """As while the car drives: the laps on each are of a run of its own."""
+    t0, path = 1600000000.0, tmp_path / "two.bag"
+    with BagWriter(path) as bag:
+        for i in range(int(5.0 * track.length / 5.0 * 40.0)):
+            t = t0 + 0.025 * i
+            if i % 100 == 0:
+                speed = 5.0 if t < t0 + 2.5 * track.length / 5.0 else 4.0
+                bag.waypoints(t, waypoint_rows(track.raceline(speed=speed, walls=1.0)))
+            x, y, psi = (float(value) for value in track.place(0.125 * i - 3.0))
+            bag.odometry(t, x, y, psi, 5.0, 0.0, 0.0)
+    assert main(["evaluate", str(path), "--json", str(tmp_path / "a.json")]) == 0
+    runs = json.loads((tmp_path / "a.json").read_text())["runs"]
+    assert [run["summary"]["laps_completed"] for run in runs] == [2, 1]
+    errors = [[lap["rms_speed_error_mps"] for lap in r["laps"] if lap["valid"]] for r in runs]
+    assert errors[0] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert errors[1] == pytest.approx([1.0], abs=1e-6)
+    assert "warning: run 2 of 2: the raceline was another until" in capsys.readouterr().out
+    assert runs[0]["bag"] == f"{path} (run 1)"

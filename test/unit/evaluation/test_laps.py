@@ -290,6 +290,21 @@ def test_off_track(drive, track, line):
     )
 
 
+def test_walls_and_speeds_are_those_where_the_car_is(drive, track, line):
+    """Wherever the start line is."""
+    narrow = np.where(np.abs(line.s_points - 10.0) < 1.0, 0.5, 1.0)
+    speed = 5.0 + np.sin(2.0 * np.pi * line.s_points / track.length)
+    raceline = Raceline(line.x, line.y, vx_mps=speed, d_left_m=narrow, d_right_m=1.0 + 0.0 * narrow)
+    t, x, y = drive(12.0)
+    v = 5.0 + np.sin(2.0 * np.pi * (V * t - 3.0) / track.length)
+    for start in (0.0, 8.0):
+        lap = run(raceline, t, x, y, v, start_s=start).laps[1]
+        assert lap.rms_speed_error_mps == pytest.approx(0.0, abs=1e-3)
+        assert lap.min_clearance_m == pytest.approx(0.4 - 0.15, abs=1e-3)
+    beside = run(raceline, *drive(0.4 * track.length / V, lambda t: 12.0 + V * t), start_s=8.0)
+    assert beside.laps[0].min_clearance_m == pytest.approx(0.9 - 0.15, abs=1e-3)
+
+
 @pytest.mark.parametrize("beyond, counts", [(-0.1, True), (0.1, False)])
 @pytest.mark.parametrize(
     "limit, fault",
@@ -445,6 +460,12 @@ def test_impossible_parameters(line, options, said):
         LapEvaluator(line, **options)
 
 
+def test_bounds_are_possible_parameters(drive, line):
+    for width in (0.0, 10.0):
+        assert len(run(line, *drive(8.0), car_width=width).laps) == 3
+    assert len(run(line, *drive(8.0), sectors=1000).laps[1].sector_times_s) == 1000
+
+
 # -- summary ---------------------------------------------------------------------------------------
 
 
@@ -495,14 +516,29 @@ def test_commands_are_held(drive, line):
 
 def test_commands_that_begin_later_or_never(drive, line):
     t, x, y = drive(12.0)
-    none, late = np.zeros(0), np.array([7.0])
-    for commands in (Commands(none, none, none), Commands(late, np.zeros(1), np.full(1, 4.0))):
+    none, late = np.zeros(0), np.arange(7.0, 12.0)
+    for commands in (Commands(none, none, none), Commands(late, 0.0 * late, 0.0 * late + 4.0)):
         laps = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line).laps
         before = [lap for lap in laps if lap.end_time_s < 7.0]
         assert [lap.speed_reference for lap in before] == ["raceline", "raceline"]
         assert before[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
     assert laps[-1].speed_reference == "command"
     assert laps[-1].rms_speed_error_mps == pytest.approx(2.0)
+
+
+def test_commands_that_end_are_not_held_for_ever(drive, line):
+    """The speed error is of the time with commands, and that is said."""
+    t, x, y = drive(18.0)
+    at = np.arange(0.0, 8.0, 0.025)
+    commands = Commands(at, 0.0 * at, np.where(at < 7.9, 6.0, 1.0))
+    result = evaluate(recording(t, x, y, v_x=np.full(t.size, 6.0), commands=commands), line)
+    assert result.laps[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
+    assert result.laps[3].speed_reference == "raceline"
+    assert result.warnings == [
+        "no drive commands in laps 3: their speed error, if any, is to the raceline",
+        "drive commands are missing for a part of laps 2: their speed error and steering rate are "
+        "of the rest",
+    ]
 
 
 def test_car_that_drove_elsewhere(drive, line):

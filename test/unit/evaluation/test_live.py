@@ -205,6 +205,22 @@ def test_another_raceline_begins_another_run_the_same_does_not(track, line, driv
     assert taken.rows(2)[0]["start_time_s"] == 0.0
 
 
+@pytest.mark.parametrize("offset", [-3e7, -1.0, 1.0, 3e7])
+def test_commands_of_another_clock_are_shifted(line, drive, offset):
+    recording, poses, commands = drive
+    taken, behind = Taken(line), int(offset * 1e9)
+    commands = {command[0]: command for command in commands}
+    for pose in poses:
+        taken.evaluation.add_pose(*pose, 0.0, 1000)
+        if pose[0] in commands:
+            stamp, *command = commands[pose[0]]
+            taken.evaluation.add_command(stamp - behind, *command, 1000 + behind)
+        taken.evaluation.advance(0.0)
+    taken.evaluation.finish()
+    assert taken.evaluation.command_offset_s == pytest.approx(offset)
+    same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
+
+
 def test_poses_nowhere_are_left_out_even_the_first(line, drive):
     recording, poses, commands = drive
     taken = Taken(line)

@@ -1,6 +1,7 @@
 """Centerlines from maps: drawn ones whose track is known, and real ones beside theirs."""
 
 import math
+import re
 from functools import lru_cache
 
 import numpy as np
@@ -165,6 +166,38 @@ def test_unknown_cells_are_no_road(tmp_path):
     assert "unknown-cells" in codes(track)
 
 
+@pytest.mark.parametrize("painted", [0, 1, 200])
+def test_unknown_cells_are_no_road_in_a_map_that_was_painted_in(tmp_path, painted):
+    gray = drawn(outside=UNKNOWN)
+    gray.flat[:painted] = 100
+    image = read_map_image(written(tmp_path, gray, free_thresh=0.25))
+    assert not image.free[::-1][gray == UNKNOWN].any() and image.free[::-1][gray == FREE].all()
+    assert codes(image) == ["unknown-cells"]
+    # Where all grays are equally common, 205 is one of them.
+    gray.flat[: 256 * 200] = np.arange(256 * 200) % 256
+    gray[gray == UNKNOWN] = 206
+    gray.flat[205 : 256 * 200 : 256] = 205
+    image = read_map_image(written(tmp_path, gray, free_thresh=0.25))
+    assert image.free[::-1][gray == 205].all() and "unknown-cells" not in codes(image)
+
+
+def test_occupied_below_free_threshold_is_that_of_map_server(tmp_path):
+    """What is darker than the occupied threshold is occupied, whatever the free one says."""
+    gray = drawn()
+    gray[:4] = [[240], [239], [200], [192]]  # 0.059, 0.063, 0.216 and 0.247 occupied
+    image = read_map_image(written(tmp_path, gray, occupied_thresh=0.0625, free_thresh=0.25))
+    free = image.free[::-1]
+    assert free[0].all() and not free[1:4].any()
+    assert codes(image) == ["thresholds"]
+
+
+def test_a_yaw_that_is_applied_is_said(tmp_path):
+    assert codes(read_map_image(written(tmp_path, drawn(), origin=[0.0, 0.0, 0.3]))) == [
+        "origin-yaw"
+    ]
+    assert codes(read_map_image(written(tmp_path, drawn(), origin=[0.0, 0.0, 0.0]))) == []
+
+
 def test_speckle_is_removed_and_counted(tmp_path):
     gray = drawn()
     generator = np.random.default_rng(3)
@@ -227,6 +260,39 @@ def test_several_loops_are_refused(tmp_path):
         track_of(tmp_path, gray, start=(0.0, 5.0))
 
 
+def room(narrow=0):
+    """A room 8 m by 6 m with a block in it, 1.5 m from the walls, and a pillar beside the block."""
+    gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
+    gray[100:220, 80:240] = FREE
+    gray[130:190, 110:210] = OCCUPIED
+    gray[150:160, 210 : 210 + narrow] = OCCUPIED
+    return gray
+
+
+def test_corners_of_a_room_are_no_openings(tmp_path):
+    track = track_of(tmp_path, room(), start=(0.0, -2.3), passage=0.4)
+    assert "openings" not in codes(track)
+    # The line rounds the corners, which lie farther away than the walls.
+    assert max(track.d_left.max(), track.d_right.max()) > 1.0
+
+
+@pytest.mark.parametrize("narrow", [18, 22])
+def test_a_track_that_the_passage_itself_closes_is_told(tmp_path, narrow):
+    width = (30 - narrow) * CELL
+    with pytest.raises(RacelineError, match=r"closes the track itself.*--passage") as error:
+        track_of(tmp_path, room(narrow), start=(0.0, -2.3), passage=0.7)
+    wide, x, y = (
+        float(n)
+        for n in re.findall(r"is ([\d.]+) m wide near \(([-\d.]+), ([-\d.]+)\)", str(error.value))[
+            0
+        ]
+    )
+    assert wide == pytest.approx(width, abs=1.1 * CELL)
+    assert x == pytest.approx(3.4, abs=0.5) and abs(y) < 1.0
+    passage = float(re.search(r"--passage ([\d.]+)", str(error.value)).group(1))
+    assert track_of(tmp_path, room(narrow), start=(0.0, -2.3), passage=passage).length > 15.0
+
+
 def test_no_loop_is_refused(tmp_path):
     gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
     gray[100:220, 80:240] = FREE
@@ -266,7 +332,8 @@ def test_no_place_is_wide_enough(tmp_path):
         ({"origin": "[0, 0, .nan]"}, "origin: expected a number"),
         ({"negate": 2}, "negate: expected 0 or 1"),
         ({"mode": "raw"}, "mode: expected trinary or scale"),
-        ({"free_thresh": 0.9}, "free_thresh <= occupied_thresh"),
+        ({"free_thresh": 1.9}, "free_thresh: expected 0 to 1, got 1.9"),
+        ({"occupied_thresh": -0.1}, "occupied_thresh: expected 0 to 1, got -0.1"),
     ],
 )
 def test_what_is_wrong_in_the_files_is_named(tmp_path, fields, text):
@@ -299,6 +366,26 @@ def test_a_real_hall(shared_data):
     assert {"unknown-cells", "obstacle"} <= set(codes(track))
     # The published line passes one of the posts on the other side.
     assert np.median(np.abs(deviations(track, published))) < 0.1
+
+
+def test_a_hall_with_crossed_thresholds(shared_data):
+    """Its occupied threshold is below the free one; its line was made without the map's yaw."""
+    folder = shared_data / "tracks" / "hall_0822"
+    image = read_map_image(folder / "hall_0822.yaml")
+    assert codes(image) == ["thresholds", "origin-yaw"]
+    image = image._replace(origin=(*image.origin[:2], 0.0))
+    line = load_raceline(f"{folder}/global_waypoints.json.gz#centerline_waypoints")
+    start, psi = line.position(0.0), float(line.psi[0])
+    track = track_from_map(image, start, psi, passage=0.5)
+    assert np.median(np.abs(deviations(track, line))) < 0.05
+    assert "openings" not in codes(track)
+    with pytest.raises(RacelineError, match="--passage 0.65"):
+        track_from_map(image, start, psi, passage=0.8)
+
+
+def test_the_shared_case_of_unknown_cells(shared_cases):
+    image = read_map_image(shared_cases / "map_gap_ft025.yaml")
+    assert codes(image) == ["unknown-cells"]
 
 
 def test_a_map_without_walls(shared_data):

@@ -1,0 +1,196 @@
+"""Stamps of other clocks, and stamps that are worse than the times of receipt."""
+
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.bags.reader import read_recording, read_signals
+from map_racing.bags.topics import DRIVE_TOPIC
+from map_racing.bags.writer import BagWriter
+from map_racing.errors import BagError
+
+T0 = 1600000000.0
+COUNT = 200
+
+
+def write(path, offset=0.0, topic=None, stamp=lambda i, t: t, received=lambda i, t: t + 0.001):
+    """Pose, command and IMU at 40 Hz; the stamps of one topic are `offset` late."""
+
+    def shifted(name, i, t):
+        return stamp(i, t) + (offset if name == topic else 0.0)
+
+    with BagWriter(path) as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            at = received(i, t)
+            bag.odometry(shifted("pose", i, t), i, 0.0, 0.0, 1.0, 0.0, 0.0, received=at)
+            bag.drive(shifted("drive", i, t), 0.001 * i, float(i), received=at)
+            bag.imu(shifted("imu", i, t), float(i), 0.0, 0.0, received=at)
+    return path
+
+
+@pytest.mark.parametrize("topic", ["drive", "imu", "pose"])
+@pytest.mark.parametrize("offset", [-3e7, -1.0, -0.3, 0.3, 1.0, 3e7, 0.1])
+def test_topics_of_another_clock_are_brought_to_the_pose(tmp_path, topic, offset):
+    path = write(tmp_path / "a.bag", offset, topic)
+    recording = read_recording(path)
+    signals = read_signals(path, recording, {"imu": ""})["imu"]
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
+    np.testing.assert_allclose(recording.commands.t, recording.t, atol=1e-6)
+    np.testing.assert_allclose(signals[0], recording.t, atol=1e-6)
+    said = [note for note in recording.notes if note.startswith("warning: ")]
+    named = {"drive": DRIVE_TOPIC, "imu": "/vesc/sensors/imu/raw"}
+    assert len(said) == (2 if topic == "pose" else 1)
+    assert all("of another clock" in note for note in said)
+    assert topic == "pose" or named[topic] in said[0]
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.06, 0.14])
+def test_latency_is_no_other_clock(tmp_path, latency):
+    """A localization that takes long stamps its poses with the time of the scan."""
+    path = write(tmp_path / "a.bag", -latency, "pose")
+    recording = read_recording(path)
+    assert not any(note.startswith("warning") for note in recording.notes)
+    np.testing.assert_allclose(recording.commands.t, 0.025 * np.arange(COUNT) + latency, atol=1e-6)
+
+
+def test_a_bag_played_slowly_and_recorded_again_keeps_its_stamps(tmp_path):
+    path = write(tmp_path / "a.bag", received=lambda i, t: T0 + 1e6 + 5.0 * (t - T0))
+    recording = read_recording(path)
+    assert not any(note.startswith("warning") for note in recording.notes)
+    np.testing.assert_array_equal(recording.commands.t, recording.t)
+
+
+def test_commands_that_no_receipt_brings_to_the_poses_are_named(tmp_path):
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0)
+            bag.drive(t - 100.0, 0.0, 1.0)
+    recording = read_recording(tmp_path / "a.bag")
+    assert f"warning: {DRIVE_TOPIC}: all {COUNT} commands lie before the poses" in recording.notes
+
+
+@pytest.mark.parametrize(
+    ("stamp", "said"),
+    [
+        (lambda i, t: math.floor(t), "too coarse"),
+        (lambda i, t: t + (30.0 if i >= 100 else 0.0), "jump ahead by 30.0 s"),
+        (lambda i, t: t - (0.5 if i >= 100 else 0.0), "jump back by 0.5 s"),
+        (lambda i, t: t - (5.0 if i >= 100 else 0.0), "jump back by 5.0 s"),
+    ],
+)
+def test_stamps_that_are_worse_than_the_times_of_receipt(tmp_path, stamp, said):
+    path = write(tmp_path / "a.bag", stamp=stamp)
+    recording = read_recording(path)
+    (note,) = [note for note in recording.notes if "time of receipt used" in note]
+    assert said in note
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
+    np.testing.assert_array_equal(recording.commands.t, recording.t)
+    signals = read_signals(path, recording, {"imu": ""})
+    np.testing.assert_array_equal(signals["imu"][0], recording.t)
+
+
+@pytest.mark.parametrize(
+    "received",
+    [
+        lambda i, t: max(t, T0 + 4.0) if i > 80 else t,  # the recorder stalled
+        lambda i, t: t + (30.0 if i >= 100 else 0.0),  # the bag was paused while played
+        lambda i, t: t + 0.002 * (i % 7),
+    ],
+)
+def test_good_stamps_are_kept_whatever_the_receipts_are(tmp_path, received):
+    path = write(tmp_path / "a.bag", received=received)
+    recording = read_recording(path)
+    assert not any("receipt" in note for note in recording.notes)
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
+    np.testing.assert_array_equal(recording.commands.t, recording.t)
+
+
+# -- which pose ----------------------------------------------------------------------------------
+
+
+def test_a_source_that_stands_still_is_not_preferred(tmp_path):
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            bag.odometry(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, topic="/car_state/odom")
+            bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0, topic="/pf/pose/odom")
+    recording = read_recording(tmp_path / "a.bag")
+    assert recording.topic == "/pf/pose/odom"
+    assert "warning: /car_state/odom stands still while /pf/pose/odom moves" in recording.notes
+    assert read_recording(tmp_path / "a.bag", "/car_state/odom").topic == "/car_state/odom"
+
+
+def test_a_source_that_stands_still_gives_way_to_tf(tmp_path):
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            bag.odometry(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, topic="/car_state/odom")
+            bag.transform(t, i, 0.0, 0.0)
+    assert read_recording(tmp_path / "a.bag").topic == "/tf"
+
+
+@pytest.mark.parametrize("static_mount_last", [False, True])
+@pytest.mark.parametrize("tf_odometry", [False, True])
+def test_odometry_is_placed_by_a_particle_filter(tmp_path, static_mount_last, tf_odometry):
+    """It sends map to laser; the laser sits 0.3 m ahead; the car drives along y in the map."""
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            if i == (COUNT - 1 if static_mount_last else 0):
+                bag.transform(t, 0.3, 0.0, 0.0, parent="base_link", child="laser", static=True)
+            if i % 4 == 0:
+                bag.transform(t, 5.0, 0.1 * i + 0.3, 0.5 * math.pi, child="laser")
+            bag.odometry(t, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0, topic="/odom", frame="odom")
+            if tf_odometry:
+                bag.transform(t, 0.1 * i, 0.0, 0.0, parent="odom", child="base_link")
+    recording = read_recording(tmp_path / "a.bag", "/odom")
+    assert recording.frame == "map"
+    assert recording.t.size == COUNT - 3
+    np.testing.assert_allclose(recording.x, 5.0, atol=1e-9)
+    np.testing.assert_allclose(recording.y, 0.1 * np.arange(COUNT - 3), atol=1e-6)
+    np.testing.assert_array_equal(recording.v_x, 4.0)
+    placed = read_recording(tmp_path / "a.bag")
+    np.testing.assert_allclose(placed.x, 5.0, atol=1e-9)
+
+
+def test_links_of_another_timescale(tmp_path):
+    """Simulated time in one link, the year 2020 in the other."""
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            if i % 4 == 0:
+                bag.transform(t - T0 + 1.0, 0.0, 0.1 * i, 0.0, child="odom", received=t)
+            bag.transform(t, 1.0, 0.0, 0.0, parent="odom", child="base_link", received=t)
+    recording = read_recording(tmp_path / "a.bag")
+    assert recording.t.size == COUNT - 3
+    np.testing.assert_allclose(recording.y, 0.1 * np.arange(COUNT - 3), atol=1e-6)
+    assert any("the stamps are of another clock" in note for note in recording.notes)
+
+
+def test_a_localization_and_a_static_transform(tmp_path):
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            if i == 0:
+                bag.transform(t, 0.0, 0.0, 0.0, child="odom", static=True)
+            bag.transform(t, 0.0, 2.0, 0.0, child="odom")
+            bag.transform(t, i, 0.0, 0.0, parent="odom", child="base_link")
+    recording = read_recording(tmp_path / "a.bag")
+    np.testing.assert_array_equal(recording.y, 2.0)
+    assert any("sent by a localization, which counts" in note for note in recording.notes)
+
+
+def test_a_single_transform_holds_only_at_its_time(tmp_path):
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            if i == 0:
+                bag.transform(t, 0.0, 0.0, 0.0, child="odom")
+            bag.transform(t, i, 0.0, 0.0, parent="odom", child="base_link")
+    with pytest.raises(
+        BagError, match=r"at least two poses, got 1 .*map to odom ends 5.0 s before"
+    ):
+        read_recording(tmp_path / "a.bag")
