@@ -19,6 +19,7 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
 
+from map_racing.control.controller import build_controller
 from map_racing.control.parameters import (
     STEERING_MAPS,
     ControllerParameters,
@@ -63,7 +64,7 @@ def test_the_commands_are_those_of_the_core(rig, listen):
     from map_racing.control.guidance import bearing, lateral_acceleration
     from map_racing.control.state import CarState
 
-    rig = rig({"controller": "map"})
+    rig = rig({"controller": "map", "curvature_feedforward": 0.0})
     guidance = listen("/guidance", Guidance)
     rig.driving()
     last = guidance.wait(lambda m: m.mode == "driving" and m.speed > 1.0)
@@ -165,6 +166,10 @@ def test_lookup_table_from_a_file(rig, listen, tmp_path):
     assert last.a_lat_max == pytest.approx(weak, rel=1e-6)
 
 
+# The raceline's speeds, read where the car is.
+AS_ASKED = {"speed_scale": 1.0, "speed_lookahead_s": 0.0, "delay_s": 0.0}
+
+
 def test_speed_sectors(rig, listen, tmp_path):
     raceline = load_raceline("reference")
     half = len(raceline.s_points) // 2
@@ -174,7 +179,7 @@ def test_speed_sectors(rig, listen, tmp_path):
         f"Sector0: {{start: 0, end: {half - 1}, scaling: 0.25}}\n"
         f"Sector1: {{start: {half}, end: {len(raceline.s_points)}, scaling: 1.0}}\n"
     )
-    rig = rig({"sectors": str(path), "speed_scale": 1.0, "speed_lookahead_s": 0.0, "delay_s": 0.0})
+    rig = rig({**AS_ASKED, "sectors": str(path), "grip_use": 0.0})
     guidance = listen("/guidance", Guidance)
     rig.driving()
     wait_for(lambda: guidance and guidance[-1].s > raceline.s_points[half] + 2.0, what="half a lap")
@@ -184,6 +189,73 @@ def test_speed_sectors(rig, listen, tmp_path):
         expected = scale * raceline.speed_at(message.s)
         assert message.speed == pytest.approx(expected, rel=1e-3), message.s
     assert {m.s < raceline.s_points[half] for m in driven} == {True, False}
+
+
+def planned(raceline, **changes):
+    """Speeds of the plan that the shipped `map` makes of a raceline."""
+    parameters = load_controller_parameters("map").with_(speed_scale=1.0, **changes)
+    return build_controller(parameters, load_vehicle("nuc4"), raceline).plan
+
+
+def told(rig, text):
+    wait_for(lambda: text in rig.node.output, what=lambda: f"{text}: {rig.node.output}")
+
+
+def assert_published(message, plan):
+    speeds = [waypoint.vx_mps for waypoint in message.wpnts]
+    expected = [plan.speed_at(waypoint.s_m) for waypoint in message.wpnts]
+    assert speeds == pytest.approx(expected, abs=1e-9)
+
+
+def test_speeds_within_the_grip_are_told_published_driven_and_changed(rig, listen):
+    raceline = load_raceline("reference")
+    rig = rig({**AS_ASKED, "grip_use": 0.8}, speed=2.0)
+    driven = listen("/driven_waypoints", waypoint_array_class()[0])
+    guidance = listen("/guidance", Guidance)
+    rig.driving()
+    plan = planned(raceline, grip_use=0.8)
+    assert f"grip_use 0.8: {plan}" in rig.node.output
+    assert str(plan).startswith("slower than the raceline on")
+    assert driven.wait().header.frame_id == "map"
+    assert_published(driven[-1], plan)
+    wait_for(lambda: len([m for m in guidance if m.mode == "driving"]) > 50, what="guidance")
+    for message in [m for m in guidance if m.mode == "driving"][-40:]:
+        assert message.speed == pytest.approx(plan.speed_at(message.s), abs=1e-6)
+
+    client = Client("/controller/tuning", timeout=10.0)
+    assert client.update_configuration({"grip_use": 0.5})["grip_use"] == 0.5
+    less = planned(raceline, grip_use=0.5)
+    wait_for(lambda: len(driven) == 2, what="the new speeds")
+    assert_published(driven[-1], less)
+    assert f"grip_use 0.5: {less}" in rig.node.output
+    mark = len(guidance)
+    wait_for(lambda: len(guidance) > mark + 20, what="guidance")
+    for message in guidance[mark + 5 :]:
+        assert message.speed == pytest.approx(less.speed_at(message.s), abs=1e-6)
+    # What does not change the speeds is not told again.
+    client.update_configuration({"table_m_m": 0.25})
+    client.update_configuration({"grip_use": 0.05})
+    told(rig, "reconfigure rejected: grip_use: expected 0 (off) or 0.1 to 1.2")
+    assert rig.node.output.count("grip_use 0.5: ") == 1 and len(driven) == 2
+    client.update_configuration({"grip_use": 0.0})
+    told(rig, "grip_use 0: the speeds are the raceline's, whatever the grip")
+    wait_for(lambda: len(driven) == 3, what="the raceline's speeds")
+    assert driven[-1].wpnts[50].vx_mps == pytest.approx(raceline.speed_at(driven[-1].wpnts[50].s_m))
+
+
+def test_a_raceline_without_speeds_is_driven_by_the_grip_alone(rig, start, tmp_path):
+    raceline = load_raceline("reference")
+    path = tmp_path / "bare.csv"
+    path.write_text(
+        "# x_m,y_m\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in zip(raceline.x, raceline.y))
+    )
+    rig = rig({"raceline": str(path), "speed_scale": 1.0})
+    rig.driving()
+    told(rig, "the raceline has no speeds: driven as fast as the grip allows, ")
+    node = start("controller", {"raceline": str(path), "grip_use": 0.0}, wait=False)
+    assert node.wait() == 1
+    assert "bare.csv: expected speeds, got none" in node.output
+    assert "Traceback" not in node.output
 
 
 def test_stamps_of_zero_are_the_time_of_arrival(rig):

@@ -4,7 +4,7 @@ import math
 import time
 
 import pytest
-from harness import waypoints
+from harness import wait_for, waypoints
 from map_racing.msg import Guidance
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
@@ -205,6 +205,35 @@ def test_the_raceline_of_whoever_publishes_it_is_drawn(start, listen):
         for p, q in zip(one.points, other.points):
             # The curve through the published points is not exactly that through the file's.
             assert math.hypot(p.x - q.x, p.y - q.y) < (1e-3 if one.ns == "raceline" else 5e-3)
+
+
+@pytest.mark.parametrize("first", ["global_waypoints", "driven_waypoints"])
+def test_the_raceline_has_the_colors_of_the_speeds_that_are_driven(start, listen, advertise, first):
+    raceline = load_raceline("reference")
+    start("lookahead_visualizer")
+    drawn = listen("/course_markers", MarkerArray)
+    array = waypoint_array_class()[0]
+    topics = {
+        name: advertise(f"/{name}", array) for name in ("global_waypoints", "driven_waypoints")
+    }
+    driven = waypoints(raceline)
+    for waypoint in driven.wpnts:
+        waypoint.vx_mps = 2.0 if waypoint.s_m < 0.5 * raceline.length else 6.0
+    messages = {"global_waypoints": waypoints(raceline), "driven_waypoints": driven}
+    topics[first].publish(messages.pop(first))
+    time.sleep(0.5)
+    for name, message in messages.items():
+        topics[name].publish(message)
+
+    def colors():
+        line = next(m for m in drawn[-1].markers if m.ns == "raceline")
+        return {(round(c.r, 2), round(c.g, 2), round(c.b, 2)) for c in line.colors}
+
+    # Two speeds, and where they change those between two waypoints.
+    wait_for(lambda: drawn and len(colors()) <= 8, what="the colors of two speeds")
+    # Speeds on another course are none of this one.
+    topics["driven_waypoints"].publish(array(wpnts=driven.wpnts[:100]))
+    wait_for(lambda: len(colors()) > 20, what="the colors of the raceline's own speeds")
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,21 @@
 """``map-racing experiment``: the experiments of the paper, one command each."""
 
+from __future__ import annotations
+
+import argparse
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from ..control.parameters import load_controller_parameters
 from ..errors import ParameterError
 from ..evaluation.report import aligned
+from ..experiments.jobs import RaceResult
 from ..experiments.paper import (
     CONTENDERS,
+    Race,
     highest_scales,
     lap_frame,
     on_common_days,
@@ -18,12 +25,13 @@ from ..experiments.paper import (
     single_plan,
     tire_table,
 )
-from .figures import draw_scaling, draw_trajectories
-from .session import open_session
+from ..experiments.robustness import grid_table
+from .figures import draw_robustness, draw_scaling, draw_trajectories
+from .session import open_grid, open_session
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
-# Pairs that are compared on the days that both completed.
+# Pairs to compare on the days that both completed.
 PAIRS = (
     ("MAP Pacejka", "pure pursuit"),
     ("MAP Pacejka", "MAP linear"),
@@ -31,8 +39,8 @@ PAIRS = (
 )
 
 
-def run_scaling(arguments):
-    """Velocity scaling."""
+def run_scaling(arguments: argparse.Namespace) -> None:
+    """Run the experiment on velocity scaling."""
     check_laps(arguments.laps)
     if not FIRST_SCALE <= arguments.to <= 2.0:
         raise ParameterError(f"--to: expected {FIRST_SCALE:g} to 2, got {arguments.to}")
@@ -61,8 +69,8 @@ def run_scaling(arguments):
     session.report()
 
 
-def run_tires(arguments):
-    """Tire models."""
+def run_tires(arguments: argparse.Namespace) -> None:
+    """Run the experiment on tire models."""
     check_laps(arguments.laps)
     session = open_session(arguments, "tire-models")
     races = session.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
@@ -88,12 +96,41 @@ def run_tires(arguments):
     session.report()
 
 
+def run_robustness(arguments):
+    """Robustness."""
+    if arguments.laps is not None:
+        check_laps(arguments.laps)
+    controllers = named_controllers(arguments.controller)
+    session = open_grid(arguments, "robustness")
+    races = session.race(controllers)
+    scale = session.grid.conditions.speed_scale
+    table = grid_table(races, scale)
+    session.write(table, controllers, races=races)
+    print("\n".join(robustness_lines(races)), end="\n\n")
+    print("\n".join(not_completed_lines(races)))
+    print("\n".join(grid_lines(table)))
+    title = f"Robustness: {scale:.0%} speed, {session.grid.conditions.laps} timed laps"
+    for label in controllers:
+        own = races[races.controller == label]
+        draw_robustness(session.figures, own, f"{title}, {label}", Path(label).stem)
+    session.report()
+
+
+def named_controllers(names):
+    """Controllers of files or shipped names, by the stems of these."""
+    names = list(dict.fromkeys(names))
+    stems = [Path(name).stem for name in names]
+    if len(set(stems)) < len(stems):
+        raise ParameterError("--controller: two files of one name would give one result")
+    return {stem: load_controller_parameters(name) for stem, name in zip(stems, names)}
+
+
 def _laps(arguments):
-    """How many laps, in words."""
+    """The number of laps in words."""
     return f"{arguments.laps} lap" + ("s" if arguments.laps != 1 else "")
 
 
-def check_laps(laps):
+def check_laps(laps: int) -> None:
     """Refuse impossible numbers of laps."""
     if not 1 <= laps <= 1000:
         raise ParameterError(f"--laps: expected 1 to 1000, got {laps}")
@@ -102,7 +139,7 @@ def check_laps(laps):
 # -- text ------------------------------------------------------------------------------------------
 
 
-def scaling_lines(table):
+def scaling_lines(table: pd.DataFrame) -> list[str]:
     """Table of velocity scaling for the terminal."""
     titles = ["scale", "controller", "days completed", "median RMS error [m]"]
     rows = [[*titles, "max error [m]", "median lap [s]", "mean lap [s]"]]
@@ -120,7 +157,7 @@ def scaling_lines(table):
     return aligned(rows, left=1)
 
 
-def tire_lines(table):
+def tire_lines(table: pd.DataFrame) -> list[str]:
     """Table of tire models for the terminal; values of races not completed in parentheses."""
     titles = ["scale", "controller", "days completed", "mean lap [s]"]
     rows = [[*titles, "mean error [m]", "max error [m]"]]
@@ -137,18 +174,58 @@ def tire_lines(table):
     return aligned(rows, left=1)
 
 
-def completion(row):
+def completion(row: tuple) -> str:
     """Days completed, as in "3 of 10", and after how many laps the others ended."""
     ended = row.laps_until_end if row.days_completed else ""
     return f"{row.days_completed} of {row.days}" + (f" (N.C. after {ended} laps)" if ended else "")
 
 
-def not_completed(row):
-    """N.C. and the number of laps after which it ended."""
+def not_completed(row: tuple) -> str:
+    """Not completed, and the laps driven until then."""
     return f"N.C. after {row.laps_until_end.replace(' ', ', ')} laps"
 
 
-def highest_lines(highest):
+def robustness_lines(races: pd.DataFrame) -> list[str]:
+    """A row for each controller and track: how many cars completed it, and how close."""
+    titles = ["controller", "track", "completed", "lap [s]", "RMS error [m]", "worst", "max error"]
+    rows = [titles]
+    for (label, track), group in races.groupby(["controller", "track"], sort=False):
+        done = group[group.outcome == "completed"]
+        rows.append([label, track, f"{len(done)} of {len(group)}"])
+        if len(done):
+            rows[-1] += [
+                f"{done.lap_time_s.median():.3f}",
+                f"{done.rms_lateral_error_m.mean():.3f}",
+                f"{done.rms_lateral_error_m.max():.3f}",
+                f"{done.max_abs_lateral_error_m.max():.3f}",
+            ]
+        else:
+            rows[-1] += ["", "", "", ""]
+    return aligned(rows, left=2)
+
+
+def not_completed_lines(races: pd.DataFrame) -> list[str]:
+    """Each race that was not completed, with place and cause."""
+    rows = [
+        [
+            f"N.C. {row.controller} on {row.track}, {row.car}:",
+            f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
+        ]
+        for row in races[races.outcome != "completed"].itertuples()
+    ]
+    return [*aligned(rows, left=2), ""] if rows else []
+
+
+def grid_lines(table: pd.DataFrame) -> list[str]:
+    """How many races each controller completed, and how close."""
+    return [
+        f"{row.controller}: {row.races_completed} of {row.races} completed, RMS error "
+        f"{row.mean_rms_lateral_error_m:.4f} m, worst race {row.worst_rms_lateral_error_m:.4f} m"
+        for row in table.itertuples()
+    ]
+
+
+def highest_lines(highest: pd.DataFrame) -> list[str]:
     """Table of the highest scale completed on each day."""
     labels = list(highest.columns[1:])
     rows = [["highest scale completed", *(f"day {seed}" for seed in highest.seed), "median"]]
@@ -161,7 +238,7 @@ def highest_lines(highest):
     return aligned(rows)
 
 
-def pairs_frame(races):
+def pairs_frame(races: pd.DataFrame) -> pd.DataFrame:
     """All pairs of controllers on the days that both completed."""
     frames = []
     for first, second in PAIRS:
@@ -172,8 +249,8 @@ def pairs_frame(races):
     return pd.concat(frames, ignore_index=True)
 
 
-def pairs_lines(pairs):
-    """Table of which of a pair followed the raceline closer, and which was faster."""
+def pairs_lines(pairs: pd.DataFrame) -> list[str]:
+    """Table of how much closer and faster one of a pair followed the raceline."""
     rows = [["on days both completed", "scale", "days", "closer on", "RMS errors", "gain per lap"]]
     for row in pairs.itertuples():
         rows.append(
@@ -189,13 +266,13 @@ def pairs_lines(pairs):
     return aligned(rows)
 
 
-def panel_title(race):
+def panel_title(race: Race) -> str:
     """Controller, scale and outcome of a race."""
     went = "completed" if race.result.completed else f"N.C. after {len(race.result.laps)} laps"
     return f"{race.label}, {race.scale:.0%}: {went}"
 
 
-def timed_path(result):
+def timed_path(result: RaceResult) -> np.ndarray:
     """Positions after the out-lap or, if the race ended in it, of the out-lap; shape (n, 2)."""
     path = np.array(result.path, dtype=float).reshape(-1, 3)
     begin = [stretch.start_time_s for stretch in result.stretches if stretch.lap == 1]

@@ -20,6 +20,7 @@ __all__ = [
     "draw_comparison",
     "draw_identification",
     "draw_optimized",
+    "draw_robustness",
     "draw_runs",
     "draw_scaling",
     "draw_table",
@@ -164,6 +165,13 @@ def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) 
     from ..plots.experiments import plot_scaling
 
     _save(folder, [("velocity_scaling.png", plot_scaling, (laps, ended, labels, title))])
+
+
+def draw_robustness(folder: str, races, title: str, stem: str) -> None:
+    """Draw the races of one controller over tracks and cars; arguments as in `plot_robustness`."""
+    from ..plots.experiments import plot_robustness
+
+    _save(folder, [(f"robustness_{stem}.png", plot_robustness, (races, title))])
 
 
 def draw_trajectories(folder: str, raceline, rows: list, title: str, seed: int) -> None:

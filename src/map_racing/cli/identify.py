@@ -1,5 +1,8 @@
 """``map-racing identify``: from recorded driving to a vehicle file and its lookup table."""
 
+from __future__ import annotations
+
+import argparse
 import dataclasses
 from pathlib import Path
 
@@ -9,7 +12,7 @@ from .. import __version__
 from ..errors import ParameterError
 from ..files import make_folder, write_json
 from ..identification.data import Channel, ChannelMap, load_channel_map, load_run
-from ..identification.identify import identify, leave_one_out
+from ..identification.identify import Identification, identify, leave_one_out
 from ..identification.limits import SteadyLimits
 from ..identification.report import report_data, report_text
 from ..vehicle.lookup import default_grid
@@ -20,11 +23,11 @@ from .inputs import read_vehicle
 from .outputs import check_outputs
 
 
-def run(arguments):
+def run(arguments: argparse.Namespace) -> None:
     """Identify, report, write."""
     output = Path(arguments.output)
     if output.suffix not in (".yaml", ".yml"):
-        raise ParameterError(f"--output: expected a vehicle file that ends in .yaml, got {output}")
+        raise ParameterError(f"--output: expected a vehicle file (.yaml), got {output}")
     table_path = output.with_suffix(".csv")
     outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
     check_outputs(outputs, [*arguments.data, arguments.vehicle, arguments.channels])
@@ -49,7 +52,7 @@ def run(arguments):
     print(report_text(found, left_out))
 
     if arguments.plots:
-        # Before the first output: none is left behind if the folder cannot be made.
+        # First: if the folder cannot be made, no other output is left behind.
         make_folder(arguments.plots)
     print()
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
@@ -67,7 +70,7 @@ def run(arguments):
         print(f"figures are in {arguments.plots}")
 
 
-def channel_map(arguments):
+def channel_map(arguments: argparse.Namespace) -> ChannelMap:
     """The channel map with the changes of the command line."""
     channels = load_channel_map(arguments.channels) if arguments.channels else ChannelMap()
     if arguments.pose_topic:
@@ -85,8 +88,8 @@ def channel_map(arguments):
     return channels
 
 
-def provenance(found):
-    """Comment at the head of the vehicle file."""
+def provenance(found: Identification) -> str:
+    """Comment for the head of the vehicle file."""
     runs = ", ".join(motion.run.label for motion in found.motions)
     front, rear = (axle.pacejka for axle in found.axles.values())
     return (

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from ..control.parameters import load_controller_parameters
+from ..control.speed_plan import SpeedPlan
 from ..errors import FileFormatError, ParameterError
 from ..track.corners import corners
 from ..track.files.load import load_raceline
@@ -41,7 +43,9 @@ def run_check(arguments):
     table = load_table(arguments.table)
     _describe(arguments.table, table)
     if arguments.raceline:
-        _describe_corners(load_raceline(arguments.raceline), table)
+        raceline = load_raceline(arguments.raceline)
+        _describe_corners(raceline, table)
+        _describe_speeds(raceline, table, arguments.controller)
     _draw(arguments.plots, table)
     if not arguments.vehicle:
         return
@@ -131,3 +135,13 @@ def _describe_corners(raceline, table):
             f"  the raceline can be driven at up to {1.0 / max(shares):.0%} of its speeds before a "
             "corner exceeds the limit"
         )
+
+
+def _describe_speeds(raceline, table, controller):
+    """Where a controller with this table would drive slower than the raceline."""
+    parameters = load_controller_parameters(controller).with_(speed_scale=1.0)
+    if parameters.grip_use:
+        plan = SpeedPlan(raceline, parameters, table)
+        print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")
+    else:
+        print(f"  {controller}, grip_use 0: drives the raceline's speeds, whatever the grip")

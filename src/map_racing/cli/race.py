@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..control.controller import Controller, build_steering_map
+from ..control.controller import Controller, build_steering_maps
 from ..control.parameters import load_controller_parameters
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
@@ -75,13 +75,18 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
     if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
         print(f"the controller knows {vehicle.name}, but the plant is {plant_vehicle.name}")
-    steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
+    steering_map, grip = build_steering_maps(parameters, vehicle)
     if arguments.lookup_table:
         steering_map = given_table(arguments.lookup_table, parameters, vehicle, steering_map)
+        if parameters.steering_map == "table":
+            grip = steering_map
     sectors = None
     if arguments.speed_sectors:
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)
-    return Controller(parameters, steering_map, vehicle, raceline, sectors)
+    controller = Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
+    if controller.plan is not None:
+        print(f"grip_use {parameters.grip_use:g}: {controller.plan}")
+    return controller
 
 
 def place_of_end(log, raceline):

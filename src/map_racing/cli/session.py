@@ -3,29 +3,45 @@
 from dataclasses import replace
 
 from ..experiments.conditions import load_conditions
-from ..experiments.session import Session
+from ..experiments.robustness import load_robustness
+from ..experiments.session import GridSession, Session
 
-__all__ = ["open_session"]
+__all__ = ["open_grid", "open_session"]
 
 
 def open_session(arguments, kind):
     """Session with the conditions that the options of `add_shared_options` name."""
     names = ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
-    given = {name: getattr(arguments, name, None) for name in names}
-    conditions = replace(
-        load_conditions(arguments.conditions),
-        **{name: value for name, value in given.items() if value is not None},
-    )
     session = Session(
         kind,
         arguments.output,
-        conditions,
+        _changed(load_conditions(arguments.conditions), arguments, dict(zip(names, names))),
         vehicle=arguments.vehicle,
         tuning=not getattr(arguments, "no_tuning", False),
-        jobs=arguments.jobs,
-        scheduler=arguments.scheduler,
-        reuse=arguments.reuse,
+        **_where(arguments),
     )
     for note in session.notes:
         print(note)
     return session
+
+
+def open_grid(arguments, kind):
+    """Session on the grid that the options name."""
+    options = {
+        "tracks": "tracks",
+        "generated_seeds": "generated",
+        "speed_scale": "speed_scale",
+        "laps": "laps",
+    }
+    conditions = _changed(load_robustness(arguments.grid), arguments, options)
+    return GridSession(kind, arguments.output, conditions, **_where(arguments))
+
+
+def _changed(conditions, arguments, options):
+    """Conditions with the values of the options that were given, by the names of fields."""
+    given = {name: getattr(arguments, option, None) for name, option in options.items()}
+    return replace(conditions, **{name: v for name, v in given.items() if v is not None})
+
+
+def _where(arguments):
+    return {name: getattr(arguments, name) for name in ("jobs", "scheduler", "reuse")}

@@ -1,25 +1,30 @@
-"""``map-racing tune``: the lookahead with which a controller follows a track closest."""
+"""``map-racing tune``: the parameters with which a controller follows its tracks closest."""
 
-from pathlib import Path
-
+import numpy as np
 import pandas as pd
 
-from ..control.parameters import load_controller_parameters
+from ..control.parameters import save_controller_parameters
 from ..errors import ParameterError
-from .session import open_session
+from ..experiments.campaign import Plan
+from ..experiments.robustness import grid_table
+from ..experiments.tuning import tune_robust
+from ..files import make_folder
+from .experiment import grid_lines, named_controllers
+from .session import open_grid, open_session
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
 
 
 def run(arguments):
     """Tune."""
-    names = list(dict.fromkeys(arguments.controller))
-    stems = [Path(name).stem for name in names]
-    if len(set(stems)) < len(stems):
-        raise ParameterError("--controller: expected files of different names, got one name twice")
-    controllers = {
-        stem: (stem, load_controller_parameters(name)) for stem, name in zip(stems, names)
-    }
+    given = named_controllers(arguments.controller)
+    if arguments.robust:
+        return run_robust(arguments, given)
+    for option in ("tracks", "generated", "grip_use"):
+        if getattr(arguments, option) is not None:
+            raise ParameterError(f"--{option.replace('_', '-')} belongs to --robust")
+    stems = list(given)
+    controllers = {stem: (stem, parameters) for stem, parameters in given.items()}
     session = open_session(arguments, "tune")
     tuned = session.tune(controllers)
     session.controllers = {label: found.controller for label, found in tuned.items()}
@@ -38,3 +43,56 @@ def run(arguments):
     session.report()
     for stem in stems:
         print(f"  map-racing race --controller {session.folder / 'controllers' / stem}.yaml ...")
+
+
+def run_robust(arguments, controllers):
+    """Tune over a grid of tracks and cars."""
+    session = open_grid(arguments, "tune-robust")
+    grid = session.grid
+
+    def steps(label, controller):
+        def jobs_for(candidate):
+            return grid.jobs(label, candidate)
+
+        candidates = yield from tune_robust(jobs_for, controller)
+        return candidates
+
+    plans = [Plan(steps(*each), 6 * len(grid.names)) for each in controllers.items()]
+    found = dict(zip(controllers, session.carry_out(plans, "tuning")))
+    tried, rows = [], []
+    folder = make_folder(session.folder / "controllers")
+    for label, candidates in found.items():
+        best = candidates[0]
+        shares = dict.fromkeys(arguments.grip_use or ())
+        with_shares = {
+            f"{label}, grip_use {share:g}": best.controller.with_(grip_use=share)
+            for share in shares
+        }
+        table = grid_table(session.race(with_shares), grid.conditions.speed_scale) if shares else ()
+        save_controller_parameters(best.controller, folder / f"{label}.yaml")
+        for candidate in candidates:
+            tried.append({"controller": label, **_values(candidate.controller)})
+            tried[-1].update(
+                typical_rms_lateral_error_m=candidate.error,
+                worst_rms_lateral_error_m=candidate.worst,
+                races=candidate.races,
+            )
+        rows.append({"speed_scale": grid.conditions.speed_scale, **tried[-len(candidates)]})
+        values = best.controller
+        print(
+            f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, delay "
+            f"{values.delay_s:g} s; all {best.races} races completed, typical RMS error "
+            f"{best.error:.4f} m, worst race {best.worst:.4f} m; {len(candidates)} candidates"
+        )
+        if shares:
+            print("\n".join(grid_lines(table)))
+    frame = pd.DataFrame(tried)
+    for name in ("typical_rms_lateral_error_m", "worst_rms_lateral_error_m"):
+        frame[name] = frame[name].where(np.isfinite(frame[name]))
+    controllers = {label: candidates[0].controller for label, candidates in found.items()}
+    session.write(pd.DataFrame(rows), controllers, candidates=frame)
+    session.report()
+
+
+def _values(controller):
+    return {name: getattr(controller, name) for name in ("m_m", "q_s", "delay_s", "grip_use")}

@@ -5,22 +5,31 @@ One guidance law, one controller, three steering maps (see :mod:`map_racing.cont
 
 import math
 from enum import Enum
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
-from .guidance import bearing, lateral_acceleration
+from .grip_guard import GripGuard
+from .guidance import bearing, lateral_acceleration, missing_curvature
+from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, predicted
 from .steering import AckermannSteering
 
-__all__ = ["ControlResult", "Controller", "Status", "build_controller", "build_steering_map"]
+__all__ = [
+    "ControlResult",
+    "Controller",
+    "Status",
+    "build_controller",
+    "build_steering_map",
+    "build_steering_maps",
+]
 
 # The law uses at least this speed [m/s]; at standstill the map from acceleration to angle would be
 # 0/0. The circle is the same, and a standing car already points its wheels.
@@ -33,9 +42,6 @@ LONGEST_SLEW_TIME = 0.1
 # Farther from the path than the lookahead distance there is no lookahead point; sqrt(2) of the
 # lateral error makes the car approach the path at 45 degrees.
 APPROACH_FACTOR = math.sqrt(2.0)
-
-# Speed [m/s] back to a path that is too far away or behind the car: walking pace.
-RECOVERY_SPEED = 1.0
 
 
 class Status(Enum):
@@ -71,9 +77,10 @@ class ControlResult(NamedTuple):
     lookahead_distance : float
         Its distance [m].
     eta : float
-        Angle from the velocity vector to the lookahead point [rad].
+        Angle from the velocity vector, or the heading with ``eta_from``, to the lookahead point
+        [rad].
     a_lat : float
-        Lateral acceleration requested from the steering map [m/s^2].
+        Lateral acceleration requested from the steering map, feedforward included [m/s^2].
     """
 
     steering_angle: float
@@ -90,6 +97,7 @@ class ControlResult(NamedTuple):
 
 
 _NAN = math.nan
+_new = tuple.__new__
 _RIGHT_ANGLE = 0.5 * math.pi
 
 
@@ -106,23 +114,80 @@ class Controller:
         With None every step commands a stop, until :attr:`raceline` is set.
     sectors : SpeedSectors or None
         Speed scales by sector.
+    grip : object with ``max_lateral_acceleration(v)``, optional
+        What the tires can do, for speeds within ``grip_use``: the lookup table of the car's own
+        tires, whatever the steering map. The steering map if not given.
 
     Raises
     ------
     ParameterError
-        If the raceline has no speeds.
+        If the raceline has no speeds and ``grip_use`` is 0.
     """
 
-    def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None):
-        self.parameters = parameters
-        self.steering_map = steering_map
+    def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None, grip=None):
         self.vehicle = vehicle
-        self.sectors = sectors
         self._estimate_v_y = _SideslipEstimate(
             vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         )
-        self.raceline = raceline
+        self._setup = self._guard = None
+        self.apply(self._planned(_Setup(parameters, steering_map, grip, raceline, sectors)))
         self.reset()
+
+    # -- what it drives with -------------------------------------------------------------------
+
+    def prepare(self, **changes):
+        """Work out what a change needs, with no effect on the steps until it is applied.
+
+        Another speed plan takes milliseconds. So a thread that must not delay the steps prepares
+        beside them, and applies between two.
+
+        Parameters
+        ----------
+        **changes
+            New ``parameters``, ``steering_map``, ``grip``, ``raceline`` or ``sectors``.
+
+        Returns
+        -------
+        object
+            For `apply`. It goes back to what is not in `changes`, should that change in between.
+
+        Raises
+        ------
+        ParameterError
+            If the raceline would have no speeds and ``grip_use`` is 0.
+        """
+        return self._planned(self._setup._replace(**changes))
+
+    def apply(self, setup):
+        """Drive with what `prepare` returned from the next step on.
+
+        Another raceline restarts tracking; the steering goes on from where it is.
+        """
+        if setup.guard is not None and self._guard is not None:
+            setup.guard.resume(self._guard)
+        self._setup = setup
+        self._lookahead = setup.parameters.lookahead.distance
+        self._parameters, self._steering_map = setup.parameters, setup.steering_map
+        self._sectors, self._plan, self._guard = setup.sectors, setup.plan, setup.guard
+        self._raceline, self._tracker = setup.raceline, setup.tracker
+        self._speed_at = self._requested_speed_at if setup.plan is None else setup.plan.speed_at
+
+    def _planned(self, setup):
+        """A setup with the tracker and the speed plan that go with the rest of it."""
+        parameters, raceline, old = setup.parameters, setup.raceline, self._setup
+        if raceline is None:
+            return setup._replace(tracker=None, plan=None, guard=None)
+        if old is None or raceline is not old.raceline:
+            setup = setup._replace(tracker=RacelineTracker(raceline))
+        if not parameters.grip_use:
+            requested_speed(raceline, parameters)  # an error without speeds
+            return setup._replace(plan=None, guard=None)
+        if old is None or setup.plan is None or _plan_key(setup) != _plan_key(old):
+            setup = setup._replace(
+                plan=SpeedPlan(raceline, parameters, setup.limit, setup.sectors),
+                guard=GripGuard(setup.limit, parameters.v_max_mps),
+            )
+        return setup
 
     @property
     def raceline(self):
@@ -131,10 +196,56 @@ class Controller:
 
     @raceline.setter
     def raceline(self, raceline):
-        if raceline is not None and raceline.speed is None:
-            raise ParameterError(f"{raceline.source or raceline.name}: the raceline has no speeds")
-        self._raceline = raceline
-        self._tracker = None if raceline is None else RacelineTracker(raceline)
+        self.apply(self.prepare(raceline=raceline))
+
+    @property
+    def parameters(self):
+        """The controller's parameters."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, parameters):
+        self.apply(self.prepare(parameters=parameters))
+
+    @property
+    def steering_map(self):
+        """The steering map."""
+        return self._steering_map
+
+    @steering_map.setter
+    def steering_map(self, steering_map):
+        self.apply(self.prepare(steering_map=steering_map))
+
+    @property
+    def sectors(self):
+        """Speed scales by sector, or None."""
+        return self._sectors
+
+    @sectors.setter
+    def sectors(self, sectors):
+        self.apply(self.prepare(sectors=sectors))
+
+    @property
+    def plan(self):
+        """The SpeedPlan driven; None without raceline or with a ``grip_use`` of 0."""
+        return self._plan
+
+    def planned_speed(self, s):
+        """Speed that is driven where nothing is in the way.
+
+        Parameters
+        ----------
+        s : ndarray
+            Arc lengths on the raceline, which must be set [m].
+
+        Returns
+        -------
+        ndarray
+            [m/s]
+        """
+        if self._plan is None:
+            return requested_speed(self._raceline, self._parameters, self._sectors)(s)
+        return np.array([self._plan.speed_at(at) for at in np.asarray(s).tolist()])
 
     def reset(self):
         """Forget the past, after the car was moved or time jumped back."""
@@ -142,6 +253,8 @@ class Controller:
             self._tracker.reset()
         self._last_t = None
         self._last_angle = 0.0
+        if self._guard is not None:
+            self._guard.reset()
 
     def step(self, state):
         """Compute one command.
@@ -157,7 +270,7 @@ class Controller:
             Speed 0 and the last steering angle if the state is not finite or absurd, or without a
             raceline.
         """
-        parameters = self.parameters
+        parameters = self._parameters
         t, x, y, psi, v_x, v_y, r = state
         # A NaN fails every comparison.
         if not (
@@ -179,39 +292,47 @@ class Controller:
             state = predicted(state, parameters.delay_s)
 
         _, x, y, psi, _, _, _ = state
-        s, d, _, _ = self._tracker.update(x, y, psi)
-        speed = self._speed_command(s + parameters.speed_lookahead_s * v_x)
-        law_speed = abs(v_x) if parameters.speed_source == "measured" else speed
+        s, d, path_psi, path_kappa = self._tracker.update(x, y, psi)
+        speed = self._speed_at(s + parameters.speed_lookahead_s * v_x)
+        law_speed = v_x if parameters.speed_source == "measured" else speed
+        if law_speed < 0.0:
+            law_speed = -law_speed
         if law_speed < LOWEST_LAW_SPEED:
             law_speed = LOWEST_LAW_SPEED
 
-        wanted = parameters.lookahead.distance(law_speed)
-        approach = APPROACH_FACTOR * abs(d)
+        wanted = self._lookahead(law_speed)
+        approach = APPROACH_FACTOR * (d if d > 0.0 else -d)
         if wanted < approach:
             wanted = approach
-        _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
-        eta = bearing(state, point_x, point_y)
-        a_lat = lateral_acceleration(law_speed, max(distance, 1e-3), eta)
-        angle, saturated = self.steering_map.steering(law_speed, a_lat)
+        if parameters.lookahead_from == "car":
+            _, point_x, point_y, distance = raceline.point_ahead(x, y, s, wanted)
+        else:
+            beside_x, beside_y = raceline.position(s)
+            _, point_x, point_y, _ = raceline.point_ahead(beside_x, beside_y, s, wanted)
+            distance = math.hypot(point_x - x, point_y - y)
+        directed = state if parameters.eta_from == "velocity" else state._replace(v_y=0.0)
+        eta = bearing(directed, point_x, point_y)
+        a_lat = lateral_acceleration(law_speed, distance if distance > 1e-3 else 1e-3, eta)
+        if parameters.curvature_feedforward:
+            lacking = missing_curvature(x, y, d, path_psi, path_kappa, point_x, point_y)
+            a_lat += parameters.curvature_feedforward * law_speed * law_speed * lacking
+        table_speed = law_speed
+        if law_speed > parameters.table_v_max_mps and parameters.steering_map != "ackermann":
+            table_speed = parameters.table_v_max_mps
+        angle, saturated = self._steering_map.steering(table_speed, a_lat)
+        if parameters.yaw_rate_gain_s:
+            angle += parameters.yaw_rate_gain_s * (a_lat / law_speed - state.r)
         angle = self._limited(angle, t)
+        if self._guard is not None:
+            speed = self._guard.limited(t, v_x, a_lat / (law_speed * law_speed), speed)
         status = _SATURATED if saturated else _OK
         if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:
             status = _OFF_COURSE
-            if speed > RECOVERY_SPEED:
-                speed = RECOVERY_SPEED
-        return ControlResult(
-            angle,
-            speed,
-            status,
-            state,
-            s,
-            d,
-            point_x,
-            point_y,
-            distance,
-            eta,
-            a_lat,
-        )
+            if speed > WALKING_PACE:
+                speed = WALKING_PACE
+        # As ControlResult(...), which takes twice as long.
+        values = angle, speed, status, state, s, d, point_x, point_y, distance, eta, a_lat
+        return _new(ControlResult, values)
 
     def lateral_error(self, state, result):
         """Lateral error of a measured state; `result` has the one of its prediction.
@@ -234,11 +355,11 @@ class Controller:
         found = self._raceline.project_near(state.x, state.y, guess, 1.0)
         return (found or self._raceline.project(state.x, state.y)).d
 
-    def _speed_command(self, s):
-        parameters = self.parameters
+    def _requested_speed_at(self, s):
+        parameters = self._parameters
         speed = self._raceline.speed_at(s) * parameters.speed_scale
-        if self.sectors is not None:
-            speed *= self.sectors.scale_at(s)
+        if self._sectors is not None:
+            speed *= self._sectors.scale_at(s)
         return speed if speed < parameters.v_max_mps else parameters.v_max_mps
 
     def _limited(self, angle, t):
@@ -266,6 +387,32 @@ class Controller:
         )
 
 
+class _Setup(NamedTuple):
+    """All that may change while driving: what is given, and what is worked out from it."""
+
+    parameters: object
+    steering_map: object
+    grip: object
+    raceline: object
+    sectors: object
+    tracker: object = None
+    plan: object = None
+    guard: object = None
+
+    @property
+    def limit(self):
+        """What knows the grip."""
+        return self.steering_map if self.grip is None else self.grip
+
+
+def _plan_key(setup):
+    """What a speed plan depends on; equal for equal plans."""
+    return (
+        *(id(setup.raceline), id(setup.sectors), id(setup.limit)),
+        *(getattr(setup.parameters, name) for name in SpeedPlan.DEPENDS_ON),
+    )
+
+
 class _SideslipEstimate:
     """Steady-state lateral velocity of a point of the car from speed and yaw rate.
 
@@ -291,8 +438,9 @@ class _SideslipEstimate:
         return self._ahead * r - abs(v_x) * tangent
 
 
+@lru_cache(maxsize=16)
 def build_steering_map(kind, vehicle, v_max):
-    """Steering map of a vehicle.
+    """Steering map of a vehicle; the same object for the same arguments, as it never changes.
 
     Parameters
     ----------
@@ -328,5 +476,29 @@ def build_controller(parameters, vehicle, raceline=None, sectors=None):
     -------
     Controller
     """
-    steering_map = build_steering_map(parameters.steering_map, vehicle, parameters.v_max_mps)
-    return Controller(parameters, steering_map, vehicle, raceline, sectors)
+    steering_map, grip = build_steering_maps(parameters, vehicle)
+    return Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
+
+
+def build_steering_maps(parameters, vehicle):
+    """Steering map that parameters name, and the table of the tires that limits the speeds.
+
+    What the tires hold does not depend on how the steering angle is found: also with linear tires
+    or none in the steering map it is the table of the vehicle's own.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    vehicle : Vehicle
+
+    Returns
+    -------
+    steering_map : AckermannSteering or LookupTable
+    grip : LookupTable
+        The same object where the steering map is that table.
+    """
+    kind, v_max = parameters.steering_map, parameters.v_max_mps
+    steering_map = build_steering_map(kind, vehicle, v_max)
+    if kind == "table":
+        return steering_map, steering_map
+    return steering_map, build_steering_map("table", vehicle, v_max)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from .state import CarState
 
-__all__ = ["LookaheadLaw", "arc_to", "bearing", "lateral_acceleration"]
+__all__ = ["LookaheadLaw", "arc_to", "bearing", "lateral_acceleration", "missing_curvature"]
 
 # Below this speed [m/s] noise hides the direction of the velocity, and the steering of a standing
 # car would swing from lock to lock.
@@ -63,13 +63,15 @@ def bearing(state: CarState, x: float, y: float) -> float:
         Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
     """
     # A car that rolls backwards will drive forwards, where its nose points.
-    v_x, v_y = max(state.v_x, 0.0), state.v_y
+    _, own_x, own_y, psi, v_x, v_y, _ = state
+    if v_x < 0.0:
+        v_x = 0.0
     square = v_x * v_x + v_y * v_y
     if square < CRAWL * CRAWL:
         trust = math.sqrt(square) / CRAWL
         v_x, v_y = trust * v_x + (1.0 - trust) * CRAWL, trust * v_y
-    course = state.psi + math.atan2(v_y, v_x)
-    eta = math.atan2(y - state.y, x - state.x) - course
+    course = psi + math.atan2(v_y, v_x)
+    eta = math.atan2(y - own_y, x - own_x) - course
     return math.remainder(eta, math.tau)
 
 
@@ -95,6 +97,37 @@ def lateral_acceleration(speed: float, distance: float, eta: float) -> float:
     """
     sine = math.sin(eta) if -0.5 * math.pi < eta < 0.5 * math.pi else math.copysign(1.0, eta)
     return 2.0 * speed * speed / distance * sine
+
+
+def missing_curvature(x, y, d, psi, kappa, point_x, point_y):
+    """Curvature that the L1 law lacks for a car that is on the path already.
+
+    Such a car would be led along the circle tangent to the path that passes through the lookahead
+    point, of curvature ``2 sin(eta) / L_d``. Where the curvature of the path changes that is not
+    the path's own: the law turns in early and opens early, and cuts the bend. Adding the difference
+    makes the path itself a solution of the law.
+
+    Parameters
+    ----------
+    x, y : float
+        The car [m].
+    d, psi, kappa : float
+        Its lateral deviation [m], and heading [rad] and curvature [1/m] of the path beside it.
+    point_x, point_y : float
+        Lookahead point on the path [m].
+
+    Returns
+    -------
+    float
+        Path's curvature less that of the law's circle, positive to the left [1/m]; 0 where the
+        lookahead point is beside the car.
+    """
+    dx, dy = point_x - x, point_y - y
+    cosine, sine = math.cos(psi), math.sin(psi)
+    # The point as seen from the foot on the path, along the path and to the left of it.
+    along, aside = cosine * dx + sine * dy, cosine * dy - sine * dx + d
+    square = along * along + aside * aside
+    return kappa - 2.0 * aside / square if square > 1e-6 else 0.0
 
 
 def arc_to(x: float, y: float, point_x: float, point_y: float, eta: float, count: int = 20) -> list:

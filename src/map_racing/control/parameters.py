@@ -22,6 +22,8 @@ __all__ = [
 # Each with the shipped controller that holds the lookahead usual with it.
 STEERING_MAPS = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
 SPEED_SOURCES = ("measured", "command")
+ETA_FROM = ("velocity", "heading")
+LOOKAHEAD_FROM = ("car", "path")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
@@ -45,6 +47,41 @@ class ControllerParameters:
     )
     lookahead_max_m: float = parameter(
         "Longest lookahead distance", "m", low=POSITIVE, tuning=(0.1, 20.0), default=5.0
+    )
+    eta_from: str = parameter(
+        "Direction from which the angle to the lookahead point counts: the velocity, as in L1 "
+        "guidance, or, as in the authors' code, the heading",
+        choices=ETA_FROM,
+        default="velocity",
+    )
+    lookahead_from: str = parameter(
+        "Where the lookahead distance begins: at the car or, as in the authors' code, at the point "
+        "of the path beside it",
+        choices=LOOKAHEAD_FROM,
+        default="car",
+    )
+    table_v_max_mps: float = parameter(
+        "Largest speed at which a table is read; the tables of the authors end at 7 m/s",
+        "m/s",
+        low=POSITIVE,
+        default=100.0,
+    )
+    curvature_feedforward: float = parameter(
+        "Share of the curvature that the law lacks on the path itself which is added to it. 0 as "
+        "in the paper",
+        low=0.0,
+        high=1.0,
+        tuning=(0.0, 1.0),
+        default=0.0,
+    )
+    yaw_rate_gain_s: float = parameter(
+        "Steering angle added for each rad/s by which the car turns slower than the demand. 0 as "
+        "in the paper",
+        "s",
+        low=0.0,
+        high=0.5,
+        tuning=(0.0, 0.2),
+        default=0.0,
     )
     delay_s: float = parameter(
         "Delay compensation: age of a pose when it is used plus dead time of the steering. 0 for "
@@ -78,6 +115,29 @@ class ControllerParameters:
     v_max_mps: float = parameter(
         "Largest speed commanded", "m/s", low=POSITIVE, tuning=(0.1, 30.0), default=12.0
     )
+    grip_use: float = parameter(
+        "Share of the lateral acceleration that the tires can reach which the speeds may use; the "
+        "car drives slower than the raceline where that asks for more. 0 for the speeds of the "
+        "raceline, whatever the grip",
+        low=0.0,
+        high=1.2,
+        tuning=(0.0, 1.2),
+        default=0.0,
+    )
+    a_drive_max_mps2: float = parameter(
+        "Largest driving acceleration of such speeds; in a bend what the friction ellipse leaves",
+        "m/s^2",
+        low=POSITIVE,
+        tuning=(0.5, 20.0),
+        default=7.0,
+    )
+    a_brake_max_mps2: float = parameter(
+        "Largest braking of such speeds; in a bend what the friction ellipse leaves",
+        "m/s^2",
+        low=POSITIVE,
+        tuning=(0.5, 20.0),
+        default=6.0,
+    )
     reference_point: str = parameter(
         "Point of the car that localization reports and that follows the raceline. The rear axle "
         "is base_link",
@@ -87,6 +147,8 @@ class ControllerParameters:
 
     def __post_init__(self):
         check(self)
+        if 0.0 < self.grip_use < 0.1:  # a plan would crawl around the lap
+            raise ParameterError(f"grip_use: expected 0 (off) or 0.1 to 1.2, got {self.grip_use:g}")
         if self.lookahead_min_m > self.lookahead_max_m:
             raise ParameterError(
                 f"lookahead_min_m: expected at most lookahead_max_m, {self.lookahead_max_m:g}, "

@@ -1,8 +1,8 @@
-"""Where, with what car and on which days the experiments are driven.
+"""Track, car and days of the experiments.
 
-A plant as its file says is the car on the day of identification. On other days its tires differ by
-amounts that nobody knows, drawn by a seed from stated distributions: controllers are tuned on some
-of them and raced on others.
+A plant file describes the car on the day of identification. On other days its tires differ by
+unknown amounts, drawn by a seed from stated distributions: controllers are tuned on some days and
+raced on others.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 from ..errors import ParameterError
 from ..resources import find_config
+from ..simulation.plant import PlantParameters
+from ..simulation.public_simulator import PublicSimulatorParameters
 from ..validation import POSITIVE, check, documented, parameter, read_parameters
 
 __all__ = ["Conditions", "Day", "day_of", "load_conditions"]
@@ -84,10 +86,10 @@ class Day(NamedTuple):
     mu_scale: float
     front_stiffness_scale: float
     rear_stiffness_scale: float
-    plant: object
+    plant: PlantParameters | PublicSimulatorParameters
 
 
-def load_conditions(source):
+def load_conditions(source: str) -> Conditions:
     """Read conditions from a shipped name or a YAML file.
 
     Raises
@@ -98,21 +100,11 @@ def load_conditions(source):
     return read_parameters(find_config("experiments", source, (".yaml",)), Conditions)
 
 
-def day_of(plant, conditions, seed):
-    """The plant on the day of a seed.
-
-    Parameters
-    ----------
-    plant : PlantParameters or PublicSimulatorParameters
-        On the day of identification.
-    conditions : Conditions
-    seed : int
-
-    Returns
-    -------
-    Day
-    """
-    # A stream of its own: that of the noise begins with the number itself.
+def day_of(
+    plant: PlantParameters | PublicSimulatorParameters, conditions: Conditions, seed: int
+) -> Day:
+    """The plant on the day of a seed, from the plant on the day of identification."""
+    # A stream of its own, independent of the noise, which is seeded with the number itself.
     gauss = random.Random(f"tires of race day {seed}").gauss
     mu, front, rear = (
         gauss(1.0, deviation)

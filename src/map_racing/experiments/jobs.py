@@ -34,7 +34,15 @@ from ..simulation.recorded import write_race_bag
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
 
-__all__ = ["LAP_COLUMNS", "RaceJob", "RaceResult", "code_fingerprint", "execute", "lap_row"]
+__all__ = [
+    "LAP_COLUMNS",
+    "End",
+    "RaceJob",
+    "RaceResult",
+    "code_fingerprint",
+    "execute",
+    "lap_row",
+]
 
 # Packages and modules that decide how a race goes and what is measured.
 _DECISIVE = ("vehicle", "track", "control", "simulation", "evaluation/laps.py") + (
@@ -111,6 +119,20 @@ def lap_row(lap: Lap) -> dict:
     return {name: getattr(lap, name) for name in LAP_COLUMNS}
 
 
+class End(NamedTuple):
+    """Where and how a race ended, at its last control step.
+
+    Arc length [m], lateral deviation [m], curvature of the raceline there [1/m], speed [m/s], and
+    angle from heading to velocity [rad].
+    """
+
+    s: float
+    d: float
+    kappa: float
+    speed: float
+    sideslip: float
+
+
 class RaceResult(NamedTuple):
     """What a race gave.
 
@@ -124,12 +146,15 @@ class RaceResult(NamedTuple):
         Simulated time [s].
     path : tuple of (float, float, float)
         Time [s] and true position [m] at each control step; empty unless asked for.
+    end : End or None
+        None if it was over before the first control step.
     """
 
     outcome: str
     stretches: tuple
     duration_s: float
     path: tuple = ()
+    end: End | None = None
 
     @property
     def completed(self):
@@ -156,16 +181,26 @@ def execute(job: RaceJob, path: bool = False, bag: bool = False) -> Executed:
     begin = process_time()
     plant, localization = build_plant(job.plant, job.seed)
     controller = build_controller(job.controller, job.vehicle, job.raceline)
-    log = race(plant, controller, job.raceline, localization, laps=job.laps)
+    rate = getattr(job.plant, "localization_rate_hz", 40.0)
+    log = race(plant, controller, job.raceline, localization, rate=rate, laps=job.laps)
     states = log.true_path() if log.samples else np.empty((0, 7))
     evaluator = LapEvaluator(job.raceline, car_width=plant.vehicle.width)
     t, x, y, _, v_x, v_y, _ = states.T
     evaluator.update(t, x, y, np.hypot(v_x, v_y))
     stretches = tuple(Lap(**lap_row(lap)) for lap in evaluator.finish().laps)
     driven = tuple(zip(t.tolist(), x.tolist(), y.tolist())) if path else ()
-    result = RaceResult(log.outcome.value, stretches, log.duration, driven)
+    end = _end_of(log, job.raceline)
+    result = RaceResult(log.outcome.value, stretches, log.duration, driven, end)
     recorded = _bag_of(log, job.raceline) if bag else None
     return Executed(result, recorded, process_time() - begin, code_fingerprint())
+
+
+def _end_of(log, raceline):
+    if not log.samples:
+        return None
+    _, x, y, _, v_x, v_y, _ = log.samples[-1].true
+    s, d, _, kappa = raceline.project(x, y)
+    return End(s, d, kappa, math.hypot(v_x, v_y), math.atan2(v_y, v_x))
 
 
 def _bag_of(log, raceline):

@@ -43,6 +43,13 @@ COMPARED = {
         "mean_lap_time_s",
     ],
     "tune": ["m_m", "q_s", "rms_lateral_error_m"],
+    "robustness": [
+        "races_completed",
+        "worst_rms_lateral_error_m",
+        "mean_rms_lateral_error_m",
+        "mean_lap_time_s",
+    ],
+    "tune-robust": ["m_m", "q_s", "delay_s", "grip_use", "typical_rms_lateral_error_m"],
 }
 
 
@@ -52,7 +59,7 @@ class Results:
 
     Parameters
     ----------
-    kind : {"velocity-scaling", "tire-models", "tune"}
+    kind : {"velocity-scaling", "tire-models", "robustness", "tune", "tune-robust"}
     table : pandas.DataFrame
         One row for each ``speed_scale`` and ``controller``.
     provenance : dict

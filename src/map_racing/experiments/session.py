@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from time import monotonic
-from typing import Any, Callable, Iterable
+from typing import Callable, Iterable
 
 import pandas as pd
 
@@ -20,22 +19,25 @@ from ..identification.report import report_data
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
-from .campaign import Effort, Plan, carry_out
-from .conditions import Conditions
+from .campaign import Effort, carry_out
 from .executors import open_executor
 from .identification_day import identify_on
 from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
+from .robustness import (
+    Grid,
+    grid_plan,
+    grid_provenance,
+    race_rows,
+)
 from .store import Store
 from .tuning import Tuned, frame_of
 
-__all__ = ["Session"]
+__all__ = ["GridSession", "Session"]
 
 
-class Session:
-    """Setting, tuned controllers, races and results of one command, in a result directory.
-
-    Nothing is written if track, plant or vehicle cannot be loaded.
+class Races:
+    """Where the results of many races go, and what carries the races out.
 
     Parameters
     ----------
@@ -43,37 +45,16 @@ class Session:
         Kind of the results, such as ``"tune"``.
     folder : str or pathlib.Path
         Result directory; an existing one is continued.
-    conditions : Conditions
-    vehicle : str, optional
-        The controllers' model of the car; default: identified from ramps on the plant.
-    tuning : bool
-        Whether the contenders are tuned.
-    jobs, scheduler : int, str, optional
-        See `map_racing.experiments.executors.open_executor`.
+    jobs : int, optional
+        Processes.
+    scheduler : str, optional
+        Address of a Dask scheduler.
     reuse : sequence of str
-        Result directories to take races from.
-
-    Attributes
-    ----------
-    notes : list of str
-        What the user should know about track and car.
+        Result directories whose races are taken over.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        folder: str | Path,
-        conditions: Conditions,
-        *,
-        vehicle: str | None = None,
-        tuning: bool = True,
-        jobs: int | None = None,
-        scheduler: str | None = None,
-        reuse: Iterable[str] = (),
-    ):
+    def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
         self.kind = kind
-        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
-        given = None if vehicle is None else load_vehicle(vehicle)
         self.folder = make_folder(folder)
         if (self.folder / "results.json").exists():
             other = read_results(self.folder).kind
@@ -82,7 +63,90 @@ class Session:
         self.figures = make_folder(self.folder / "figures")
         self.store = Store(self.folder, reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
-        self._jobs, self._scheduler, self._tuning = jobs, scheduler, tuning
+        self._jobs, self._scheduler = jobs, scheduler
+
+    def carry_out(self, plans, title, **needs):
+        """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
+        with open_executor(self._jobs, self._scheduler) as (executor, capacity):
+            results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
+        self.effort += effort
+        return results
+
+    def report(self):
+        """Print how much was computed, and where the results are."""
+        driven, found, cpu_s = self.effort
+        print(
+            f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
+            f"{monotonic() - self.began:.0f} s in all"
+        )
+        print(f"tables, figures and provenance are in {self.folder}")
+
+
+class GridSession(Races):
+    """Races on a grid of tracks and cars.
+
+    Nothing is written if a track or a car cannot be loaded.
+
+    Parameters
+    ----------
+    kind, folder, **where
+        As in `Races`.
+    conditions : Robustness
+    """
+
+    def __init__(self, kind, folder, conditions, **where):
+        self.grid = Grid(conditions)
+        super().__init__(kind, folder, **where)
+
+    def race(self, controllers):
+        """Race controllers over the grid.
+
+        Parameters
+        ----------
+        controllers : dict of str to ControllerParameters
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each race.
+        """
+        plans = [grid_plan(self.grid, label, given) for label, given in controllers.items()]
+        results = self.carry_out(plans, "races")
+        frames = [race_rows(self.grid, *each) for each in zip(controllers, results)]
+        return pd.concat(frames, ignore_index=True)
+
+    def write(self, table, controllers, **frames):
+        """Write tables and provenance."""
+        provenance = grid_provenance(self.grid, controllers)
+        write_results(self.folder, Results(self.kind, table, provenance), **frames)
+
+
+class Session(Races):
+    """Setting, tuned controllers, races and results of one command, in a result directory.
+
+    Nothing is written if track, plant or vehicle cannot be loaded.
+
+    Parameters
+    ----------
+    kind, folder, **where
+        As in `Races`.
+    conditions : Conditions
+    vehicle : str, optional
+        The controllers' model of the car; by default it is identified from ramps on the plant.
+    tuning : bool
+        Whether the contenders are tuned.
+
+    Attributes
+    ----------
+    notes : list of str
+        What the user should know about track and car.
+    """
+
+    def __init__(self, kind, folder, conditions, *, vehicle=None, tuning=True, **where):
+        raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
+        given = None if vehicle is None else load_vehicle(vehicle)
+        super().__init__(kind, folder, **where)
+        self._tuning = tuning
         self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
         if raceline.d_left is None:
             self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
@@ -126,13 +190,6 @@ class Session:
             f"{found.largest_a_y:.1f} m/s^2, {self.folder / 'identified.yaml'}"
         )
         return found.vehicle, found.linear_vehicle
-
-    def carry_out(self, plans: list[Plan], title: str, **needs: bool) -> list[Any]:
-        """Carry out plans; `needs` as for `map_racing.experiments.campaign.carry_out`."""
-        with open_executor(self._jobs, self._scheduler) as (executor, capacity):
-            results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
-        self.effort += effort
-        return results
 
     def tune(self, controllers: dict[str, tuple[str, ControllerParameters]]) -> dict[str, Tuned]:
         """Tune controllers; write files, maps and tables.
@@ -187,12 +244,3 @@ class Session:
         """Write the table of the results, further tables, and the provenance."""
         provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
-
-    def report(self) -> None:
-        """Print effort and place of the results."""
-        driven, found, cpu_s = self.effort
-        print(
-            f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
-            f"{monotonic() - self.began:.0f} s in all"
-        )
-        print(f"tables, figures and provenance are in {self.folder}")

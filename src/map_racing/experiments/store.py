@@ -12,7 +12,7 @@ from ..errors import FileFormatError, MapRacingError
 from ..evaluation.results import Lap
 from ..files import replacing, write_json
 from ..simulation.race import Outcome
-from .jobs import LAP_COLUMNS, RaceJob, RaceResult, lap_row, plain
+from .jobs import LAP_COLUMNS, End, RaceJob, RaceResult, lap_row, plain
 
 __all__ = ["Store"]
 
@@ -76,6 +76,7 @@ class Store:
                 "duration_s": result.duration_s,
                 "stretches": [lap_row(lap) for lap in result.stretches],
                 "path": result.path,
+                "end": result.end,
             },
         }
         write_json(self.folder / "runs" / f"{job.fingerprint}.json", record, indent=None)
@@ -98,11 +99,12 @@ def _result(record, path):
             for row in values["stretches"]
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
-        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven)
+        end = values["end"] and End(*values["end"])
+        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end)
         Outcome(result.outcome)
         # The last column is text.
         numbers = [getattr(lap, name) for lap in stretches for name in LAP_COLUMNS[:-1]]
-        for value in chain([result.duration_s], numbers, *driven):
+        for value in chain([result.duration_s], numbers, end or (), *driven):
             math.isnan(value)  # a TypeError for anything but a number
         return result
     except (KeyError, TypeError, ValueError):

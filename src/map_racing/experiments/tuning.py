@@ -1,16 +1,23 @@
-"""Tuning: the lookahead ``L_d = m + q v`` with which a controller follows a track closest.
+"""Tuning: the parameters with which a controller follows its racelines closest.
 
 The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
-races that are driven with a pair (m, q): one on each of several days. A pair with which any of them
-is not completed is infeasible. A coarse grid finds the valley, a pattern search (Hooke and Jeeves,
-with all eight neighbors) its lowest point to 0.025 m and 0.006 s. The gain q is not negative: a
-lookahead that shortens as the car gets faster would follow well at the speed it was tuned at, and
-swing beyond.
+races that are driven with a candidate. One with which any of them is not completed is infeasible.
+
+`tune` finds the lookahead ``L_d = m + q v`` for one track, with a race on each of several days. A
+coarse grid finds the valley, a pattern search (Hooke and Jeeves, with all eight neighbors) its
+lowest point to 0.025 m and 0.006 s. The gain q is not negative: a lookahead that shortens as the
+car gets faster would follow well at the speed it was tuned at, and swing beyond. `tune_robust`
+searches around given values of m, q and the delay for many tracks and cars.
+
+Candidates are compared race by race, on the same days. One that does not complete a race, or whose
+error on the races driven so far is well above the best one's on the same races, is given up: it
+would not become the best.
 """
 
 from __future__ import annotations
 
 import math
+import random
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +25,16 @@ import pandas as pd
 
 from ..errors import MapRacingError
 
-__all__ = ["Pair", "Tuned", "frame_of", "lap_error", "tune"]
+__all__ = [
+    "Candidate",
+    "Pair",
+    "Tuned",
+    "frame_of",
+    "lap_error",
+    "tune",
+    "tune_robust",
+    "typical_error",
+]
 
 # Finest steps of m [m] and q [s]; all pairs are whole multiples of them.
 STEP_M, STEP_Q = 0.025, 0.00625
@@ -28,14 +44,26 @@ COARSE = 8
 GRID = range(0, 49, COARSE)
 # Moves of the search at each width; it needs a few.
 MOST_MOVES = 20
+# A candidate is given up whose mean error on the n races so far is more than 1 + GIVE_UP / sqrt(n)
+# times the best one's on the same races: as means of more races tell more. On days and cars that
+# differ as much as those of the experiments, errors of neighboring candidates change alike.
+GIVE_UP = 0.3
+# Of a grid's races, which differ far more, that many are driven before candidates are given up.
+FEWEST = 24
+# Steps of the robust search: m [m], q [s] and delay [s]; it begins with twice these.
+ROBUST_STEPS = (("m_m", 0.025), ("q_s", 0.0125), ("delay_s", 0.005))
 
 
 class Pair(NamedTuple):
-    """One pair: offset [m], gain [s], mean RMS lateral error [m], infinite if infeasible."""
+    """One pair: offset [m], gain [s], mean RMS lateral error [m], infinite if infeasible.
+
+    Of a pair that was given up the error is that of the races driven.
+    """
 
     m: float
     q: float
     error: float
+    given_up: bool = False
 
 
 class Tuned(NamedTuple):
@@ -78,14 +106,15 @@ def frame_of(tuned):
     Returns
     -------
     pandas.DataFrame
-        The error is NaN where not all races were completed.
+        The error is NaN where a race was not completed.
     """
     rows = [
         {
             "m_m": pair.m,
             "q_s": pair.q,
             "rms_lateral_error_m": pair.error if math.isfinite(pair.error) else math.nan,
-            "completed": math.isfinite(pair.error),
+            "completed": math.isfinite(pair.error) and not pair.given_up,
+            "given_up": pair.given_up,
         }
         for pair in tuned.pairs
     ]
@@ -111,20 +140,26 @@ def tune(jobs_for, controller):
     MapRacingError
         From the generator, if no pair of the grid is feasible.
     """
-    errors = {}
+    errors, given_up = {}, set()
 
     def with_pair(i, j):
         return controller.with_(m_m=round(i * STEP_M, 6), q_s=round(j * STEP_Q, 6))
 
     def measure(cells):
         new = [cell for cell in cells if cell not in errors]
-        jobs = [jobs_for(with_pair(*cell)) for cell in new]
-        results = iter((yield [job for group in jobs for job in group]))
-        for cell, group in zip(new, jobs):
-            errors[cell] = lap_error([next(results) for _ in group])
+        found = yield from _compare([jobs_for(with_pair(*cell)) for cell in new], reference)
+        for cell, results in zip(new, found):
+            errors[cell] = lap_error(results)
+            if len(results) < len(jobs_for(controller)):
+                given_up.add(cell)
+            elif errors[cell] < min([errors[c] for c in complete] or [math.inf]):
+                reference[:] = results
+            if cell not in given_up:
+                complete.append(cell)
 
+    reference, complete = [], []
     yield from measure([(i, j) for i in GRID for j in GRID])
-    best = min(errors, key=lambda cell: (errors[cell], cell))
+    best = min(complete or errors, key=lambda cell: (errors[cell], cell))
     if math.isinf(errors[best]):
         raise MapRacingError(
             f"tuning: no lookahead of the grid completes a race at {controller.speed_scale:.0%} "
@@ -140,12 +175,173 @@ def tune(jobs_for, controller):
                 if best[1] + j >= 0
             ]
             yield from measure(around)
-            lowest = min(around, key=lambda cell: (errors[cell], cell))
+            lowest = min(
+                (cell for cell in around if cell not in given_up),
+                key=lambda cell: (errors[cell], cell),
+            )
             if errors[lowest] >= errors[best]:
                 break
             best = lowest
         width //= 2
     pairs = [
-        Pair(with_pair(*cell).m_m, with_pair(*cell).q_s, errors[cell]) for cell in sorted(errors)
+        Pair(
+            *(with_pair(*cell).m_m, with_pair(*cell).q_s),
+            *(errors[cell], cell in given_up and math.isfinite(errors[cell])),
+        )
+        for cell in sorted(errors)
     ]
     return Tuned(with_pair(*best), errors[best], pairs)
+
+
+def _compare(groups, reference, first=1, measure=lap_error):
+    """Drive groups of races, each as far as it may become the best.
+
+    Parameters
+    ----------
+    groups : list of list of RaceJob
+        Of each candidate, all in the same order.
+    reference : list of RaceResult
+        Of the best candidate so far; empty if there is none.
+    first : int, optional
+        Races before any candidate is given up for its error.
+    measure : callable, optional
+        Error of a list of RaceResult.
+
+    Yields
+    ------
+    list of RaceJob
+
+    Returns
+    -------
+    list of list of RaceResult
+        Fewer than the jobs of candidates that were given up.
+    """
+    found = [[] for _ in groups]
+    going = list(range(len(groups)))
+    for begin, end in zip(*_stages(len(groups[0]), first)) if groups else ():
+        results = iter((yield [job for k in going for job in groups[k][begin:end]]))
+        for k in going:
+            found[k] += [next(results) for _ in range(begin, end)]
+        share = 1.0 + GIVE_UP / math.sqrt(end)
+        errors = {k: measure(found[k]) for k in going}
+        best = min([*errors.values(), measure(reference[:end]) if reference else math.inf])
+        going = [k for k in going if math.isfinite(errors[k]) and errors[k] <= share * best]
+    return found
+
+
+def _stages(total, first):
+    """Beginnings and ends of the rounds in which races are driven: 1, 1, 2, 4, ..., if from 1."""
+    ends = []
+    while not ends or ends[-1] < total:
+        ends.append(min(total, 2 * ends[-1] if ends else first))
+    return [0, *ends[:-1]], ends
+
+
+class Candidate(NamedTuple):
+    """A controller of the robust search, and what it gave.
+
+    Parameters
+    ----------
+    controller : ControllerParameters
+    error : float
+        Error of the races driven [m], see `typical_error`; infinite if one was not completed.
+    worst : float
+        Largest RMS lateral error of a race [m].
+    races : int
+        How many were driven: all, unless it was given up.
+    """
+
+    controller: object
+    error: float
+    worst: float
+    races: int
+
+
+def typical_error(results):
+    """Geometric mean over races of their RMS lateral error [m]; infinite if one is not completed.
+
+    So a tenth less counts as much on a track where all errors are small as where a car slides.
+
+    Parameters
+    ----------
+    results : iterable of RaceResult
+    """
+    errors = [lap_error([result]) for result in results]
+    if not all(map(math.isfinite, errors)):
+        return math.inf
+    return float(np.exp(np.mean(np.log(np.maximum(errors, 1e-6)))))
+
+
+def tune_robust(jobs_for, controller):
+    """Plan that tunes lookahead and delay of a controller over many tracks and cars.
+
+    The races are driven in one random order, those first that the given values do not complete, so
+    that the first ones stand for all.
+
+    Parameters
+    ----------
+    jobs_for : callable
+        ``jobs_for(controller) -> list of RaceJob``: the races that judge it.
+    controller : ControllerParameters
+        Where the search begins.
+
+    Returns
+    -------
+    generator
+        It returns a list of `Candidate`: the best, then the others as they were driven.
+
+    Raises
+    ------
+    MapRacingError
+        From the generator, if no candidate completes all races.
+    """
+    first = yield jobs_for(controller)
+    order = list(range(len(first)))
+    random.Random(1).shuffle(order)
+    order.sort(key=lambda k: first[k].completed)
+    reference = [first[k] for k in order]
+    best = Candidate(controller, typical_error(first), _worst(first), len(first))
+    candidates = {_key(controller): best}
+    for width in (2, 1):
+        for _ in range(MOST_MOVES):
+            around = [
+                near for near in _around(best.controller, width) if _key(near) not in candidates
+            ]
+            groups = [[jobs_for(near)[k] for k in order] for near in around]
+            # Until something completes all races, the search goes for what completes most.
+            begun = reference if math.isfinite(best.error) else []
+            found = yield from _compare(groups, begun, FEWEST, typical_error)
+            for near, results in zip(around, found):
+                driven = Candidate(near, typical_error(results), _worst(results), len(results))
+                candidates[_key(near)] = driven
+                if len(results) == len(order) and driven.error < best.error:
+                    best, reference = driven, results
+            if best.controller not in around:
+                break
+    if math.isinf(best.error):
+        raise MapRacingError(
+            "tuning: nothing around the given values completes all races; lower grip_use or the "
+            "speed"
+        )
+    return [best, *(c for c in candidates.values() if c is not best)]
+
+
+def _around(controller, width):
+    """Controllers a step away in one parameter, or in m and q such that the lookahead stays."""
+    moves = [{name: sign * width * step} for name, step in ROBUST_STEPS for sign in (1.0, -1.0)]
+    (m, step_m), (q, step_q) = ROBUST_STEPS[:2]
+    moves += [{m: sign * width * 2.0 * step_m, q: -sign * width * step_q} for sign in (1.0, -1.0)]
+    around = []
+    for move in moves:
+        changes = {name: round(getattr(controller, name) + way, 6) for name, way in move.items()}
+        if changes.get("q_s", 0.0) >= 0.0 and changes.get("delay_s", 0.0) >= 0.0:
+            around.append(controller.with_(**changes))
+    return around
+
+
+def _key(controller):
+    return tuple(getattr(controller, name) for name, _ in ROBUST_STEPS)
+
+
+def _worst(results):
+    return max(lap_error([result]) for result in results)

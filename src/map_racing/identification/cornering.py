@@ -1,10 +1,9 @@
 """From signals on their own times to steady cornering on one clock.
 
-All signals go to one clock and through one low-pass, a Butterworth filter run forwards and
-backwards, so that nothing is delayed against anything else. The velocity at the pose's point comes
-from the differences of poses, turned into the car's axes before they are filtered: there they are
-constant on a circle. Stretches of constant speed, yaw rate and steering are what tires are
-identified from, be they holds or slow ramps.
+All signals are resampled to one clock and pass one zero-phase low-pass, so that none is delayed
+against another. The velocity of the localized point comes from differences of poses, rotated into
+the car's axes before filtering: there they are constant on a circle. Tires are identified from
+segments of steady speed, yaw rate and steering: constant steering angles or slow ramps.
 """
 
 from __future__ import annotations
@@ -19,32 +18,32 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
+from ..vehicle.parameters import Vehicle
 from .data import POSE, Run, Signal
 from .limits import RATE_HZ, SteadyLimits
 
-__all__ = ["Motion", "low_passed", "motion_of"]
+__all__ = ["ProcessedRun", "low_passed", "motion_of"]
 
 # A signal is known between samples this far apart [s]; a command holds until the next one.
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
-# Localization is lost where its speed or yaw rate differs by more from that of the car's sensors.
+# Localization is lost where its speed or yaw rate differs from the car's sensors by more than this.
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
-# A spike is farther from the median around it than so many times what is usual there, and than
-# a least distance.
+# A spike is farther from the local median than this many usual distances, and than its threshold.
 SPIKE_WINDOW_S, SPIKE_FACTOR = 1.2, 6.5
 POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
 SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
 SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
 CLOCK_SEARCH_S = 1.5
-# No drive takes longer; a time in ms or with a jump does [s].
+# Longer only with a time in ms or with a jump [s].
 LONGEST_DRIVE_S = 36000.0
-# The low-pass smears a step over so many periods of its cut-off.
+# The low-pass smears a step over this many periods of its cutoff frequency.
 SMEARED = 0.4
 SLOWEST_MPS = 0.5
 STANDSTILL_MPS = 0.05
 
 
 @dataclass(frozen=True)
-class Motion:
+class ProcessedRun:
     """One drive on one clock, low-passed; all arrays have shape (n,).
 
     Parameters
@@ -53,29 +52,29 @@ class Motion:
     t : ndarray
         Time [s].
     v_x, r : ndarray
-        Forward speed [m/s] and yaw rate [rad/s] as the car's own sensors have them.
+        Forward speed [m/s] and yaw rate [rad/s] from the car's own sensors.
     beta : ndarray
-        Direction of motion of the pose's point from the car's axis [rad], from poses alone.
+        Sideslip at the localized point [rad], from poses alone.
     delta : ndarray
         Steering angle [rad].
     a_y : ndarray
         Lateral acceleration of the center of gravity [m/s^2].
     acceleration : {"imu", "yaw_rate"}
-        Where it comes from.
+        Its source.
     axes : dict of str to ndarray
-        What the IMU gave, by axis.
+        Accelerations of the IMU, by axis.
     path_speed, heading_rate : ndarray
-        Speed along the path [m/s] and turning of the heading [rad/s], from poses alone.
+        Speed along the path [m/s] and rate of the heading [rad/s], from poses alone.
     v_y_odometry : ndarray or None
-        Lateral velocity that the odometry reported at the pose's point [m/s].
+        Lateral velocity of the odometry at the localized point [m/s].
     moving, coherent, steady : ndarray of bool
         Whether the car moves; whether localization and sensors agree; whether it is steady.
     beta_noise, a_y_noise : float
-        Standard deviations of what the low-pass left of their noise.
+        Standard deviations of the noise that the low-pass left.
     clock_offset_s : float
-        By which the pose's clock was shifted against the others.
+        Shift of the clock of the poses against the others.
     spikes : dict of str to float
-        Share of each signal that was left out as spikes.
+        Share of each signal rejected as spikes.
     limits : SteadyLimits
     """
 
@@ -87,7 +86,7 @@ class Motion:
     delta: np.ndarray
     a_y: np.ndarray
     acceleration: str
-    axes: dict
+    axes: dict[str, np.ndarray]
     path_speed: np.ndarray
     heading_rate: np.ndarray
     v_y_odometry: np.ndarray | None
@@ -97,20 +96,20 @@ class Motion:
     beta_noise: float
     a_y_noise: float
     clock_offset_s: float
-    spikes: dict
+    spikes: dict[str, float]
     limits: SteadyLimits
 
     @property
-    def usable(self):
-        """Steady driving that localization saw."""
+    def usable(self) -> np.ndarray:
+        """Steady driving with valid localization."""
         return self.steady & self.coherent
 
-    def v_y(self, l_r):
+    def v_y(self, l_r: float) -> np.ndarray:
         """Lateral velocity of the center of gravity [m/s], `l_r` ahead of the rear axle."""
         return self.v_x * np.tan(self.beta) + self.r * (l_r - self.run.setup.pose_x_m)
 
-    def segments(self):
-        """Stretches of usable driving, as slices, without what the low-pass smears into them."""
+    def segments(self) -> list[slice]:
+        """Slices of usable driving, without the edges that the low-pass smears."""
         margin = round(SMEARED / self.limits.cutoff_hz * RATE_HZ)
         shortest = round(self.limits.shortest_s * RATE_HZ)
         return [
@@ -120,7 +119,12 @@ class Motion:
         ]
 
 
-def motion_of(run, vehicle, limits=None, acceleration="imu"):
+def motion_of(
+    run: Run,
+    vehicle: Vehicle,
+    limits: SteadyLimits | None = None,
+    acceleration: str = "imu",
+) -> ProcessedRun:
     """Bring a run to one clock.
 
     Parameters
@@ -128,20 +132,15 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
     run : Run
         Its setup is applied.
     vehicle : Vehicle
-        Its geometry says where the center of gravity is.
+        Its geometry locates the center of gravity.
     limits : SteadyLimits, optional
     acceleration : {"imu", "yaw_rate"}
-        Where the lateral acceleration comes from: the IMU, or speed times yaw rate, which it is in
-        steady state.
-
-    Returns
-    -------
-    Motion
+        Source of the lateral acceleration: the IMU, or speed times yaw rate (steady-state value).
 
     Raises
     ------
     IdentificationError
-        If signals are missing, or no second of all of them exists.
+        If signals are missing, or do not overlap for a second.
     """
     limits = limits or SteadyLimits()
     setup = run.setup
@@ -168,7 +167,7 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
     v_x, r, turning = smooth["v_x"], smooth["r"], smooth["heading_rate"]
     path_speed = np.hypot(smooth["along"], smooth["sideways"])
     beta = np.where(path_speed > 0.3, np.arctan2(smooth["sideways"], smooth["along"]), 0.0)
-    motion = Motion(
+    motion = ProcessedRun(
         run=run,
         t=t,
         v_x=v_x,
@@ -194,19 +193,8 @@ def motion_of(run, vehicle, limits=None, acceleration="imu"):
     return replace(motion, beta_noise=_noise(motion.beta, cuts), a_y_noise=_noise(motion.a_y, cuts))
 
 
-def low_passed(values, rate_hz, cutoff_hz):
-    """Zero-phase Butterworth low-pass, at half of the power at the cut-off.
-
-    Parameters
-    ----------
-    values : ndarray, shape (..., n)
-    rate_hz, cutoff_hz : float
-        Of sampling, and of the filter [Hz].
-
-    Returns
-    -------
-    ndarray, shape (..., n)
-    """
+def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
+    """Zero-phase Butterworth low-pass along the last axis; half the power passes at the cutoff."""
     # Twice through a filter of second order: each pass may take a quarter of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
     padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
@@ -219,11 +207,11 @@ def _sections(cutoff):
 
 
 def _without_spikes(run):
-    """Signals without spikes and on the true time, and the share of spikes of each."""
+    """Signals without spikes on true time, and the share of spikes in each."""
     for name in (*POSE, "steering"):
         if name not in run.signals:
-            what = "no drive command nor a servo's position" if name == "steering" else "no pose"
-            raise IdentificationError(f"{run.name}: {what} in it ({name})")
+            what = "a drive command or a servo position" if name == "steering" else "poses"
+            raise IdentificationError(f"{run.name}: {name}: expected {what}, got none")
     own = run.setup.time_scale * run.signals["x"].t
     apart = float(np.median(np.diff(own)))
     if apart > LONGEST_GAP_S or own[-1] - own[0] > LONGEST_DRIVE_S:
@@ -246,7 +234,7 @@ def _common_clock(run, signals, pose_t):
     others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
     commands = signals["steering"].t
     begin = max(commands[0], *(own[0] for own in others))
-    end = min(own[-1] for own in others)  # the last command holds
+    end = min(own[-1] for own in others)  # the last command stays
     if end - begin < 1.0:
         raise IdentificationError(
             f"{run.name}: expected a second in which all signals exist, got "
@@ -260,7 +248,7 @@ def _common_clock(run, signals, pose_t):
 
 
 def _sampled(signals, setup, t):
-    """Signals beside the pose at even times, with the setup applied but for the acceleration."""
+    """All signals but the pose on the common clock, with the setup applied except to the IMU."""
     columns = {}
     for name, key, scale in (
         *(("v_x", "v_x", setup.speed_scale), ("yaw_rate", "r", setup.yaw_rate_scale)),
@@ -287,7 +275,7 @@ def _filtered(columns, known, cutoff_hz):
 
 
 def _lost(known, path_speed, v_x, turning, r):
-    """Where localization contradicts the car's own sensors, and what is smeared over the edges."""
+    """Where localization contradicts the car's own sensors, with a margin."""
     lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
     lost |= np.abs(turning - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
     margin = 2 * round(0.3 * RATE_HZ) + 1
@@ -295,7 +283,7 @@ def _lost(known, path_speed, v_x, turning, r):
 
 
 def _steady(v_x, r, delta, limits):
-    """Where nothing changes fast."""
+    """Where speed, yaw rate and steering angle change slowly."""
     steady = np.ones(v_x.size, dtype=bool)
     for column, limit in (
         (v_x, limits.dv_mps2),
@@ -307,38 +295,31 @@ def _steady(v_x, r, delta, limits):
 
 
 def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
-    """Which samples are spikes: far from the median of their neighborhood."""
+    """Mask of spikes: samples far from the local median."""
     return _far(t, np.abs(value - _median(t, value, window_s)), least, window_s)
 
 
 def _far(t, distance, least, window_s):
-    """Which distances are large for their neighborhood, and not for long."""
+    """Mask of distances that are large for their neighborhood, but only briefly."""
     far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
     for cut in _stretches(far):
-        # What lasts is no spike but a step: the car brakes, or localization moved.
+        # A lasting one is a step: the car brakes, or localization corrected itself.
         if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
             far[cut] = False
     return far
 
 
 def _median(t, value, window_s):
-    """Running median; of too few samples each is its own."""
+    """Running median; too few samples stay as they are."""
     window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
     return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
 
 
 def _poses(run, signals, spikes):
-    """Poses at even times, without spikes.
+    """Times of the valid poses; evenly spaced times and the poses there, without spikes.
 
-    A driving car has no place to return to, so what is judged, and interpolated, is how far the
-    pose is from dead reckoning with the car's own sensors, which changes slowly.
-
-    Returns
-    -------
-    pose_t : ndarray
-        Times of the poses that were no spikes.
-    t, x, y, psi : ndarray
-        Even times and the poses there.
+    Spikes are detected, and poses interpolated, in the drift of the poses against dead reckoning
+    with the car's own sensors, which changes slowly even while the car moves fast.
     """
     own, x = signals["x"]
     y = np.interp(own, *signals["y"])
@@ -351,7 +332,7 @@ def _poses(run, signals, spikes):
         integral = _integrated(rate_t, rate)
         turned, turned_even = np.interp(psi_t, rate_t, integral), np.interp(t, rate_t, integral)
     drift = psi - turned
-    # Without yaw rate the heading itself turns in the window.
+    # Without yaw rate, the heading itself changes within the window.
     window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
     middle = np.arctan2(*(_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
     distance = np.abs(wrap(drift - middle))
@@ -378,7 +359,7 @@ def _integrated(t, values):
 
 
 def _velocities(t, x, y, psi, heading_offset):
-    """Velocity along the car's axes and yaw rate between poses, and their times."""
+    """Times between poses, velocities along the car's axes, and yaw rate there."""
     dt = np.diff(t)
     heading = 0.5 * (psi[1:] + psi[:-1]) + heading_offset
     dx, dy = np.diff(x) / dt, np.diff(y) / dt
@@ -387,7 +368,7 @@ def _velocities(t, x, y, psi, heading_offset):
 
 
 def _clock_offset(middle, turning, t, rate):
-    """What to add to the pose's clock so that both yaw rates agree [s]."""
+    """Shift of the clock of the poses that aligns both yaw rates [s]."""
     step = 1.0 / RATE_HZ
     grid = np.arange(max(middle[0], t[0]), min(middle[-1], t[-1]), step)
     if grid.size < 4 * RATE_HZ:
@@ -398,8 +379,8 @@ def _clock_offset(middle, turning, t, rate):
     other = low_passed(np.interp(grid, middle, turning), RATE_HZ, 2.0)
     most = min(round(CLOCK_SEARCH_S * RATE_HZ), grid.size // 4)
     inner = slice(most, grid.size - most)
-    # Squares of the differences at each shift but for the part that all have in common. The sign of
-    # the yaw rate is checked later; here only times count.
+    # Squared differences at each shift, up to a common constant. The absolute value tolerates a
+    # wrong sign of the yaw rate, which is checked later.
     squares = np.append(0.0, np.cumsum(other**2))
     size = grid.size - 2 * most
     alike = np.abs(np.correlate(other, own[inner], "valid"))
@@ -416,8 +397,8 @@ def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
         raise ParameterError(f"acceleration: expected imu or yaw_rate, got {acceleration!r}")
     if setup.lateral_axis not in axes:
         raise IdentificationError(
-            f"{run.name}: no lateral acceleration (a_{setup.lateral_axis}): without an IMU it can "
-            "be taken from speed and yaw rate (--acceleration yaw_rate)"
+            f"{run.name}: a_{setup.lateral_axis}: expected a lateral acceleration, got none: "
+            "without an IMU use speed times yaw rate (--acceleration yaw_rate)"
         )
     a_y = setup.lateral_scale * axes[setup.lateral_axis] + setup.lateral_offset_mps2
     ahead = 0.0 if setup.imu_x_m is None else setup.imu_x_m - vehicle.l_r
@@ -426,13 +407,13 @@ def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
 
 
 def _near(t, samples, longest):
-    """Whether there are samples within `longest` [s] before and after, or at, each time."""
+    """Whether each time lies in a gap of at most `longest` [s] between samples."""
     after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
     return (samples[after] - samples[after - 1] <= longest) | (t > samples[-1])
 
 
 def _noise(values, cuts, window_s=2.0):
-    """Standard deviation from a local parabola, in the stretches that are long enough."""
+    """Standard deviation from a local parabola, over the segments that are long enough."""
     half = int(0.5 * window_s * RATE_HZ)
     parts = []
     for cut in cuts:
@@ -441,7 +422,7 @@ def _noise(values, cuts, window_s=2.0):
             parts.append((values[cut] - parabola)[half:-half])
     if not parts:
         return 0.0
-    # A parabola through so little takes a part of the noise with it.
+    # A parabola through so few samples absorbs part of the noise.
     return 1.2 * float(np.std(np.concatenate(parts)))
 
 

@@ -1,8 +1,8 @@
-"""Recorded driving as signals: from bags, and from CSV files by a map of their channels.
+"""Recorded driving as signals: from bags, and from CSV files with a channel map.
 
-A run is what sensors said of one drive, each on its own times, in SI units. What a sensor means
-(its sign, its axis, where it sits) is its setup, which a channel map can state and
-`map_racing.identification.sensor_checks` can find out.
+A run has the signals of one drive, each on its own times, in SI units. Signs, axes and places of
+the sensors are its setup, which a channel map can state and
+`map_racing.identification.sensor_checks` can determine.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Signal(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """What the signals mean, beyond their names. A channel map may state it under ``setup``.
+    """Signs, scales, axes and places of the sensors; ``setup`` in a channel map.
 
     Parameters
     ----------
@@ -64,19 +64,19 @@ class SensorSetup:
     lateral_axis : {"x", "y", "z"}
         Axis of the IMU that points to the car's side.
     lateral_scale, lateral_offset_mps2 : float
-        ``a_y = scale * signal + offset``. A scale beside +-1 is that of a sensor that rolls with
-        the body, and feels gravity.
+        ``a_y = scale * signal + offset``. A sensor that rolls with the body measures part of
+        gravity, and needs a scale other than +-1.
     steering_gain, steering_offset_rad : float
-        Angle of the wheels from the signal, ``delta = gain * signal + offset``.
+        Road-wheel angle ``delta = gain * signal + offset``.
     steering_delay_s : float
         From the signal to the wheels.
     heading_offset_rad : float
-        Added to the pose's heading gives that of the car.
+        Heading of the car minus heading of the pose.
     pose_x_m : float
-        How far ahead of the rear axle the pose's point is; ``l_r`` for the center of gravity. It is
-        also the point of the odometry's lateral velocity.
+        Distance of the localized point, and of the odometry's lateral velocity, ahead of the rear
+        axle; ``l_r`` for the center of gravity.
     imu_x_m, imu_y_m : float
-        Place of the IMU, ahead of the rear axle and to its left.
+        Place of the IMU ahead of the rear axle and to its left; default: center of gravity.
     """
 
     time_scale: float = 1.0
@@ -101,13 +101,15 @@ class SensorSetup:
                 continue
             object.__setattr__(self, name, finite(name, value))
             if name.endswith(("scale", "gain")) and getattr(self, name) == 0.0:
-                raise ParameterError(f"{name}: expected a number other than 0")
+                raise ParameterError(f"{name}: expected a number other than 0, got 0")
         for name in ("time_scale", "steering_delay_s"):
             if getattr(self, name) < 0.0:
-                raise ParameterError(f"{name}: expected a positive number")
+                raise ParameterError(
+                    f"{name}: expected a positive number, got {getattr(self, name):g}"
+                )
 
-    def changes(self):
-        """What differs from the default, as a dictionary."""
+    def changes(self) -> dict[str, float | str]:
+        """Values that differ from the default."""
         return {
             field_.name: getattr(self, field_.name)
             for field_ in dataclasses.fields(self)
@@ -117,14 +119,14 @@ class SensorSetup:
 
 @dataclass(frozen=True)
 class Channel:
-    """Where a quantity is, and what takes it to SI: ``scale * unit * raw + offset``.
+    """Source of a quantity, and its conversion to SI: ``scale * unit * raw + offset``.
 
     Parameters
     ----------
     source : str
         Column of a CSV file or topic of a bag.
     field : str
-        What to take of a topic's messages, where they have more than one value.
+        Field of a topic's messages, if they have several.
     unit : str
         Unit of the recording.
     scale, offset : float
@@ -143,25 +145,25 @@ class Channel:
         for name in ("scale", "offset"):
             object.__setattr__(self, name, finite(name, getattr(self, name)))
 
-    def to_si(self, raw):
+    def to_si(self, raw: np.ndarray) -> np.ndarray:
         """The values in SI units."""
         return raw * (self.scale * UNITS.get(self.unit, 1.0)) + self.offset
 
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Which channel of a recording holds what.
+    """Sources of all quantities of a recording.
 
     Parameters
     ----------
     channels : dict of str to Channel
-        Keys are `CHANNELS`, ``time`` and ``pose_time`` (a clock of its own of x, y and psi).
+        Keys are `CHANNELS`, ``time`` and ``pose_time`` (where x, y and psi have their own clock).
     pose_topic : str, optional
         Topic of the pose in a bag.
     setup : SensorSetup
     """
 
-    channels: dict = field(default_factory=dict)
+    channels: dict[str, Channel] = field(default_factory=dict)
     pose_topic: str | None = None
     setup: SensorSetup = SensorSetup()
 
@@ -173,40 +175,36 @@ class Run:
     Parameters
     ----------
     name : str
-        Where it comes from.
+        Path of the recording.
     signals : dict of str to Signal
-        Keys are those of `CHANNELS` that the recording has.
+        Keys are the `CHANNELS` of the recording.
     setup : SensorSetup
     pose_clock : bool
-        Whether the pose has a clock of its own, whose beginning is not known exactly.
+        Whether the poses have a clock of their own, with an unknown offset.
     notes : list of str
-        What was chosen, repaired or left out while reading.
+        Choices, repairs and omissions made while reading.
     """
 
     name: str
-    signals: dict
+    signals: dict[str, Signal]
     setup: SensorSetup = SensorSetup()
     pose_clock: bool = False
-    notes: list = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
-    def label(self):
+    def label(self) -> str:
         """Short name: the file with its folder."""
         path = Path(self.name)
         return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
 
 
-def load_channel_map(source):
+def load_channel_map(source: str | Path) -> ChannelMap:
     """Read a channel map.
 
     Parameters
     ----------
     source : str or pathlib.Path
-        Name of a shipped one, or YAML file; ``config/channels/circles_log.yaml`` explains the keys.
-
-    Returns
-    -------
-    ChannelMap
+        Shipped map or YAML file; ``config/channels/circles_log.yaml`` explains the keys.
 
     Raises
     ------
@@ -235,22 +233,18 @@ def load_channel_map(source):
         raise ParameterError(f"{path}: {error}") from None
 
 
-def load_run(path, channels=None):
+def load_run(path: str | Path, channels: ChannelMap | None = None) -> Run:
     """Read a drive.
 
     Parameters
     ----------
     path : str or pathlib.Path
-        A ROS 1 bag, the name of a shipped one (``config/recordings``), or a CSV file (also
-        ``.gz``), which needs a channel map.
+        A ROS 1 bag, also a shipped one (``config/recordings``), or a CSV file (also ``.gz``), which
+        needs a channel map.
     channels : ChannelMap, optional
-        For a bag only what is not where it usually is: pose and twist from its odometry (see
-        `map_racing.bags.reader.read_recording`), acceleration and yaw rate from its Imu,
-        steering from its AckermannDriveStamped.
-
-    Returns
-    -------
-    Run
+        For a bag, only exceptions to the usual sources: pose and twist from odometry (see
+        `map_racing.bags.reader.read_recording`), acceleration and yaw rate from the Imu, steering
+        from AckermannDriveStamped.
 
     Raises
     ------
@@ -263,16 +257,18 @@ def load_run(path, channels=None):
         return _load_bag(path, channels)
     if not channels.channels:
         raise ParameterError(
-            f"{path}: a CSV file needs a channel map, which says what is in it (--channels)"
+            f"{path}: expected a channel map (--channels) for a CSV file, got none"
         )
     return _load_csv(path, channels)
 
 
 def _load_bag(path, channel_map):
-    """Signals of a bag: what is usual, then what the map says."""
+    """Signals of a bag from the usual topics, then from the channel map."""
     for name in ("time", "pose_time", *POSE):
         if name in channel_map.channels:
-            raise ParameterError(f"{path}: {name}: is for CSV files; a bag has a pose_topic")
+            raise ParameterError(
+                f"{path}: {name}: expected in CSV files only; a bag has a pose_topic"
+            )
     recording = read_recording(path, channel_map.pose_topic)
     topics = {"imu": ""}
     for name, channel in channel_map.channels.items():
@@ -290,7 +286,7 @@ def _load_bag(path, channel_map):
         wanted = channel.field or (name if name in columns else next(iter(columns)))
         if wanted not in columns:
             raise ParameterError(
-                f"{path}: {name}: {channel.source} has {', '.join(columns)}, not {wanted!r}"
+                f"{path}: {name}: expected {', '.join(columns)} of {channel.source}, got {wanted!r}"
             )
         signals[name] = t, channel.to_si(columns[wanted])
     return _run(path, signals, channel_map.setup, recording.notes)
@@ -320,14 +316,14 @@ def _load_csv(path, channel_map):
         pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
         known = np.isfinite(pose_t + values["x"])
         if known.any():
-            # Any epoch will do: the checks bring both clocks together by the yaw rates.
+            # Roughly: the yaw rates align both clocks later.
             pose_t = pose_t + float(np.median((t - pose_t)[known]))
         signals.update((name, (pose_t, values[name])) for name in POSE if name in values)
     return _run(path, signals, channel_map.setup, notes, clocks["pose_time"] is not None)
 
 
 def _blank_before_first(values, table, channels, names, what, notes):
-    """Rows where all channels of a sensor are exactly 0 were written before its first message."""
+    """Drop rows with all channels of a sensor exactly 0, written before its first message."""
     columns = [table[channels[name].source] for name in names if name in channels]
     if len(columns) < 2:
         return
@@ -342,7 +338,7 @@ def _blank_before_first(values, table, channels, names, what, notes):
 
 
 def _run(path, signals, setup, notes, pose_clock=False):
-    """A run from raw signals: in order, without NaN."""
+    """A run from raw signals, sorted and without NaN."""
     clean = {}
     for name, (t, value) in signals.items():
         keep = usable(t, [value])
@@ -356,11 +352,11 @@ def _run(path, signals, setup, notes, pose_clock=False):
 
 
 def _drop_silent(signals, notes):
-    """Leave out velocities that are 0 throughout: fields that nobody fills."""
+    """Drop velocities that are 0 throughout: fields that nothing fills."""
     for name in ("v_x", "v_y", "yaw_rate"):
         if name not in signals or signals[name].value.any():
             continue
-        # A car that did not move says so with a speed of 0.
+        # The speed of a car at standstill is truly 0.
         extent = max((np.ptp(signals[p].value) for p in ("x", "y") if p in signals), default=0.0)
         if name != "v_x" or extent > 1.0:
             del signals[name]

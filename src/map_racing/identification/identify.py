@@ -19,7 +19,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
-from .cornering import Motion, motion_of
+from .cornering import ProcessedRun, motion_of
 from .data import Run, SensorSetup
 from .limits import RATE_HZ, SteadyLimits
 from .sensor_checks import check, correct, reason_to_refuse
@@ -94,7 +94,7 @@ class Identification:
         The given car: mass, geometry, and what the data do not determine.
     axles : dict of str to Axle
         Keys are ``front`` and ``rear``.
-    motions : list of Motion
+    motions : list of ProcessedRun
         The runs used.
     refused : list of (str, str)
         Unusable runs, with the reason.
@@ -110,7 +110,7 @@ class Identification:
     linear_vehicle: Vehicle
     base: Vehicle
     axles: dict[str, Axle]
-    motions: list[Motion]
+    motions: list[ProcessedRun]
     refused: list[tuple[str, str]]
     findings: list[SensorFinding]
     corrections: list[SensorFinding]
@@ -299,13 +299,13 @@ def leave_one_out(runs: Iterable[Run], base_vehicle: Vehicle, **options: Any) ->
     return predictions
 
 
-def predict(vehicle: Vehicle, motions: Iterable[Motion], largest: float) -> list[Prediction]:
+def predict(vehicle: Vehicle, motions: Iterable[ProcessedRun], largest: float) -> list[Prediction]:
     """Predict pieces of steady cornering of about 1.5 s and at least 1 m/s^2.
 
     Parameters
     ----------
     vehicle : Vehicle
-    motions : iterable of Motion
+    motions : iterable of ProcessedRun
     largest : float
         Largest lateral acceleration of the data [m/s^2]: the limit.
 
@@ -355,7 +355,7 @@ def steady_acceleration(vehicle: Vehicle, v: float, delta: float) -> float:
 
 
 def points_of(
-    motions: Iterable[Motion], vehicle: Vehicle, front_force: str = "model"
+    motions: Iterable[ProcessedRun], vehicle: Vehicle, front_force: str = "model"
 ) -> tuple[AxlePoints, AxlePoints]:
     """Points of the front and the rear axle from the steady cornering of runs, at 10 Hz."""
     columns = [[] for _ in range(5)]
@@ -378,7 +378,7 @@ def points_of(
     )
 
 
-def largest_a_y(motions: Iterable[Motion]) -> float:
+def largest_a_y(motions: Iterable[ProcessedRun]) -> float:
     """Largest sustained lateral acceleration [m/s^2]: 98th percentile of its magnitude."""
     held = [np.abs(motion.a_y[cut]) for motion in motions for cut in motion.segments()]
     return float(np.percentile(np.concatenate(held), 98.0)) if held else 0.0

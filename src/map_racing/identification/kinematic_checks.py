@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..vehicle.parameters import Vehicle
-from .cornering import Motion
+from .cornering import ProcessedRun
 from .data import SensorSetup
 from .sensor_findings import TURNING_RADPS, SensorFinding
 
@@ -19,7 +19,7 @@ PICK = 5  # samples per point: the low-pass leaves neighbors dependent
 
 
 def check_pose_point(
-    motions: list[Motion], setup: SensorSetup, vehicle: Vehicle
+    motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
     """Which point of the car the pose tracks, and whether its heading is the car's axis.
 
@@ -64,7 +64,7 @@ def check_pose_point(
 
 
 def check_steering_gain(
-    motions: list[Motion], setup: SensorSetup, vehicle: Vehicle
+    motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
     """Gain and offset of the steering: at low acceleration the car follows Ackermann.
 
@@ -121,7 +121,7 @@ def _steering(columns, vehicle, with_offset):
 
 
 def check_front_slip(
-    motions: list[Motion], setup: SensorSetup, vehicle: Vehicle
+    motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
     """Does the front force oppose the front slip, as it must?"""
     columns = _cornering(motions)

@@ -94,7 +94,7 @@ def report_text(found: Identification, left_out: list[Prediction] | None = None)
         driven = np.count_nonzero(motion.moving) / RATE_HZ
         lines.append(
             f"{motion.run.label}: {seconds:.1f} s of steady driving in {driven:.1f} s, "
-            f"{len(motion.segments())} stretches"
+            f"{len(motion.segments())} segments"
         )
     lines += [f"{run}: left out: {reason}" for run, reason in found.refused]
     lines += [f"corrected: {finding.text}" for finding in found.corrections]
@@ -104,7 +104,7 @@ def report_text(found: Identification, left_out: list[Prediction] | None = None)
         for finding in found.findings
     ]
     if found.setup.changes():
-        lines += ["setup of the sensors, as for a channel map:", "  setup:"]
+        lines += ["sensor setup, in the form of a channel map:", "  setup:"]
         lines += [f"    {name}: {value}" for name, value in found.setup.changes().items()]
     lines.append("")
     for name, axle in found.axles.items():
@@ -167,8 +167,8 @@ def _summary(found):
     widest = float(np.max(np.abs(delta)))
     share = 1.0 / math.cos(widest) - 1.0
     force = (
-        "front force without the cosine of the steering angle, as the model of the table has it; "
-        f"with it (--front-force paper) it would be up to {share:.1%} larger"
+        "front force as in the equations of motion; divided by the cosine of the steering angle "
+        f"(--front-force paper) it would be up to {share:.1%} larger"
         if found.front_force == "model"
         else "front force divided by the cosine of the steering angle, as in the paper: the table, "
         f"whose model has no such cosine, promises up to {share:.1%} more than was measured"
@@ -179,8 +179,8 @@ def _summary(found):
         f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction "
         f"{found.friction:.3f}",
         f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
-        f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, forwards and backwards",
-        f"steering, as used: wheels turn {found.setup.steering_gain:.3f} times the signal "
+        f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, zero-phase",
+        f"steering, as used: wheel angle = {found.setup.steering_gain:.3f} times the signal "
         f"{found.setup.steering_offset_rad:+.4f} rad; up to {widest:.3f} rad in the data",
         force,
     ]
@@ -202,7 +202,7 @@ def _comparison(found):
     lines = [
         "",
         f"table of {found.base.name} (before) and of {found.vehicle.name} (after): largest lateral "
-        "acceleration, and steering angle for shares of the smaller one",
+        "acceleration, and steering angle at shares of the smaller one",
     ]
     rows = _tables(found)
     for row in rows:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
-from .cornering import RATE_HZ, STANDSTILL_MPS, Motion
+from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
 from .data import SensorSetup
 from .kinematic_checks import both_sides, check_front_slip, check_pose_point, check_steering_gain
 from .sensor_findings import TURNING_RADPS, SensorFinding
@@ -35,7 +35,7 @@ LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
 MOST_CORRECTIONS = 16
 
 
-def reason_to_refuse(motion: Motion) -> str:
+def reason_to_refuse(motion: ProcessedRun) -> str:
     """Why a run says nothing about tires; empty if it is usable."""
     if not motion.moving.any():
         return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
@@ -90,12 +90,12 @@ def _astray(motion):
     return bool(np.hypot(np.mean(np.cos(beta)), np.mean(np.sin(beta))) < 0.8)
 
 
-def check(motions: list[Motion], setup: SensorSetup, vehicle: Vehicle) -> list[SensorFinding]:
+def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> list[SensorFinding]:
     """Check the sensors of all runs of a car together.
 
     Parameters
     ----------
-    motions : list of Motion
+    motions : list of ProcessedRun
     setup : SensorSetup
         Setup of the motions.
     vehicle : Vehicle

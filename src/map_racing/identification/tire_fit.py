@@ -5,16 +5,16 @@ the slip angles from the velocity of the center of gravity, the yaw rate and the
 (Becker et al., ICRA 2023, section on the identification of the tires; Voser et al., 2010). A curve
 through these points is the tire of the axle.
 
-Two things are done differently from the paper, each for a reason that its tests show:
+Two things differ from the paper; tests show why:
 
-- The paper divides the front force by the cosine of the steering angle, but neither its equations
-  of motion nor ours know that cosine (`single_track`). A tire identified with it and used without
-  it promises ``1 / cos(delta)`` more acceleration than was measured, 8 % at 0.4 rad. So the default
-  is the force that those equations need; ``front_force="paper"`` gives the other.
-- Slip angles carry noise, too, and for a stiff axle it is larger than the slip itself. Least
-  squares on the force then gives a curve that is too soft, however many data there are. So the
-  residual is the distance to the curve that both noises make likely (to first order, Sampson
-  1982), in newtons; without noise of the slip angle it is the paper's.
+- The paper divides the front force by the cosine of the steering angle, which neither its equations
+  of motion nor ours (`single_track`) have. A tire identified with it and used without it promises
+  ``1 / cos(delta)`` more acceleration than was measured, 8 % at 0.4 rad. So the default is the
+  force in the equations of motion; ``front_force="paper"`` divides it.
+- Slip angles are noisy, too; on a stiff axle the noise exceeds the slip. Least squares on the
+  force then gives too soft a curve, with any amount of data. So the residual is the first-order
+  distance to the curve in the metric of both noises (Sampson 1982) [N], which equals the paper's
+  without slip noise.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..errors import IdentificationError, ParameterError
+from ..vehicle.parameters import Tire, Vehicle
 from ..vehicle.single_track import GRAVITY, axle_loads, slip_angles
 from ..vehicle.tires import LinearTire, PacejkaTire
 
@@ -43,13 +44,11 @@ __all__ = [
 # Bounds of B, C, D, E. The paper's limits of C and E keep the curve from turning back to zero.
 LOWER = np.array([0.3, 1.0, 0.05, -5.0])
 UPPER = np.array([150.0, 1.5, 4.0, 1.1])
-# How far the data may lead C, ln D and E from where they start before they count as evidence: the
-# standard deviations of a prior, which is worth no more than one measurement.
+# Prior standard deviations of C, ln D and E around their start; worth one measurement.
 PRIOR_SPREAD = np.array([0.15, 0.3, 0.5])
-# A parameter whose spread the data did not bring below this share of the prior's is not measured.
+# A parameter is determined if the data bring its spread below this share of the prior's.
 UNDETERMINED = 0.5
-# The peak counts as seen where the curve, at the largest slip, rises with less than this share of
-# its slope at zero.
+# The peak is reached if the slope at the largest slip is below this share of the slope at zero.
 SATURATED = 0.25
 FEWEST_POINTS = 20
 FEW_POINTS = 300  # are enough for the first fit
@@ -68,8 +67,7 @@ class AxlePoints(NamedTuple):
     load : float
         Static vertical load [N].
     slip_noise, force_noise : float
-        Standard deviations of their errors [rad], [N]; only their ratio matters, and 0 for the
-        first means that all error is in the force.
+        Standard deviations of their errors [rad], [N], of which only the ratio matters.
     """
 
     slip: np.ndarray
@@ -97,25 +95,24 @@ class PacejkaFit:
     tire : PacejkaTire
         Normalized by the static load, ``mu = 1``.
     inlier : ndarray of bool, shape (n,)
-        Points that the last step kept.
+        Points kept by the last step.
     error : ndarray, shape (n,)
         Distance of each point from the curve in the metric of both noises [N].
     residual : ndarray, shape (n,)
-        Force of each point less that of the curve at its slip angle [N].
+        Force of each point minus the curve [N].
     parameters : dict of str to Parameter
         ``B C D E``, ``stiffness_n_per_rad`` and ``peak_n``.
     covered_slip : float
-        Largest slip angle that the kept points reach [rad] (their 98th percentile).
+        Largest slip angle of the kept points [rad]: 98th percentile.
     rise : float
-        Slope of the curve there, as a share of its slope at zero: 0 at the peak, 1 in the linear
-        range.
+        Slope of the curve there relative to zero slip: 0 at the peak, 1 in the linear range.
     """
 
     tire: PacejkaTire
     inlier: np.ndarray
     error: np.ndarray
     residual: np.ndarray
-    parameters: dict
+    parameters: dict[str, Parameter]
     covered_slip: float
     rise: float
 
@@ -131,7 +128,7 @@ class PacejkaFit:
 
     @property
     def saturated(self):
-        """Whether the data reach so far that the peak is measured, not extrapolated."""
+        """Whether the data reach the peak; otherwise it is extrapolated."""
         return self.rise < SATURATED
 
 
@@ -153,7 +150,15 @@ class LinearFit:
     mean_residual_n: float
 
 
-def axle_points(vehicle, v_x, v_y, r, delta, a_y, front_force="model"):
+def axle_points(
+    vehicle: Vehicle,
+    v_x: np.ndarray,
+    v_y: np.ndarray,
+    r: np.ndarray,
+    delta: np.ndarray,
+    a_y: np.ndarray,
+    front_force: str = "model",
+) -> tuple[AxlePoints, AxlePoints]:
     """Slip angles and forces of both axles from steady-state cornering.
 
     Parameters
@@ -169,8 +174,7 @@ def axle_points(vehicle, v_x, v_y, r, delta, a_y, front_force="model"):
     a_y : ndarray, shape (n,)
         Lateral acceleration of the center of gravity [m/s^2].
     front_force : {"model", "paper"}
-        ``F_yf = m l_r a_y / (l_r + l_f)`` as the equations of `single_track` have it, or the
-        paper's, which divides by ``cos(delta)``. ``F_yr = m l_f a_y / (l_r + l_f)`` in both.
+        ``F_yf = m l_r a_y / (l_r + l_f)`` as in `single_track`, or divided by ``cos(delta)``.
 
     Returns
     -------
@@ -187,27 +191,27 @@ def axle_points(vehicle, v_x, v_y, r, delta, a_y, front_force="model"):
     return AxlePoints(alpha_f, F_yf, load_f), AxlePoints(alpha_r, F_yr, load_r)
 
 
-def fit_pacejka(points, start=None, threshold=10.0, oversampling=1.0):
+def fit_pacejka(
+    points: AxlePoints,
+    start: Tire | None = None,
+    threshold: float = 10.0,
+    oversampling: float = 1.0,
+) -> PacejkaFit:
     """Fit the Magic Formula in the paper's steps of fitting and rejecting.
 
-    The first fit is a robust one; then, for k = 1, 2, 3, points with an error below
-    ``threshold / 2^k`` are kept, out of all, and the curve is fitted to them by bounded least
-    squares of the errors, with C at most 1.5 and E at most 1.1.
+    After a robust first fit, for k = 1, 2, 3, all points with an error below ``threshold / 2^k``
+    are kept and fitted by bounded least squares, with C at most 1.5 and E at most 1.1.
 
     Parameters
     ----------
     points : AxlePoints
     start : PacejkaTire, optional
-        Where parameters stay that the data do not determine. Its B does not matter.
+        C, D and E to keep where the data determine none.
     threshold : float
         See above [N].
     oversampling : float
-        Points per independent measurement: neighbors in time are not independent after a low-pass,
-        and confidence intervals must not shrink with the rate of sampling.
-
-    Returns
-    -------
-    PacejkaFit
+        Points per independent measurement: low-passed neighbors are dependent, and confidence
+        intervals must not shrink with the sampling rate.
 
     Raises
     ------
@@ -245,8 +249,10 @@ def fit_pacejka(points, start=None, threshold=10.0, oversampling=1.0):
     return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise)
 
 
-def fit_linear(points, inlier=None, oversampling=1.0):
-    """Linear tire by regression through the origin, on the same points.
+def fit_linear(
+    points: AxlePoints, inlier: np.ndarray | None = None, oversampling: float = 1.0
+) -> LinearFit:
+    """Linear tire by regression through the origin.
 
     Parameters
     ----------
@@ -254,11 +260,7 @@ def fit_linear(points, inlier=None, oversampling=1.0):
     inlier : ndarray of bool, shape (n,), optional
         Points to use.
     oversampling : float
-        As of `fit_pacejka`.
-
-    Returns
-    -------
-    LinearFit
+        As for `fit_pacejka`.
     """
     keep = slice(None) if inlier is None else inlier
     slip, force = -points.slip[keep], points.force[keep]
@@ -304,15 +306,14 @@ def _errors(theta, slip, force, load, ratio):
 
 
 def _covered(theta, slip, force, load, ratio):
-    """Largest slip that the points reach, each taken to the nearest place of the curve: the 98th
-    percentile. Noise alone reaches farther."""
+    """98th percentile of the slip of the points, each moved to the nearest place of the curve."""
     normalized, slope = _curve(theta, slip)
     gain = ratio * ratio * load * slope / (1.0 + (ratio * load * slope) ** 2)
     return float(np.percentile(np.abs(slip + gain * (force - load * normalized)), 98.0))
 
 
 def _robust(slip, force, load, ratio, prior):
-    """First fit, which a quarter of gross outliers does not bend: the best of several starts."""
+    """First fit, robust against a quarter of gross outliers: the best of several starts."""
     scale = max(0.02 * load, 0.1)
     some = slice(None, None, max(slip.size // FEW_POINTS, 1))
     slip, force = slip[some], force[some]
@@ -362,8 +363,8 @@ def _least_squares(begin, slip, force, load, ratio, prior, noise):
 def _intervals(theta, jacobian, noise, load, saturated):
     """95 % intervals from the covariance, and what the data determine.
 
-    A parameter is determined where the data brought its spread well below that of the prior; the
-    peak besides needs data that reach it.
+    A parameter is determined if the data bring its spread well below the prior's; the peak also
+    needs data that reach it.
     """
     information = jacobian.T @ jacobian / max(noise, 1e-9) ** 2
     spread = np.array(
@@ -376,7 +377,7 @@ def _intervals(theta, jacobian, noise, load, saturated):
     parameters = {}
     for i, name in enumerate("BCDE"):
         known = deviation[i] < UNDETERMINED * spread[i]
-        # A parameter at its bound was put there, not measured.
+        # A parameter at its bound is not measured.
         known &= LOWER[i] + 1e-3 < theta[i] < UPPER[i] - 1e-3
         known &= saturated or name in "B"
         low, high = theta[i] - CONFIDENCE * deviation[i], theta[i] + CONFIDENCE * deviation[i]

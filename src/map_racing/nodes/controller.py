@@ -21,7 +21,7 @@ from tf2_msgs.msg import TFMessage
 
 from map_racing.msg import Guidance
 
-from ..control.controller import Controller, Status, build_steering_map
+from ..control.controller import Controller, Status, build_steering_maps
 from ..control.parameters import (
     load_controller_parameters,
     load_safety_limits,
@@ -32,6 +32,7 @@ from ..control.speed_sectors import load_speed_sectors
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
 from ..track.files.load import load_raceline
+from ..track.files.waypoints import waypoint_rows
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
@@ -39,7 +40,7 @@ from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, run
 from .transforms import TransformListener
 from .tuning import TuningServer
-from .waypoints import RacelineSubscriber
+from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messages
 
 __all__ = ["ControllerNode", "main"]
 
@@ -65,8 +66,10 @@ def _build():
     if table and kind == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     limits = overridden(load_safety_limits(source))
-    steering_map = load_table(table) if table else build_steering_map(kind, vehicle, v_max)
-    return Controller(parameters, steering_map, vehicle), Supervisor(limits, v_max)
+    steering_map, grip = build_steering_maps(parameters, vehicle)
+    if table:
+        steering_map = grip = load_table(table)
+    return Controller(parameters, steering_map, vehicle, grip=grip), Supervisor(limits, v_max)
 
 
 def _publisher(topic, kind, queue_size=10):
@@ -97,6 +100,9 @@ class ControllerNode:
 
     def _start(self, source, pose_source):
         """Advertise, then subscribe: the first pose may drive the car."""
+        self._logged_plan = None
+        # Held by whoever changes what the controller drives with; the steps never wait for it.
+        self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
         self._lock = threading.RLock()
         self._ending = self._failing = False
@@ -109,6 +115,9 @@ class ControllerNode:
             name: _publisher(name, Float64)
             for name in ("lateral_error", "speed_error", "latency", "pose_age")
         }
+        self._driven = rospy.Publisher(
+            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
+        )
         topic = "/tf" if pose_source == "tf" else rospy.resolve_name(pose_source)
         self._pose_from = "/tf, {} to {}".format(*self._frames) if topic == "/tf" else topic
         pose_type = POSE_TYPES[pose_source]._type
@@ -128,7 +137,9 @@ class ControllerNode:
             rospy.Service("~resume", Trigger, self._on_resume),
             rospy.Service("~save", Trigger, self._on_save),
         ]
-        self._tuning = TuningServer(self._controller, self._supervisor, self._lock)
+        self._tuning = TuningServer(
+            self._controller, self._supervisor, self._lock, self._changing, self._announce_speeds
+        )
         self._subscribe_poses(pose_source)
         period = rospy.Duration.from_sec(1.0 / WATCHDOG_HZ)
         self._timer = rospy.Timer(period, self._watch, reset=True)
@@ -304,16 +315,32 @@ class ControllerNode:
 
     def _follow(self, raceline):
         sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-        if raceline.speed is None:
-            raise ParameterError(f"{raceline.source}: the raceline has no speeds")
         # What is costly about a first search is done here, not in the first control step.
         raceline.project(0.0, 0.0)
-        with self._lock:
-            self._controller.sectors = sectors
-            self._controller.raceline = raceline
-            self._supervisor.raceline_changed(True)
-            self._diagnosis.refused = ""
-        rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
+        with self._changing:
+            setup = self._controller.prepare(raceline=raceline, sectors=sectors)
+            with self._lock:
+                self._controller.apply(setup)
+                self._supervisor.raceline_changed(True)
+                self._diagnosis.refused = ""
+            rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
+            self._announce_speeds()
+
+    def _announce_speeds(self):
+        """Log where the car drives slower than the raceline, and publish the speeds driven."""
+        controller = self._controller
+        raceline, plan = controller.raceline, controller.plan
+        if raceline is None:
+            return
+        if plan is not self._logged_plan:
+            self._logged_plan = plan
+            text = plan or "the speeds are the raceline's, whatever the grip"
+            rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
+        rows = waypoint_rows(raceline, speed=controller.planned_speed)
+        message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
+        message.header.stamp = rospy.Time.now()
+        message.header.frame_id = self._frames[0]
+        self._driven.publish(message)
 
     def _refuse_raceline(self, error):
         with self._lock:

@@ -1,12 +1,15 @@
 """Node ``lookahead_visualizer``: lookahead, steering, car and trail as markers.
 
 They are drawn from the message ``guidance``; without it, as in replays of other stacks' bags, car
-and trail are drawn from the poses. The raceline is the one on ``global_waypoints``.
+and trail are drawn from the poses. The raceline is the one on ``global_waypoints``, colored by the
+speeds on ``driven_waypoints``.
 """
 
 import math
+import threading
 from collections import deque
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
@@ -24,7 +27,7 @@ from .conversions import frame as plain_frame
 from .conversions import plane_pose, stamp_ns
 from .markers import delete_all, make_marker, points_of, raceline_markers
 from .node import get_parameter, run
-from .waypoints import RacelineSubscriber
+from .waypoints import RacelineSubscriber, waypoint_array_class
 
 __all__ = ["LookaheadVisualizer", "main"]
 
@@ -35,6 +38,8 @@ _TRAIL_LIFETIME = 5.0
 _TRAIL_STEP, _TRAIL_JUMP = 0.05, 2.0
 # Draw the poses after this time without guidance [ns].
 _UNGUIDED_NS = 500000000
+# Racelines whose lengths differ by less than this share are taken for the same one.
+_SAME_LENGTH = 0.01
 _CIRCLE = [2.0 * math.pi * i / 48 for i in range(49)]
 
 LOOKAHEAD_COLOR = (1.0, 0.0, 0.0)
@@ -76,7 +81,8 @@ class LookaheadVisualizer:
         self._l_wb = vehicle.l_wb
         self._trail_length = trail
         self._trail = deque()
-        self._tracker = None
+        self._coloring = threading.Lock()
+        self._tracker = self._shown = self._driven = None
         self._guided_ns = -_UNGUIDED_NS
         self._restart()
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
@@ -84,6 +90,9 @@ class LookaheadVisualizer:
         self._course = rospy.Publisher("course_markers", MarkerArray, queue_size=2, latch=True)
         self._raceline = RacelineSubscriber(
             "global_waypoints", self._draw_raceline, lambda error: rospy.logwarn("%s", error)
+        )
+        rospy.Subscriber(
+            "driven_waypoints", waypoint_array_class()[0], self._receive_driven, queue_size=1
         )
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
         kind, what = (Odometry, _pose_of_odometry) if pose == "odom" else (PoseStamped, _pose)
@@ -143,8 +152,34 @@ class LookaheadVisualizer:
 
     def _draw_raceline(self, raceline):
         self._tracker = RacelineTracker(raceline)
-        rows = waypoint_rows(raceline)
-        self._course.publish(raceline_markers(raceline, rows, self._map))
+        self._shown = raceline
+        self._color_course()
+
+    def _receive_driven(self, message):
+        s = np.array([waypoint.s_m for waypoint in message.wpnts])
+        v = np.array([waypoint.vx_mps for waypoint in message.wpnts])
+        if s.size < 2 or not np.all(np.isfinite(s + v)) or np.any(np.diff(s) <= 0.0):
+            return
+        self._driven = s, v
+        self._color_course()
+
+    def _color_course(self):
+        """Draw the raceline by the speeds that are driven on it, or by its own."""
+        with self._coloring:
+            raceline, speed = self._shown, None
+            if raceline is None:
+                return
+            if self._driven is not None:
+                s, v = self._driven
+                length = s[-1] + s[1] - s[0]
+                # The controller may still follow another one.
+                if abs(length - raceline.length) < _SAME_LENGTH * raceline.length:
+
+                    def speed(at):
+                        return np.interp(at, s, v, period=length)
+
+            rows = waypoint_rows(raceline, speed=speed)
+            self._course.publish(raceline_markers(raceline, rows, self._map))
 
     def _extend_trail(self, x, y, deviation):
         driven = 0.0

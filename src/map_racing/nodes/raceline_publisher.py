@@ -5,14 +5,15 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from visualization_msgs.msg import MarkerArray
 
+from ..control.speed_plan import scaled_speed
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..track.files.load import load_raceline
-from ..track.files.waypoints import scaled_speed, waypoint_rows
+from ..track.files.waypoints import waypoint_rows
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
 from .node import get_parameter, run, sleep
-from .waypoints import waypoint_array_class
+from .waypoints import waypoint_array_class, waypoint_messages
 
 __all__ = ["RacelinePublisherNode", "main"]
 
@@ -46,11 +47,8 @@ class RacelinePublisherNode:
             self._rows["vx_mps"].min(),
             self._rows["vx_mps"].max(),
         )
-        self._array, waypoint = waypoint_array_class()
-        self._waypoints = [
-            waypoint(number, *row)
-            for number, row in enumerate(self._rows[waypoint.__slots__[1:]].tolist())
-        ]
+        self._array = waypoint_array_class()[0]
+        self._waypoints = waypoint_messages(self._rows)
 
     def run(self):
         """Publish until the node is shut down."""

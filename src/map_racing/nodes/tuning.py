@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Callable
 
 import rospy
 from dynamic_reconfigure.server import Server
@@ -37,10 +37,22 @@ class TuningServer:
     supervisor : Supervisor
     lock : threading.RLock
         Held while a change is applied, so that it falls between two control steps.
+    changing : threading.Lock
+        Held while a change is prepared, beside the control steps.
+    announce_speeds : callable
+        Called when the speed plan has changed.
     """
 
-    def __init__(self, controller: Controller, supervisor: Supervisor, lock: threading.RLock):
+    def __init__(
+        self,
+        controller: Controller,
+        supervisor: Supervisor,
+        lock: threading.RLock,
+        changing: threading.Lock,
+        announce_speeds: Callable[[], None],
+    ):
         self._controller, self._supervisor, self._lock = controller, supervisor, lock
+        self._changing, self._announce_speeds = changing, announce_speeds
         parameters = controller.parameters
         self._v_max = parameters.v_max_mps
         self._maps = {parameters.steering_map: controller.steering_map}
@@ -88,11 +100,15 @@ class TuningServer:
         limits = _changed(self._supervisor.limits, config)
         if kind not in self._maps:
             self._maps[kind] = build_steering_map(kind, self._controller.vehicle, self._v_max)
-        with self._lock:
-            self._lookaheads = lookaheads
-            self._controller.parameters = parameters
-            self._controller.steering_map = self._maps[kind]
-            self._supervisor.limits = limits
+        with self._changing:
+            plan = self._controller.plan
+            setup = self._controller.prepare(parameters=parameters, steering_map=self._maps[kind])
+            with self._lock:
+                self._lookaheads = lookaheads
+                self._controller.apply(setup)
+                self._supervisor.limits = limits
+            if self._controller.plan is not plan:
+                self._announce_speeds()
 
 
 def _changed(values, config):

@@ -21,7 +21,12 @@ from .node import get_parameter
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["RacelineSubscriber", "raceline_from_message", "waypoint_array_class"]
+__all__ = [
+    "RacelineSubscriber",
+    "raceline_from_message",
+    "waypoint_array_class",
+    "waypoint_messages",
+]
 
 _LINE = "=" * 80 + "\n"
 _classes = {}
@@ -52,6 +57,23 @@ def waypoint_array_class() -> tuple:
     )
     kinds = _generated(messages.WAYPOINTS, messages.MD5[messages.WAYPOINTS], definition)
     return kinds[messages.WAYPOINTS], kinds["f110_msgs/Wpnt"]
+
+
+def waypoint_messages(rows):
+    """Waypoints as messages.
+
+    Parameters
+    ----------
+    rows : structured array
+        From `map_racing.track.files.waypoints.waypoint_rows`.
+
+    Returns
+    -------
+    list of f110_msgs/Wpnt
+    """
+    waypoint = waypoint_array_class()[1]
+    rows = rows[waypoint.__slots__[1:]].tolist()
+    return [waypoint(number, *row) for number, row in enumerate(rows)]
 
 
 def raceline_from_message(message: rospy.AnyMsg, source: str) -> Raceline:

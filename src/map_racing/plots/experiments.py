@@ -19,7 +19,13 @@ if TYPE_CHECKING:
 
     from ..track.raceline import Raceline
 
-__all__ = ["plot_comparison", "plot_scaling", "plot_trajectories", "plot_tuning"]
+__all__ = [
+    "plot_comparison",
+    "plot_robustness",
+    "plot_scaling",
+    "plot_trajectories",
+    "plot_tuning",
+]
 
 AXES = {
     "rms_lateral_error_m": "RMS lateral error [m]",
@@ -310,3 +316,44 @@ def plot_comparison(
     figure.tight_layout(rect=(0.0, 0.6 / figure.get_size_inches()[1], 1.0, 1.0))
     figure.legend(handles, texts, loc="lower center", ncol=3, fontsize="small")
     return figure
+
+
+def plot_robustness(races, title):
+    """Error of every race, tracks across and cars down; crosses were not completed.
+
+    Parameters
+    ----------
+    races : pandas.DataFrame
+        Of one controller: ``track car outcome rms_lateral_error_m``.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    tracks, cars = list(dict.fromkeys(races.track)), list(dict.fromkeys(races.car))
+    error = np.full((len(cars), len(tracks)), np.nan)
+    ended = []
+    for row in races.itertuples():
+        place = cars.index(row.car), tracks.index(row.track)
+        if row.outcome == "completed":
+            error[place] = row.rms_lateral_error_m
+        else:
+            ended.append(place)
+    figure = new_figure(max(7.0, 3.0 + 0.36 * len(tracks)), 2.6 + 0.3 * len(cars))
+    axes = figure.add_subplot(1, 1, 1)
+    shown = axes.imshow(1000.0 * error, cmap="viridis_r", vmin=0.0, aspect="auto")
+    for down, across in ended:
+        axes.plot(across, down, "x", color=COLORS[1], ms=9, mew=2.2)
+    if np.isfinite(error).any():
+        down, across = np.unravel_index(np.nanargmax(error), error.shape)
+        worst = f"{1000.0 * error[down, across]:.0f}"
+        axes.text(across, down, worst, ha="center", va="center", color="w", fontsize="small")
+    axes.set_xticks(range(len(tracks)))
+    axes.set_xticklabels(tracks, rotation=60, ha="right", fontsize="small")
+    axes.set_yticks(range(len(cars)))
+    axes.set_yticklabels(cars, fontsize="small")
+    count = len(races) - len(ended)
+    axes.set_title(f"{title}\n{count} of {len(races)} races completed (x: not)")
+    figure.colorbar(shown, ax=axes, pad=0.02).set_label("RMS lateral error [mm]")
+    return finished(figure)

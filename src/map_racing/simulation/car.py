@@ -1,4 +1,4 @@
-"""A simulated car on a track: what happens between a command and the next pose."""
+"""A simulated car on a track, between a command and the next pose."""
 
 import math
 from collections import deque
@@ -8,21 +8,21 @@ from ..track.tracker import RacelineTracker
 
 __all__ = ["COMMAND_TIMEOUT", "Observation", "SimulatedCar", "hits_wall"]
 
-# The command multiplexer of the public stacks drops an input that is silent for so long [s].
+# The command multiplexer of the public stacks drops an input that is silent for this long [s].
 COMMAND_TIMEOUT = 0.2
 
 
 class Observation(NamedTuple):
-    """What localization and IMU report of one instant.
+    """Measurements of localization and IMU at one instant.
 
     Parameters
     ----------
     true, measured : CarState
-        Both of the instant at which the pose holds.
+        States at the time of measurement.
     arrival : float
-        When it arrives [s].
-    acceleration : tuple of float
-        Longitudinal and lateral acceleration as the IMU gives it [m/s^2].
+        Time of arrival [s].
+    acceleration : (float, float)
+        Longitudinal and lateral acceleration of the IMU [m/s^2].
     """
 
     true: tuple
@@ -48,7 +48,7 @@ class SimulatedCar:
     Attributes
     ----------
     tick : int
-        Time in steps of the plant. It goes on when the car is put elsewhere.
+        Time in steps of the plant; a reset of the car does not reset it.
     """
 
     def __init__(self, plant, localization=None, rate=None):
@@ -64,7 +64,7 @@ class SimulatedCar:
         self._due = 0.0
 
     def put(self, x, y, psi):
-        """Put the car's reference point somewhere, at rest; what was on its way is lost."""
+        """Reset the car's reference point to a pose, at rest; pending measurements are lost."""
         self.plant.reset(x, y, psi)
         self._start = self.tick
         self._pending.clear()
@@ -76,21 +76,21 @@ class SimulatedCar:
 
     @property
     def next_event(self):
-        """The tick at which :meth:`observe` next has something to do."""
+        """The next tick with a measurement or an arrival for :meth:`observe`."""
         due = self._due
         if self._pending and self._pending[0].arrival < due:
             due = self._pending[0].arrival
         return max(self.tick, math.ceil(due / self.plant.time_step - 1.0 + 1e-9))
 
     def observe(self):
-        """Measure if it is time for that, and see what arrives.
+        """Measure if it is due, and collect what arrives.
 
         Returns
         -------
         taken : Observation or None
-            What was measured at this tick.
+            Measured at this tick.
         arrived : list of Observation
-            What arrives at this tick.
+            Arriving at this tick.
         """
         step = self.plant.time_step
         now, soon = self.tick * step, self.tick * step + step * (1.0 - 1e-9)
@@ -124,16 +124,16 @@ class SimulatedCar:
 
 
 class DrivenCar:
-    """A simulated car under commands that come when they come, as a node drives it.
+    """A simulated car under asynchronous commands, as a node drives it.
 
-    A command holds until the next one, but no longer than `COMMAND_TIMEOUT`: then the car stops
-    with the wheels as they are. A car that touches a wall stands there until it is put elsewhere.
+    A command applies until the next one, at most for `COMMAND_TIMEOUT`: then the car stops with the
+    wheels as they are. A car that touches a wall stands there until it is reset.
 
     Parameters
     ----------
     car : SimulatedCar
     raceline : Raceline
-        Gives the walls, where it has widths.
+        Its widths give the walls.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class DrivenCar:
         self._steering_angle, self._speed = 0.0, 0.0
 
     def command(self, steering_angle, speed):
-        """Take a command [rad, m/s] at the present tick; one that is not finite is none."""
+        """Take a command [rad, m/s] at the present tick; ignore it if it is not finite."""
         if math.isfinite(steering_angle) and math.isfinite(speed):
             self._steering_angle, self._speed = steering_angle, speed
             self._commanded = self.car.tick
@@ -172,8 +172,7 @@ class DrivenCar:
         Yields
         ------
         Observation
-            What arrives on the way; the car is then at the tick of its arrival, and a command
-            given at once acts from there on.
+            At the tick of its arrival; a command given at once acts from there on.
         """
         car = self.car
         while car.tick < tick:
@@ -190,7 +189,7 @@ class DrivenCar:
 
 
 def hits_wall(raceline, s, d, car_width):
-    """Whether a car of this width [m] touches a wall at arc length `s` and deviation `d` [m].
+    """Whether a car of this width [m] touches a wall at arc length `s` and lateral error `d` [m].
 
     A raceline without widths has no walls.
     """

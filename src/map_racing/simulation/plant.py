@@ -163,6 +163,10 @@ class Plant:
         # pace are damped up to a higher speed.
         v_eps = max(V_EPS, fastest_mode(self.vehicle) * self.time_step / 2.5)
         self._derivatives = single_track_derivatives(self.vehicle, v_eps)
+        lag = parameters.steering_time_constant_s
+        self._servo_gain = 1.0 - math.exp(-self.time_step / lag) if lag else 1.0
+        # A lag shorter than the step would overshoot, and end a braking backwards.
+        self._drive_lag = max(parameters.drive_time_constant_s, self.time_step)
         self.reset(0.0, 0.0, 0.0)
 
     def reset(self, x, y, psi, speed=0.0):
@@ -234,20 +238,20 @@ class Plant:
 
     def _servo(self, angle, target, step):
         """Servo: first-order lag within rate and lock."""
+        # Comparisons: calls of min and max would take three times as long.
         vehicle = self.vehicle
-        target = min(max(target, -vehicle.delta_max), vehicle.delta_max)
-        lag = self.parameters.steering_time_constant_s
-        move = (target - angle) * (1.0 - math.exp(-step / lag) if lag else 1.0)
-        slew = vehicle.delta_rate_max * step
-        return angle + min(max(move, -slew), slew)
+        lock, slew = vehicle.delta_max, vehicle.delta_rate_max * step
+        target = lock if target > lock else -lock if target < -lock else target
+        move = (target - angle) * self._servo_gain
+        return angle + (slew if move > slew else -slew if move < -slew else move)
 
     def _drive(self, target):
         """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
         vehicle = self.vehicle
-        error = min(max(target, 0.0), vehicle.v_max) - self.state.v_x
-        # A lag shorter than the step would overshoot, and end a braking backwards.
-        wanted = error / max(self.parameters.drive_time_constant_s, self.time_step)
-        return min(max(wanted, -vehicle.a_brake_max), vehicle.a_max)
+        most, least = vehicle.a_max, -vehicle.a_brake_max
+        target = 0.0 if target < 0.0 else vehicle.v_max if target > vehicle.v_max else target
+        wanted = (target - self.state.v_x) / self._drive_lag
+        return most if wanted > most else least if wanted < least else wanted
 
 
 class Localization:

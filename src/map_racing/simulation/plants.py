@@ -1,8 +1,9 @@
-"""Every plant that can be raced: read from a plant file and built."""
+"""Plants that can be raced: read from a plant file and built."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping
@@ -14,21 +15,17 @@ from .public_simulator import PublicSimulator, PublicSimulatorParameters
 
 __all__ = ["build_plant", "load_plant"]
 
-# What a plant file may name as its model; the first without naming it.
+# Models of plant files; the first is the default.
 MODELS = {"single_track": PlantParameters, "public_simulator": PublicSimulatorParameters}
 
 
-def load_plant(source):
-    """A plant with all that it is made of, so that a run depends on no file.
+def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameters:
+    """Read a plant file and the vehicle file that it names.
 
     Parameters
     ----------
     source : str or pathlib.Path
-        Shipped plant or plant file. A vehicle file that it names is looked for beside it.
-
-    Returns
-    -------
-    PlantParameters or PublicSimulatorParameters
+        Shipped plant or plant file; its vehicle may be a file beside it.
 
     Raises
     ------
@@ -46,20 +43,12 @@ def load_plant(source):
     return replace(parameters, vehicle=vehicle)
 
 
-def build_plant(parameters, seed):
-    """A car that can be driven.
+def build_plant(
+    parameters: PlantParameters | PublicSimulatorParameters, seed: int
+) -> tuple[Plant | PublicSimulator, Localization | None]:
+    """A car to drive and its localization with noise from a seed.
 
-    Parameters
-    ----------
-    parameters : PlantParameters or PublicSimulatorParameters
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    plant : Plant or PublicSimulator
-    localization : Localization or None
-        The public simulator has none: its poses are true.
+    The public simulator has no localization: its poses are true.
     """
     if isinstance(parameters, PublicSimulatorParameters):
         return PublicSimulator(parameters), None

@@ -20,6 +20,9 @@ START_S = 0.3
 # A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
 HEADWAY, PATIENCE = 0.5, 10.0
 
+# Time is looked at at least this often [s].
+LOOK = 0.1
+
 
 class Outcome(Enum):
     """How a race ended."""
@@ -124,6 +127,7 @@ def race(
     driven, last_s = START_S, None
     headway, headway_at = driven, 0.0
     poses = 0
+    longest = round(LOOK / plant.time_step)
     while True:
         taken, arrived = car.observe()
         if taken is not None:
@@ -156,5 +160,8 @@ def race(
                     result,
                 )
             )
-        car.advance(steering, speed)
+        # On to the next pose; time is looked at in between, should there be none.
+        stride = min(car.next_event, car.tick + longest) - car.tick
+        for _ in range(max(stride, 1)):
+            car.advance(steering, speed)
     return RaceLog(outcome, max(int(driven / raceline.length) - 1, 0), car.now, samples)

@@ -1,11 +1,16 @@
-"""Steering ramps of a simulated car, recorded as a real car's would be."""
+"""Steering ramps of a simulated car."""
 
-from typing import NamedTuple
+from __future__ import annotations
 
-from ..control.steering_ramp import Circle, Phase, RampParameters, SteeringRamp
+from typing import Callable, NamedTuple, Sequence
+
+from ..control.state import CarState
+from ..control.steering_ramp import Circle, Phase, RampCommand, RampParameters, SteeringRamp
 from ..errors import ParameterError
 from .car import SimulatedCar
+from .plant import PlantParameters
 from .plants import build_plant
+from .public_simulator import PublicSimulatorParameters
 
 __all__ = ["RampSample", "drive_ramps"]
 
@@ -13,47 +18,37 @@ AREA_M = 50.0
 
 
 class RampSample(NamedTuple):
-    """One pose and the command that answered it.
+    """An `Observation` and the command that answered it."""
 
-    Parameters
-    ----------
-    true, measured : CarState
-    arrival : float
-        When the pose arrived [s].
-    acceleration : tuple of float
-        Longitudinal and lateral acceleration that the IMU gave [m/s^2].
-    command : RampCommand
-    """
-
-    true: tuple
-    measured: tuple
+    true: CarState
+    measured: CarState
     arrival: float
-    acceleration: tuple
-    command: tuple
+    acceleration: tuple[float, float]
+    command: RampCommand
 
 
-def drive_ramps(plant_parameters, ramps=None, seed=1, progress=None):
+def drive_ramps(
+    plant_parameters: PlantParameters | PublicSimulatorParameters,
+    ramps: Sequence[RampParameters] | None = None,
+    seed: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> list[RampSample]:
     """Drive steering ramps in the closed loop, one after the other.
 
     Parameters
     ----------
     plant_parameters : PlantParameters or PublicSimulatorParameters
-        The car, its localization and its noise.
     ramps : sequence of RampParameters, optional
-        By default one at the default speed.
+        Default: one at the default speed.
     seed : int
         Of the noise.
     progress : callable, optional
-        Called now and then with the simulated time [s].
-
-    Returns
-    -------
-    list of RampSample
+        Called with the simulated time [s] about once a second.
 
     Raises
     ------
     ParameterError
-        If the car leaves the area of 50 m, or does not get to its speed.
+        If the car leaves the area of 50 m, or does not reach its speed.
     """
     ramps = tuple(ramps) if ramps is not None else (RampParameters(),)
     car = SimulatedCar(*build_plant(plant_parameters, seed))
@@ -80,7 +75,8 @@ def drive_ramps(plant_parameters, ramps=None, seed=1, progress=None):
                     )
                 if progress is not None and len(samples) % 40 == 0:
                     progress(car.now)
-            car.advance(
-                *((command.steering_angle, command.speed) if command is not None else (0.0, 0.0))
-            )
+            if command is None:
+                car.advance(0.0, 0.0)
+            else:
+                car.advance(command.steering_angle, command.speed)
     return samples

@@ -1,23 +1,32 @@
 """Simulated driving as the bag that a real car would have recorded."""
 
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Iterable
+
 from ..bags.writer import BagWriter
 from ..track.files.waypoints import waypoint_rows
+from ..track.raceline import Raceline
+from .race import RaceLog
+from .ramps import RampSample
 
 __all__ = ["GROUND_TRUTH_TOPIC", "write_race_bag", "write_ramp_bag"]
 
 GROUND_TRUTH_TOPIC = "/ground_truth/odom"
 
-# Stamps count from here [ns]: a fixed date, so that the same race gives the same file.
+# Start of all recordings [ns]: fixed, so that the same race gives the same file.
 EPOCH_NS = 1_700_000_000_000_000_000
 
 
-def write_race_bag(path, log, raceline, compression="lz4"):
+def write_race_bag(
+    path: str | Path, log: RaceLog, raceline: Raceline, compression: str | None = "lz4"
+) -> None:
     """Write a race to a ROS 1 bag.
 
-    What localization reported is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, with the
-    time at which it held as stamp and the time at which it arrived as time of the record; commands
-    are on the drive topic, the IMU on ``/vesc/sensors/imu/raw``, the raceline on
-    ``/global_waypoints``, and what only a simulator knows, the true motion, on
+    Localization is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, stamped with the time
+    of measurement and received when it arrived; commands are on the drive topic, the IMU on
+    ``/vesc/sensors/imu/raw``, the raceline on ``/global_waypoints``, the true motion on
     ``/ground_truth/odom``.
 
     Parameters
@@ -47,23 +56,10 @@ def write_race_bag(path, log, raceline, compression="lz4"):
             bag.drive(arrival, sample.result.steering_angle, sample.result.speed)
 
 
-def write_ramp_bag(path, samples, compression="lz4"):
-    """Write a drive as the bag that the car would have recorded.
-
-    Odometry is on ``/car_state/odom``, the IMU on ``/vesc/sensors/imu/raw``, both stamped with the
-    time at which they hold; commands are on the drive topic, stamped when they were given.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-    samples : iterable of RampSample
-    compression : {"lz4", "bz2", None}, optional
-
-    Raises
-    ------
-    BagError
-        If the file cannot be written.
-    """
+def write_ramp_bag(
+    path: str | Path, samples: Iterable[RampSample], compression: str | None = "lz4"
+) -> None:
+    """Write steering ramps to a ROS 1 bag: odometry, IMU and commands as in `write_race_bag`."""
     with BagWriter(path, compression=compression) as bag:
         for sample in samples:
             seen = sample.measured

@@ -30,6 +30,9 @@ __all__ = ["CurvePoint", "CurveSamples", "LookaheadPoint", "Projection", "Raceli
 _Array = Union[float, Sequence[float], np.ndarray]
 
 
+_new = tuple.__new__
+
+
 class CurvePoint(NamedTuple):
     """A point of the curve: position [m], heading [rad] in [-pi, pi], curvature [1/m]."""
 
@@ -427,12 +430,14 @@ class Raceline:
                 if curving <= 0.0:
                     return None
                 norm = math.sqrt(tx * tx + ty * ty)
-                return Projection(
+                values = (
                     s if s < length else 0.0,  # the modulo of -1e-17 is the length itself
                     (tx * ey - ty * ex) / norm,
                     math.atan2(ty + 2.0 * step * ky, tx + 2.0 * step * kx),
                     2.0 * (tx * ky - ty * kx) / (norm * norm * norm),
                 )
+                # As Projection(...), which takes twice as long.
+                return _new(Projection, values)
         return None
 
     def point_ahead(self, x: float, y: float, s_from: float, distance: float) -> LookaheadPoint:
@@ -493,9 +498,8 @@ class Raceline:
             if slope > 0.5 and -0.1 < missing < 0.1:
                 step = missing / slope
                 if -1e-4 < step < 1e-4:
-                    return LookaheadPoint(
-                        (s + step) % length, x + ex + step * tx, y + ey + step * ty, distance
-                    )
+                    values = (s + step) % length, x + ex + step * tx, y + ey + step * ty, distance
+                    return _new(LookaheadPoint, values)
                 s += step
             elif missing > 0.0:
                 s += missing if missing > least else least

@@ -13,7 +13,7 @@ __all__ = ["accelerations", "lap_time", "raceline_speeds", "speed_profile"]
 _CELL = 0.025
 
 
-def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max):
+def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_min=0.0):
     """Highest speeds within the friction ellipse, forwards and backwards around the lap.
 
     Lateral and longitudinal acceleration share the grip,
@@ -31,8 +31,11 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max):
     a_lat_max, a_drive_max, a_brake_max : float or callable
         Largest lateral, driving and braking acceleration [m/s^2]: positive numbers, or functions
         that take an array of speeds [m/s], for which the driving limit may end at 0.
-    v_max : float
-        Top speed [m/s].
+    v_max : float or array_like, shape (n,)
+        Top speed [m/s]: of the car, or at each point, where it may be 0.
+    v_min : float, optional
+        Points too tight for this speed [m/s] are driven at it, beyond the lateral limit. With 0
+        they are an error where they are too tight for any speed.
 
     Returns
     -------
@@ -55,22 +58,31 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max):
     can do at a speed it can do at all lower ones. Functions are tabulated over v^2, rounded to the
     safe side between the entries.
     """
-    for key, value in (("ds", ds), ("v_max", v_max)):
-        if not 0.0 < value < math.inf:
-            raise ParameterError(f"speed profile: expected {key} > 0, got {value}")
-    limits = _Limits(a_lat_max, a_drive_max, a_brake_max, v_max)
     kappa = np.abs(np.asarray(kappa, dtype=float))
     if kappa.ndim != 1 or not kappa.size or not np.all(np.isfinite(kappa)):
         raise ParameterError("speed profile: expected one finite curvature per point")
+    highest = np.max(v_max)
+    for key, value in (("ds", ds), ("v_max", highest)):
+        if not 0.0 < value < math.inf:
+            raise ParameterError(f"speed profile: expected {key} > 0, got {value}")
+    if np.shape(v_max) not in ((), kappa.shape) or np.min(v_max) < 0.0:
+        raise ParameterError("speed profile: expected one v_max >= 0, or one at each point")
+    limits = _Limits(a_lat_max, a_drive_max, a_brake_max, max(float(highest), v_min))
+    most = 1.0 / limits.radius(v_min) if v_min > 0.0 else math.inf
+    tight = kappa > most
+    kappa = np.minimum(kappa, most)
     cell = np.maximum(kappa, np.roll(kappa, -1))
     point = np.maximum(cell, np.roll(cell, 1))
-    if np.any(point * limits.tightest > 1.0):
+    if np.any(point * limits.tightest > 1.0 + 1e-12):
         k = int(np.argmax(kappa))
         raise ParameterError(
             f"speed profile: s = {k * ds:.2f} m: the car cannot steer a radius of "
             f"{1.0 / kappa[k]:.3f} m at any speed; {limits.tightest:.3f} m is the least it can"
         )
-    square = limits.fastest(point)
+    square = np.minimum(limits.fastest(point), np.square(v_max))
+    tight |= np.roll(tight, 1) | np.roll(tight, -1)
+    square[tight] = np.minimum(square[tight], v_min * v_min)
+    square[square < 1e-18] = 0.0  # a car that stands; its grip over v^2 would overflow
     # Nothing lowers the slowest point, since from there speed can only grow in both directions:
     # one pass each way around the lap, begun there, is the converged solution.
     start = int(np.argmin(square))
@@ -114,10 +126,11 @@ class _Limits:
     """Limits of the car as lists over the squared speed, straight in between.
 
     ``radius`` is the tightest one that can be held, ``v^2 / a_lat_max``, proportional to the
-    squared speed for a constant limit.
+    squared speed for a constant limit. Of functions so many entries are kept: eight times more
+    change lap times of ``nuc4`` by less than 0.1 ms, and take ten times longer.
     """
 
-    _ENTRIES, _BETWEEN = 16385, 4
+    _ENTRIES, _BETWEEN = 2049, 4
 
     def __init__(self, a_lat_max, a_drive_max, a_brake_max, v_max):
         given = {"a_lat_max": a_lat_max, "a_drive_max": a_drive_max, "a_brake_max": a_brake_max}
@@ -167,6 +180,11 @@ class _Limits:
         table[1:] = np.maximum(table[1:], table[1:] + beyond)
         table = np.maximum.accumulate(table)
         return (side * table).tolist()
+
+    def radius(self, speed):
+        """Tightest radius [m] that can be held at a speed."""
+        entries = np.linspace(0.0, self._end, len(self._radius))
+        return float(np.interp(speed * speed, entries, self._radius))
 
     def fastest(self, kappa):
         """Largest squared speeds at curvatures, ``v^2 kappa = a_lat_max(v)``."""

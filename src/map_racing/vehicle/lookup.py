@@ -16,13 +16,14 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..tables import open_text, parse_rows
 from ..validation import positive
+from .parameters import Vehicle
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a table comes from, written beside its CSV as ``<stem>.meta.yaml``.
+    """Origin of a table, written beside its CSV as ``<stem>.meta.yaml``.
 
     Parameters
     ----------
@@ -50,9 +51,9 @@ class _Column(NamedTuple):
     """One speed of the inverse: steering angle over the share of the reachable acceleration."""
 
     limit: float  # largest reachable acceleration [m/s^2]
-    shares: list  # a_lat / limit, strictly ascending from 0 to 1
-    angles: list  # [rad], strictly ascending from 0
-    slopes: list  # [rad] per share, of the interval that begins at each node
+    shares: list[float]  # a_lat / limit, strictly ascending from 0 to 1
+    angles: list[float]  # [rad], strictly ascending from 0
+    slopes: list[float]  # [rad] per share, of the interval that begins at each node
 
 
 class LookupTable:
@@ -67,7 +68,7 @@ class LookupTable:
     a_lat : array_like, shape (n_angles, n_speeds)
         Steady-state lateral acceleration [m/s^2]; NaN where the car has no stable steady state.
     provenance : Provenance, optional
-        Where the table comes from; published tables have none.
+        Origin of the table; published tables have none.
 
     Attributes
     ----------
@@ -91,25 +92,30 @@ class LookupTable:
       ``a / a_max(v)``, so that neighboring columns begin and end together;
     - across speed, linearly in ``1 / v^2``, the reciprocal of ``a_max`` alike.
 
-    Below the slowest column it turns with v^2 into the geometry of a rolling car, which reaches no
-    acceleration at standstill. Above the fastest one ``a_max`` stays, and the law gives a column
-    for infinite speed, kept rising where an oversteering car would have none.
+    Below the slowest column it blends with v^2 into the geometry of a rolling car, whose reach is 0
+    at standstill. Above the fastest one ``a_max`` is constant, and the law gives a column for
+    infinite speed, kept rising where an oversteering car would have none.
 
-    Between the nodes, steering angles of ``nuc4`` differ from the exact solution by at most
-    0.21 mrad up to 95 % of the limit on the published grid, from standstill to 15 m/s, and by
-    0.18 mrad up to 99 % on that of `default_grid`. At the limit itself, where the angle rises ever
-    more steeply, it is 5.2 mrad and 1.7 mrad.
+    Between the nodes, from standstill to 15 m/s, steering angles of ``nuc4`` differ from the exact
+    solution by at most 0.21 mrad up to 95 % of the limit on the published grid, and by 0.18 mrad up
+    to 99 % on the `default_grid`; at the limit, where the angle rises steeply, by 5.2 and 1.7 mrad.
     """
 
-    def __init__(self, speeds, angles, a_lat, provenance=None):
+    def __init__(
+        self,
+        speeds: np.ndarray,
+        angles: np.ndarray,
+        a_lat: np.ndarray,
+        provenance: Provenance | None = None,
+    ):
         self.speeds, self.angles = _axis("speeds", speeds, True), _axis("angles", angles, False)
         self.a_lat = _frozen(a_lat)
         self.provenance = provenance
         if self.speeds[0] <= 0.0:
-            raise ParameterError(f"speeds: expected positive ones, got {self.speeds[0]:g} m/s")
+            raise ParameterError(f"speeds: expected positive values, got {self.speeds[0]:g} m/s")
         if self.angles[0] < 0.0 or self.angles[-1] >= 0.5 * math.pi:
             raise ParameterError(
-                f"angles: expected them within [0, pi/2) rad, got {self.angles[0]:g} "
+                f"angles: expected values in [0, pi/2) rad, got {self.angles[0]:g} "
                 f"to {self.angles[-1]:g}"
             )
         if self.a_lat.shape != (self.angles.size, self.speeds.size):
@@ -129,16 +135,16 @@ class LookupTable:
         self.l_wb = provenance.l_wb if provenance is not None else self._estimate_wheelbase()
         if not 0.01 <= self.l_wb <= 10.0:
             raise ParameterError(
-                "a_lat: expected a steady-state table, whose cells at small angles give the "
-                f"wheelbase; these give {self.l_wb:.3g} m"
+                "a_lat: expected cells at small angles that give a wheelbase of 0.01 to 10 m, "
+                f"got {self.l_wb:.3g} m"
             )
         self._at_rest = self._standstill()
         self._columns.append(self._infinite_speed())
         self._v.append(math.inf)
         self._w.append(0.0)
 
-    def steering(self, v, a_lat):
-        """Steering angle that holds a lateral acceleration in steady state.
+    def steering(self, v: float, a_lat: float) -> tuple[float, bool]:
+        """Steering angle for a lateral acceleration in steady state.
 
         Odd and monotone in `a_lat`, continuous in `v`, exact at the nodes of the table. One call
         takes 1.0 us on CPython 3.11.
@@ -146,7 +152,7 @@ class LookupTable:
         Parameters
         ----------
         v : float
-            Speed [m/s]; backwards as forwards.
+            Speed [m/s]; its sign does not matter.
         a_lat : float
             Lateral acceleration [m/s^2], positive to the left.
 
@@ -155,7 +161,7 @@ class LookupTable:
         delta : float
             Steering angle [rad], positive to the left.
         saturated : bool
-            Whether the car cannot reach `a_lat`; `delta` is then the angle of the most it can.
+            Whether the car cannot reach `a_lat`; `delta` is then the angle of the largest it can.
 
         Raises
         ------
@@ -187,19 +193,8 @@ class LookupTable:
             delta = (1.0 - t) * _angle(slow, share) + t * _angle(fast, share)
         return (delta if a_lat >= 0.0 else -delta), saturated
 
-    def max_lateral_acceleration(self, v):
-        """Largest lateral acceleration that `steering` can reach.
-
-        Parameters
-        ----------
-        v : float or ndarray
-            Speed [m/s]; backwards as forwards.
-
-        Returns
-        -------
-        float or ndarray
-            Lateral acceleration [m/s^2], of the same shape.
-        """
+    def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
+        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, self._v[0]) ** 2
         inverse = [1.0 / column.limit for column in self._columns]
@@ -208,20 +203,17 @@ class LookupTable:
         limit = t * ((1.0 - t) * self._at_rest.limit + t * limit)
         return limit if np.ndim(v) else float(limit)
 
-    def acceleration(self, v, delta):
-        """Steady-state lateral acceleration, bilinear between the cells of the table.
+    def acceleration(self, v: float | np.ndarray, delta: float | np.ndarray) -> float | np.ndarray:
+        """Steady-state lateral acceleration [m/s^2], bilinear between the cells of the table.
+
+        NaN beyond the table and beside cells that are NaN.
 
         Parameters
         ----------
         v : float or ndarray
-            Speed [m/s]; backwards as forwards.
+            Speed [m/s]; its sign does not matter.
         delta : float or ndarray
             Steering angle [rad], positive to the left.
-
-        Returns
-        -------
-        float or ndarray
-            Lateral acceleration [m/s^2]; NaN beyond the table and beside cells that are NaN.
         """
         v, delta = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(delta, dtype=float))
         i, u = _locate(self.angles, np.abs(delta))
@@ -237,16 +229,11 @@ class LookupTable:
         result = np.copysign(1.0, delta) * result
         return result if result.ndim else float(result)
 
-    def save(self, path):
-        """Write the table as CSV in the published layout, and its provenance beside it.
+    def save(self, path: str | Path) -> None:
+        """Write the table as CSV in the published layout, the provenance as ``<stem>.meta.yaml``.
 
-        The first row holds the speeds, the first column the angles, cell [0, 0] is 0; the numbers
-        read back exactly. ``<stem>.meta.yaml`` holds the provenance, if there is one.
-
-        Parameters
-        ----------
-        path : str or pathlib.Path
-            File to write.
+        The first row has the speeds, the first column the angles, cell [0, 0] is 0; numbers read
+        back exactly.
         """
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
@@ -284,17 +271,17 @@ class LookupTable:
         return _column(column.limit, np.asarray(column.shares), angles)
 
 
-def default_grid(vehicle, v_max=None):
-    """Speeds and angles so fine that interpolation between them hardly matters.
+def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds and angles so fine that interpolation errors hardly matter.
 
-    There are 257 angles, and a column about every 0.1 m/s from 0.1 m/s on. The notes of
-    `LookupTable` say how exact that is; such a table of ``nuc4`` takes 27 ms to compute.
+    There are 257 angles, and about one column per 0.1 m/s from 0.1 m/s on; the notes of
+    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute.
 
     Parameters
     ----------
     vehicle : Vehicle
     v_max : float, optional
-        Fastest column [m/s], from 0.2 to 100; the vehicle's own if not given.
+        Fastest column [m/s], from 0.2 to 100; default: the vehicle's.
 
     Returns
     -------
@@ -304,7 +291,7 @@ def default_grid(vehicle, v_max=None):
     Raises
     ------
     ParameterError
-        If the fastest column is not as said.
+        If `v_max` is out of its range.
     """
     v_max = vehicle.v_max if v_max is None else float(v_max)
     if not 0.2 <= v_max <= 100.0:
@@ -313,28 +300,20 @@ def default_grid(vehicle, v_max=None):
     return speeds, np.linspace(0.0, vehicle.delta_max, 257)
 
 
-def published_grid():
+def published_grid() -> tuple[np.ndarray, np.ndarray]:
     """Speeds [m/s] and angles [rad] of the published tables, which contain 0.1 rad twice."""
     angles = np.concatenate((np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)))
     return np.linspace(0.5, 7.0, 65), angles
 
 
-def load_table(path):
-    """Read a table from CSV in the published layout, with the provenance beside it if any.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-
-    Returns
-    -------
-    LookupTable
+def load_table(path: str | Path) -> LookupTable:
+    """Read a table from CSV in the published layout, with its provenance if there is one.
 
     Raises
     ------
     FileFormatError
-        If a row is ragged or a cell is not a number (the message names the line), if an axis does
-        not ascend. Likewise for a damaged sidecar.
+        If a row is ragged or a cell is not a number (the message names the line), an axis does not
+        ascend, or the provenance is damaged.
 
     Notes
     -----
@@ -348,7 +327,7 @@ def load_table(path):
         raise FileFormatError(f"{path}: {error}") from None
 
 
-# a demand that is the limit but for rounding is not saturated
+# a demand above the limit by rounding only is not saturated
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -363,7 +342,7 @@ def _invert(angles, a_lat):
     valid = np.isfinite(a_lat)
     end = a_lat.size if valid.all() else int(np.argmin(valid))
     a, delta = a_lat[:end], angles[:end]
-    # cells that exceed all before them; what lies beyond the maximum is left out with them
+    # cells that exceed all before them: none beyond the maximum
     before = np.maximum.accumulate(_from_zero(a))[:-1]
     rising = (a > before) & (delta > _from_zero(delta[:-1]))
     if not rising.any():
@@ -382,7 +361,7 @@ def _from_zero(values):
 
 
 def _locate(axis, value):
-    """Lower neighbor on an axis and the way to the upper one in [0, 1]; NaN outside the axis."""
+    """Lower neighbor on an axis and the fraction of the way to the upper one; NaN outside."""
     k = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, max(axis.size - 2, 0))
     width = axis[np.minimum(k + 1, axis.size - 1)] - axis[k]
     way = (value - axis[k]) / np.where(width > 0.0, width, 1.0)
@@ -417,7 +396,9 @@ def _read_rows(path):
         rows = [(n, line.split(",")) for n, line in enumerate(file, 1) if line.strip()]
     columns = range(1, 1 + len(rows[0][1]) if rows else 1)
     if len(rows) < 2 or len(columns) < 2:
-        raise FileFormatError(f"{path}: expected speeds, then rows of angles, with commas between")
+        raise FileFormatError(
+            f"{path}: expected comma-separated speeds, then rows of angles, got {len(rows)} rows"
+        )
     rows[0][1][0] = "0"  # means nothing, and may be anything
     return parse_rows(path, rows, columns)[0]
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Union
 
 import yaml
@@ -83,7 +84,7 @@ class Vehicle:
                 )
 
     @property
-    def l_wb(self):
+    def l_wb(self) -> float:
         """Wheelbase ``l_f + l_r`` [m]."""
         return self.l_f + self.l_r
 
@@ -117,21 +118,15 @@ _TIRE_KEYS = {
 }
 
 
-def load_vehicle(source):
-    """Read a car from a YAML file.
+def load_vehicle(source: str | Path) -> Vehicle:
+    """Read a car from a YAML file, also from a published model file.
 
-    The format is that of the published model files, which load as they are, with the limits added
-    that they lack; ``config/vehicles/nuc4.yaml`` explains each key. Keys that are not used and
-    what is assumed are in `Vehicle.notes`.
+    Keys that are not used and what is assumed are in `Vehicle.notes`.
 
     Parameters
     ----------
     source : str or pathlib.Path
-        Name of a shipped vehicle, or path of a file.
-
-    Returns
-    -------
-    Vehicle
+        Shipped vehicle or path of a file; ``config/vehicles/nuc4.yaml`` explains each key.
 
     Raises
     ------
@@ -148,16 +143,16 @@ def load_vehicle(source):
         raise ParameterError(f"{path}: {error}") from None
 
 
-def save_vehicle(vehicle, path, comment=""):
+def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
     """Write a car to a YAML file that `load_vehicle` reads back to an equal one.
 
     Parameters
     ----------
     vehicle : Vehicle
     path : str or pathlib.Path
-        File to write; it is replaced at once or, if that fails, left as it was.
+        File to write or replace; unchanged if writing fails.
     comment : str, optional
-        Where its figures come from; lines of it go to the top of the file.
+        Source of the values, for the head of the file.
 
     Raises
     ------
@@ -180,18 +175,11 @@ def save_vehicle(vehicle, path, comment=""):
         file.write(lines)
 
 
-def parameter_hash(vehicle):
-    """Fingerprint of the single-track model, to tell which car a lookup table belongs to.
+def parameter_hash(vehicle: Vehicle) -> str:
+    """Fingerprint of the single-track model that tells which car a lookup table belongs to.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-
-    Returns
-    -------
-    str
-        Twelve hexadecimal digits that depend on masses, geometry, friction and tires; not on the
-        name, the limits, or the formatting and key order of a file.
+    Twelve hexadecimal digits from masses, geometry, friction and tires, but not from name, limits
+    or layout of the file.
     """
     model = {key: getattr(vehicle, key) for key in _REQUIRED}
     for key in ("front", "rear"):
@@ -200,18 +188,8 @@ def parameter_hash(vehicle):
     return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def linearized(vehicle):
-    """The same car on linear tires with the slope of its own at zero slip, ``C_S = B C D``.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-
-    Returns
-    -------
-    Vehicle
-        Named after the car with ``_linear`` appended.
-    """
+def linearized(vehicle: Vehicle) -> Vehicle:
+    """The same car on linear tires with the slope at zero slip, named with ``_linear`` appended."""
     return dataclasses.replace(
         vehicle,
         name=vehicle.name + "_linear",
@@ -226,7 +204,7 @@ def _vehicle(values, default_name):
     for key, value in values.items():
         key = _SYNONYMS.get(key, key)
         if key in rest:
-            raise ParameterError(f"{key}: given twice, under two names")
+            raise ParameterError(f"{key}: expected once, got it under two names")
         rest[key] = value
     if "h_cg" not in rest and "h" in rest:
         rest["h_cg"] = rest.pop("h")
@@ -252,7 +230,7 @@ def _vehicle(values, default_name):
             arguments[key] = rest.pop(key)
     if "a_min" in rest:
         if "a_brake_max" in arguments:
-            raise ParameterError("a_min: given beside a_brake_max, which is the same")
+            raise ParameterError("a_min: expected either a_min or a_brake_max, got both")
         # published with either sign
         arguments["a_brake_max"] = abs(finite("a_min", rest.pop("a_min")))
     wheelbase = rest.pop("l_wb", None)

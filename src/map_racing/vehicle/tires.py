@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Callable
 
 import numpy as np
 
@@ -49,45 +50,37 @@ class PacejkaTire:
         _check(self)
 
     @property
-    def stiffness(self):
+    def stiffness(self) -> float:
         """Slope at zero slip, ``B C D`` [1/rad]."""
         return self.B * self.C * self.D
 
     @property
-    def peak(self):
+    def peak(self) -> float:
         """Largest normalized force [-]; where the curve has no peak, the limit it rises to."""
         return self.D * math.sin(min(self._largest_phase, 0.5 * math.pi))
 
     @property
-    def peak_slip(self):
+    def peak_slip(self) -> float:
         """Slip angle of the largest force [rad]; inf where the curve has no peak."""
         if self._largest_phase <= 0.5 * math.pi:
             return self._turning_point / self.B
         return float(self._unbend(math.tan(0.5 * math.pi / self.C))) / self.B
 
-    def normalized_force(self, alpha):
+    def normalized_force(self, alpha: float | np.ndarray) -> np.ndarray:
         """Force ``-F_y / (mu F_z)`` [-] at slip angles ``alpha`` [rad], of any shape."""
         x = self.B * np.asarray(alpha, dtype=float)
         return self.D * np.sin(self.C * np.arctan(x - self.E * (x - np.arctan(x))))
 
-    def slope(self, alpha):
+    def slope(self, alpha: float | np.ndarray) -> np.ndarray:
         """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
         x = self.B * np.asarray(alpha, dtype=float)
         y = x - self.E * (x - np.arctan(x))
         return self.stiffness * np.cos(self.C * np.arctan(y)) * self._bend(x) / (1.0 + y * y)
 
-    def slip(self, force):
-        """Slip angle on the rising side of the curve, the inverse of `normalized_force`.
+    def slip(self, force: float | np.ndarray) -> np.ndarray:
+        """Slip angle [rad] on the rising side of the curve, the inverse of `normalized_force`.
 
-        Parameters
-        ----------
-        force : array_like
-            Normalized force [-].
-
-        Returns
-        -------
-        ndarray
-            Slip angle [rad], of the same shape; NaN where the tire cannot give that force.
+        NaN where the tire cannot give that force.
         """
         sine = np.asarray(force, dtype=float) / self.D
         with np.errstate(invalid="ignore"):
@@ -95,7 +88,7 @@ class PacejkaTire:
             phase = np.where(np.abs(phase) * self.C <= self._largest_phase, phase, np.nan)
         return self._unbend(np.tan(phase)) / self.B
 
-    def scalar(self):
+    def scalar(self) -> Callable[[float], float]:
         """`normalized_force` for one float as a plain function, for the loops of the plant."""
         B, C, D, E = self.B, self.C, self.D, self.E
         atan, sin = math.atan, math.sin
@@ -164,33 +157,33 @@ class LinearTire:
         _check(self)
 
     @property
-    def stiffness(self):
+    def stiffness(self) -> float:
         """Slope, ``C_S`` [1/rad]."""
         return self.C_S
 
     @property
-    def peak(self):
+    def peak(self) -> float:
         """Largest normalized force: inf, a linear tire does not saturate."""
         return math.inf
 
     @property
-    def peak_slip(self):
+    def peak_slip(self) -> float:
         """Slip angle of the largest force: inf."""
         return math.inf
 
-    def normalized_force(self, alpha):
+    def normalized_force(self, alpha: float | np.ndarray) -> np.ndarray:
         """Force ``-F_y / (mu F_z)`` [-] at slip angles ``alpha`` [rad], of any shape."""
         return self.C_S * np.asarray(alpha, dtype=float)
 
-    def slope(self, alpha):
+    def slope(self, alpha: float | np.ndarray) -> np.ndarray:
         """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
         return np.full_like(np.asarray(alpha, dtype=float), self.C_S)
 
-    def slip(self, force):
+    def slip(self, force: float | np.ndarray) -> np.ndarray:
         """Slip angle [rad] of a normalized force [-], the inverse of `normalized_force`."""
         return np.asarray(force, dtype=float) / self.C_S
 
-    def scalar(self):
+    def scalar(self) -> Callable[[float], float]:
         """`normalized_force` for one float as a plain function, for the loops of the plant."""
         C_S = self.C_S
 

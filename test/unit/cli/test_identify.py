@@ -112,7 +112,7 @@ def test_csv_with_a_map_fix_and_leave_one_out(ramps_csv, tmp_path, refused, caps
     first, second, channels = ramps_csv
     output = tmp_path / "a.yaml"
     arguments = ["identify", first, second, "--vehicle", "nuc4", "--output", output]
-    assert "needs a channel map" in refused(*arguments)
+    assert "expected a channel map" in refused(*arguments)
     arguments += ["--channels", channels]
     line = refused(*arguments)
     assert "its sign is wrong" in line and "--fix applies that" in line
@@ -155,7 +155,10 @@ def test_refusals(tmp_path, refused, capsys):
     capsys.readouterr()
     for arguments, expected in (
         ((tmp_path / "none.bag", *good), "no such file, nor one of the shipped recordings"),
-        ((bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"), "ends in .yaml"),
+        (
+            (bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"),
+            "expected a vehicle file (.yaml)",
+        ),
         ((bag, "--vehicle", "nowhere", "--output", tmp_path / "a.yaml"), "nowhere"),
         ((bag, *good, "--servo-topic", "/servo"), "/servo: expected messages"),
         ((bag, *good, "--servo-topic", "/servo", "--servo-gain", "0"), "--servo-gain"),

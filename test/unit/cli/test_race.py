@@ -15,6 +15,35 @@ def test_race_says_how_it_ended(tmp_path, capsys):
     assert "completed after 1 timed laps" in capsys.readouterr().out
 
 
+def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
+    arguments = ["--laps", "1", "--speed-scale", "1", "--output", str(tmp_path / "a.bag")]
+    assert main(["race", "--track", "club", *arguments]) == 0
+    printed = capsys.readouterr().out
+    slowed = re.search(r"grip_use 0\.\d+: (slower than the raceline on .*)", printed)
+    table = tmp_path / "t.csv"
+    vehicle = ["--vehicle", "nuc4", "--v-max", "12"]
+    assert main(["lookup", "generate", *vehicle, "--output", str(table)]) == 0
+    assert main(["lookup", "check", str(table), "--raceline", "club"]) == 0
+    assert slowed.group(1) in capsys.readouterr().out
+    paper = ["--controller", "map_paper"]
+    assert main(["lookup", "check", str(table), "--raceline", "club", *paper]) == 0
+    assert "map_paper, grip_use 0: drives the raceline's speeds" in capsys.readouterr().out
+
+
+def test_a_raceline_without_speeds_is_raced_within_the_grip(tmp_path, capsys):
+    line = tmp_path / "oval.csv"
+    angle = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)
+    rows = "".join(f"{8.0 * np.cos(a):.4f},{4.0 * np.sin(a):.4f}\n" for a in angle)
+    line.write_text("# x_m,y_m\n" + rows)
+    arguments = ["--track", str(line), "--laps", "1", "--output", str(tmp_path / "a.bag")]
+    assert main(["race", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "the raceline has no speeds: driven as fast as the grip allows" in printed
+    assert "completed after 1 timed laps" in printed
+    assert main(["race", *arguments, "--controller", "map_paper"]) == 1
+    assert "oval.csv: expected speeds, got none" in capsys.readouterr().err
+
+
 def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
     path = tmp_path / "a.bag"
     arguments = ["--controller", "pure_pursuit_paper", "--speed-scale", "0.9"]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from map_racing.control.controller import Controller, Status, build_controller, build_steering_map
+from map_racing.control.guidance import missing_curvature
 from map_racing.control.parameters import ControllerParameters, load_controller_parameters
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState, moved, predicted
@@ -213,6 +214,83 @@ def test_no_speed_above_the_limit_whatever_is_asked(s, v_x, scale, sector, v_max
     assert 0.0 <= subject.step(on_track(REFERENCE, s, v_x=v_x)).speed <= v_max
 
 
+# -- feedforward, yaw rate, and what the authors' code does --------------------------------------
+
+
+def test_feedforward_makes_the_path_a_solution_of_the_law():
+    """With all of it a car on the path is asked for the path's own acceleration, in any bend."""
+    full = controller(curvature_feedforward=1.0)
+    bare = controller()
+    missed = []
+    for s in np.arange(0.0, REFERENCE.length, 0.5):
+        own = 16.0 * REFERENCE.pose(s).kappa
+        assert full.step(on_track(REFERENCE, s)).a_lat == pytest.approx(own, abs=1e-3)
+        missed.append(bare.step(on_track(REFERENCE, s)).a_lat - own)
+    assert np.max(np.abs(missed)) > 2.0
+
+
+def test_half_of_the_feedforward_is_half_way():
+    state = on_track(REFERENCE, 7.0, d=0.2, turn=0.1)
+    none, half, full = (
+        controller(curvature_feedforward=share).step(state).a_lat for share in (0.0, 0.5, 1.0)
+    )
+    assert half == pytest.approx(0.5 * (none + full)) and none != full
+
+
+def test_on_a_circle_nothing_is_missing():
+    raceline = circle(3.0)
+    for d in (0.0, 0.2, -0.2):
+        state = on_track(raceline, 2.0, d=d)
+        with_it, without = (
+            controller(raceline=raceline, curvature_feedforward=share).step(state).a_lat
+            for share in (1.0, 0.0)
+        )
+        assert with_it == pytest.approx(without, abs=1e-3)
+
+
+@pytest.mark.parametrize("missing", [-0.5, 0.3])
+def test_a_yaw_rate_that_is_missing_is_steered_for(missing):
+    raceline = circle(3.0)
+    turning = on_track(raceline, 2.0, r=4.0 / 3.0)
+    plain = controller(raceline=raceline).step(turning)
+    fed = controller(raceline=raceline, yaw_rate_gain_s=0.05)
+    assert fed.step(turning).steering_angle == pytest.approx(plain.steering_angle, abs=1e-5)
+    fed.reset()
+    slower = fed.step(turning._replace(r=turning.r - missing))
+    assert slower.steering_angle == pytest.approx(plain.steering_angle + 0.05 * missing, abs=1e-5)
+    assert slower.a_lat == plain.a_lat
+
+
+def test_from_the_heading_sideslip_does_not_count():
+    state = on_track(REFERENCE, 7.0, d=0.1, turn=0.1, v_y=-0.3)
+    nose = controller(eta_from="heading").step(state)
+    assert nose.eta == controller().step(state._replace(v_y=0.0)).eta
+    assert nose.eta != controller().step(state).eta
+    assert nose.state == state
+
+
+def test_the_lookahead_distance_may_begin_on_the_path():
+    state = on_track(REFERENCE, 7.0, d=0.3)
+    result = controller(lookahead_from="path").step(state)
+    x, y = REFERENCE.position(result.s)
+    beside = math.hypot(result.lookahead_x - x, result.lookahead_y - y)
+    assert beside == pytest.approx(PLAIN.lookahead.distance(4.0), abs=1e-6)
+    apart = math.hypot(result.lookahead_x - state.x, result.lookahead_y - state.y)
+    assert result.lookahead_distance == apart != beside
+
+
+def test_beyond_its_end_the_table_is_read_as_at_it():
+    """The demand is that of the speed driven; only the table's column is the last one."""
+    fast = on_track(REFERENCE, 7.0, v_x=9.0)
+    open_end, ended = controller(), controller(table_v_max_mps=7.0)
+    result = ended.step(fast)
+    assert result.a_lat == open_end.step(fast).a_lat
+    assert result.steering_angle == TABLE.steering(7.0, result.a_lat)[0]
+    slow = on_track(REFERENCE, 7.0, v_x=6.9)
+    open_end.reset(), ended.reset()
+    assert ended.step(slow) == open_end.step(slow)
+
+
 # -- compensation and paper mode -----------------------------------------------------------------
 
 
@@ -223,9 +301,10 @@ def test_paper_mode_uses_the_commanded_speed_and_the_pose_as_it_is():
         result = build_controller(parameters, NUC4, REFERENCE).step(state)
         assert result.state == state
         assert result.speed == pytest.approx(0.7 * REFERENCE.speed_at(result.s), abs=1e-9)
-        assert result.lookahead_distance == pytest.approx(
-            parameters.lookahead.distance(result.speed)
-        )
+        begin = state if parameters.lookahead_from == "car" else REFERENCE.pose(result.s)
+        assert math.hypot(
+            result.lookahead_x - begin.x, result.lookahead_y - begin.y
+        ) == pytest.approx(parameters.lookahead.distance(result.speed), abs=1e-6)
         expected = 2.0 * result.speed**2 / result.lookahead_distance * math.sin(result.eta)
         assert result.a_lat == pytest.approx(expected, rel=1e-12)
 
@@ -238,7 +317,14 @@ def test_by_default_it_uses_the_measured_speed_and_the_pose_of_the_moment_it_act
         assert result.state == predicted(state, parameters.delay_s)
         assert result.lookahead_distance == pytest.approx(parameters.lookahead.distance(2.0))
         expected = 2.0 * 2.0**2 / result.lookahead_distance * math.sin(result.eta)
-        assert result.a_lat == pytest.approx(expected, rel=1e-12)
+        moment = result.state
+        path = REFERENCE.project(moment.x, moment.y)
+        lacking = missing_curvature(
+            *(moment.x, moment.y, path.d, path.psi, path.kappa),
+            *(result.lookahead_x, result.lookahead_y),
+        )
+        expected += parameters.curvature_feedforward * 2.0**2 * lacking
+        assert result.a_lat == pytest.approx(expected, rel=1e-9)
     with_delay, without = (
         controller(delay_s=delay).step(state).steering_angle for delay in (0.05, 0.0)
     )
@@ -435,10 +521,10 @@ def test_without_raceline_it_stops_and_then_drives_when_there_is_one():
 
 def test_a_raceline_without_speeds_is_refused_by_name():
     silent = Raceline(REFERENCE.x, REFERENCE.y, source="hall.csv")
-    with pytest.raises(ParameterError, match=r"hall\.csv: the raceline has no speeds"):
+    with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         controller(raceline=silent)
     subject = controller()
-    with pytest.raises(ParameterError, match="no speeds"):
+    with pytest.raises(ParameterError, match="expected speeds"):
         subject.raceline = silent
     assert subject.raceline is REFERENCE
 

@@ -26,6 +26,9 @@ NUMBERS = [
     "speed_lookahead_s",
     "speed_scale",
     "v_max_mps",
+    "grip_use",
+    "a_drive_max_mps2",
+    "a_brake_max_mps2",
 ]
 
 
@@ -69,7 +72,9 @@ def test_compensation_is_on_by_default_and_off_as_published(name, steering_map):
     paper = load_controller_parameters(name + "_paper")
     assert paper.steering_map == steering_map
     assert paper.delay_s == paper.speed_lookahead_s == 0.0
-    assert paper.speed_source == "command"
+    assert paper.speed_source == "command" and paper.eta_from == "heading"
+    assert paper.curvature_feedforward == paper.yaw_rate_gain_s == 0.0
+    assert paper.table_v_max_mps == 7.0
 
 
 def test_a_file_reads_back(tmp_path):
@@ -127,7 +132,9 @@ def test_an_empty_value_is_refused_by_name(tmp_path, name):
     assert f"{name}: expected a finite number, got None" in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["steering_map", "speed_source", "reference_point"])
+@pytest.mark.parametrize(
+    "name", ["steering_map", "speed_source", "eta_from", "lookahead_from", "reference_point"]
+)
 @pytest.mark.parametrize("value", ["Table", "", 1, ["table"], {"a": 1}])
 def test_choices_are_refused_with_what_there_is(tmp_path, name, value):
     message = refusal(written(tmp_path, **{name: value}))
@@ -142,6 +149,11 @@ def test_choices_are_refused_with_what_there_is(tmp_path, name, value):
         {"speed_scale": -1e-9},
         {"v_max_mps": 0.0},
         {"v_max_mps": -3.0},
+        {"table_v_max_mps": 0.0},
+        {"curvature_feedforward": 1.1},
+        {"curvature_feedforward": -0.1},
+        {"yaw_rate_gain_s": -0.01},
+        {"yaw_rate_gain_s": 0.6},
         {"lookahead_min_m": 0.0},
         {"lookahead_min_m": -0.5},
         {"lookahead_max_m": 0.2},

@@ -94,7 +94,7 @@ def test_no_processes_are_refused(jobs):
 
 def test_a_scheduler_decides_on_its_workers():
     where = open_executor(jobs=2, scheduler="tcp://127.0.0.1:1")
-    with pytest.raises(ParameterError, match="give one or other"), where:
+    with pytest.raises(ParameterError, match="expected none with a scheduler"), where:
         pass
 
 

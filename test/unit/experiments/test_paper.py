@@ -135,10 +135,7 @@ def test_tuning_races_on_practice_days_at_its_own_speed(setting):
     controller = load_controller_parameters("map_paper")
     plan = tuning_plan(setting, MAP, controller)
     jobs = next(plan.steps)
-    conditions = setting.conditions
-    assert {job.seed for job in jobs} == set(conditions.practice_seeds)
-    assert {job.scale for job in jobs} == {0.6} and {job.laps for job in jobs} == {2}
-    assert {job.plant for job in jobs} == {setting.day(s).plant for s in conditions.practice_seeds}
+    conditions, driven = setting.conditions, []
     laps = (stretch(1, 8.0, 0.1, 0.1, 0.1),)
 
     def answer(job):
@@ -146,9 +143,14 @@ def test_tuning_races_on_practice_days_at_its_own_speed(setting):
 
     try:
         while True:
+            driven += jobs
             jobs = plan.steps.send([answer(job) for job in jobs])
     except StopIteration as stop:
         tuned = stop.value
+    assert {job.seed for job in driven} == set(conditions.practice_seeds)
+    assert {job.scale for job in driven} == {0.6} and {job.laps for job in driven} == {2}
+    days = {setting.day(seed).plant for seed in conditions.practice_seeds}
+    assert {job.plant for job in driven} == days
     assert tuned.controller.speed_scale == controller.speed_scale
     assert tuned.error == pytest.approx(0.1)
 

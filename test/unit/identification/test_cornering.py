@@ -198,9 +198,9 @@ def test_steering_delay_shifts_the_command():
 def test_refusals():
     run = circle()
     for missing, expected in (
-        ("psi", r"no pose in it \(psi\)"),
-        ("steering", "no drive command"),
-        ("a_y", "no lateral acceleration .*--acceleration yaw_rate"),
+        ("psi", "psi: expected poses, got none"),
+        ("steering", "steering: expected a drive command"),
+        ("a_y", "expected a lateral acceleration.*--acceleration yaw_rate"),
     ):
         signals = {name: s for name, s in run.signals.items() if name != missing}
         with pytest.raises(IdentificationError, match=expected):

@@ -113,7 +113,7 @@ def test_shipped_maps_load():
 
 def test_csv_refusals(tmp_path):
     path = csv(tmp_path / "a.csv", rows())
-    with pytest.raises(ParameterError, match="needs a channel map.*--channels"):
+    with pytest.raises(ParameterError, match="expected a channel map.*--channels"):
         load_run(path)
     with pytest.raises(FileFormatError, match="no column 'nothing'; it has t, px"):
         load_run(path, channels(tmp_path, NAMES + "v_x: nothing\n"))
@@ -159,8 +159,8 @@ def test_channels_of_a_bag(bag, tmp_path):
 def test_bag_refusals(bag, tmp_path):
     for text, error, expected in (
         ("v_x: /nowhere\n", BagError, "/nowhere: expected messages of .*; it has none"),
-        ("v_x: {topic: /vesc/odom, field: a_x}\n", ParameterError, "not 'a_x'"),
-        ("x: /vesc/odom\n", ParameterError, "x: is for CSV files"),
+        ("v_x: {topic: /vesc/odom, field: a_x}\n", ParameterError, "got 'a_x'"),
+        ("x: /vesc/odom\n", ParameterError, "x: expected in CSV files only"),
     ):
         with pytest.raises(error, match=expected):
             load_run(bag, channels(tmp_path, text))

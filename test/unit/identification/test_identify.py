@@ -194,8 +194,8 @@ def test_one_bad_run_does_not_spoil_the_others(ramps, found):
     bad = dataclasses.replace(ramps.run, name="x/bad.bag", signals={})
     both = identify([ramps.run, bad], ramps.base)
     assert both.vehicle == found.vehicle
-    assert both.refused == [("x/bad.bag", "no pose in it (x)")]
-    assert "x/bad.bag: left out: no pose in it (x)" in report_text(both)
+    assert both.refused == [("x/bad.bag", "x: expected poses, got none")]
+    assert "x/bad.bag: left out: x: expected poses, got none" in report_text(both)
 
 
 def test_report_is_plain_json(found):

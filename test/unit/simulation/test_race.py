@@ -142,12 +142,12 @@ def test_the_mirrored_race_is_the_mirror_image():
 
 
 def test_absurd_speed_ends_in_the_wall():
-    log = drive(plant=PLANT, seed=1, speed_scale=2.0, v_max_mps=20.0)
+    log = drive(plant=PLANT, seed=1, speed_scale=2.0, v_max_mps=20.0, grip_use=0.0)
     assert (log.outcome, log.laps) == (Outcome.CRASHED, 0)
     assert 1.0 < log.duration < 20.0
-    # the last sample but one is still on the track
+    # the last sample is still on the track, by less than the way to the next, 0.3 m at most
     result = evaluated(log, REFERENCE)
-    assert -0.3 < min(lap.min_clearance_m for lap in result.laps) < 0.1
+    assert -0.3 < min(lap.min_clearance_m for lap in result.laps) < 0.3
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -292,58 +292,76 @@ def test_samples_hold_what_localization_and_imu_reported():
     path = log.true_path()
     lateral = np.array([sample.acceleration[1] for sample in log.samples])
     assert np.std(lateral - path[:, 4] * path[:, 6]) < 1.0
-    assert np.corrcoef(lateral, path[:, 4] * path[:, 6])[0, 1] > 0.98
+    assert np.corrcoef(lateral, path[:, 4] * path[:, 6])[0, 1] > 0.97
 
 
 # -- the public simulator -----------------------------------------------------------------------
 
 
-# With the height of the center of gravity of the published model file.
-SIMULATOR = load_plant("public_simulator")
-AS_PUBLISHED = dataclasses.replace(SIMULATOR, h_cg_m=load_vehicle("sim").h_cg)
+HANGARS = {
+    "21 m": ("recordings", "hangar_global_waypoints.bag"),
+    "39 m": ("tracks", "hangar", "global_waypoints.json.gz"),
+}
+# Median lap [s] and RMS lateral error [m] of the authors' MAP, measured in the simulator itself.
+AUTHORS = {"21 m": (5.362, 0.108), "39 m": (7.741, 0.159)}
 
 
-def hangar_race(shared_data, name, plant=SIMULATOR):
-    """Mean RMS lateral error [m] and mean lap time [s] of 12 laps at 40 Hz."""
-    raceline = load_raceline(shared_data / "recordings" / "hangar_global_waypoints.bag")
+def hangar_race(shared_data, name, hangar="21 m", delay_s=0.05, rate=100.0):
+    """RMS lateral error [m], median lap time [s] and least clearance [m] of six laps."""
+    raceline = load_raceline(shared_data.joinpath(*HANGARS[hangar]))
     vehicle = load_vehicle("sim")
     # its base_link is the center of gravity
     parameters = load_controller_parameters(name).with_(
         reference_point="center_of_gravity", speed_scale=1.0
     )
     controller = build_controller(parameters, vehicle, raceline)
-    log = race(PublicSimulator(plant), controller, raceline, laps=12)
-    assert (log.outcome, log.laps) == (Outcome.COMPLETED, 12)
+    plant = dataclasses.replace(load_plant("public_simulator"), steering_delay_s=delay_s)
+    simulator = PublicSimulator(plant)
+    log = race(simulator, controller, raceline, rate=rate, laps=6)
+    assert (log.outcome, log.laps) == (Outcome.COMPLETED, 6)
     laps = [lap for lap in evaluated(log, raceline, vehicle.width).laps if lap.valid]
-    assert len(laps) == 12
+    assert len(laps) == 6
     return (
-        np.mean([lap.rms_lateral_error_m for lap in laps]),
-        np.mean([lap.lap_time_s for lap in laps]),
+        math.sqrt(np.mean([lap.rms_lateral_error_m**2 for lap in laps])),
+        np.median([lap.lap_time_s for lap in laps]),
+        min(lap.min_clearance_m for lap in laps),
     )
 
 
-def test_the_shipped_map_reaches_its_figure_on_the_simulator_as_published(shared_data):
-    error, lap_time = hangar_race(shared_data, "map", AS_PUBLISHED)
-    assert error <= 0.025
-    assert lap_time < 5.26
+@pytest.mark.parametrize("delay_s", [0.04, 0.05, 0.06, 0.07])
+@pytest.mark.parametrize("hangar", HANGARS)
+def test_the_shipped_map_halves_the_error_and_is_faster(shared_data, hangar, delay_s):
+    error, lap_time, clearance = hangar_race(shared_data, "map", hangar, delay_s)
+    their_lap_time, their_error = AUTHORS[hangar]
+    assert error < 0.5 * their_error and lap_time < their_lap_time
+    assert clearance > 0.15
 
 
-def test_the_shipped_map_on_the_simulator_as_recorded(shared_data):
-    """The public MAP controller has 0.107 m and 5.37 s there."""
-    error, lap_time = hangar_race(shared_data, "map")
-    assert error <= 0.031
-    assert lap_time < 5.26
+@pytest.mark.parametrize("hangar", HANGARS)
+def test_the_shipped_map_at_the_rate_of_the_authors_loop(shared_data, hangar):
+    error, lap_time, _ = hangar_race(shared_data, "map", hangar, rate=40.0)
+    their_lap_time, their_error = AUTHORS[hangar]
+    assert error < 0.35 * their_error and lap_time < their_lap_time
+
+
+@pytest.mark.parametrize("hangar", HANGARS)
+def test_map_as_published_does_there_what_was_measured(shared_data, hangar):
+    """At least as fast and as close as the authors' code, and away from the walls."""
+    error, lap_time, clearance = hangar_race(shared_data, "map_paper", hangar)
+    their_lap_time, their_error = AUTHORS[hangar]
+    assert 0.9 * their_error < error < their_error
+    assert 0.99 * their_lap_time < lap_time < their_lap_time
+    assert clearance > 0.1
 
 
 def test_pure_pursuit_as_published_does_there_what_was_measured(shared_data):
-    """The public pure pursuit was measured to lap in 5.62 s with 0.139 m."""
-    error, lap_time = hangar_race(shared_data, "pure_pursuit_paper")
-    assert error == pytest.approx(0.139, abs=0.01)
+    """The public pure pursuit was measured to lap in 5.62 s with 0.139 m, its loop at 40 Hz."""
+    error, lap_time, _ = hangar_race(shared_data, "pure_pursuit_paper", rate=40.0)
+    assert error == pytest.approx(0.139, abs=0.005)
     assert lap_time == pytest.approx(5.62, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "name, times", [("pure_pursuit", 1.3), ("map_paper", 2.5), ("pure_pursuit_paper", 4.5)]
-)
-def test_what_the_compensation_and_the_tires_are_worth_there(shared_data, name, times):
-    assert hangar_race(shared_data, name)[0] > times * hangar_race(shared_data, "map")[0]
+@pytest.mark.parametrize("name", ["pure_pursuit", "map_paper", "pure_pursuit_paper"])
+def test_what_feedforward_compensation_and_tires_are_worth_there(shared_data, name):
+    ours = hangar_race(shared_data, "map", "39 m")[0]
+    assert hangar_race(shared_data, name, "39 m")[0] > 2.0 * ours

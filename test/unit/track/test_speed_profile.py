@@ -152,6 +152,40 @@ def test_a_bend_tighter_than_the_car_can_steer_is_named():
         speed_profile(kappa, 0.1, **SPEED_DEPENDENT)
 
 
+def test_tighter_bends_than_a_least_speed_allows_are_driven_at_it():
+    kappa = np.full(50, 0.1)
+    kappa[20] = 2.5
+    speed = speed_profile(kappa, 0.1, **SPEED_DEPENDENT, v_min=1.0)
+    assert speed[20] == pytest.approx(1.0, rel=1e-3) and speed.min() == speed[19:22].min()
+    kappa[20] = 0.5
+    with_least = speed_profile(kappa, 0.1, **SPEED_DEPENDENT, v_min=1.0)
+    np.testing.assert_array_equal(with_least, speed_profile(kappa, 0.1, **SPEED_DEPENDENT))
+
+
+@BOTH
+@settings(deadline=None, max_examples=40)
+@given(CURVATURES, st.lists(st.floats(0.0, 9.0), min_size=60, max_size=60), st.floats(0.02, 0.5))
+def test_top_speeds_of_places(limits, kappa, v_max, ds):
+    """Nowhere above them, within the other limits between any two, and slower than without."""
+    kappa = 0.5 * np.abs(kappa)
+    v_max = np.array(v_max[: kappa.size])
+    v_max[0] = max(v_max[0], 0.1)
+    speed = speed_profile(kappa, ds, **{**limits, "v_max": v_max})
+    assert np.all(speed <= v_max * (1.0 + 1e-12))
+    a_long = (np.roll(speed, -1) ** 2 - speed**2) / (2.0 * ds)
+    assert a_long.max() <= 6.0 * (1.0 + 1e-6) and a_long.min() >= -8.0 * (1.0 + 1e-6)
+    free = speed_profile(kappa, ds, **limits)
+    assert np.all(speed <= free * (1.0 + 1e-3))
+    same = speed_profile(kappa, ds, **{**limits, "v_max": np.full(kappa.size, 9.0)})
+    np.testing.assert_array_equal(same, free)
+
+
+@pytest.mark.parametrize("v_max", [[9.0], [9.0, -1.0, 9.0], [0.0, 0.0, 0.0], [9.0, math.nan, 9.0]])
+def test_impossible_top_speeds_are_named(v_max):
+    with pytest.raises(ParameterError, match="v_max"):
+        speed_profile([0.1, 0.1, 0.1], 0.1, **{**LIMITS, "v_max": v_max})
+
+
 def test_speed_at_which_the_power_is_used_up():
     drag = {**LIMITS, "a_drive_max": lambda v: np.maximum(6.0 - v, 0.0), "v_max": 9.0}
     kappa = np.zeros(2000)

@@ -248,17 +248,17 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
     ("arguments", "message"),
     [
         (([1.0, 1.0], [0.1], [[1, 1]]), "speeds: expected ascending values, got 1 before 1"),
-        (([0.0, 1.0], [0.1], [[1, 1]]), "^speeds: expected positive ones, got 0 m/s"),
+        (([0.0, 1.0], [0.1], [[1, 1]]), "^speeds: expected positive values, got 0 m/s"),
         (
             ([1.0], [0.1, 0.3, 0.2, 0.4], np.ones((4, 1))),
             "^angles: expected ascending values, got 0.3 before 0.2",
         ),
         (
             ([1.0], [-0.1, 0.1], [[1], [2]]),
-            r"angles: expected them within \[0, pi/2\) rad, got -0.1 to 0.1",
+            r"angles: expected values in \[0, pi/2\) rad, got -0.1 to 0.1",
         ),
-        (([1.0], [0.1, 2.0], [[1], [2]]), r"angles: expected them within .* got 0.1 to 2"),
-        (([1.0], [0.1, 0.5 * math.pi], [[1], [2]]), r"angles: expected them within"),
+        (([1.0], [0.1, 2.0], [[1], [2]]), r"angles: expected values in .* got 0.1 to 2"),
+        (([1.0], [0.1, 0.5 * math.pi], [[1], [2]]), r"angles: expected values in"),
         (([1.0], [0.1], [[1, 2]]), r"a_lat: expected shape \(1, 1\), got \(1, 2\)"),
         (([1.0], [0.1], [[np.inf]]), "^a_lat: expected finite values or NaN, got inf$"),
         (([1.0], [0.1], [[np.nan]]), "^a_lat: expected cells that rise .* got none$"),
@@ -308,12 +308,12 @@ def test_a_table_without_provenance_does_not_inherit_an_old_one(tmp_path):
     [
         ("0,1,2\n0.1,1\n", "table.csv:2: expected 3 columns, got 2"),
         ("0,1,2\n0.1,1,2\n\n0.2,x,4\n", "table.csv:4: column 2: expected a number, got 'x'"),
-        ("0;1;2\n0.1;1;2\n", "table.csv: expected speeds, then rows of angles, with commas"),
+        ("0;1;2\n0.1;1;2\n", "table.csv: expected comma-separated speeds, then rows"),
         ("0,2,1\n0.1,1,2\n", "speeds: expected ascending values, got 2 before 1"),
         ("0,1\n0.2,1\n0.1,2\n", "angles: expected ascending values, got 0.2 before 0.1"),
         ("0,1\n0.1,inf\n", "a_lat: expected finite values or NaN"),
-        ("0,1,2\n", "expected speeds, then rows of angles"),
-        ("", "expected speeds, then rows of angles"),
+        ("0,1,2\n", "expected comma-separated speeds, then rows"),
+        ("", "expected comma-separated speeds, then rows"),
     ],
 )
 def test_malformed_files_are_refused(tmp_path, text, message):
@@ -367,7 +367,7 @@ def test_cells_that_give_no_wheelbase_are_no_table():
     with pytest.raises(ParameterError, match="wheelbase"):
         LookupTable([1.0, 2.0, 3.0, 4.0, 5.0], angles, cells)
     for impossible in (0.009, 10.5):
-        with pytest.raises(ParameterError, match="^a_lat: expected a steady-state table, .*wheelb"):
+        with pytest.raises(ParameterError, match="^a_lat: expected cells .*wheelb"):
             one_column(impossible)
     assert one_column(9.5).l_wb == pytest.approx(9.5)
 

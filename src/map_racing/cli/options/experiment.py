@@ -2,7 +2,7 @@
 
 import argparse
 
-from .shared import add_shared_options
+from .shared import add_effort_options, add_grid_options, add_shared_options
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +45,34 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     tires.set_defaults(run="experiment.run_tires")
 
+    robustness = kinds.add_parser(
+        "robustness",
+        help="whether controllers complete every track with every car",
+        description="Race controllers on a grid of tracks, shipped and generated, and cars that "
+        "differ from what the controllers believe. Says how many races were completed and how "
+        "close, and of the others where they ended and why.",
+    )
+    robustness.add_argument(
+        "--controller",
+        nargs="+",
+        default=["map"],
+        metavar="NAME",
+        help="YAML files, or shipped controllers (default: map)",
+    )
+    robustness.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="result directory; an existing one is continued where it stopped",
+    )
+    add_grid_options(robustness)
+    robustness.add_argument(
+        "--speed-scale", type=float, help="scale of the raceline's speeds, instead of the grid's"
+    )
+    robustness.add_argument("--laps", type=int, help="timed laps, instead of the grid's")
+    add_effort_options(robustness)
+    robustness.set_defaults(run="experiment.run_robustness")
+
 
 def add_race_options(parser):
     """Options of both experiments."""
@@ -52,9 +80,9 @@ def add_race_options(parser):
     parser.add_argument(
         "--no-tuning",
         action="store_true",
-        help="race all controllers as shipped; those as published then have the lookahead of the "
+        help="race all controllers as shipped; the published ones have the lookahead of the "
         "authors' code",
     )
     parser.add_argument(
-        "--bags", action="store_true", help="also keep the races of the tables as bags"
+        "--bags", action="store_true", help="also write the races of the tables as bags"
     )

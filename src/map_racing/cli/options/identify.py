@@ -19,8 +19,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--vehicle",
         required=True,
-        help="known mass and geometry of the car, and tires for what the data do not determine "
-        "(shipped vehicle or YAML file)",
+        help="mass and geometry of the car, and tire parameters to keep where the data determine "
+        "none (shipped vehicle or YAML file)",
     )
     parser.add_argument("--output", required=True, metavar="YAML", help="vehicle file to write")
     parser.add_argument(
@@ -32,23 +32,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--channels",
         metavar="YAML",
-        help="which column or topic holds what: a file, or shipped: "
+        help="channel map of columns or topics: YAML file, or shipped: "
         + ", ".join(list_config("channels")),
     )
     parser.add_argument(
-        "--pose-topic", metavar="TOPIC", help="topic of the pose in bags (default: the best)"
+        "--pose-topic", metavar="TOPIC", help="topic of the poses in bags (default: the best)"
     )
     parser.add_argument(
         "--servo-topic",
         metavar="TOPIC",
-        help="take the steering angle from a servo's position (std_msgs/Float64) instead of the "
+        help="take the steering angle from the servo position (std_msgs/Float64) instead of the "
         "drive command",
     )
     parser.add_argument(
         "--servo-gain",
         type=float,
         default=-1.2135,
-        help="position = gain * angle + offset, as in the VESC's configuration (default: "
+        help="position = gain * angle + offset, as in the configuration of the VESC (default: "
         "%(default)s)",
     )
     parser.add_argument(
@@ -61,7 +61,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--steering-delay",
         type=float,
         metavar="S",
-        help="from the command to the wheels [s], also in a channel map (default: 0; on a ramp of "
+        help="latency of the steering [s], also in a channel map (default: 0; on a ramp of "
         "0.02 rad/s, 50 ms are 1 mrad)",
     )
     parser.add_argument(
@@ -84,8 +84,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--front-force",
         choices=("model", "paper"),
         default="model",
-        help="front force as the model of the table needs it, or divided by the cosine of the "
-        "steering angle as in the paper (default: %(default)s)",
+        help="front force as in the equations of motion, or divided by the cosine of the steering "
+        "angle as in the paper (default: %(default)s)",
     )
     limits = SteadyLimits()
     for option, name, what in (

@@ -46,5 +46,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="list the speed at which each corner exceeds the table's limit: shipped track, "
         "raceline file or bag[#topic]",
     )
+    check.add_argument(
+        "--controller",
+        default="map",
+        help="with --raceline, whose grip_use tells where it would drive slower than the raceline "
+        "at a speed scale of 1: shipped controller or YAML file (default: %(default)s)",
+    )
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run="lookup.run_check")

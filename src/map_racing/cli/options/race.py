@@ -47,8 +47,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed-scale",
         type=float,
-        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's; on the "
-        "shipped tracks nuc4 runs out of grip above about 0.8)",
+        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); its "
+        "grip_use bounds them further",
     )
     parser.add_argument(
         "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"

@@ -4,7 +4,7 @@ import argparse
 
 from ...resources import list_config
 
-__all__ = ["add_shared_options"]
+__all__ = ["add_effort_options", "add_grid_options", "add_shared_options"]
 
 
 def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> None:
@@ -49,6 +49,11 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
         help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days, instead of the "
         "conditions' seeds",
     )
+    add_effort_options(parser)
+
+
+def add_effort_options(parser: argparse.ArgumentParser) -> None:
+    """Where the races are driven, and which are known already."""
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
     )
@@ -63,4 +68,26 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
         default=[],
         metavar="DIR",
         help="take the races that this result directory already has from there; may be repeated",
+    )
+
+
+def add_grid_options(parser: argparse.ArgumentParser) -> None:
+    """Options of what races on a grid of tracks and cars."""
+    parser.add_argument(
+        "--grid",
+        default="robustness",
+        help="tracks and cars: YAML file, or shipped: robustness (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--tracks",
+        nargs="*",
+        metavar="TRACK",
+        help="instead of the grid's tracks: shipped tracks, raceline files or bag[#topic]",
+    )
+    parser.add_argument(
+        "--generated",
+        type=int,
+        nargs="*",
+        metavar="SEED",
+        help="seeds of generated tracks, instead of the grid's",
     )

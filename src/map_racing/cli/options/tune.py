@@ -3,7 +3,7 @@
 import argparse
 
 from ...resources import list_config
-from .shared import add_shared_options
+from .shared import add_grid_options, add_shared_options
 
 DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
 
@@ -28,6 +28,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         dest="tuning_scale",
         type=float,
         help="scale of the raceline's speeds (default: as in the conditions, 0.6)",
+    )
+    parser.add_argument(
+        "--robust",
+        action="store_true",
+        help="find m, q and the delay around the controller's own values with the smallest error "
+        "(geometric mean over the races) among those that complete every race of a grid of tracks "
+        "and cars, at the grid's speeds",
+    )
+    add_grid_options(parser)
+    parser.add_argument(
+        "--grip-use",
+        type=float,
+        nargs="+",
+        metavar="SHARE",
+        help="with --robust: race the result with each of these shares of the grip, too",
     )
     add_shared_options(parser, "practice_seeds")
     parser.set_defaults(run="tune.run")

@@ -7,11 +7,10 @@ from typing import Callable
 import numpy as np
 
 from ...bags.messages import WAYPOINT_FIELDS
-from ...errors import ParameterError
 from ..raceline import Raceline
 from ..speed_profile import accelerations
 
-__all__ = ["scaled_speed", "waypoint_array", "waypoint_rows"]
+__all__ = ["waypoint_array", "waypoint_rows"]
 
 
 def waypoint_array(count: int, **columns: np.ndarray | None) -> np.ndarray:
@@ -68,38 +67,3 @@ def waypoint_rows(
         vx_mps=v,
         ax_mps2=None if v is None else accelerations(v, raceline.length / count),
     )
-
-
-def scaled_speed(
-    raceline: Raceline, scale: float = 1.0, sectors=None
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Speed along a raceline, scaled as a whole and by sectors.
-
-    Parameters
-    ----------
-    raceline : Raceline
-    scale : float
-        At least 0.
-    sectors : SpeedSectors, optional
-        Anything with ``scale_at(s)``.
-
-    Returns
-    -------
-    callable
-        Speeds [m/s] at an array of arc lengths [m].
-
-    Raises
-    ------
-    ParameterError
-        If the raceline has no speeds, or the scale is negative or not finite.
-    """
-    if raceline.speed is None:
-        raise ParameterError(f"{raceline.source or raceline.name}: expected speeds, got none")
-    if not 0.0 <= scale < np.inf:
-        raise ParameterError(f"speed_scale: expected 0 or more, got {scale}")
-
-    def speed(s):
-        v = scale * raceline.sample(s).speed
-        return v if sectors is None else v * np.array([sectors.scale_at(at) for at in s.tolist()])
-
-    return speed

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from map_racing.control.speed_plan import scaled_speed
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.errors import ParameterError
-from map_racing.track.files.waypoints import scaled_speed, waypoint_rows
+from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)

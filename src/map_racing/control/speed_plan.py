@@ -1,0 +1,198 @@
+"""The speeds of a lap: those of the raceline, as far as the grip allows."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Callable
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..track.speed_profile import lap_time, speed_profile
+
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
+
+__all__ = ["WALKING_PACE", "SpeedPlan", "requested_speed", "scaled_speed"]
+
+# Driven where a bend is tighter than the car can steer, and commanded where the car is off the
+# course [m/s]: any tires hold at it.
+WALKING_PACE = 1.0
+
+# Length of the plan's cells [m]. Half as long ones change the lap times of the shipped tracks by
+# 0.2 %; long courses get longer ones, so that a plan takes about 10 ms on any of them.
+CELL, LONGEST_CELL, CELLS = 0.025, 0.1, 4000
+
+# A place is slowed where the plan is below this share of what is asked: not by rounding.
+SLOWED = 0.99
+
+
+def scaled_speed(
+    raceline: Raceline, scale: float = 1.0, sectors=None
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Speed along a raceline, scaled as a whole and by sectors.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    scale : float
+        At least 0.
+    sectors : SpeedSectors, optional
+        Anything with ``scale_at(s)``.
+
+    Returns
+    -------
+    callable
+        Speeds [m/s] at an array of arc lengths [m].
+
+    Raises
+    ------
+    ParameterError
+        If the raceline has no speeds, or the scale is negative or not finite.
+    """
+    if raceline.speed is None:
+        raise ParameterError(f"{raceline.source or raceline.name}: expected speeds, got none")
+    if not 0.0 <= scale < np.inf:
+        raise ParameterError(f"speed_scale: expected 0 or more, got {scale}")
+
+    def speed(s):
+        v = scale * raceline.sample(s).speed
+        return v if sectors is None else v * np.array([sectors.scale_at(at) for at in s.tolist()])
+
+    return speed
+
+
+def requested_speed(raceline, parameters, sectors=None):
+    """Speed that is asked for along a raceline, whatever the grip.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    parameters : ControllerParameters
+        Their scale and largest speed.
+    sectors : SpeedSectors, optional
+
+    Returns
+    -------
+    callable
+        Speeds [m/s] at an array of arc lengths [m].
+
+    Raises
+    ------
+    ParameterError
+        If the raceline has no speeds.
+    """
+    speed = scaled_speed(raceline, parameters.speed_scale, sectors)
+    return lambda s: np.minimum(speed(s), parameters.v_max_mps)
+
+
+class SpeedPlan:
+    """Highest speeds around a lap within what is asked for and what the car can do.
+
+    The raceline's speeds, scaled and bounded, are lowered to a profile within the friction ellipse,
+    so that the car brakes before a bend and not in it; see `map_racing.track.speed_profile`. Where
+    a bend is tighter than the car can steer, the plan has walking pace.
+
+    A raceline without speeds gets the fastest profile as its speeds, and those are scaled.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    parameters : ControllerParameters
+        Of these it depends on the fields in `DEPENDS_ON` alone.
+    grip : LookupTable or other steering map
+        Its ``max_lateral_acceleration``, times ``grip_use``, is the lateral limit.
+    sectors : SpeedSectors, optional
+
+    Attributes
+    ----------
+    s : ndarray, shape (n,)
+        Arc length of the plan's cells [m].
+    speed : ndarray, shape (n,)
+        Planned speed there [m/s].
+    requested : ndarray, shape (n,)
+        What is asked for there [m/s].
+    """
+
+    DEPENDS_ON = (
+        *("grip_use", "a_drive_max_mps2", "a_brake_max_mps2"),
+        *("speed_scale", "v_max_mps"),
+    )
+
+    def __init__(self, raceline, parameters, grip, sectors=None):
+        cell = min(max(raceline.length / CELLS, CELL), LONGEST_CELL)
+        count = max(int(math.ceil(raceline.length / cell)), 4)
+        self.length, self.ds = raceline.length, raceline.length / count
+        self.s = np.arange(count) * self.ds
+        self.has_own_speeds = raceline.speed is not None
+        kappa = raceline.sample(self.s).kappa
+        use = parameters.grip_use
+        if not use > 0.0:
+            raise ParameterError("grip_use is 0: no speeds are planned")
+
+        def limited(v_max):
+            if np.max(v_max) <= 0.0:
+                return np.zeros(count)
+            return speed_profile(
+                kappa,
+                self.ds,
+                a_lat_max=lambda v: use * grip.max_lateral_acceleration(v),
+                a_drive_max=parameters.a_drive_max_mps2,
+                a_brake_max=parameters.a_brake_max_mps2,
+                v_max=v_max,
+                v_min=WALKING_PACE,
+            )
+
+        if self.has_own_speeds:
+            self.requested = requested_speed(raceline, parameters, sectors)(self.s)
+        else:
+            self.requested = parameters.speed_scale * limited(parameters.v_max_mps)
+            if sectors is not None:
+                self.requested *= [sectors.scale_at(s) for s in self.s.tolist()]
+            self.requested = np.minimum(self.requested, parameters.v_max_mps)
+        self.speed = limited(self.requested)
+        self._speed = self.speed.tolist() + self.speed[:2].tolist()
+        self._per_ds = count / self.length
+
+    def speed_at(self, s):
+        """Planned speed [m/s] at arc length `s` [m], taken modulo the length."""
+        cell = s % self.length * self._per_ds
+        i = int(cell)
+        v = self._speed[i]
+        return v + (self._speed[i + 1] - v) * (cell - i)
+
+    @property
+    def lap_time(self):
+        """Time of a lap that keeps to the plan [s]."""
+        return lap_time(self.speed, self.ds)
+
+    @property
+    def share_slowed(self):
+        """Share of the lap's length on which the plan is slower than what is asked for."""
+        return float(np.mean(self.speed < SLOWED * self.requested))
+
+    @property
+    def slowest_place(self):
+        """Where the plan takes most from what is asked for: ``(s, planned, requested)``.
+
+        Arc length [m] and speeds [m/s].
+        """
+        asked = np.maximum(self.requested, 1e-9)
+        i = int(np.argmin(np.where(self.requested > 0.0, self.speed / asked, 1.0)))
+        return float(self.s[i]), float(self.speed[i]), float(self.requested[i])
+
+    def __str__(self):
+        if not self.has_own_speeds:
+            return (
+                "the raceline has no speeds: driven as fast as the grip allows, "
+                f"{self.speed.min():.1f} to {self.speed.max():.1f} m/s"
+            )
+        share = self.share_slowed
+        if not share:
+            return "the grip suffices for the raceline's speeds"
+        s, planned, requested = self.slowest_place
+        percent = f"{share:.0%}" if share >= 0.01 else "less than 1%"
+        return (
+            f"slower than the raceline on {percent.replace('%', ' %')} of the lap, "
+            f"most at s = {s:.1f} m: {planned:.1f} for {requested:.1f} m/s"
+        )

@@ -1,0 +1,346 @@
+"""The grid of tracks and cars on which a controller has to hold: races, and what came of them."""
+
+from __future__ import annotations
+
+import math
+import platform
+import random
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import scipy
+
+from .. import __version__
+from ..errors import ParameterError
+from ..resources import find_config
+from ..simulation.plant import PlantParameters
+from ..simulation.plants import load_plant
+from ..track.files.load import load_raceline
+from ..track.generator import TrackShape, draw_track
+from ..validation import finite, read_parameters
+from .campaign import Plan
+from .jobs import RaceJob, code_fingerprint, fingerprint, plain
+
+__all__ = [
+    "Grid",
+    "Robustness",
+    "any_shape",
+    "grid_plan",
+    "grid_provenance",
+    "grid_table",
+    "load_robustness",
+    "race_rows",
+]
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """Tracks and cars; a file in ``config/experiments`` holds the same names.
+
+    Parameters
+    ----------
+    plant : str
+        Shipped plant or plant file that the cars are made from.
+    cars : dict of str to dict
+        Name of a car to the plant's parameters that it differs in: a number instead of the
+        plant's, or a text ``"x 0.9"`` for a factor on it.
+    tracks : tuple of str
+        Shipped tracks, raceline files or ``bag[#topic]``.
+    generated_seeds : tuple of int
+        Seeds of generated tracks, each of the shape `any_shape` gives it.
+    simulator_delays_s : tuple of float
+        Steering delays with which the public simulator's plant is raced [s].
+    speed_scale : float
+        Scale of the raceline's speeds.
+    laps : int
+        Timed laps of a race.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    ParameterError
+        For an impossible value, naming it.
+    """
+
+    plant: str
+    cars: dict
+    tracks: tuple = ()
+    generated_seeds: tuple = ()
+    simulator_delays_s: tuple = ()
+    speed_scale: float = 1.0
+    laps: int = 2
+    seed: int = 1
+
+    def __post_init__(self):
+        for name in ("tracks", "generated_seeds", "simulator_delays_s"):
+            values = getattr(self, name)
+            if not isinstance(values, (list, tuple)):
+                raise ParameterError(f"{name} must be a list, not {values!r}")
+            object.__setattr__(self, name, tuple(values))
+        for seed in (*self.generated_seeds, self.seed):
+            if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+                raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
+        if not self.tracks and not self.generated_seeds:
+            raise ParameterError("tracks or generated_seeds must name a track")
+        if not isinstance(self.cars, dict) or not (self.cars or self.simulator_delays_s):
+            raise ParameterError("cars must map names to what they differ in")
+        if isinstance(self.laps, bool) or not isinstance(self.laps, int) or self.laps < 1:
+            raise ParameterError(f"laps must be at least 1, not {self.laps!r}")
+        finite("speed_scale", self.speed_scale)
+
+
+def load_robustness(source):
+    """Read tracks and cars from a shipped name or a YAML file.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing, unknown or impossible; the message names file and parameter.
+    """
+    return read_parameters(find_config("experiments", source, (".yaml",)), Robustness)
+
+
+def any_shape(seed):
+    """Shape of a generated track, drawn by its seed.
+
+    20 to 60 m long, bends from 0.8 to 1.5 m, 0 to 3 straights, left or right, and speeds for 7 to
+    12.6 m/s^2 of lateral acceleration, of which NUC4's tires hold 7.
+
+    Parameters
+    ----------
+    seed : int
+
+    Returns
+    -------
+    TrackShape
+    """
+    draw = random.Random(f"shape of track {seed}").random
+    tightest = 0.8 + 0.7 * draw()
+    return TrackShape(
+        length=20.0 + 40.0 * draw(),
+        tightest_radius=tightest,
+        straights=int(4.0 * draw()),
+        width=min(2.0, 1.8 * tightest),
+        left=draw() < 0.5,
+        beyond=1.0 + 0.8 * draw(),
+    )
+
+
+class Car(NamedTuple):
+    """A car of the grid: its name, its plant, and the vehicle that the controller believes in."""
+
+    name: str
+    plant: object
+    vehicle: object
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Tracks and cars with everything loaded.
+
+    Parameters
+    ----------
+    conditions : Robustness
+    """
+
+    conditions: Robustness
+    tracks: tuple = field(init=False)
+    cars: tuple = field(init=False)
+
+    def __post_init__(self):
+        given = self.conditions
+        tracks = [load_raceline(source) for source in given.tracks]
+        tracks += [draw_track(seed, any_shape(seed)) for seed in given.generated_seeds]
+        object.__setattr__(self, "tracks", tuple(tracks))
+        plant = load_plant(given.plant)
+        if not isinstance(plant, PlantParameters):
+            raise ParameterError(f"plant: expected a plant file, got {given.plant}")
+        cars = [
+            Car(name, _changed(plant, name, changes), plant.vehicle)
+            for name, changes in given.cars.items()
+        ]
+        for delay in given.simulator_delays_s:
+            simulator = replace(
+                load_plant("public_simulator"), steering_delay_s=delay, localization_rate_hz=100.0
+            )
+            name = f"public simulator, {1000.0 * delay:g} ms"
+            cars.append(Car(name, simulator, simulator.vehicle))
+        object.__setattr__(self, "cars", tuple(cars))
+
+    def jobs(self, label, controller):
+        """The races of a controller: every car on every track, the cars of a track together.
+
+        Parameters
+        ----------
+        label : str
+        controller : ControllerParameters
+
+        Returns
+        -------
+        list of RaceJob
+        """
+        given = self.conditions
+        controller = controller.with_(speed_scale=given.speed_scale)
+        return [
+            RaceJob(
+                label,
+                controller.with_(reference_point=car.plant.reference_point),
+                *(car.vehicle, car.plant, track, given.laps, given.seed),
+            )
+            for track in self.tracks
+            for car in self.cars
+        ]
+
+    @property
+    def names(self):
+        """Track and car of each job, as in `jobs`."""
+        return [(track.name, car.name) for track in self.tracks for car in self.cars]
+
+
+def _changed(plant, name, changes):
+    if not isinstance(changes, dict):
+        raise ParameterError(f"cars: {name}: expected parameters and values, not {changes!r}")
+    known = {f.name for f in fields(PlantParameters)} - {"vehicle"}
+    values = {}
+    for key, value in changes.items():
+        if key not in known:
+            raise ParameterError(f"cars: {name}: unknown parameter {key}")
+        if isinstance(value, str) and value.startswith("x "):
+            try:
+                value = getattr(plant, key) * float(value[2:])
+            except (TypeError, ValueError):
+                raise ParameterError(f"cars: {name}: {key}: expected x and a number") from None
+        values[key] = value
+    try:
+        return replace(plant, **values)
+    except ParameterError as error:
+        raise ParameterError(f"cars: {name}: {error}") from error
+
+
+def grid_plan(grid, label, controller):
+    """Plan that races a controller over the grid; its result is the list of `RaceResult`."""
+
+    def steps():
+        return (yield grid.jobs(label, controller))
+
+    return Plan(steps(), len(grid.names))
+
+
+# -- tables ----------------------------------------------------------------------------------------
+
+
+def race_rows(grid, label, results):
+    """One row for each race.
+
+    Parameters
+    ----------
+    grid : Grid
+    label : str
+    results : list of RaceResult
+        In the order of ``grid.jobs``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``controller track car outcome laps_completed lap_time_s rms_lateral_error_m
+        max_abs_lateral_error_m end_s_m cause``: median lap time, RMS error over all laps, and of a
+        race that was not completed where it ended and why.
+    """
+    rows = []
+    for (track, car), result in zip(grid.names, results):
+        laps = result.laps
+        square = [lap.rms_lateral_error_m**2 for lap in laps]
+        rows.append(
+            {
+                "controller": label,
+                "track": track,
+                "car": car,
+                "outcome": result.outcome,
+                "laps_completed": len(laps),
+                "lap_time_s": float(np.median([lap.lap_time_s for lap in laps]))
+                if laps
+                else math.nan,
+                "rms_lateral_error_m": math.sqrt(np.mean(square)) if laps else math.nan,
+                "max_abs_lateral_error_m": max(
+                    (
+                        stretch.max_abs_lateral_error_m
+                        for stretch in result.stretches
+                        if stretch.lap
+                    ),
+                    default=math.nan,
+                ),
+                "end_s_m": math.nan if result.completed or not result.end else result.end.s,
+                "cause": "" if result.completed else cause_of(result),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def cause_of(result):
+    """Why a race was not completed, in a few words."""
+    end = result.end
+    if not end:
+        return "did not start"
+    if result.outcome != "crashed":
+        return "no headway"
+    if abs(end.sideslip) > 0.5:
+        return f"spun at {end.speed:.1f} m/s"
+    if end.d * end.kappa < 0.0:
+        return f"ran wide at {end.speed:.1f} m/s"
+    return f"cut the bend at {end.speed:.1f} m/s"
+
+
+def grid_table(races, scale):
+    """One row for each controller.
+
+    Parameters
+    ----------
+    races : pandas.DataFrame
+        From `race_rows`.
+    scale : float
+        Of the raceline's speeds.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``races``, of which ``races_completed``; ``worst_`` and ``mean_rms_lateral_error_m``,
+        ``max_abs_lateral_error_m`` and ``mean_lap_time_s`` of these.
+    """
+    rows = []
+    for label, group in races.groupby("controller", sort=False):
+        done = group[group.outcome == "completed"]
+        rows.append(
+            {
+                "speed_scale": scale,
+                "controller": label,
+                "races": len(group),
+                "races_completed": len(done),
+                "worst_rms_lateral_error_m": float(done.rms_lateral_error_m.max()),
+                "mean_rms_lateral_error_m": float(done.rms_lateral_error_m.mean()),
+                "max_abs_lateral_error_m": float(done.max_abs_lateral_error_m.max()),
+                "mean_lap_time_s": float(done.lap_time_s.mean()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def grid_provenance(grid, controllers):
+    """What the results of a grid depend on, as plain values."""
+    return {
+        "map_racing": __version__,
+        "code": code_fingerprint(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "conditions": plain(grid.conditions),
+        "track": {
+            "name": f"{len(grid.tracks)} tracks",
+            "sha256": fingerprint(list(grid.tracks)),
+        },
+        "tracks": plain(list(grid.tracks)),
+        "cars": {car.name: plain(car.plant) for car in grid.cars},
+        "controllers": {label: plain(value) for label, value in controllers.items()},
+    }

@@ -1,0 +1,128 @@
+"""The robustness experiment and robust tuning from the command line, on a small grid."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from map_racing.cli import main
+from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
+
+GRID = """\
+plant: nuc4
+cars:
+  as shipped: {}
+  slippery: {mu_scale: x 0.9}
+simulator_delays_s: [0.05]
+generated_seeds: [13]
+laps: 1
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a grid and a controller that knows no grip."""
+    folder = tmp_path_factory.mktemp("robustness")
+    (folder / "grid.yaml").write_text(GRID)
+    bold = load_controller_parameters("map").with_(grip_use=0.0)
+    save_controller_parameters(bold, folder / "bold.yaml")
+    return folder
+
+
+def run(folder, *command):
+    """Run a command on the grid in this process; its exit code."""
+    arguments = [*command, "--grid", folder / "grid.yaml", "--jobs", 1]
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def results(folder):
+    """Result directory, of a scale at which speeds beyond the grip end in the wall."""
+    output = folder / "grid"
+    assert (
+        run(
+            *(folder, "experiment", "robustness", "--controller", "map", folder / "bold.yaml"),
+            *("--speed-scale", 1.4, "--output", output),
+        )
+        == 0
+    )
+    return output
+
+
+def test_every_car_is_raced_on_every_track(results):
+    races = pd.read_csv(results / "races.csv")
+    assert races.groupby(["controller", "track"]).size().tolist() == [3, 3]
+    assert set(races.car) == {"as shipped", "slippery", "public simulator, 50 ms"}
+    ours = races[(races.controller == "map") & ~races.car.str.startswith("public")]
+    assert (ours.outcome == "completed").all() and ours.cause.isna().all()
+    assert (ours.rms_lateral_error_m < 0.05).all()
+    assert (ours.lap_time_s > 3.0).all()
+
+
+def test_what_was_not_completed_has_place_and_cause(results):
+    races = pd.read_csv(results / "races.csv")
+    ended = races[(races.controller == "bold") & (races.outcome != "completed")]
+    assert len(ended) and ended.end_s_m.between(0.0, 25.0).all()
+    assert ended.cause.str.contains(" at [0-9]").all()
+
+
+def test_table_provenance_and_figures(results):
+    table = pd.read_csv(results / "table.csv").set_index("controller")
+    assert table.loc["map", "races"] == 3
+    assert table.loc["map", "races_completed"] > table.loc["bold", "races_completed"]
+    content = json.loads((results / "results.json").read_text())
+    assert content["kind"] == "robustness"
+    cars = content["provenance"]["cars"]
+    assert cars["slippery"]["mu_scale"] == pytest.approx(0.9 * cars["as shipped"]["mu_scale"])
+    assert cars["public simulator, 50 ms"]["steering_delay_s"] == 0.05
+    assert {path.name for path in (results / "figures").iterdir()} == {
+        "robustness_map.png",
+        "robustness_bold.png",
+    }
+
+
+def test_the_same_again_drives_nothing(folder, results, capsys):
+    options = ("--controller", "map", "--speed-scale", 1.4, "--output", results)
+    assert run(folder, "experiment", "robustness", *options) == 0
+    said = capsys.readouterr().out
+    assert "0 races driven, 3 found on disk" in said
+    assert "RMS error" in said and "map: " in said
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("plant: nuc4\ncars: {a: {}}\n", "tracks or generated_seeds must name a track"),
+        (GRID.replace("x 0.9", "x much"), "cars: slippery: mu_scale: expected x and a number"),
+        (GRID.replace("mu_scale", "mu"), "cars: slippery: unknown parameter mu"),
+        (GRID.replace("laps: 1", "laps: 0"), "laps must be at least 1"),
+        (GRID.replace("plant: nuc4", "plant: nuc5"), "nuc5: no such file"),
+        (GRID + "day: 1\n", "unknown parameter day"),
+    ],
+)
+def test_mistakes_in_the_grid_are_one_line(tmp_path, capsys, text, expected):
+    (tmp_path / "grid.yaml").write_text(text)
+    command = ("experiment", "robustness", "--output", tmp_path / "out")
+    assert run(tmp_path, *command) == 1
+    said = capsys.readouterr().err
+    assert expected in said and said.count("\n") == 1
+
+
+def test_robust_tuning(folder, tmp_path, capsys):
+    output = tmp_path / "tuned"
+    options = ("--controller", "map", "--grip-use", 0.8, "--output", output)
+    assert run(folder, "tune", "--robust", *options) == 0
+    said = capsys.readouterr().out
+    assert "all 3 races completed" in said and "grip_use 0.8: 3 of 3 completed" in said
+    candidates = pd.read_csv(output / "candidates.csv")
+    best = candidates[candidates.races == 3].typical_rms_lateral_error_m.min()
+    table = pd.read_csv(output / "table.csv").iloc[0]
+    assert table.typical_rms_lateral_error_m == best
+    found = load_controller_parameters(output / "controllers" / "map.yaml")
+    assert (found.m_m, found.q_s, found.delay_s) == (table.m_m, table.q_s, table.delay_s)
+    assert found.grip_use == load_controller_parameters("map").grip_use
+
+
+def test_options_of_the_grid_belong_to_robust_tuning(folder, tmp_path, capsys):
+    assert run(folder, "tune", "--generated", 1, "--output", tmp_path / "x") == 1
+    assert "--generated belongs to --robust" in capsys.readouterr().err
