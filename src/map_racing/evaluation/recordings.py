@@ -35,8 +35,8 @@ def _of_pose(name):
     return tuple(f"{prefix}{name}" for prefix in ("pose.pose.", "pose.", ""))
 
 
-# Usual names of the columns of a CSV file; the first that is in the file is taken. Those of messages
-# are as `rostopic echo -p` has them, without its "field.".
+# Usual names of the columns of a CSV file; the first that is in the file is taken. Those of
+# messages are as `rostopic echo -p` has them, without its "field.".
 _ALIASES = {
     "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp", "header.stamp", "%time"),
     "x": ("x", "x_m", "pose_x", "pos_x", "position_x", *_of_pose("position.x")),
