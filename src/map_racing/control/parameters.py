@@ -1,7 +1,10 @@
 """Controller parameters and their files."""
 
+from __future__ import annotations
+
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import yaml
 
@@ -156,16 +159,16 @@ class ControllerParameters:
             )
 
     @cached_property
-    def lookahead(self):
+    def lookahead(self) -> LookaheadLaw:
         """The :class:`LookaheadLaw` of these parameters."""
         return LookaheadLaw(self.m_m, self.q_s, self.lookahead_min_m, self.lookahead_max_m)
 
-    def with_(self, **changes):
+    def with_(self, **changes) -> ControllerParameters:
         """A checked copy with some values changed."""
         return replace(self, **changes)
 
 
-def load_controller_parameters(source):
+def load_controller_parameters(source: str | Path) -> ControllerParameters:
     """Read controller parameters from YAML.
 
     Parameters
@@ -188,7 +191,7 @@ def load_controller_parameters(source):
     return read_parameters(path, ControllerParameters, values)
 
 
-def load_safety_limits(source):
+def load_safety_limits(source: str | Path) -> SafetyLimits:
     """Read the mapping ``safety`` of a controller's file.
 
     Parameters
@@ -213,7 +216,9 @@ def load_safety_limits(source):
     return read_parameters(f"{path}: safety", SafetyLimits, values)
 
 
-def save_controller_parameters(parameters, path, limits=None):
+def save_controller_parameters(
+    parameters: ControllerParameters, path: str | Path, limits: SafetyLimits | None = None
+) -> None:
     """Write controller parameters to YAML that `load_controller_parameters` reads back.
 
     Parameters

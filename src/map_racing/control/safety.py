@@ -7,13 +7,16 @@ raceline) the car drives again by itself. A requested stop, grip exceeded for lo
 the controller wait for `Supervisor.resume`.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 from ..validation import POSITIVE, check, documented, parameter
-from .controller import Status
+from .controller import ControlResult, Status
+from .state import CarState
 
 __all__ = ["Decision", "Mode", "PoseMotion", "Reason", "SafetyLimits", "Supervisor"]
 
@@ -126,7 +129,7 @@ class PoseMotion:
         self._pose = self._changed = self._moving_since = None
         self._moving = False
 
-    def frozen(self, now, pose, v_x, jumped=False):
+    def frozen(self, now: float, pose: tuple, v_x: float, jumped: bool = False) -> float:
         """Time for which the car has been moving with the same pose [s].
 
         Parameters
@@ -212,31 +215,31 @@ class Supervisor:
 
     # -- requests and events -----------------------------------------------------------------
 
-    def request_stop(self, source):
+    def request_stop(self, source: str) -> None:
         """Stop until `resume`, or until `source` withdraws its request."""
         self._requests.add(source)
 
-    def withdraw(self, source):
+    def withdraw(self, source: str) -> None:
         """Withdraw the stop that `source` requested."""
         self._requests.discard(source)
 
-    def fail(self):
+    def fail(self) -> None:
         """Stop until `resume`, after a failure of the controller."""
         self._failed = True
 
-    def resume(self):
+    def resume(self) -> None:
         """Drive again after a requested stop, grip exceeded for long or a failure."""
         self._requests.clear()
         self._failed = self._lost_grip = False
         self._saturated_since = None
 
-    def raceline_changed(self, valid):
+    def raceline_changed(self, valid: bool) -> None:
         """Note whether the latest raceline can be driven."""
         self._raceline_valid = valid
 
     # -- poses and commands ------------------------------------------------------------------
 
-    def observe(self, now, state):
+    def observe(self, now: float, state: CarState) -> bool:
         """Check a pose.
 
         Parameters
@@ -281,7 +284,7 @@ class Supervisor:
             self._speed = v_x
         return trusted
 
-    def refuse(self, now):
+    def refuse(self, now: float) -> Decision:
         """Stop for a pose in another frame than the raceline.
 
         Returns
@@ -293,7 +296,7 @@ class Supervisor:
         self._seen[Reason.FRAME] = now
         return self.decide(now, None)
 
-    def decide(self, now, result):
+    def decide(self, now: float, result: ControlResult | None) -> Decision:
         """Turn the controller's result into a command.
 
         Parameters
@@ -331,7 +334,7 @@ class Supervisor:
         self._command, self._commanded = (angle, speed), now
         return Decision(self.mode, self.reason, angle, speed)
 
-    def watch(self, now):
+    def watch(self, now: float) -> Decision | None:
         """Notice a dropout of the poses.
 
         Returns
