@@ -191,10 +191,11 @@ def draw_comparison(folder: str, comparison, names: tuple[str, str]) -> Path:
 
 def _save(folder, figures):
     """Draw and write figures of (file name, function, arguments); the path of the last."""
-    from ..plots.style import save
+    from ..plots.style import own_settings, save
 
     folder = make_folder(folder)
     for file_name, plot, arguments in tqdm(figures, desc="figures", disable=None, leave=False):
         path = folder / file_name
-        save(plot(*arguments), path)
+        with own_settings():
+            save(plot(*arguments), path)
     return path

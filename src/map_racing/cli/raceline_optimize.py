@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -54,13 +55,12 @@ def run_optimize(arguments):
         power=arguments.power,
     )
     track = load(arguments, vehicle)
-    lines = [(track.name or "input", track)]
+    lines = [(label(track.name, "input", ()), track)]
     clearance = 0.5 * vehicle.width + arguments.margin
     if arguments.compare:
         other = load_raceline(arguments.compare)
-        # A millimeter more, so that rounding does not favor our line.
-        clearance = clearance_of(other, track) + 1e-3
-        lines.append((other.name or "compared", other))
+        lines.append((label(other.name, "compared", (lines[0][0],)), other))
+        clearance = compared_clearance(arguments.compare, clearance_of(other, track), clearance)
 
     began = time.perf_counter()
     with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
@@ -75,7 +75,8 @@ def run_optimize(arguments):
     count = int(round(found.raceline.length / arguments.step))
     print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
-    print_table(lines, track, limits, arguments.speed_scale)
+    times = print_table(lines, track, limits, arguments.speed_scale)
+    tell_slower(lines, times, track, clearance, vehicle)
 
     try:
         middle = with_fastest_speeds(found.reference, limits, arguments.speed_scale)
@@ -92,6 +93,38 @@ def run_optimize(arguments):
         print(f"{arguments.sectors}: {len(sectors)} sectors")
     if arguments.plots:
         print(f"  figure: {draw_optimized(arguments.plots, optimized, middle, found.walls)}")
+
+
+def label(name, other, taken):
+    """Name of a row of the table that is not yet taken."""
+    name = name[:24]
+    return other if not name or name in ("middle", "optimized", *taken) else name
+
+
+def compared_clearance(source, theirs, ours):
+    """Clearance of the search: that of the line to compare with, if a car can have it."""
+    if theirs < 0.01:
+        where = f"{-theirs:.2f} m beyond" if theirs < 0.0 else "at"
+        print(f"  {source} is {where} a wall: the optimized line keeps {ours:.3f} m from the walls")
+        return ours
+    # A millimeter more, so that rounding does not favor our line.
+    return theirs + 1e-3
+
+
+def tell_slower(lines, times, track, clearance, vehicle):
+    """Say which of the given lines is faster than the optimized one, and why."""
+    for name, line in lines[:-2]:
+        if not times[name] < times["optimized"]:
+            continue
+        theirs = clearance_of(line, track)
+        text = f"  warning: the optimized line is slower than {name} by "
+        text += f"{times['optimized'] - times[name]:.3f} s"
+        if theirs < clearance - 1e-3:
+            text += f", which comes within {theirs:.3f} m of the walls; this one keeps "
+            text += (
+                f"{clearance:.3f} m: --margin {theirs - 0.5 * vehicle.width:.3f} allows the same"
+            )
+        print(text)
 
 
 def form_of(path, wanted):
@@ -180,22 +213,25 @@ def start_of(words):
 
 
 def print_table(lines, track, limits, scale):
-    """Figures of each line, computed in the same way for all."""
+    """Figures of each line, computed in the same way for all; lap times by name, inf for none."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'clearance':>10s} "
         f"{'lap time':>9s}\n"
         f"  {'':24s} {'[m]':>9s} {'[rad^2/m]':>12s} {'[m]':>8s} {'[m]':>10s} {'[s]':>9s}"
     )
-    undrivable = []
+    undrivable, times = [], {}
     for name, line in lines:
+        times[name] = math.inf
         try:
-            lap = f"{raceline_speeds(line, **limits)[1] / scale:.3f}"
+            times[name] = raceline_speeds(line, **limits)[1] / scale
+            lap = f"{times[name]:.3f}"
         except ParameterError as error:
             lap = "-"
             undrivable.append(f"  {name}: no lap time: {error}")
         print(
-            f"  {name[:24]:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
+            f"  {name:24s} {line.length:9.2f} {squared_curvature(line):12.4f} "
             f"{1.0 / np.abs(line.kappa).max():8.2f} {clearance_of(line, track):10.3f} {lap:>9s}"
         )
     for text in undrivable:
         print(text)
+    return times

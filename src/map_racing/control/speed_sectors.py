@@ -23,6 +23,8 @@ __all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_
 # In a corner the car needs more than this share of the lap's largest lateral acceleration; a sector
 # shorter than this share of the lap belongs to its neighbors.
 _CORNER, _SHORTEST = 0.4, 0.03
+# Range of the curvature, as a share of the largest, from which a bend all along is an oval.
+_OVAL = 0.1
 
 
 class SpeedSectors:
@@ -151,6 +153,10 @@ def corners_and_straights(raceline: Raceline) -> list:
     size = a_lat.size
     # Left 1, straight 0, right -1; the median removes short sectors.
     kind = np.sign(a_lat) * (np.abs(a_lat) > _CORNER * np.max(np.abs(a_lat)))
+    bend = np.abs(at.kappa)
+    if np.ptp(kind) == 0.0 and np.ptp(bend) > _OVAL * np.max(bend):
+        # An oval bends all along: its corners are where it bends most.
+        kind = np.where(bend > 0.5 * (bend.min() + bend.max()), kind, 0.0)
     window = max(3, int(_SHORTEST * size) | 1)
     kind = ndimage.median_filter(kind, 2 * window + 1, mode="wrap")
     starts = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), size]

@@ -199,7 +199,7 @@ class Session(Races):
         if not controllers:
             return {}
         from ..plots.experiments import plot_tuning
-        from ..plots.style import save
+        from ..plots.style import own_settings, save
 
         plans = [tuning_plan(self.setting, label, c) for label, (_, c) in controllers.items()]
         tuned = dict(zip(controllers, self.carry_out(plans, "tuning")))
@@ -214,8 +214,9 @@ class Session(Races):
                 frame.to_csv(file, index=False)
             title = f"Tuning {label}: {self.where}, {scale:.0%} speed"
             error = [pair.error for pair in found.pairs]
-            figure = plot_tuning(frame.m_m, frame.q_s, error, pair, title)
-            save(figure, self.figures / f"tuning_{stem}.png")
+            with own_settings():
+                figure = plot_tuning(frame.m_m, frame.q_s, error, pair, title)
+                save(figure, self.figures / f"tuning_{stem}.png")
             infeasible = sum(map(math.isinf, error))
             print(
                 f"tuned {label}: L_d = {pair[0]:g} m + {pair[1]:g} s v, RMS error "

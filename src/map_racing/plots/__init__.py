@@ -1,1 +1,18 @@
 """Figures, the only room that imports matplotlib."""
+
+import os as _os
+
+from ..errors import MapRacingError as _MapRacingError
+
+# Figures are written to files: the backend that the user has chosen, which may not exist, is not
+# loaded.
+_backend = _os.environ.pop("MPLBACKEND", None)
+try:
+    import matplotlib as _matplotlib  # noqa: F401
+except (OSError, ValueError) as error:
+    raise _MapRacingError(
+        f"cannot load matplotlib: {error}: is a file named matplotlibrc damaged?"
+    ) from None
+finally:
+    if _backend is not None:
+        _os.environ["MPLBACKEND"] = _backend

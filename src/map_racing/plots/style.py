@@ -1,27 +1,48 @@
 """Colors, size, layout and saving of all figures.
 
 Every function that draws returns a `matplotlib.figure.Figure` without window or global state;
-`save` writes it. The colors can be distinguished with any color vision (Okabe-Ito, viridis).
+`save` writes it. Within `own_settings` both look the same for every user. The colors can be
+distinguished with any color vision (Okabe-Ito, viridis).
 """
 
 from __future__ import annotations
 
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Iterator
 
 import numpy as np
+from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from ..errors import MapRacingError
 
-__all__ = ["COLORS", "DEVIATION", "RACELINE", "WALL", "finished", "new_figure", "save", "size_for"]
+__all__ = [
+    "COLORS",
+    "DEVIATION",
+    "RACELINE",
+    "WALL",
+    "finished",
+    "new_figure",
+    "own_settings",
+    "save",
+    "size_for",
+]
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 WALL, RACELINE = "0.5", "0.1"
 # Gray in the middle: white, as in the usual diverging maps, would hide a path without error.
 DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#D55E00", "0.75", "#0072B2"])
+
+
+@contextmanager
+def own_settings() -> Iterator[None]:
+    """Draw and save with matplotlib's own settings, not those of the user's matplotlibrc."""
+    with style.context("default"):
+        yield
 
 
 def save(figure: Figure, path: str | Path) -> None:

@@ -23,12 +23,12 @@ from typing import Any, Callable, Mapping, NamedTuple
 import numpy as np
 
 from ..errors import ParameterError, RacelineError
-from .findings import NOTE, Finding
+from .findings import NOTE, WARNING, Finding
 from .least_curvature import least_curvature
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
 from .tree import point_tree
-from .walls import Walls, smooth_between
+from .walls import Walls, clearance_of, smooth_between
 
 __all__ = [
     "OptimizedLine",
@@ -230,7 +230,14 @@ def fastest_line(
             break
     if best[0] > (1.0 - _WORTH) * close[0]:
         best = close
+    findings = ()
+    own = search.time_of_track(limits)
+    if own < best[0]:
+        best = (own, Raceline(track.x, track.y, name=track.name), 0.0)
+        text = "no faster line than the given one was found: its path is kept"
+        findings = (Finding("kept", WARNING, text),)
     found = search.result(best[1], best[2])
+    found = found._replace(findings=found.findings + findings)
     return found._replace(raceline=with_fastest_speeds(found.raceline, limits))
 
 
@@ -242,7 +249,7 @@ class _Search:
             if not 0.0 < value < math.inf:
                 raise ParameterError(f"{key}: expected more than 0 m, got {value}")
         self.name = track.source or track.name or "raceline"
-        self.title = track.name
+        self.track, self.title = track, track.name
         self.clearance, self.step, self._progress = clearance, step, progress
         _check_closed(track, self.name)
         self.walls = Walls(track)
@@ -250,6 +257,15 @@ class _Search:
         self.farthest = 2.0 * float(np.max(track.d_left + track.d_right))
         self.reference = self._with_walls(Raceline(*self._middle(track).T))
         self._cut, self._lines = None, 0
+
+    def time_of_track(self, limits):
+        """Lap time on the path given [s]; inf where it cannot be driven or is too close."""
+        if clearance_of(self.track, self.track) < self.clearance - _CLOSE_ENOUGH:
+            return math.inf
+        try:
+            return raceline_speeds(self.track, **limits)[1]
+        except ParameterError:
+            return math.inf
 
     def best(self, line, tension):
         """Best line, improved pass by pass within reach of the normals of the last one."""

@@ -14,6 +14,7 @@ from map_racing.control.speed_sectors import load_speed_sectors
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
+from map_racing.track import optimization
 from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
@@ -68,6 +69,57 @@ def test_centerline_to_raceline(tmp_path, capsys):
     assert (tmp_path / "hall_optimized.png").stat().st_size > 20000
 
 
+def test_a_slower_line_is_told_and_why(tmp_path, capsys):
+    """A line along the inner wall is shorter than any that a car's width has room for."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
+    path = tmp_path / "ring.csv"
+    track = Raceline(
+        *(4.0 * np.cos(angle), 4.0 * np.sin(angle)),
+        vx_mps=np.full(200, 3.0),
+        d_left_m=np.full(200, 0.05),
+        d_right_m=np.full(200, 1.2),
+    )
+    save_raceline(track, path)
+    assert run(path, "--vehicle", "sim") == 0
+    printed = capsys.readouterr().out
+    assert "warning: the optimized line is slower than ring by" in printed
+    assert "comes within 0.050 m of the walls; this one keeps 0.20" in printed
+    assert "--margin -0.05" in printed
+    rows = table_of(printed)
+    assert float(rows["optimized"][4]) > float(rows["ring"][4])
+
+
+def test_the_given_path_is_kept_where_no_faster_one_is_found(tmp_path, capsys, monkeypatch):
+    source = centerline(tmp_path / "hall.csv")
+    track = load_raceline(str(source))
+    wave = 0.3 * np.cos(2.0 * math.pi * 9 * track.s / track.length)
+    worse = Raceline(*track.to_cartesian(track.s, wave))
+    monkeypatch.setattr(optimization._Search, "best", lambda *_: worse)
+    assert run(source) == 0
+    printed = capsys.readouterr().out
+    rows = table_of(printed)
+    assert "no faster line than the given one was found: its path is kept" in printed
+    assert float(rows["optimized"][4]) == pytest.approx(float(rows["hall"][4]), abs=0.002)
+
+
+def test_rows_of_one_name_are_told_apart(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+    track = load_raceline(str(source))
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / "hall.csv"
+    save_raceline(Raceline(*track.to_cartesian(track.s, np.full(track.s.size, 0.4))), other)
+    assert run(source, "--compare", other) == 0
+    assert set(table_of(capsys.readouterr().out)) == {"hall", "compared", "middle", "optimized"}
+
+
+def test_an_open_course_is_called_that_first(tmp_path, capsys):
+    x = np.linspace(0.0, 20.0, 160)
+    course = {"x": lambda _: x, "y": lambda _: 2.0 * np.sin(0.3 * x)}
+    assert run(centerline(tmp_path / "course.csv", **course)) == 1
+    told = capsys.readouterr().err
+    assert "course.csv: expected a closed track, but the last point is" in told
+
+
 def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
     track = load_raceline(str(source))
@@ -114,8 +166,10 @@ def test_compare_gives_the_same_room(tmp_path, capsys):
     assert float(rows["optimized"][3]) == pytest.approx(float(rows["other"][3]), abs=2e-3)
     beyond = Raceline(*track.to_cartesian(track.s, 1.2 + 0.0 * angle), name="beyond")
     save_raceline(beyond, tmp_path / "beyond.csv")
-    assert run(source, "--compare", tmp_path / "beyond.csv") == 1
-    assert "is beyond one" in capsys.readouterr().err
+    assert run(source, "--compare", tmp_path / "beyond.csv") == 0
+    printed = capsys.readouterr().out
+    assert "beyond.csv is 0.3" in printed and "m beyond a wall" in printed
+    assert float(table_of(printed)["beyond"][3]) == pytest.approx(-0.3, abs=0.02)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "json"])

@@ -209,6 +209,18 @@ def test_corners_and_straights_of_a_stadium(tmp_path):
     assert scales.scale_at(track.s_points[sectors[1][0]] + 1e-6) == 1.0
 
 
+def test_an_oval_has_corners_where_it_bends_most():
+    """Driven at the limit all along, its lateral acceleration is the same everywhere."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
+    line = Raceline(9.0 * np.cos(angle), 5.0 * np.sin(angle))
+    at = line.sample(line.s_points)
+    fast = Raceline(at.x, at.y, vx_mps=np.sqrt(5.0 / np.abs(at.kappa)))
+    kinds = [what for _, _, what in corners_and_straights(fast)]
+    assert kinds == ["left", "straight", "left", "straight", "left"]
+    round_one = Raceline(5.0 * np.cos(angle), 5.0 * np.sin(angle), vx_mps=np.full(200, 5.0))
+    assert [what for _, _, what in corners_and_straights(round_one)] == ["left"]
+
+
 def test_sectors_need_speeds():
     angle = np.linspace(0.0, 6.0, 50)
     with pytest.raises(ParameterError, match="no speeds"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from map_racing.track.raceline import Raceline
-from map_racing.track.walls import Walls, smooth_between
+from map_racing.track.walls import Walls, clearance_of, smooth_between
 
 
 def ring(count=200):
@@ -26,6 +26,38 @@ def test_distance_to_the_walls_of_a_ring():
     expected = np.minimum(radius - 3.5, 6.0 - radius)
     # A wall is a polygon: 0.1 m of it leave the circle by 0.3 mm.
     np.testing.assert_allclose(walls.distance(points), expected, atol=4e-4)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1.2, -0.7, 1.5 + 0.2, -1.0 - 0.3])
+def test_clearance_is_negative_beyond_a_wall(offset):
+    track = ring()
+    line = Raceline(*track.to_cartesian(track.s, np.full(track.s.size, offset)))
+    expected = min(1.5 - offset, 1.0 + offset)
+    assert clearance_of(line, track) == pytest.approx(expected, abs=4e-4)
+
+
+def test_clearance_in_a_bend_tighter_than_the_track_is_wide():
+    """Around the end of a thin inner wall, as measured from that wall itself."""
+    half, length, radius = 0.15, 5.0, 0.5  # of the inner wall, of the straights, of the track
+    wide = 1.2  # from the track to the outer wall
+    turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 60)
+    leg = np.linspace(-length, length, 200)[1:-1]
+    end = np.stack((length + radius * np.cos(turn), radius * np.sin(turn)))
+    leg = np.stack((leg[::-1], np.full(leg.size, radius)))
+    points = np.concatenate((end, leg, -end, -leg), axis=1)
+    count = points.shape[1]
+    track = Raceline(
+        *points, d_left_m=np.full(count, radius - half), d_right_m=np.full(count, wide)
+    )
+    # A wide line through the bend, with points nearer to the other leg's wall than to
+    # the middle of the bend.
+    for shift in (-0.2, 0.0, 0.6, 1.0):
+        line = Raceline(*track.to_cartesian(track.s, np.full(track.s.size, -shift)))
+        expected = min(radius - half + shift, wide - shift)
+        assert clearance_of(line, track) == pytest.approx(expected, abs=0.01)
+    # Widths along the normals that reach beyond the center of the bend.
+    folded = Raceline(*points, d_left_m=np.full(count, 0.45), d_right_m=np.full(count, wide))
+    assert clearance_of(folded, folded) == pytest.approx(0.45, abs=0.01)
 
 
 @pytest.mark.parametrize("clearance", [0.0, 0.3])

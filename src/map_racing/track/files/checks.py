@@ -53,7 +53,8 @@ def raceline_of(table: RacelineTable) -> Raceline:
     examination = examine(table)
     errors = examination.worst(ERROR)
     if errors:
-        more = f" (and {len(errors) - 1} more errors)" if len(errors) > 1 else ""
+        count = len(errors) - 1
+        more = f" (and {count} more error{'s' if count > 1 else ''})" if count else ""
         raise RacelineError(f"{table.source or table.name or 'raceline'}: {errors[0]}{more}")
     examination.raceline.findings = examination.findings
     return examination.raceline

@@ -90,6 +90,8 @@ class Draft:
             if rising:
                 text += f"; {rising[0]} only increases: is it really the {rising[0]} column?"
             self.add("open", ERROR, text)
+            # What else is wrong with the points may be for want of this.
+            self.findings.insert(0, self.findings.pop())
             return
         self.at = self.raceline.sample(self.raceline.s_points)
         s = np.full(len(table.columns["x"]), np.nan)
