@@ -13,6 +13,7 @@ import numpy as np
 
 from ...angles import wrap
 from ...errors import FileFormatError
+from ...validation import FARTHEST
 from ..findings import NOTE, WARNING, Finding
 from ..spline import distinct_points
 
@@ -74,7 +75,8 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
         If more columns are left than can be told apart.
     """
     count = values.shape[1]
-    finite = np.where(np.abs(values) < 1e8, values, 0.0)  # NaN, too, becomes 0
+    finite = np.where(np.isfinite(values), values, 0.0)
+    finite[np.abs(finite) > FARTHEST] = 0.0
     if count in LAYOUTS and _holds(finite, LAYOUTS[count]):
         return list(LAYOUTS[count]), []
     names, reasons = ["?"] * count, []
