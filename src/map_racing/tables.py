@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import math
+import re
 import zlib
 from contextlib import contextmanager
 from itertools import chain
@@ -71,9 +73,8 @@ def read_columns(path: str | Path, locate: Callable[[list[str]], dict[str, int]]
         If the file cannot be read or a cell is not a number; names file, line and column.
     """
     with open_text(path) as file:
-        names, delimiter, rows = _split_header(path, file)
+        names, rows = _split_header(path, file)
         where = locate(names)
-        rows = ((number, line.split(delimiter)) for number, line in rows)
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
     return Columns(dict(zip(where, table.T)), named, lines, notes)
@@ -97,7 +98,7 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
 
 
 def _split_header(path, file):
-    """Names of the columns, delimiter and numbered lines of an open file."""
+    """Names of the columns, and numbered rows of cells of an open file."""
     comment = ""
     lines = ((number, line.strip()) for number, line in enumerate(file, 1))
     lines = ((number, line) for number, line in lines if line)
@@ -107,14 +108,41 @@ def _split_header(path, file):
         comment = first[1].lstrip("# ")
     else:
         raise FileFormatError(f"{path}: expected rows of numbers, got none")
-    delimiter = max(",;\t", key=first[1].count)
-    numeric = is_number(first[1].split(delimiter)[0])
+    delimiter = _delimiter(first[1])
+    numeric = is_number(_cells(path, *first, delimiter)[0])
     header = comment if numeric else first[1]
     if not header:
         raise FileFormatError(f"{path}: expected names of columns above the numbers, got none")
-    names = [name.strip().strip('"') for name in header.split(delimiter)]
+    names = [name.strip() for name in _cells(path, first[0], header, delimiter)]
     data = (row for row in lines if not row[1].startswith("#"))
-    return names, delimiter, chain([first], data) if numeric else data
+    return names, _rows(path, chain([first], data) if numeric else data, delimiter)
+
+
+def _delimiter(line):
+    """Delimiter of a line; what stands in quotes is no delimiter."""
+    bare = re.sub(r'"[^"]*"', "", line)
+    return max(",;\t", key=bare.count)
+
+
+def _cells(path, number, line, delimiter):
+    """Cells of a line."""
+    return next(_rows(path, [(number, line)], delimiter))[1]
+
+
+def _rows(path, lines, delimiter):
+    """Numbered rows of cells; a quoted cell may hold delimiters and even ends of lines."""
+    number = 0
+
+    def texts():
+        nonlocal number
+        for number, line in lines:  # noqa: B007 - read below
+            yield line + "\n"
+
+    try:
+        for cells in csv.reader(texts(), delimiter=delimiter, skipinitialspace=True):
+            yield number, cells
+    except csv.Error as error:
+        raise FileFormatError(f"{path}:{number}: expected cells of a table: {error}") from None
 
 
 def column_index(path: str | Path, names: list[str], column: str) -> int:

@@ -47,6 +47,7 @@ __all__ = [
     "encode_pose",
     "encode_transform",
     "encode_waypoints",
+    "yaw_and_length",
 ]
 
 ODOMETRY = "nav_msgs/Odometry"
@@ -223,13 +224,13 @@ def _decode(batch, body, fields, has_child=False):
     x, y, q_x, q_y, q_z, q_w, *twist = columns.T
     # Damaged messages hold any numbers.
     with np.errstate(all="ignore"):
-        psi, length = _yaw(q_x, q_y, q_z, q_w)
+        psi, length = yaw_and_length(q_x, q_y, q_z, q_w)
     twist = twist or [np.full(x.size, _NAN)] * 3
     return stamps, np.stack([x, y, psi, length, *twist], axis=1), good
 
 
-def _yaw(q_x, q_y, q_z, q_w):
-    """Yaw of quaternions as `yaw_from_quaternion`, NaN for those of zeros, and their lengths."""
+def yaw_and_length(q_x, q_y, q_z, q_w):
+    """Yaw of quaternions [rad], NaN for those of zeros, and their lengths; arrays of one shape."""
     psi = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
     length = np.sqrt(q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w)
     return np.where(length > SHORTEST_QUATERNION, psi, _NAN), length
@@ -315,7 +316,7 @@ def decode_path(data: bytes) -> dict[str, np.ndarray]:
     x, y, q_x, q_y, q_z, q_w = poses.T
     columns = {"x_m": x, "y_m": y}
     # Planners often leave all orientations at their defaults: 0 0 0 1, or 0 0 0 0.
-    psi = _yaw(q_x, q_y, q_z, q_w)[0]
+    psi = yaw_and_length(q_x, q_y, q_z, q_w)[0]
     if np.any(q_z) and np.isfinite(psi).all():
         columns["psi_rad"] = psi
     return columns

@@ -7,8 +7,9 @@ round: crossing the line back and forth restarts the clock of the lap.
 
 The whole path is reported, stretch by stretch. A stretch counts (``valid``) if it is a complete
 lap without a fault; otherwise ``reason`` says why not: *out-lap* (before the first crossing),
-*in-lap* (after the last), *gap* (no sample for too long), *jump* (the pose moved farther than a
-car can), *reverse* (driven backwards) and *off track*.
+*in-lap* (after the last), *gap* (no new pose for too long), *jump* (the pose moved farther than a
+car can), *shortcut* (the place on the track did), *reverse* (driven backwards), *off track*,
+*stood* and *stopped* (by more than brakes).
 
 Between samples the lateral deviation d is taken as linear in time, and all means are over time, so
 they do not depend on the spacing of the samples.
@@ -45,7 +46,12 @@ _NO_WALLS = 2.0
 _ELSEWHERE = 0.5
 _MOST_SECTORS = 1000
 _WIDEST_CAR = 10.0
-_FAULTS = {"gap": "s", "jump": "m", "reverse": "m"}  # with their units
+_FAULTS = {"gap": "s", "jump": "m", "shortcut": "m", "reverse": "m"}  # with their units
+# In a tight bend the place on the track moves so far [m] while the car moves little.
+_SHORTCUT = 3.0
+# Less than this [m] in this time [s] is standing; it lasts while the car is within a radius [m].
+_STANDING, _STANDING_TIME, _STANDING_RADIUS = 0.15, 0.5, 0.05
+_BRAKING_TIME = 0.1  # over which deceleration is measured [s]
 
 
 @dataclass(frozen=True)
@@ -66,6 +72,10 @@ class LapLimits:
         Largest lateral deviation [m]. By default the center of the car must stay between the walls
         or, where the raceline has none, within 2 m. Walls in a raceline file are often drawn
         tighter than the hall; this overrides them.
+    max_stop : float
+        Longest time that the car may stand [s].
+    max_deceleration : float
+        Hardest braking [m/s^2], over 0.1 s; only a wall stops a car faster.
     """
 
     max_gap: float = 0.25
@@ -73,6 +83,8 @@ class LapLimits:
     jump_margin: float = 0.3
     max_reverse: float = 0.5
     max_deviation: float | None = None
+    max_stop: float = 0.3
+    max_deceleration: float = 25.0
 
 
 class _Sample(NamedTuple):
@@ -208,7 +220,7 @@ class LapEvaluator:
     def _restart(self):
         self._laps = []
         self._number = 0
-        self._last = None
+        self._last, self._changed = None, 0.0
         self._begin(None)
 
     def _begin(self, line):
@@ -230,6 +242,7 @@ class LapEvaluator:
             last = None
         if last is None:
             self._tracker.reset()
+            self._changed = t
         place = self._tracker.update(x, y)
         progress = (place.s - self._start_s) % length
         if last is not None:
@@ -254,13 +267,22 @@ class LapEvaluator:
         """Faults of the step from one sample to the next, by kind."""
         limits, faults = self.limits, {}
         gap = sample.t - last.t
+        moved = math.hypot(sample.x - last.x, sample.y - last.y)
+        # A localization that is slower than its messages, or hangs, repeats its pose; the car moves
+        # on meanwhile.
+        since = sample.t - self._changed
+        if moved > 0.0:
+            self._changed = sample.t
+        if moved > limits.jump_margin:
+            gap = since
         if gap > limits.max_gap:
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
-        moved = math.hypot(sample.x - last.x, sample.y - last.y)
-        if moved > limits.max_speed * gap + limits.jump_margin or (
-            self._tracker.reacquired and gap <= limits.max_gap
-        ):
+        if moved > limits.max_speed * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
+        elif self._tracker.reacquired and gap <= limits.max_gap:
+            along = abs(sample.progress - last.progress)
+            if along > 3.0 * moved + _SHORTCUT:
+                faults["shortcut"] = max(along, self._faults.get("shortcut", 0.0))
         return faults
 
     def _cross(self, line, last, sample, faults):
@@ -316,6 +338,8 @@ class LapEvaluator:
         if curve.d_left is not None:
             clearance = float(np.min(np.minimum(curve.d_left - d, curve.d_right + d)))
         reasons = self._reasons(reason, clearance, magnitude.max())
+        if complete:
+            reasons += self._stops(t, x, y, progress)
         duration = float(t[-1] - t[0])
         return Lap(
             lap=self._number,
@@ -351,6 +375,53 @@ class LapEvaluator:
             outside = largest - _NO_WALLS if math.isnan(clearance) else -clearance
         if outside > 0.0:
             reasons.append(f"off track by {outside:.2f} m")
+        return reasons
+
+    def _stops(self, t, x, y, progress):
+        """Where the car stood or was stopped by more than its brakes."""
+        moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
+        moved[-1] = True
+
+        def at(times):
+            return np.interp(times, t[moved], x[moved]), np.interp(times, t[moved], y[moved])
+
+        def speed(begin, end):
+            (x_1, y_1), (x_2, y_2) = at(begin), at(end)
+            return np.hypot(x_2 - x_1, y_2 - y_1) / (end - begin)
+
+        def place(time):
+            s = float(np.interp(time, t, progress)) + self._start_s
+            return f"s = {s % self.raceline.length:.1f} m"
+
+        reasons = []
+        begin = t[t <= t[-1] - _STANDING_TIME]
+        slow = begin[speed(begin, begin + _STANDING_TIME) * _STANDING_TIME < _STANDING]
+        if slow.size:
+            # The longest stop; others are not told apart from it.
+            pieces = np.split(slow, np.flatnonzero(np.diff(slow) > _STANDING_TIME) + 1)
+            longest = max(pieces, key=lambda piece: piece[-1] - piece[0])
+            inside = (t >= longest[0]) & (t <= longest[-1] + _STANDING_TIME)
+            away = np.hypot(x - np.median(x[inside]), y - np.median(y[inside]))
+            still = t[inside & (away < _STANDING_RADIUS)]
+            stood = float(still[-1] - still[0]) if still.size else 0.0
+            if stood > self.limits.max_stop:
+                reasons.append(f"stood {stood:.1f} s at {place(still[0])}")
+        wait = max(_BRAKING_TIME, 2.0 * float(np.median(np.diff(t))))
+        now = t[(t >= t[0] + wait) & (t <= t[-1] - 3.0 * wait)]
+        if now.size:
+            before, after = speed(now - wait, now), speed(now, now + wait)
+            s_1, s_2, s_3 = (np.interp(now + by, t, progress) for by in (-wait, 0.0, wait))
+            # Neither a correction of the localization sideways nor one backwards, after which the
+            # car is no slower, is a stop.
+            drop = np.minimum(before - after, (2.0 * s_2 - s_1 - s_3) / wait)
+            later = speed(now + wait, now + 3.0 * wait)
+            drop = np.where(later < 0.5 * before, drop, 0.0)
+            worst = int(np.argmax(drop))
+            if drop[worst] > self.limits.max_deceleration * wait:
+                reasons.append(
+                    f"stopped from {before[worst]:.1f} to {after[worst]:.1f} m/s at "
+                    f"{place(now[worst])}"
+                )
         return reasons
 
     def _sector_times(self, t, s, complete):
@@ -510,5 +581,24 @@ def _speed(t, x, y, v):
     """Measured speed or, where some of it is missing, the speed of the pose."""
     if np.isfinite(v).all():
         return v
-    moving = np.hypot(np.diff(x), np.diff(y)) / np.diff(t)
-    return 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
+    steps, dt = np.hypot(np.diff(x), np.diff(y)), np.diff(t)
+    # Stamps that come in bunches would make any speed: it is taken over the time between bunches.
+    kept = _apart(t, 0.05 * float(np.mean(dt)))
+    if kept.size == t.size:
+        moving = steps / dt
+        return 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
+    path = np.append(0.0, np.cumsum(steps))
+    moving = np.diff(path[kept]) / np.diff(t[kept])
+    speed = 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
+    return np.interp(t, t[kept], speed)
+
+
+def _apart(t, least):
+    """Indices of samples at least so far apart [s]; all, if only the ends, crossings, are not."""
+    if not np.any(np.diff(t[1:-1]) < least):
+        return np.arange(t.size)
+    kept = [0]
+    for index, time in enumerate(t.tolist()):
+        if time - t[kept[-1]] >= least and (t[-1] - time >= least or index == t.size - 1):
+            kept.append(index)
+    return np.array(kept)

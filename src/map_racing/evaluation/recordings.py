@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bags.messages import yaw_and_length
 from ..bags.reader import read_recording
 from ..bags.records import is_bag
 from ..bags.samples import Commands, Recording, in_order, jump_back, usable
+from ..bags.series import quaternion_note
 from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
 from ..files import refuse_special
 from ..tables import column_index, read_columns, some_names
@@ -28,21 +30,42 @@ __all__ = [
     "same_raceline",
 ]
 
-# Usual names of the columns of a CSV file; the first that is in the file is taken.
+
+def _of_pose(name):
+    return tuple(f"{prefix}{name}" for prefix in ("pose.pose.", "pose.", ""))
+
+
+# Usual names of the columns of a CSV file; the first that is in the file is taken. Those of
+# messages are as `rostopic echo -p` has them, without its "field.".
 _ALIASES = {
-    "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp"),
-    "x": ("x", "x_m", "pose_x", "pos_x", "position_x"),
-    "y": ("y", "y_m", "pose_y", "pos_y", "position_y"),
+    "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp", "header.stamp", "%time"),
+    "x": ("x", "x_m", "pose_x", "pos_x", "position_x", *_of_pose("position.x")),
+    "y": ("y", "y_m", "pose_y", "pos_y", "position_y", *_of_pose("position.y")),
     "psi": ("psi", "psi_rad", "yaw", "yaw_rad", "theta", "heading", "pose_theta"),
-    "v_x": ("v_x", "vx", "vx_mps", "linear_vel_x", "speed", "v", "v_mps"),
-    "v_y": ("v_y", "vy", "vy_mps", "linear_vel_y"),
-    "yaw_rate": ("yaw_rate", "r", "wz", "omega", "angular_vel_z", "yaw_rate_radps"),
+    "v_x": (
+        *("v_x", "vx", "vx_mps", "linear_vel_x", "speed", "v", "v_mps"),
+        "twist.twist.linear.x",
+    ),
+    "v_y": ("v_y", "vy", "vy_mps", "linear_vel_y", "twist.twist.linear.y"),
+    "yaw_rate": (
+        *("yaw_rate", "r", "wz", "omega", "angular_vel_z", "yaw_rate_radps"),
+        "twist.twist.angular.z",
+    ),
     "steering": ("steering", "steering_command", "delta", "delta_rad", "angular_control"),
     "speed_command": ("speed_command", "v_command", "translational_control"),
 }
+# Read besides, where a file has them: the orientation, and the time of receipt of a message.
+_QUATERNION = {f"q_{axis}": _of_pose(f"orientation.{axis}") for axis in "xyzw"}
+_RECEIVED = "%time"
+# Times under these names are in nanoseconds.
+_NANOSECONDS = ("%time", "header.stamp")
 _REQUIRED = ("t", "x", "y")
 # A larger time [s] is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
 _LATEST = 9.2e9
+# Nanoseconds since 1970, from 1973 on.
+_SINCE_1970 = 1e17
+# Longer times between most rows [s] are in another unit.
+_SLOWEST = 1000.0
 
 
 def load_recording(
@@ -169,8 +192,9 @@ def same_raceline(one: Raceline, other: Raceline) -> bool:
 def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:
     """Read the driving recorded in a CSV file.
 
-    The layout is described at `map_racing.tables.read_columns`. Time is in seconds; rows without
-    time or position are left out.
+    The layout is described at `map_racing.tables.read_columns`; files of ``rostopic echo -p`` are
+    read as they come. Time is in seconds, or in nanoseconds since 1970; rows without time or
+    position are left out.
 
     Parameters
     ----------
@@ -197,7 +221,9 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
     table = read_columns(path, partial(_locate, path, columns))
+    _bring_to_seconds(path, table)
     _check_times(path, table)
+    _add_heading(path, table)
     nan = np.full(len(table.lines), math.nan)
     t, (x, y, psi, v_x, v_y, yaw_rate, steering, speed) = in_order(
         table.values["t"],
@@ -229,6 +255,37 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     )
 
 
+def _bring_to_seconds(path, table):
+    """Nanoseconds to seconds; times of receipt where stamps are 0."""
+    t, name = table.values["t"], table.names["t"]
+    received = table.values.get("received")
+    if received is not None and _plain(name) == "header.stamp":
+        unstamped = t == 0.0
+        if unstamped.any():
+            t = np.where(unstamped, received, t)
+            table.notes.append(
+                f"{np.count_nonzero(unstamped)} of {t.size} stamps are 0: receive time"
+            )
+    with np.errstate(invalid="ignore"):
+        known = np.abs(t[np.isfinite(t)])
+        since_1970 = known.size and np.all((known > _SINCE_1970) & (known < 1e9 * _LATEST))
+    if since_1970 or _plain(name) in _NANOSECONDS:
+        table.notes.append(f"column {name}: nanoseconds")
+        t = t * 1e-9
+    table.values["t"] = t
+
+
+def _add_heading(path, table):
+    """Headings of a file that has quaternions instead."""
+    values = table.values
+    if "psi" in values or not all(name in values for name in _QUATERNION):
+        return
+    q_x, q_y, q_z, q_w = (values[name] for name in _QUATERNION)
+    with np.errstate(all="ignore"):
+        values["psi"], length = yaw_and_length(q_x, q_y, q_z, q_w)
+    quaternion_note(table.notes, "orientation", length)
+
+
 def _check_times(path, table):
     """Refuse times in another unit than seconds, and two runs in one file."""
     t = table.values["t"]
@@ -240,6 +297,12 @@ def _check_times(path, table):
             f"seconds, got {t[late[0]]:g}"
         )
     kept = np.flatnonzero(usable(t, [table.values["x"], table.values["y"]]))
+    typical = float(np.median(np.diff(t[kept]))) if kept.size > 1 else 0.0
+    if typical > _SLOWEST:
+        raise FileFormatError(
+            f"{path}: column {table.names['t']}: expected a time in seconds, got one with "
+            f"{typical:g} between rows"
+        )
     jump = jump_back(t[kept])
     if jump:
         raise FileFormatError(
@@ -284,20 +347,31 @@ def _is_csv(path):
     return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
 
 
+def _plain(name):
+    """Name of a column without case and what `rostopic echo -p` puts before it."""
+    name = name.lower()
+    return name[len("field.") :] if name.startswith("field.") else name
+
+
 def _locate(path, columns, names):
     """Index of the column of each field that the file has."""
-    where = {}
-    lowered = [name.lower() for name in names]
-    for name, aliases in _ALIASES.items():
+    where, missing = {}, []
+    plain = [_plain(name) for name in names]
+    for name, aliases in {**_ALIASES, **_QUATERNION}.items():
         if name in columns:
             where[name] = column_index(path, names, columns[name])
             continue
-        found = next((alias for alias in aliases if alias in lowered), None)
+        found = next((alias for alias in aliases if alias in plain), None)
         if found is not None:
-            where[name] = lowered.index(found)
+            where[name] = plain.index(found)
         elif name in _REQUIRED:
-            raise FileFormatError(
-                f"{path}: which column is {name}? It has {some_names(names)}; "
-                f"say --columns {name}=NAME"
-            )
+            missing.append(name)
+    if missing:
+        which = "columns are" if len(missing) > 1 else "column is"
+        raise FileFormatError(
+            f"{path}: which {which} {', '.join(missing)}? It has {some_names(names)}; "
+            f"say --columns {','.join(f'{name}=NAME' for name in missing)}"
+        )
+    if _RECEIVED in plain:
+        where["received"] = plain.index(_RECEIVED)
     return where

@@ -116,7 +116,7 @@ def lap_table(result: RunResult) -> str:
     for lap in result.laps:
         row = lap.row()
         rows.append([_text(row[name], form) for name, _, form in _LAP_COLUMNS])
-    return "\n".join([*aligned(rows, left=len(_LAP_COLUMNS) - 1), "", _sentence(result.summary)])
+    return "\n".join([*aligned(rows, left=len(_LAP_COLUMNS) - 1), "", _sentence(result)])
 
 
 def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
@@ -149,10 +149,17 @@ def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
     return "\n".join([*aligned(rows, left=0), *said])
 
 
-def _sentence(summary):
+def _sentence(result):
+    summary = result.summary
     counted = f"{summary.laps_completed} laps counted, {summary.laps_not_counted} stretches not"
     if not summary.laps_completed:
-        return f"{counted}; lap time N.C. (not completed)"
+        driven = [lap for lap in result.laps if not math.isnan(lap.lap_time_s)]
+        if not driven:
+            return f"{counted}; lap time N.C. (not completed)"
+        off = sum("off track" in lap.reason for lap in driven)
+        laps = "1 lap" if len(driven) == 1 else f"{len(driven)} laps"
+        why = f", {off} of them off track: --max-deviation sets another limit" if off else ""
+        return f"{counted}; {laps} driven, but none counts{why}"
     time = _spread(summary.mean_lap_time_s, summary.std_lap_time_s)
     error = _spread(summary.mean_rms_lateral_error_m, summary.std_rms_lateral_error_m)
     return (

@@ -92,3 +92,12 @@ def test_either_spelling_of_a_topic(run, topic):
 @pytest.mark.parametrize("topic", ["global_waypoints", "/global_waypoints"])
 def test_either_spelling_of_a_raceline(shared_cases, topic):
     load_raceline(f"{shared_cases / 'noslash.bag'}#{topic}")
+
+
+@pytest.mark.parametrize("name", ["quoted_list.csv", "quoted_tuple_before_xy.csv"])
+def test_quoted_cells(run, name):
+    laps = valid(run(name))
+    assert len(laps) == 4  # in 35 s
+    for lap in laps:
+        assert lap.lap_time_s == pytest.approx(LAP, abs=1e-3)
+        assert lap.rms_lateral_error_m == pytest.approx(RMS, abs=2e-4)

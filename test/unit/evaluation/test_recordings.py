@@ -101,6 +101,9 @@ def test_rows_that_cannot_be_used_are_reported(csv):
         ("0,1,2\n1,2,3\n", "expected names of columns above the numbers, got none"),
         ("t,x,y\n0,1,2\n1,2\n2,3,4\n", r"run.csv:3: expected 3 columns, got 2"),
         ("t,x,z\n0,1,2\n", r"which column is y\? It has t, x, z"),
+        ("a,b,c\n0,1,2\n", "which columns are t, x, y.* say --columns t=NAME,x=NAME,y=NAME"),
+        ("t,x,y\n0,1,2\n25000000,1,2\n50000000,1,2\n", "column t: .* seconds, .* 2.5e.07 between"),
+        ('t,x,y\n0,"1,2\n1,1,2\n', "run.csv:3: expected 3 columns, got 2|at least two rows"),
         ("", "expected rows of numbers"),
         ("# only a comment\n", "expected rows of numbers"),
         ("t,x,y\n", "at least two rows"),
@@ -115,6 +118,55 @@ def test_malformed_files(csv, text, expected):
     with pytest.raises(FileFormatError, match=expected) as error:
         read_csv_recording(csv(text))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        't,cov,x,y\n0,"[1, 2, 3]",5,6\n1,"[1, 2, 3]",7,8\n',
+        't,"a,b",x,y\n0,"1,2",5,6\n1,"3,4",7,8\n',
+        't;cov;x;y\n0;"a;""b"";,";5;6\n1;"c";7;8\n',
+        't,note,x,y\n0,"two\nlines",5,6\n1, "c,d",7,8\n',
+        't,x,y,note\n"0","5","6","a, b"\n"1","7","8",""\n',
+    ],
+)
+def test_quoted_cells_may_hold_delimiters(csv, text):
+    recording = read_csv_recording(csv(text))
+    assert recording.t.tolist() == [0.0, 1.0]
+    assert recording.x.tolist() == [5.0, 7.0]
+    assert recording.y.tolist() == [6.0, 8.0]
+
+
+ECHO = (
+    "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.child_frame_id,"
+    "field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.position.z,"
+    "field.pose.pose.orientation.x,field.pose.pose.orientation.y,field.pose.pose.orientation.z,"
+    "field.pose.pose.orientation.w,field.twist.twist.linear.x,field.twist.twist.linear.y,"
+    "field.twist.twist.angular.z\n"
+)
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_files_of_rostopic_echo(csv, stamped):
+    rows = [
+        f"{1700000000000000000 + 25000000 * i},{i},{(1699999999990000000 + 25000000 * i) * stamped}"
+        f",map,base_link,{i},2.0,0.0,0.0,0.0,2.0,2.0,3.0,0.5,0.25\n"
+        for i in range(4)
+    ]
+    recording = read_csv_recording(csv(ECHO + "".join(rows)))
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(4), atol=1e-6)
+    assert recording.t0_ns == pytest.approx(1.7e18 - 1e7 * stamped, abs=1000)
+    assert recording.x.tolist() == [0.0, 1.0, 2.0, 3.0]
+    np.testing.assert_allclose(recording.psi, 0.5 * np.pi)
+    assert (recording.v_x[0], recording.v_y[0], recording.yaw_rate[0]) == (3.0, 0.5, 0.25)
+    notes = "; ".join(recording.notes)
+    assert "nanoseconds" in notes and "quaternions have not the length 1 but 2.83" in notes
+    assert ("4 of 4 stamps are 0" in notes) != stamped
+
+
+def test_nanoseconds_since_1970_under_any_name(csv):
+    text = "timestamp,x,y\n1700000000000000000,0,0\n1700000000025000000,1,0\n"
+    np.testing.assert_allclose(read_csv_recording(csv(text)).t, [0.0, 0.025], atol=1e-6)
 
 
 def test_malformed_arguments(csv, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from map_racing.bags.samples import Recording
 from map_racing.errors import MapRacingError
 from map_racing.evaluation import report
-from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.laps import LapLimits, evaluate
 from map_racing.files import write_json
 
 BOUNDARY_COLUMNS = [
@@ -99,3 +99,15 @@ def test_places_where_nothing_can_be_written(tmp_path, results):
         with pytest.raises(MapRacingError, match="cannot write"):
             report.write_csv(path, results)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_laps_that_were_driven_but_do_not_count_are_not_called_incomplete(track):
+    s = 5.0 * np.arange(800) / 40.0
+    x, y, _ = track.place(s - 3.0, 2.5)
+    t = np.arange(800) / 40.0
+    nan = np.full(800, math.nan)
+    driven = Recording(t, x, y, nan, nan, nan, nan, source="wide.bag")
+    limits = LapLimits(max_deviation=2.2)
+    text = report.lap_table(evaluate(driven, track.raceline(), limits=limits))
+    assert "3 laps driven, but none counts, 3 of them off track: --max-deviation" in text
+    assert "N.C." not in text
