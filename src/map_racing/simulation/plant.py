@@ -255,7 +255,7 @@ class Plant:
 
 
 class Localization:
-    """What the car is told of itself: rate, latency and white noise, from a seed.
+    """White noise on what the car measures, from a seed.
 
     Parameters
     ----------

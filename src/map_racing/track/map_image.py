@@ -150,6 +150,7 @@ def _gray(path):
                     f"{path}: expected at most {_MOST_PIXELS} pixels, got {file.size[0]} x "
                     f"{file.size[1]}"
                 )
+            file.load()  # an array of a damaged image may hide the error
             # Pillow clips more than 8 bits: nearly all would be white, that is, free.
             if file.mode in ("F", "I") or file.mode.startswith("I;"):
                 return _of_16_bits(path, np.asarray(file))

@@ -7,6 +7,9 @@ makes them. Only what takes minutes is cut short, by options added to the comman
 import gzip
 import re
 import shlex
+import subprocess
+import sys
+from dataclasses import fields
 from glob import glob
 from pathlib import Path
 
@@ -19,7 +22,7 @@ from PIL import Image
 
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
-from map_racing.control.parameters import STEERING_MAPS
+from map_racing.control.parameters import STEERING_MAPS, ControllerParameters
 from map_racing.experiments import tuning
 from map_racing.identification.data import load_run
 from map_racing.resources import find_config
@@ -53,13 +56,17 @@ READERS = {
     "doc/results.md": ["hangar.bag", "Austin_centerline.csv", "Austin_raceline.csv"],
 }
 
-# The last value of an option counts.
+# The last value of an option counts; the longest beginning of a command.
 ON_THE_RING = ["--conditions", "ring.yaml", "--vehicle", "nuc4", "--jobs", "1"]
+RACED_ON_THE_RING = [*ON_THE_RING, "--no-tuning", "--laps", "1"]
+ON_A_SMALL_GRID = ["--grid", "grid.yaml", "--jobs", "1"]
 SHORTER = {
     "race": ["--laps", "1"],
     "tune": [*ON_THE_RING, "--track", "ring.csv"],
-    "experiment": [*ON_THE_RING, "--no-tuning", "--laps", "1"],
-    "velocity-scaling": ["--to", "0.6"],
+    "tune --robust": ON_A_SMALL_GRID,
+    "experiment tire-models": RACED_ON_THE_RING,
+    "experiment velocity-scaling": [*RACED_ON_THE_RING, "--to", "0.6"],
+    "experiment robustness": ON_A_SMALL_GRID,
 }
 # The README prints what these give, so they run as they are.
 WHOLE = ("README.md",)
@@ -203,11 +210,14 @@ MAKERS = {
 
 
 def conditions(folder):
-    """Conditions that take a second: one day on the ring."""
+    """Conditions that take a second: one day, or one car, on the ring."""
     raceline(folder / "ring.csv")
     (folder / "ring.yaml").write_text(
         "track: ring.csv\nplant: nuc4\nmu_deviation: 0.05\nfront_stiffness_deviation: 0.1\n"
         "rear_stiffness_deviation: 0.1\nseeds: [1]\npractice_seeds: [11]\ntuning_laps: 1\n"
+    )
+    (folder / "grid.yaml").write_text(
+        "plant: nuc4\ncars: {as shipped: {}}\ntracks: [ring.csv]\nlaps: 1\n"
     )
 
 
@@ -217,8 +227,8 @@ def run(line, folder, shorter=True):
     for word in shlex.split(line)[1:]:
         name = str(folder / word[2:]) if word.startswith("~/") else word
         words += sorted(glob(name)) if "*" in name else [name]
-    for word in words[:2] if shorter else ():
-        words += SHORTER.get(word, ())
+    if shorter:
+        words += SHORTER.get(" ".join(words[:2]), SHORTER.get(words[0], ()))
     assert main(words) == 0, line
 
 
@@ -243,6 +253,8 @@ def executed(line, folder, whole):
         run(line, folder, shorter=not whole)
     elif line == "./scripts/demo":
         demo(folder)
+    elif words[0] == "./scripts/generate_tracks":
+        subprocess.run([sys.executable, str(REPO / words[0]), *words[1:]], check=True)
     elif words[0] == "./scripts/test_ros":
         assert words[1] == "--shell" and words[2] == "roslaunch"
     elif words[0] == "rosservice":
@@ -251,7 +263,9 @@ def executed(line, folder, whole):
     elif words[:2] == ["rosrun", "dynamic_reconfigure"]:
         node, _, name = words[4].lstrip("/").partition("/")
         assert node == "controller" and f'namespace="{name}"' in nodes(), line
-        assert re.fullmatch(rf"({'|'.join(STEERING_MAPS)})_(m_m|q_s)", words[5]), line
+        names = {f.name for f in fields(ControllerParameters) if f.metadata["tuning"]}
+        lookaheads = {f"{kind}_{name}" for kind in STEERING_MAPS for name in ("m_m", "q_s")}
+        assert words[5] in lookaheads | (names - {"m_m", "q_s"}), line
     else:
         assert words[0] == "roslaunch" or line in PREPARATION, line
 
@@ -268,6 +282,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(Figure, "tight_layout", lambda figure, **_: None)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
     monkeypatch.setattr(tuning, "GRID", range(8, 17, 8))
+    monkeypatch.setattr(tuning, "MOST_MOVES", 1)
 
 
 @pytest.fixture(scope="module")

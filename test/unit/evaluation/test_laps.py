@@ -167,6 +167,7 @@ def test_stretches_before_and_after_are_reported(drive, line):
 @pytest.mark.parametrize("start", [0.3, 0.5, 1.7, -0.2])
 def test_start_line_can_be_moved(drive, track, line, start):
     result = run(line, *drive(16.0), start_s=start * track.length)
+    assert result.start_s == pytest.approx(start % 1.0 * track.length)
     valid = [lap for lap in result.laps if lap.valid]
     assert len(valid) == 2
     expected = (3.0 + start % 1.0 * track.length) / V
@@ -229,6 +230,16 @@ def test_gap(drive, line):
     assert "gap of 0.45 s" in result.laps[2].reason
     assert not math.isnan(result.laps[2].lap_time_s)
     assert result.summary.laps_completed == 2
+
+
+def test_the_largest_of_several_faults_is_named(drive, line):
+    t, x, y = drive(17.5)
+    keep = (np.abs(t - 7.0) > 0.3) & (np.abs(t - 8.5) > 0.2)
+    assert run(line, t[keep], x[keep], y[keep]).laps[2].reason == "gap of 0.65 s"
+    x = x + np.where(np.abs(t - 7.0) < 0.05, 0.8, 0.0) + np.where(np.abs(t - 8.5) < 0.05, 0.6, 0.0)
+    limits = LapLimits(max_deviation=5.0)
+    largest = max(np.hypot(np.diff(x), np.diff(y))[(t[1:] > 6.0) & (t[1:] < 9.0)])
+    assert run(line, t, x, y, limits=limits).laps[2].reason.startswith(f"jump of {largest:.2f} m")
 
 
 def test_gap_over_the_line_spoils_both_laps(drive, track, line):
@@ -361,10 +372,29 @@ def test_off_track(drive, track, line):
     )
 
 
+def test_walls_and_speeds_are_those_where_the_car_is(drive, track, line):
+    """Wherever the start line is."""
+    narrow = np.where(np.abs(line.s_points - 10.0) < 1.0, 0.5, 1.0)
+    speed = 5.0 + np.sin(2.0 * np.pi * line.s_points / track.length)
+    raceline = Raceline(line.x, line.y, vx_mps=speed, d_left_m=narrow, d_right_m=1.0 + 0.0 * narrow)
+    t, x, y = drive(12.0)
+    v = 5.0 + np.sin(2.0 * np.pi * (V * t - 3.0) / track.length)
+    for start in (0.0, 8.0):
+        lap = run(raceline, t, x, y, v, start_s=start).laps[1]
+        assert lap.rms_speed_error_mps == pytest.approx(0.0, abs=1e-3)
+        assert lap.min_clearance_m == pytest.approx(0.4 - 0.15, abs=1e-3)
+    beside = run(raceline, *drive(0.4 * track.length / V, lambda t: 12.0 + V * t), start_s=8.0)
+    assert beside.laps[0].min_clearance_m == pytest.approx(0.9 - 0.15, abs=1e-3)
+
+
 @pytest.mark.parametrize("beyond, counts", [(-0.1, True), (0.1, False)])
 @pytest.mark.parametrize(
     "limit, fault",
-    [("max_gap", "gap"), ("max_reverse", "reverse"), ("no walls", "off track by 0.10 m")],
+    [
+        ("max_gap", "gap of 0.38 s"),
+        ("max_reverse", "reverse of 0.60 m"),
+        ("no walls", "off track by 0.10 m"),
+    ],
 )
 def test_limits_as_documented(drive, track, line, limit, fault, beyond, counts):
     """A gap of 0.25 s, falling back by 0.5 m, and 2 m off a track without walls."""
@@ -461,7 +491,8 @@ def test_samples_that_cannot_be_used_are_passed_over(drive, line):
     for i, row in enumerate(zip(t, x, y)):
         rows.append(row)
         if i % 50 == 0:
-            rows += [row, (row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
+            rows += [row, (row[0], row[1] + 0.2, row[2])]
+            rows += [(row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
             rows += [(math.nan, row[1], row[2]), (row[0] + 0.001, 1e300, 0.0)]
     assert as_bits(run(line, *np.array(rows).T)) == as_bits(expected)
 
@@ -510,6 +541,12 @@ def test_memory_is_released_with_each_lap(drive, line):
 def test_impossible_parameters(line, options, said):
     with pytest.raises(ParameterError, match=said):
         LapEvaluator(line, **options)
+
+
+def test_bounds_are_possible_parameters(drive, line):
+    for width in (0.0, 10.0):
+        assert len(run(line, *drive(8.0), car_width=width).laps) == 3
+    assert len(run(line, *drive(8.0), sectors=1000).laps[1].sector_times_s) == 1000
 
 
 # -- summary ---------------------------------------------------------------------------------------

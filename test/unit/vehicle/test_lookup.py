@@ -211,6 +211,13 @@ def test_acceleration_at_nodes_is_that_of_the_cells():
     assert within == pytest.approx(TABLE.a_lat[30, :2].mean(), rel=1e-12)
 
 
+def test_a_table_of_one_angle():
+    table = LookupTable([1.0, 2.0], [0.1], [[0.25, 1.0]])
+    assert table.l_wb == pytest.approx(0.4)
+    assert table.acceleration(2.0, 0.1) == 1.0
+    assert math.isnan(table.acceleration(2.0, 0.05))
+
+
 def test_numbers_give_numbers():
     assert type(TABLE.acceleration(2.0, 0.1)) is float
     assert type(TABLE.max_lateral_acceleration(2.0)) is float
@@ -254,7 +261,7 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
             "^angles: expected ascending values, got 0.3 before 0.2",
         ),
         (
-            ([1.0], [-0.1, 0.1], [[1], [2]]),
+            ([1.0], [-0.1, 0.0, 0.1], [[1], [2], [3]]),
             r"angles: expected values in \[0, pi/2\) rad, got -0.1 to 0.1",
         ),
         (([1.0], [0.1, 2.0], [[1], [2]]), r"angles: expected values in .* got 0.1 to 2"),

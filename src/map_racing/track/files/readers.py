@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Mapping, NamedTuple
 
@@ -173,7 +174,8 @@ def _csv_table(text, path, key=None):
         columns = {name: values[:, k] for k, name in enumerate(names) if name != "-"}
     layout = f"CSV with columns {' '.join(columns)} ({how})"
     if "alpha" in columns:
-        columns = from_reference_line(columns)
+        with np.errstate(all="ignore"):  # what is not finite is found when it is checked
+            columns = from_reference_line(columns)
         findings.append(
             Finding(
                 "reference-line",
@@ -328,8 +330,10 @@ def _split(line, separator=""):
     separator = _separator(line) if separator == "" else separator
     if '"' in line:
         blanks = separator or " "
-        row = next(csv.reader([line], delimiter=blanks, skipinitialspace=True))
-        return [token.strip() for token in row]
+        # Bytes that no text holds make an error in old versions, an overlong cell in all.
+        with suppress(csv.Error):
+            row = next(csv.reader([line], delimiter=blanks, skipinitialspace=True))
+            return [token.strip() for token in row]
     return [token.strip() for token in line.split(separator)]
 
 
