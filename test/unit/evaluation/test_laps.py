@@ -167,6 +167,7 @@ def test_stretches_before_and_after_are_reported(drive, line):
 @pytest.mark.parametrize("start", [0.3, 0.5, 1.7, -0.2])
 def test_start_line_can_be_moved(drive, track, line, start):
     result = run(line, *drive(16.0), start_s=start * track.length)
+    assert result.start_s == pytest.approx(start % 1.0 * track.length)
     valid = [lap for lap in result.laps if lap.valid]
     assert len(valid) == 2
     expected = (3.0 + start % 1.0 * track.length) / V
@@ -229,6 +230,16 @@ def test_gap(drive, line):
     assert "gap of 0.45 s" in result.laps[2].reason
     assert not math.isnan(result.laps[2].lap_time_s)
     assert result.summary.laps_completed == 2
+
+
+def test_the_largest_of_several_faults_is_named(drive, line):
+    t, x, y = drive(17.5)
+    keep = (np.abs(t - 7.0) > 0.3) & (np.abs(t - 8.5) > 0.2)
+    assert run(line, t[keep], x[keep], y[keep]).laps[2].reason == "gap of 0.65 s"
+    x = x + np.where(np.abs(t - 7.0) < 0.05, 0.8, 0.0) + np.where(np.abs(t - 8.5) < 0.05, 0.6, 0.0)
+    limits = LapLimits(max_deviation=5.0)
+    largest = max(np.hypot(np.diff(x), np.diff(y))[(t[1:] > 6.0) & (t[1:] < 9.0)])
+    assert run(line, t, x, y, limits=limits).laps[2].reason.startswith(f"jump of {largest:.2f} m")
 
 
 def test_gap_over_the_line_spoils_both_laps(drive, track, line):
