@@ -205,10 +205,14 @@ def parse_rows(
             break
         values = []
         for index in picked:
+            cell = cells[index]
             try:
-                values.append(float(cells[index]))
+                value = math.nan if "_" in cell else float(cell)  # 1_0 is a number in Python only
             except ValueError:
-                values.append(_number(path, number, names[index], cells[index], recorded))
+                value = math.nan
+            if value != value:
+                value = _number(path, number, names[index], cell, recorded)
+            values.append(value)
         table.append(values)
         lines.append(number)
     else:
@@ -224,8 +228,8 @@ def _number(path, line, name, cell, recorded):
         text = text.strip('"').strip()
         if not text:
             return math.nan
-        if is_number(text):
-            return float(text)
+    if is_number(text):
+        return float(text)
     shown = repr(text if len(text) < 40 else text[:37] + "...")
     raise FileFormatError(f"{path}:{line}: column {name}: expected a number, got {shown}")
 
@@ -236,4 +240,4 @@ def is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return "_" not in text

@@ -306,12 +306,12 @@ node.MASTER_PERIOD_S = 0.5
 controller.main()
 """
     node = processes([sys.executable, "-c", code, "_raceline:=reference"], environment)
-    wait_for(lambda: "driving" in node.output, 30.0)
+    wait_for(lambda: "[INFO] driving" in node.output, 30.0)
     core.stop()
     wait_for(lambda: f"the ROS master at {uri} does not answer" in node.output, 30.0)
     master()
     wait_for(lambda: "started again and does not know this node" in node.output, 30.0)
-    assert "stop" not in node.output.rpartition("driving")[2]
+    assert "stop" not in node.output.rpartition("[INFO] driving")[2]
     node.signal(signal.SIGINT)
     assert node.wait() == 0
     assert "Traceback" not in node.output

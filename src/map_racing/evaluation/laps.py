@@ -252,7 +252,8 @@ class LapEvaluator:
         sample = _Sample(t, x, y, progress, place.d, v, speed_command, steering)
         if last is not None:
             faults = self._step_faults(last, sample)
-            self._faults.update(faults)
+            if faults:
+                self._faults.update(faults)
             crossed = math.floor(progress / length)
             if crossed > math.floor(last.progress / length):
                 self._cross(crossed, last, sample, faults)
@@ -266,13 +267,15 @@ class LapEvaluator:
     def _step_faults(self, last, sample):
         """Faults of the step from one sample to the next, by kind."""
         limits, faults = self.limits, {}
-        gap = sample.t - last.t
         moved = math.hypot(sample.x - last.x, sample.y - last.y)
         # A localization that is slower than its messages, or hangs, repeats its pose; the car moves
         # on meanwhile.
         since = sample.t - self._changed
         if moved > 0.0:
             self._changed = sample.t
+        if since <= limits.max_gap and moved <= limits.jump_margin and not self._tracker.reacquired:
+            return faults
+        gap = sample.t - last.t
         if moved > limits.jump_margin:
             gap = since
         if gap > limits.max_gap:

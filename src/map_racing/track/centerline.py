@@ -162,7 +162,16 @@ def _bad_start(image, start, labels, distance, passage, row, column):
         reason = "is in a wall or on unknown ground"
     else:
         reason = f"is {distance[row, column]:.2f} m from a wall, less than {0.5 * passage:.2f} m"
-    return f"{where} {reason}; the nearest place to start from is ({x:.2f}, {y:.2f})"
+    text = f"{where} {reason}; the nearest place to start from is ({x:.2f}, {y:.2f})"
+    if image.origin[2] != 0.0:
+        column, row = image._replace(origin=(*image.origin[:2], 0.0)).to_cells(start)
+        row, column = int(round(row)) + 1, int(round(column)) + 1
+        if 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1] and labels[row, column]:
+            text += (
+                f". Without the yaw of the map's origin, {image.origin[2]:g} rad, it would be on "
+                "the track: was it read off in a program that ignores the yaw?"
+            )
+    return text
 
 
 def _check_not_cut(image, ring, distance, start, passage):

@@ -373,9 +373,11 @@ def test_a_hall_with_crossed_thresholds(shared_data):
     folder = shared_data / "tracks" / "hall_0822"
     image = read_map_image(folder / "hall_0822.yaml")
     assert codes(image) == ["thresholds", "origin-yaw"]
-    image = image._replace(origin=(*image.origin[:2], 0.0))
     line = load_raceline(f"{folder}/global_waypoints.json.gz#centerline_waypoints")
     start, psi = line.position(0.0), float(line.psi[0])
+    with pytest.raises(ParameterError, match="Without the yaw of the map's origin, -0.46"):
+        track_from_map(image, start, psi, passage=0.5)
+    image = image._replace(origin=(*image.origin[:2], 0.0))
     track = track_from_map(image, start, psi, passage=0.5)
     assert np.median(np.abs(deviations(track, line))) < 0.05
     assert "openings" not in codes(track)

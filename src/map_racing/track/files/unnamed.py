@@ -154,7 +154,8 @@ def _name_the_rest(names, values, left, curve, known, reasons):
     if not left:
         return False
     if len(left) == 1:
-        meaning, why = curve.speed_or_width(values[:, left[0]], known)
+        # A file with more than positions and a width was made for driving.
+        meaning, why = curve.speed_or_width(values[:, left[0]], len(names) > 3)
         names[left[0]] = meaning
         reasons.append(f"column {left[0] + 1} is taken as {_WORDS[meaning]}, as {why}")
         return True
@@ -340,7 +341,7 @@ class _Curve:
         if falling < -0.4 and most > 0.2:
             return "speed", f"it drops where the track bends {evidence}, mostly from one maximum"
         if known:
-            return "speed", "files with heading, curvature or arc length have speeds"
+            return "speed", "files with more than positions and widths have speeds"
         if falling == 0.0:
             return "width", "it or the curvature is constant, which tells nothing"
         return "width", f"it does not drop where the track bends {evidence}"

@@ -220,6 +220,7 @@ def test_walls_crossed_are_counted():
         ("x_m,y_m\n1,2\n3\n", "3: expected 2 columns, got 1"),
         ("# c\nx_m,y_m\n1,2\n\n3,abc\n", r"5: column 2 \(y_m\): expected a number, got 'abc'"),
         ("x_m,y_m\n1,2\n3,\n", r"3: column 2 \(y_m\): expected a number, got ''"),
+        ("x_m,y_m\n1,2\n3,1_0\n", r"3: column 2 \(y_m\): expected a number, got '1_0'"),
         ("{", "invalid JSON"),
         ("[1]", "expected waypoints under global_traj_wpnts_iqp, got none"),
         ('{"global_traj_wpnts_iqp": {"wpnts": [1]}}', "waypoint 0: expected named fields"),

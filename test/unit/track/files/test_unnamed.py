@@ -82,6 +82,7 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y speed psi", "x y speed psi", WARNING),
         ("x y d_right d_left", "x y d_right d_left", NOTE),
         ("x y z psi speed", "x y psi speed", WARNING),
+        ("x y z speed", "x y speed", WARNING),
         ("x y qz qw speed", "x y speed", WARNING),
         ("x y z z z qz qw", "x y", NOTE),
         ("x y z z z qz qw speed", "x y speed", WARNING),
