@@ -74,14 +74,14 @@ WHOLE = ("README.md",)
 # Not run: what prepares the car's workspace or an environment of one's own.
 PREPARATION = {
     ". devel/setup.bash",
-    ". venv/bin/activate",
+    ". ~/map_racing_venv/bin/activate",
     "./scripts/test",
     "catkin build map_racing",
     "cd ..",
     "cd ~/catkin_ws/src",
     "git clone <this repository> map_racing",
     "pip install .",
-    "python3 -m venv venv",
+    "python3 -m venv ~/map_racing_venv",
     "rosdep install --from-paths map_racing --ignore-src -y",
 }
 

@@ -236,7 +236,7 @@ def test_the_largest_of_several_faults_is_named(drive, line):
     t, x, y = drive(17.5)
     keep = (np.abs(t - 7.0) > 0.3) & (np.abs(t - 8.5) > 0.2)
     assert run(line, t[keep], x[keep], y[keep]).laps[2].reason == "gap of 0.65 s"
-    x = x + np.where(np.abs(t - 7.0) < 0.05, 0.8, 0.0) + np.where(np.abs(t - 8.5) < 0.05, 0.6, 0.0)
+    x = x + np.where(np.abs(t - 7.0) < 0.05, 2.0, 0.0) + np.where(np.abs(t - 8.5) < 0.05, 1.2, 0.0)
     limits = LapLimits(max_deviation=5.0)
     largest = max(np.hypot(np.diff(x), np.diff(y))[(t[1:] > 6.0) & (t[1:] < 9.0)])
     assert run(line, t, x, y, limits=limits).laps[2].reason.startswith(f"jump of {largest:.2f} m")
@@ -274,6 +274,7 @@ def test_a_car_carried_back_behind_the_line_starts_a_new_lap(drive, track, line)
     result = run(line, *drive(14.0, s=s))
     assert [lap.valid for lap in result.laps] == [False, True, False, True, False]
     assert result.laps[2].reason.startswith("not completed; jump")
+    assert math.isnan(result.laps[2].lap_time_s)
     assert result.laps[3].lap_time_s == pytest.approx(length / V, abs=1e-3)
 
 
@@ -505,6 +506,9 @@ def test_clock_set_back_begins_a_new_out_lap(drive, line):
     result = evaluator.finish()
     assert reasons(result) == ["out-lap", "", "clock set back", "out-lap", "", "in-lap"]
     assert result.laps[1].lap_time_s == result.laps[4].lap_time_s
+    evaluator.update(t[:15], x[:15], y[:15])
+    evaluator.update(t, x, y)
+    assert reasons(evaluator.finish()) == ["out-lap; clock set back", "out-lap", "", "in-lap"]
 
 
 def test_finish_makes_the_evaluator_as_new(drive, line):
@@ -580,6 +584,19 @@ def recording(t, x, y, **options):
     nan = np.full(t.size, math.nan)
     values = {"psi": nan, "v_x": nan, "v_y": nan, "yaw_rate": nan, "source": "run.bag", **options}
     return Recording(t, x, y, **values)
+
+
+def test_a_recording_is_evaluated_as_its_samples_are(drive, line):
+    t, x, y = drive(12.0)
+    options = {"start_s": 5.0, "car_width": 0.4, "sectors": 5}
+    result = evaluate(recording(t, x, y), line, **options)
+    assert as_bits(result) == as_bits(run(line, t, x, y, **options))
+
+
+def test_a_single_sample_is_no_recording(drive, line):
+    t, x, y = drive(12.0)
+    with pytest.raises(EvaluationError, match="run.bag: expected at least two samples"):
+        evaluate(recording(t[:1], x[:1], y[:1]), line)
 
 
 def test_commands_are_held(drive, line):
