@@ -67,5 +67,5 @@ def test_a_race_on_python_38(ros, start, listen, car_python, environment):
         start("simulator", {"clock_rate": 3.0, "lockstep": True}, **options),
     ]
     lap = inbox.wait(lambda lap: lap.laps_completed == 1, 60.0)
-    assert lap.lap_time_s == pytest.approx(8.87, rel=0.01)
+    assert lap.lap_time_s == pytest.approx(8.98, rel=0.01)
     assert all(node.running and "Traceback" not in node.output for node in nodes)
