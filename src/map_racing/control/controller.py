@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
 from ..vehicle.lookup import default_grid
@@ -453,11 +454,20 @@ def build_steering_map(kind, vehicle, v_max):
     Returns
     -------
     AckermannSteering or LookupTable
+
+    Raises
+    ------
+    ParameterError
+        If there is no such steering map.
     """
     if kind == "ackermann":
         return AckermannSteering(vehicle.l_wb, vehicle.delta_max)
     if kind == "linear_table":
         vehicle = linearized(vehicle)
+    elif kind != "table":
+        raise ParameterError(
+            f"steering_map: expected ackermann, linear_table or table, got {kind!r}"
+        )
     v_max = min(max(v_max, 1.0), 100.0)
     return steady_state_table(vehicle, *default_grid(vehicle, v_max=v_max))
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from map_racing.control.controller import build_steering_map
 from map_racing.control.steering import AckermannSteering
+from map_racing.errors import ParameterError
 from map_racing.vehicle.lookup import LookupTable
 from map_racing.vehicle.parameters import linearized, load_vehicle, parameter_hash
 
@@ -97,3 +98,8 @@ def test_the_tables_belong_to_the_car():
     assert MAPS["table"].provenance.parameter_hash == parameter_hash(NUC4)
     assert MAPS["linear_table"].provenance.parameter_hash == parameter_hash(linearized(NUC4))
     assert MAPS["table"].speeds[-1] == 12.0
+
+
+def test_an_unknown_steering_map_is_refused():
+    with pytest.raises(ParameterError, match="steering_map: expected ackermann, .*brush"):
+        build_steering_map("brush", NUC4, 12.0)
