@@ -24,7 +24,15 @@ from ..files import replacing, write_json
 from .jobs import code_fingerprint, plain
 from .paper import Setting
 
-__all__ = ["Comparison", "Results", "compare", "provenance_of", "read_results", "write_results"]
+__all__ = [
+    "Comparison",
+    "Results",
+    "compare",
+    "provenance_of",
+    "read_results",
+    "software",
+    "write_results",
+]
 
 FILE = "results.json"
 KEYS = ["speed_scale", "controller"]
@@ -71,6 +79,17 @@ class Results:
     provenance: dict[str, Any]
 
 
+def software() -> dict[str, str]:
+    """Versions of the code and of what computes its numbers."""
+    return {
+        "map_racing": __version__,
+        "code": code_fingerprint(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
 def provenance_of(
     setting: Setting,
     identification: dict[str, Any],
@@ -99,11 +118,7 @@ def provenance_of(
         for day in [setting.day(seed)]
     }
     return {
-        "map_racing": __version__,
-        "code": code_fingerprint(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
+        **software(),
         "conditions": plain(conditions),
         "laps": laps,
         "track": plain(setting.raceline),

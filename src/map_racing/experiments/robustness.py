@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-import platform
 import random
 from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import scipy
 
-from .. import __version__
 from ..errors import ParameterError
 from ..resources import find_config
 from ..simulation.plant import PlantParameters
@@ -21,7 +18,8 @@ from ..track.files.load import load_raceline
 from ..track.generator import TrackShape, draw_track
 from ..validation import finite, read_parameters
 from .campaign import Plan
-from .jobs import RaceJob, code_fingerprint, fingerprint, plain
+from .jobs import RaceJob, fingerprint, plain
+from .results import software
 
 __all__ = [
     "Grid",
@@ -330,11 +328,7 @@ def grid_table(races, scale):
 def grid_provenance(grid, controllers):
     """What the results of a grid depend on, as plain values."""
     return {
-        "map_racing": __version__,
-        "code": code_fingerprint(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
+        **software(),
         "conditions": plain(grid.conditions),
         "track": {
             "name": f"{len(grid.tracks)} tracks",
