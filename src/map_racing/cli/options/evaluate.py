@@ -2,6 +2,8 @@
 
 import argparse
 
+from .shared import add_join_option
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
@@ -9,7 +11,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="BAG",
+        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
+    )
+    add_join_option(parser)
     parser.add_argument(
         "--raceline",
         metavar="FILE",
