@@ -132,7 +132,7 @@ class _CommandClock:
     def __init__(self):
         self._pose = self._command = None
         self._command_is_last = False
-        # Stamp of the newest pose minus that of the newest command, when one kind follows the other.
+        # Stamp of the newest pose minus the newest command's, where one kind follows the other.
         self._ends_of_commands = deque(maxlen=_REMEMBERED)
         self._ends_of_poses = deque(maxlen=_REMEMBERED)
         self._lags = deque(maxlen=_REMEMBERED)
@@ -170,8 +170,8 @@ class _CommandClock:
 class LiveEvaluation:
     """Laps from messages as they arrive.
 
-    A pose is evaluated when the raceline is known, the clocks of poses and commands are compared and
-    a later command has arrived, so that no earlier command can be missing, or `patience` after its
+    A pose is evaluated when the raceline is known, the clocks of poses and commands are compared
+    and a later command has arrived, so that none can be missing, or `patience` after its
     arrival. A step back in time by more than ``limits.max_gap`` (a bag is replayed, a simulation
     restarted) or another raceline ends the run and begins the next.
 

@@ -224,7 +224,7 @@ def test_commands_of_another_clock_are_shifted(line, drive, offset):
 def busy(poses, commands, behind, rng, rate=10.0, held_up=0.05):
     """Messages of a bag that is played fast, as a busy computer receives them.
 
-    A thread for each topic reads all that has come, whenever it gets the processor: at random times,
+    A thread for each topic reads all that has come when it gets the processor: at random times,
     `held_up` seconds apart on average. The stamps of commands are ``behind`` [ns] behind.
     """
     order = []
