@@ -122,7 +122,6 @@ def recorded_raceline(recording: Recording) -> Raceline:
     Returns
     -------
     Raceline
-        With `findings`.
 
     Raises
     ------
