@@ -1,5 +1,6 @@
 """The identification drive on the running nodes: button, area, end."""
 
+import itertools
 import math
 import signal
 
@@ -99,67 +100,77 @@ def test_without_a_button_it_warns(field, start, listen):
     assert any(m.drive.speed == 0.0 for m in list(commands)[at:])
 
 
-def test_a_stop_where_poses_stop_coming(start, advertise, hold, listen, ros):
+@pytest.fixture
+def poses(ros, start, advertise, hold):
+    """Start the node and send it poses at 40 Hz; ``change(message, k)`` alters the k-th."""
+    timers = []
+
+    def begin(change=lambda message, k: None):
+        node = start("steering_ramp", FAST)
+        hold("/enable", Bool, Bool(True))
+        publisher, count = advertise("/odom", Odometry), itertools.count()
+
+        def send(_):
+            message = Odometry()
+            message.header.stamp = ros.Time.now()
+            change(message, next(count))
+            publisher.publish(message)
+
+        timers.append(ros.Timer(ros.Duration(0.025), send))
+        return node, timers[-1]
+
+    yield begin
+    for timer in timers:
+        timer.shutdown()
+
+
+def test_a_stop_where_poses_stop_coming(poses, listen):
     commands = listen("/drive", AckermannDriveStamped)
-    start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    rate = ros.Rate(40.0)
-    for _ in range(60):
-        message = Odometry()
-        message.header.stamp = ros.Time.now()
-        publisher.publish(message)
-        rate.sleep()
-    assert commands[-1].drive.speed > 1.0
+    _, sending = poses()
+    commands.wait(lambda m: m.drive.speed > 1.0)
+    sending.shutdown()
     silent = len(commands)
     commands.wait(lambda m: m in list(commands)[silent:] and m.drive.speed == 0.0)
 
 
-def test_the_area_is_around_the_first_pose_that_is_one(start, advertise, hold, listen, ros):
+def test_the_area_is_around_the_first_pose_that_is_one(poses, listen, ros):
     commands = listen("/drive", AckermannDriveStamped)
-    node = start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    message = Odometry()
-    for k in range(60):
-        message.header.stamp = ros.Time.now()
+
+    def change(message, k):
         if k == 0:
             message.header.stamp -= ros.Duration(100.0)
         message.pose.pose.position.x = {0: 90.0, 1: math.nan, 2: 1e300}.get(k, 0.0)
-        publisher.publish(message)
-        ros.sleep(0.025)
-    assert commands[-1].drive.speed > 1.0
+
+    node, _ = poses(change)
+    commands.wait(lambda m: m.drive.speed > 1.0)
     assert "Traceback" not in node.output and "outside" not in node.output
 
 
-def test_a_pose_that_stays_while_the_car_moves_stops_it(start, advertise, hold, listen, ros):
+def test_a_pose_that_stays_while_the_car_moves_stops_it(poses, listen):
     """Else the area would bound nothing."""
     commands = listen("/drive", AckermannDriveStamped)
-    node = start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    message = Odometry()
-    for k in range(100):
-        message.header.stamp = ros.Time.now()
-        message.twist.twist.linear.x = 0.0 if k < 40 else 2.0
-        publisher.publish(message)
-        ros.sleep(0.025)
-    assert max(m.drive.speed for m in commands) > 1.0
+    speed = [0.0]
+
+    def change(message, k):
+        message.twist.twist.linear.x = speed[0]
+
+    node, _ = poses(change)
+    commands.wait(lambda m: m.drive.speed > 1.0)
+    speed[0] = 2.0
+    commands.wait(lambda _: "pose frozen while moving" in node.output)
     commands.wait(lambda _: commands[-1].drive.speed == 0.0)
-    assert "pose frozen while moving" in node.output
 
 
-def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
+def test_a_frozen_pose_moves_nothing(poses, listen, ros):
     commands = listen("/drive", AckermannDriveStamped)
-    start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    message = Odometry()
-    message.header.stamp = ros.Time.now() - ros.Duration(1.0)
-    for _ in range(40):
-        publisher.publish(message)
-        ros.sleep(0.025)
-    assert len(commands) > 20 and {m.drive.speed for m in commands} == {0.0}
+    stamp = ros.Time.now() - ros.Duration(1.0)
+
+    def change(message, k):
+        message.header.stamp = stamp
+
+    poses(change)
+    commands.wait(lambda _: len(commands) > 40)
+    assert {m.drive.speed for m in commands} == {0.0}
 
 
 @pytest.mark.parametrize(
@@ -170,7 +181,5 @@ def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
     ],
 )
-def test_what_it_refuses_it_says_in_a_line(start, parameters, words):
-    node = start("steering_ramp", parameters, wait=False)
-    assert node.wait() == 1
-    assert words in node.output and "Traceback" not in node.output
+def test_what_it_refuses_it_says_in_a_line(refusal, parameters, words):
+    assert words in refusal("steering_ramp", parameters)
