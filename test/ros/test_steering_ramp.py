@@ -38,6 +38,7 @@ def hold(ros, advertise):
     yield begin
     for timer in timers:
         timer.shutdown()
+        timer.join()
 
 
 def joy(button, count=8):
@@ -122,6 +123,7 @@ def poses(ros, start, advertise, hold):
     yield begin
     for timer in timers:
         timer.shutdown()
+        timer.join()
 
 
 def test_a_stop_where_poses_stop_coming(poses, listen):
