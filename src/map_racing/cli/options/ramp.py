@@ -23,9 +23,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         nargs="+",
-        default=[defaults.speed_mps],
         metavar="V",
-        help="speeds [m/s], one ramp after the other (default: 2)",
+        help="speeds [m/s], one ramp after the other (default: 2; like that of --rate for a 1:10 "
+        "car, and for larger ones by their wheelbase)",
     )
     for option, name, what in (
         ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
@@ -36,9 +36,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             option,
             dest=name,
             type=float,
-            default=getattr(defaults, name),
             metavar="X",
-            help=f"{what} (default: %(default)s)",
+            help=f"{what} (default: {getattr(defaults, name):g})",
         )
     parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
     parser.add_argument(
