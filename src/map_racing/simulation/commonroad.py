@@ -17,9 +17,8 @@ locked wheels, and drives on from there.
 
 from __future__ import annotations
 
-import copy
 import math
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 from itertools import cycle
 from typing import Any, Callable, NamedTuple
 
@@ -54,8 +53,8 @@ class CommonRoadParameters(PlantParameters):
     parameters: Any = field(
         default="bmw_320i",
         metadata=parameter(
-            "Parameter set: a name of the package, ford_escort, bmw_320i or vw_vanagon, or in plant "
-            "files a mapping of the package's names"
+            "Parameter set: a name of the package, ford_escort, bmw_320i or vw_vanagon, or in "
+            "plant files a mapping of the package's names"
         ).metadata,
     )
 
@@ -140,10 +139,12 @@ class CommonRoadCar(ActuatedCar):
         self._kinematic = vehicle_dynamics_ks_cog
         self._integration_step = self.time_step / steps
         self._integration_steps = steps
-        own = _parameter_set(parameters.parameters)
-        self.slowest = parameters.mu_scale * self._slowest(own)
-        self._grip = parameters.mu_scale * own.tire.p_dx1
-        self._car = _scaled(own, parameters, self._model.axles)
+        self.parameters = parameters
+        self._nominal = _parameter_set(parameters.parameters)
+        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
+        self.slowest = most * parameters.mu_scale * self._slowest(self._nominal)
+        self._grip = None
+        self.set_grip(1.0)
         super().__init__(parameters)
         self._check()
 
@@ -156,6 +157,12 @@ class CommonRoadCar(ActuatedCar):
         self._x = [x, y, 0.0, speed, psi]
         if self._dynamic:
             self._x = self._model.initial([*self._x, 0.0, 0.0], self._car)
+
+    def set_grip(self, factor):
+        """Multiply the friction of all tires by a factor from the next step on."""
+        if factor != self._grip:
+            self._grip = factor
+            self._car = _scaled(self._nominal, factor, self.parameters, self._model.axles)
 
     def advance(self, steering_command, speed_command):
         """Integrate one time step under the given commands."""
@@ -200,7 +207,7 @@ class CommonRoadCar(ActuatedCar):
         step = self.time_step
         _, x, y, psi, v_x, v_y, r = self.state
         speed = math.hypot(v_x, v_y)
-        friction = GRAVITY * self._grip
+        friction = GRAVITY * self._nominal.tire.p_dx1 * self.parameters.mu_scale * self._grip
         left = max(1.0 - friction * step / speed, 0.0) if speed else 0.0
         course, r = psi + math.atan2(v_y, v_x), r * left
         x, y = x + step * speed * math.cos(course), y + step * speed * math.sin(course)
@@ -245,13 +252,13 @@ class CommonRoadCar(ActuatedCar):
         return self._integration_step * car.R_w**2 * stiffness / (car.I_y_w * STIFFEST)
 
     def _check(self):
-        """Refuse a set without what the equations need, and a vehicle that is another car."""
-        name = self.vehicle.name
-        for key, own in (("l_f", self._car.a), ("l_r", self._car.b), ("m", self._car.m)):
-            if abs(getattr(self.vehicle, key) - own) > 0.02 * own:
+        """Refuse a vehicle that is another car."""
+        car, vehicle = self._nominal, self.vehicle
+        for name, own in (("l_f", car.a), ("l_r", car.b), ("m", car.m)):
+            given = getattr(vehicle, name)
+            if abs(given - own) > 0.02 * own:
                 raise ParameterError(
-                    f"vehicle: expected the plant's {key}, {own:g}, got {getattr(self.vehicle, key):g} "
-                    f"in {name}"
+                    f"vehicle: expected the plant's {name}, {own:g}, got {given:g} in {vehicle.name}"
                 )
 
 
@@ -283,32 +290,30 @@ def _filled(target, values, where):
     return target
 
 
-def _scaled(car, parameters, axles):
-    """The parameter set on the tires of the day.
+def _scaled(car, grip, parameters, axles):
+    """A parameter set on the tires of the day, with a factor on their friction.
 
     The package has one set of tire coefficients for all wheels. Where the axles differ, the
     equations get each wheel's own when they ask for the tire, which they do in a fixed order.
     """
     front, rear = (
-        _tire(car.tire, parameters.mu_scale, stiffness)
+        _tire(car.tire, grip * parameters.mu_scale, stiffness)
         for stiffness in (parameters.front_stiffness_scale, parameters.rear_stiffness_scale)
     )
     if front == rear:
-        car.tire = front
-        return car
+        return replace(car, tire=front)
     tires = {"front": front, "rear": rear}
     return _PerAxle(car, [tires[axle] for axle in axles])
 
 
 def _tire(tire, mu, stiffness):
     """Tire coefficients with forces scaled by `mu`, and the cornering stiffness on its own."""
-    tire = copy.copy(tire)
-    for name, factor in (
-        *(("p_dx1", mu), ("p_kx1", mu), ("p_vx1", mu)),
-        *(("p_dy1", mu), ("p_ky1", mu * stiffness), ("p_vy1", mu), ("p_vy3", mu)),
-    ):
-        setattr(tire, name, getattr(tire, name) * factor)
-    return tire
+    factors = {
+        **dict.fromkeys(("p_dx1", "p_kx1", "p_vx1", "p_dy1", "p_vy1", "p_vy3"), mu),
+        "p_ky1": mu * stiffness,
+    }
+    scaled = {name: getattr(tire, name) * factor for name, factor in factors.items()}
+    return replace(tire, **scaled)
 
 
 class _PerAxle:

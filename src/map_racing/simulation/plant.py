@@ -17,8 +17,16 @@ from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
 from ..vehicle.tires import PacejkaTire
+from .grip import read_grip_changes
 
-__all__ = ["ActuatedCar", "Localization", "Plant", "PlantParameters", "ScaledVehicle", "scaled_tires"]
+__all__ = [
+    "ActuatedCar",
+    "Localization",
+    "Plant",
+    "PlantParameters",
+    "ScaledVehicle",
+    "scaled_tires",
+]
 
 TIME_STEP = 0.002  # of the integration [s]
 
@@ -46,9 +54,14 @@ class ScaledVehicle:
     mu_scale: float = _scale("Friction coefficient")
     front_stiffness_scale: float = _scale("Cornering stiffness of the front tires")
     rear_stiffness_scale: float = _scale("Cornering stiffness of the rear tires")
+    grip_changes: tuple = parameter(
+        "What changes the friction during a race: mappings with a factor, and time or place",
+        default=(),
+    )
 
     def __post_init__(self):
         check(self)
+        object.__setattr__(self, "grip_changes", read_grip_changes(self.grip_changes))
         if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
             raise ParameterError(f"vehicle: expected a name or a path, got {self.vehicle!r}")
 
@@ -205,8 +218,18 @@ class Plant(ActuatedCar):
         super().__init__(parameters)
         # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at walking
         # pace are damped up to a higher speed.
-        v_eps = max(V_EPS, fastest_mode(self.vehicle) * self.time_step / 2.5)
-        self._derivatives = single_track_derivatives(self.vehicle, v_eps)
+        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
+        rate = most * fastest_mode(self.vehicle)
+        self._v_eps = max(V_EPS, rate * self.time_step / 2.5)
+        self._grip = None
+        self.set_grip(1.0)
+
+    def set_grip(self, factor):
+        """Multiply the friction of both axles by a factor from the next step on."""
+        if factor != self._grip:
+            self._grip = factor
+            vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
+            self._derivatives = single_track_derivatives(vehicle, self._v_eps)
 
     def advance(self, steering_command, speed_command):
         """Integrate one time step under the given commands."""
