@@ -15,7 +15,7 @@ from typing import NamedTuple
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.parameters import Vehicle
-from ..vehicle.size import size_of
+from ..vehicle.size import ONE_TENTH, size_of
 
 __all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
 
@@ -23,6 +23,9 @@ STANDSTILL = 0.1  # m/s
 # The rear breaks away where the car turns this much faster for its steering angle and speed than
 # when it settled. Of an understeering car the ratio falls.
 BREAKS_AWAY, AVERAGED_S = 1.3, 0.3
+# Ramps of larger cars: first and last lateral acceleration, were there no slip [m/s^2], its rise
+# [m/s^3], and what the front may slip beyond [rad].
+FIRST, LAST, FASTEST_RISE, PLOWING = 1.3, 10.0, 0.2, 0.1
 SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
 
 
@@ -55,11 +58,21 @@ class RampParameters:
 
     @classmethod
     def of(cls, vehicle: Vehicle, **given: object) -> RampParameters:
-        """The maneuver for a car: values that are not given are the defaults, made for its size."""
+        """The maneuver for a car, by default for its size.
+
+        The default angles are those of 1:10 cars at a few m/s. A larger car takes the same lateral
+        accelerations at speeds where they are smaller.
+        """
         size = size_of(vehicle)
+        if size == ONE_TENTH:
+            return cls(**given)
+        speed = given.get("speed_mps", cls.speed_mps * size.time)
+        per_acceleration = vehicle.l_wb / speed**2  # [rad per m/s^2]
         scaled = dict(
-            speed_mps=cls.speed_mps * size.time,
-            rate_radps=cls.rate_radps / size.time,
+            speed_mps=speed,
+            rate_radps=min(cls.rate_radps / size.time, FASTEST_RISE * per_acceleration),
+            start_rad=min(cls.start_rad, FIRST * per_acceleration),
+            limit_rad=min(cls.limit_rad, LAST * per_acceleration + PLOWING),
             settle_s=cls.settle_s * size.time,
         )
         return cls(**{**scaled, **given})

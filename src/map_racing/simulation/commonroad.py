@@ -18,7 +18,7 @@ locked wheels, and drives on from there.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import cycle
 from typing import Any, Callable, NamedTuple
 
@@ -34,6 +34,15 @@ __all__ = ["PARAMETER_SETS", "CommonRoadCar", "CommonRoadParameters"]
 PARAMETER_SETS = {"ford_escort": 1, "bmw_320i": 2, "vw_vanagon": 3}
 # Share of the stability limit of RK4, 2.78 per step, that a wheel under its static load may use.
 STIFFEST = 1.4
+# Parameters of the package that its equations do not read.
+_UNUSED = frozenset(
+    ("l", "w", "h_cg", "kappa_dot_max", "kappa_dot_dot_max", "j_max", "j_dot_max", "trailer")
+)
+_SUSPENSION = """
+    m_s m_uf m_ur I_Phi_s I_y_s I_xz_s K_sf K_sdf K_sr K_sdr T_f T_r K_ras K_tsf K_tsr K_rad K_zt
+    h_raf h_rar I_uf I_ur K_lt D_f D_r E_f E_r
+"""
+_NOT_USED = {"multi_body": _UNUSED, "drift": _UNUSED | frozenset(_SUSPENSION.split())}
 # The kinematic model takes over again at this share of the speed at which it hands over.
 HYSTERESIS = 0.9
 
@@ -49,6 +58,9 @@ class CommonRoadParameters(PlantParameters):
 
     dynamics: str = parameter(
         "Equations of motion", choices=("multi_body", "drift"), default="multi_body"
+    )
+    integration_steps: int = parameter(
+        "Integration steps in each millisecond", low=1, high=100, default=1
     )
     parameters: Any = field(
         default="bmw_320i",
@@ -113,8 +125,6 @@ class CommonRoadCar(ActuatedCar):
     Parameters
     ----------
     parameters : CommonRoadParameters
-    steps : int, optional
-        Integration steps in each `time_step` of 1 ms.
 
     Attributes
     ----------
@@ -126,7 +136,7 @@ class CommonRoadCar(ActuatedCar):
 
     time_step = 0.001
 
-    def __init__(self, parameters, steps=1):
+    def __init__(self, parameters):
         try:
             from vehiclemodels.utils.vehicle_dynamics_ks_cog import vehicle_dynamics_ks_cog
 
@@ -137,10 +147,9 @@ class CommonRoadCar(ActuatedCar):
                 "pip install 'map_racing[rivals]'"
             ) from None
         self._kinematic = vehicle_dynamics_ks_cog
-        self._integration_step = self.time_step / steps
-        self._integration_steps = steps
+        self._integration_step = self.time_step / parameters.integration_steps
         self.parameters = parameters
-        self._nominal = _parameter_set(parameters.parameters)
+        self._nominal = _parameter_set(parameters.parameters, parameters.dynamics)
         most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
         self.slowest = most * parameters.mu_scale * self._slowest(self._nominal)
         self._grip = None
@@ -178,7 +187,7 @@ class CommonRoadCar(ActuatedCar):
         rate = (angle - self._x[2]) / step
         inputs = rate, self._drive(self._speed_line.popleft())
         try:
-            for _ in range(self._integration_steps):
+            for _ in range(self.parameters.integration_steps):
                 self._integrate(inputs)
         except ZeroDivisionError:  # the slip of a wheel that rolls backward
             self.sliding = True
@@ -258,35 +267,41 @@ class CommonRoadCar(ActuatedCar):
             given = getattr(vehicle, name)
             if abs(given - own) > 0.02 * own:
                 raise ParameterError(
-                    f"vehicle: expected the plant's {name}, {own:g}, got {given:g} in {vehicle.name}"
+                    f"vehicle: expected the plant's {name}, {own:g}, got {given:g} in "
+                    f"{vehicle.name}"
                 )
 
 
 # -- parameters ------------------------------------------------------------------------------------
 
 
-def _parameter_set(given):
+def _parameter_set(given, dynamics):
     """The package's parameters, by name or from a mapping."""
     from vehiclemodels.vehicle_parameters import VehicleParameters, setup_vehicle_parameters
 
     if not isinstance(given, dict):
         return setup_vehicle_parameters(vehicle_id=PARAMETER_SETS[given])
-    return _filled(VehicleParameters(), given, "parameters")
+    return _filled(VehicleParameters(), given, "parameters", dynamics)
 
 
-def _filled(target, values, where):
+def _filled(target, values, where, dynamics):
     """A structure of the package with the values of a mapping of the same names."""
-    for name, value in values.items():
-        inner = getattr(target, str(name), target)
+    known = [field.name for field in fields(target)]
+    for name in values:
+        if name not in known:
+            raise ParameterError(f"{where}.{name}: unknown (known: {', '.join(sorted(known))})")
+    for name in known:
         place = f"{where}.{name}"
-        if inner is target:
-            raise ParameterError(f"{place}: unknown parameter of commonroad-vehicle-models")
-        if is_dataclass(inner):
-            if not isinstance(value, dict):
-                raise ParameterError(f"{place}: expected a mapping, got {value!r}")
-            _filled(inner, value, place)
-        else:
-            setattr(target, name, finite(place, value))
+        if is_dataclass(getattr(target, name)):
+            inner = values.get(name, {})
+            if not isinstance(inner, dict):
+                raise ParameterError(f"{place}: expected a mapping, got {inner!r}")
+            if name != "trailer":
+                _filled(getattr(target, name), inner, place, dynamics)
+        elif name in values:
+            setattr(target, name, finite(place, values[name]))
+        elif name not in _NOT_USED[dynamics]:
+            raise ParameterError(f"{place}: missing")
     return target
 
 

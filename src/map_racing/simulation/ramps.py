@@ -7,7 +7,7 @@ from typing import Callable, NamedTuple, Sequence
 from ..control.state import CarState
 from ..control.steering_ramp import Circle, Phase, RampCommand, RampParameters, SteeringRamp
 from ..errors import ParameterError
-from ..vehicle.size import size_of
+from ..vehicle.size import ONE_TENTH, size_of
 from .car import SimulatedCar
 from .plant import PlantParameters
 from .plants import build_plant
@@ -49,17 +49,20 @@ def drive_ramps(
     Raises
     ------
     ParameterError
-        If the car leaves the area, 50 m around the start for a 1:10 car, or does not reach its
-        speed.
+        If the car leaves the area, 50 m around the start for a 1:10 car and what the first circle
+        takes for a larger one, or does not reach its speed.
     """
     plant, localization = build_plant(plant_parameters, seed)
     ramps = tuple(ramps) if ramps is not None else (RampParameters.of(plant.vehicle),)
     size = size_of(plant.vehicle)
-    area, patience = AREA_M * size.length, 30.0 * size.time
+    patience = 30.0 * size.time
     car = SimulatedCar(plant, localization)
     samples = []
     command = None
     for parameters in ramps:
+        area = AREA_M
+        if size != ONE_TENTH:
+            area = max(AREA_M * size.length, 3.0 * plant.vehicle.l_wb / parameters.start_rad)
         ramp = SteeringRamp(parameters, Circle(0.0, 0.0, area))
         sides = 2 if parameters.sides == "both" else 1
         rising = (parameters.limit_rad - parameters.start_rad) / parameters.rate_radps
