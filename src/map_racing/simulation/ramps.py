@@ -49,8 +49,8 @@ def drive_ramps(
     Raises
     ------
     ParameterError
-        If the car leaves the area, 50 m around the start for a 1:10 car and what the first circle
-        takes for a larger one, or does not reach its speed.
+        If the car cannot do what is asked, leaves the area, 50 m around the start for a 1:10 car
+        and what the first circle takes for a larger one, or does not reach its speed.
     """
     plant, localization = build_plant(plant_parameters, seed)
     ramps = tuple(ramps) if ramps is not None else (RampParameters.of(plant.vehicle),)
@@ -60,9 +60,11 @@ def drive_ramps(
     samples = []
     command = None
     for parameters in ramps:
+        parameters.check_vehicle(plant.vehicle)
         area = AREA_M
         if size != ONE_TENTH:
-            area = max(AREA_M * size.length, 3.0 * plant.vehicle.l_wb / parameters.start_rad)
+            first = max(parameters.start_rad, 0.01 * parameters.limit_rad)
+            area = max(AREA_M * size.length, 3.0 * plant.vehicle.l_wb / first)
         ramp = SteeringRamp(parameters, Circle(0.0, 0.0, area))
         sides = 2 if parameters.sides == "both" else 1
         rising = (parameters.limit_rad - parameters.start_rad) / parameters.rate_radps
