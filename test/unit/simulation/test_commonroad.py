@@ -1,4 +1,4 @@
-"""The plants of the CommonRoad models: converged, physical, and refused in one line without them."""
+"""The plants of the CommonRoad models: converged, physical, refused in one line without them."""
 
 import builtins
 import math
@@ -190,7 +190,7 @@ def test_steady_states_are_those_of_the_vehicle_identified_on_it(
     ("changes", "message"),
     [
         ("dynamics: rocket\n", "dynamics: expected multi_body or drift, got 'rocket'"),
-        ("parameters: bmw\n", "parameters: expected ford_escort, bmw_320i, vw_vanagon or a mapping"),
+        ("parameters: bmw\n", "parameters: expected ford_escort, bmw_320i, vw_vanagon or a map"),
         ("integration_steps: 0\n", "integration_steps: expected"),
     ],
 )
