@@ -45,6 +45,14 @@ def joy(button, count=8):
     return Joy(buttons=[int(index == button) for index in range(count)])
 
 
+def odometry_at(ros, x, speed=0.0, frame="odom"):
+    message = Odometry()
+    message.header.stamp, message.header.frame_id = ros.Time.now(), frame
+    message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+    message.twist.twist.linear.x = speed
+    return message
+
+
 def test_both_sides_then_the_end(field, start, hold, listen):
     commands = listen("/drive", AckermannDriveStamped)
     node = start("steering_ramp", {**FAST, "radius": 20.0})
@@ -103,7 +111,10 @@ def test_without_a_button_it_warns(field, start, listen):
 
 @pytest.fixture
 def poses(ros, start, advertise, hold):
-    """Start the node and send it poses at 40 Hz; ``change(message, k)`` alters the k-th."""
+    """Start the node and send it poses of a car that moves slowly, at 40 Hz.
+
+    ``change(message, k)`` alters the k-th of them.
+    """
     timers = []
 
     def begin(change=lambda message, k: None):
@@ -112,9 +123,9 @@ def poses(ros, start, advertise, hold):
         publisher, count = advertise("/odom", Odometry), itertools.count()
 
         def send(_):
-            message = Odometry()
-            message.header.stamp = ros.Time.now()
-            change(message, next(count))
+            k = next(count)
+            message = odometry_at(ros, 0.02 * k, 0.05)
+            change(message, k)
             publisher.publish(message)
 
         timers.append(ros.Timer(ros.Duration(0.025), send))
@@ -141,7 +152,8 @@ def test_the_area_is_around_the_first_pose_that_is_one(poses, listen, ros):
     def change(message, k):
         if k == 0:
             message.header.stamp -= ros.Duration(100.0)
-        message.pose.pose.position.x = {0: 90.0, 1: math.nan, 2: 1e300}.get(k, 0.0)
+        at = message.pose.pose.position
+        at.x = {0: 90.0, 1: math.nan, 2: 1e300}.get(k, at.x)
 
     node, _ = poses(change)
     commands.wait(lambda m: m.drive.speed > 1.0)
@@ -154,10 +166,11 @@ def test_a_pose_that_stays_while_the_car_moves_stops_it(poses, listen):
     speed = [0.0]
 
     def change(message, k):
+        message.pose.pose.position.x = 0.0
         message.twist.twist.linear.x = speed[0]
 
     node, _ = poses(change)
-    commands.wait(lambda m: m.drive.speed > 1.0)
+    commands.wait(lambda m: m.drive.speed > 0.5)
     speed[0] = 2.0
     commands.wait(lambda _: "pose frozen while moving" in node.output)
     commands.wait(lambda _: commands[-1].drive.speed == 0.0)
@@ -165,14 +178,49 @@ def test_a_pose_that_stays_while_the_car_moves_stops_it(poses, listen):
 
 def test_a_frozen_pose_moves_nothing(poses, listen, ros):
     commands = listen("/drive", AckermannDriveStamped)
-    stamp = ros.Time.now() - ros.Duration(1.0)
+    frozen = odometry_at(ros, 0.0)
+    frozen.header.stamp -= ros.Duration(1.0)
 
     def change(message, k):
-        message.header.stamp = stamp
+        message.header, message.pose, message.twist = frozen.header, frozen.pose, frozen.twist
 
     poses(change)
     commands.wait(lambda _: len(commands) > 40)
     assert {m.drive.speed for m in commands} == {0.0}
+
+
+def another_frame(message):
+    message.header.frame_id = "map"
+
+
+def elsewhere(message):
+    message.pose.pose.position.x += 3.0
+
+
+def absurdly_fast(message):
+    message.twist.twist.linear.x = 1e9
+
+
+def test_poses_are_refused_as_by_the_controller(poses, listen):
+    commands = listen("/drive", AckermannDriveStamped)
+    faults = [None]
+
+    def change(message, k):
+        if faults[-1]:
+            faults[-1](message)
+
+    node, _ = poses(change)
+    for fault, reason in (
+        (another_frame, "pose in another frame"),
+        (elsewhere, "pose jumped"),
+        (absurdly_fast, "pose not finite or absurd"),
+    ):
+        mark = len(commands)
+        faults.append(None)
+        commands.wait(lambda _, mark=mark: any(m.drive.speed > 0.5 for m in commands[mark:]))
+        faults.append(fault)
+        commands.wait(lambda _, reason=reason: reason in node.output)
+    commands.wait(lambda _: commands[-1].drive.speed == 0.0)
 
 
 @pytest.mark.parametrize(
@@ -180,6 +228,8 @@ def test_a_frozen_pose_moves_nothing(poses, listen, ros):
     [
         ({"speed_mps": -1.0}, "speed_mps: expected a positive number, got -1"),
         ({"box": [0, 1, 2]}, "~box: expected x_min"),
+        ({"limit_rad": 0.6}, "limit_rad: expected at most what NUC4 can, 0.4189, got 0.6"),
+        ({"speed_mps": 50.0}, "speed_mps: expected at most what NUC4 can, 15, got 50"),
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
     ],
 )
