@@ -2,6 +2,8 @@
 
 import argparse
 
+__all__ = ["add_evaluation_options", "add_options"]
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
@@ -9,6 +11,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
+    add_evaluation_options(parser)
+    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
+    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
+    parser.add_argument("--plots", metavar="DIR", help="write figures")
+    parser.set_defaults(run="evaluate.run")
+
+
+def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings, and how they are evaluated."""
     parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
     parser.add_argument(
         "--raceline",
@@ -56,7 +67,3 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="a larger lateral error of the car's center is off track [m] (default: the walls or, "
         "without walls, 2 m)",
     )
-    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
-    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
-    parser.add_argument("--plots", metavar="DIR", help="write figures")
-    parser.set_defaults(run="evaluate.run")
