@@ -38,6 +38,10 @@ _AHEAD, _SHARE = 1.5, 0.4
 # Limits of an ordinary car, for racelines without speeds [m/s^2, m/s].
 _ORDINARY = {"a_lat_max": 6.0, "a_drive_max": 5.0, "a_brake_max": 6.0, "v_max": 10.0}
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
+# A smaller loss [s] is none.
+_LEAST = 0.0005
+# Share of a loss at each end of its place that is left out of the place.
+_TAIL = 0.03
 # Less is no difference worth a word [m].
 _WIDE = 0.05
 
@@ -116,7 +120,7 @@ class Place:
     ----------
     corner : Corner
     begin, end : float
-        Distances from the start line [m].
+        Distances from the start line [m]; between them is all but 6 % of the loss.
     loss_s : float
         Time lost there in a mean lap [s].
     entry, entry_reference, slowest, slowest_reference, exit, exit_reference : float
@@ -335,8 +339,10 @@ def costliest(
                 (inside[track.s[inside] >= corner.begin], inside[track.s[inside] < corner.begin])
             )
         first, last = _largest_sum(loss[inside])
-        if last <= first:
+        lost = float(loss[inside[first:last]].sum())
+        if lost < _LEAST:
             continue
+        first, last = _bulk(loss[inside], first, last)
         part = inside[first:last]
         end = (part[-1] + 1) % cells
         outward = -corner.side * (d[part] - reference.d[:cells][part])
@@ -354,7 +360,7 @@ def costliest(
             Place(
                 corner,
                 *(float(track.s[part[0]]), float(track.s[end]) or track.length),
-                float(loss[part].sum()),
+                lost,
                 *(float(v[part[0]]), float(reference.v[part[0]])),
                 *(float(v[slow]), float(slow_reference)),
                 *(float(v[end]), float(reference.v[end])),
@@ -363,7 +369,6 @@ def costliest(
                 float(np.max(grip[part])),
             )
         )
-    places = [place for place in places if place.loss_s > 0.0]
     return sorted(places, key=lambda place: -place.loss_s)[:most]
 
 
@@ -374,3 +379,11 @@ def _largest_sum(values):
     end = int(np.argmax(total - lowest))
     begin = int(np.argmin(total[: end + 1]))
     return begin, end
+
+
+def _bulk(values, begin, end):
+    """The part without what adds next to nothing at its ends."""
+    share = np.cumsum(values[begin:end]) / np.sum(values[begin:end])
+    first = np.flatnonzero(share >= _TAIL)[0]
+    before = np.flatnonzero(share < 1.0 - _TAIL)
+    return begin + int(first), begin + (int(before[-1]) + 2 if before.size else 1)

@@ -47,11 +47,12 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
     """
     title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
     compared = [_comparisons(run, runs) for run in runs]
+    shown = _chosen(runs)
     parts = [
         _head(title, runs),
         '<main>\n<div id="left">\n',
         _first_screen(runs, compared),
-        _charts(),
+        _charts(runs, shown),
         "</div>\n",
         _map(),
         "</main>\n",
@@ -63,7 +64,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
         f"<footer>map_racing {escape(__version__)}. Distances are along the raceline from the "
         "start line; left is positive.</footer>\n",
     ]
-    data = _data(runs, compared)
+    data = _data(runs, compared, shown)
     return document(title, "".join(parts), data, ("report.js",), plotly=True)
 
 
@@ -186,15 +187,23 @@ def _lap_strip(runs):
 # -- charts ----------------------------------------------------------------------------------------
 
 
-def _charts():
-    return """<section id="over-distance">
+def _charts(runs, shown):
+    left_out = sum(len(run.profile.laps) - len(laps) for run, laps in zip(runs, shown))
+    said = ""
+    if left_out:
+        total = sum(len(laps) for laps in shown)
+        said = (
+            f" The charts show {total} laps, the best among them; {left_out} others are only in the "
+            "tables."
+        )
+    return f"""<section id="over-distance">
 <div class="bar"><h2>Over distance</h2>
 <label><span class="swatch a"></span> <select id="lap-a"></select></label>
 <label><span class="swatch b"></span> against <select id="lap-b"></select></label>
 <label><input type="checkbox" id="all-laps"> all laps</label>
 <button type="button" id="whole">whole lap</button></div>
 <div id="charts" class="plot"></div>
-<p class="hint">Drag to zoom, double-click for the whole lap. The cursor is the same everywhere.</p>
+<p class="hint">Drag to zoom, double-click for the whole lap. The cursor is the same everywhere.{said}</p>
 </section>
 """
 
@@ -385,8 +394,7 @@ def _share(values):
 # -- data of the charts ----------------------------------------------------------------------------
 
 
-def _data(runs, compared):
-    shown = _chosen(runs)
+def _data(runs, compared, shown):
     tracks, entries = [], []
     for run, laps in zip(runs, shown):
         track = next((k for k, other in tracks if same_track(run, other)), None)
