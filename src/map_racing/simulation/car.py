@@ -5,6 +5,7 @@ from collections import deque
 from typing import NamedTuple
 
 from ..track.tracker import RacelineTracker
+from .grip import Grip
 
 __all__ = ["COMMAND_TIMEOUT", "Observation", "SimulatedCar", "hits_wall"]
 
@@ -145,7 +146,7 @@ class DrivenCar:
         self.car = car
         self.crashed = False
         self._raceline = raceline
-        self._tracker = RacelineTracker(raceline)
+        self._tracker, self._grip = RacelineTracker(raceline), Grip(car.plant)
         self._timeout = round(COMMAND_TIMEOUT / car.plant.time_step)
         self._steering_angle, self._speed, self._commanded = 0.0, 0.0, 0
 
@@ -180,6 +181,7 @@ class DrivenCar:
             if taken is not None and not self.crashed:
                 x, y, psi = taken.true[1:4]
                 s, d = self._tracker.update(x, y, psi)[:2]
+                self._grip.update(car.now, s)
                 self.crashed = hits_wall(self._raceline, s, d, car.plant.vehicle.width)
                 if self.crashed:
                     car.put(x, y, psi)

@@ -17,6 +17,7 @@ from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.parameters import Vehicle, load_vehicle
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
 from ..vehicle.tires import PacejkaTire
+from .grip import read_grip_changes
 
 __all__ = ["Localization", "Plant", "PlantParameters", "ScaledVehicle", "scaled_tires"]
 
@@ -46,9 +47,14 @@ class ScaledVehicle:
     mu_scale: float = _scale("Friction coefficient")
     front_stiffness_scale: float = _scale("Cornering stiffness of the front tires")
     rear_stiffness_scale: float = _scale("Cornering stiffness of the rear tires")
+    grip_changes: tuple = parameter(
+        "What changes the friction during a race: mappings with a factor, and time or place",
+        default=(),
+    )
 
     def __post_init__(self):
         check(self)
+        object.__setattr__(self, "grip_changes", read_grip_changes(self.grip_changes))
         if not isinstance(self.vehicle, (str, Vehicle)) or not self.vehicle:
             raise ParameterError(f"vehicle: expected a name or a path, got {self.vehicle!r}")
 
@@ -161,8 +167,11 @@ class Plant:
         self.vehicle = parameters.build_vehicle()
         # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at walking
         # pace are damped up to a higher speed.
-        v_eps = max(V_EPS, fastest_mode(self.vehicle) * self.time_step / 2.5)
-        self._derivatives = single_track_derivatives(self.vehicle, v_eps)
+        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
+        rate = most * fastest_mode(self.vehicle)
+        self._v_eps = max(V_EPS, rate * self.time_step / 2.5)
+        self._grip = None
+        self.set_grip(1.0)
         lag = parameters.steering_time_constant_s
         self._servo_gain = 1.0 - math.exp(-self.time_step / lag) if lag else 1.0
         # A lag shorter than the step would overshoot, and end a braking backwards.
@@ -179,6 +188,13 @@ class Plant:
         step = self.time_step
         self._steering_line = deque([0.0] * round(self.parameters.steering_delay_s / step))
         self._speed_line = deque([speed] * round(self.parameters.drive_delay_s / step))
+
+    def set_grip(self, factor):
+        """Multiply the friction of both axles by a factor from the next step on."""
+        if factor != self._grip:
+            self._grip = factor
+            vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
+            self._derivatives = single_track_derivatives(vehicle, self._v_eps)
 
     def reference_state(self):
         """True state of the rear axle, which localization sees and which follows the raceline."""

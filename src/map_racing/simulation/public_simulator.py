@@ -85,7 +85,12 @@ class PublicSimulator:
             raise ParameterError(
                 f"public_simulator: expected a vehicle with linear tires, got {self.vehicle.name}"
             )
+        self._grip = 1.0
         self.reset(0.0, 0.0, 0.0)
+
+    def set_grip(self, factor):
+        """Multiply the friction of both axles by a factor from the next step on."""
+        self._grip = factor
 
     def reset(self, x, y, psi, speed=0.0):
         """Put the car somewhere, driving straight; time starts at 0."""
@@ -163,8 +168,9 @@ class PublicSimulator:
         """Linear single-track model with load transfer: ``beta'`` and ``r'``."""
         vehicle = self.vehicle
         l_f, l_r, l_wb, h_cg = vehicle.l_f, vehicle.l_r, vehicle.l_wb, self.parameters.h_cg_m
-        front = vehicle.mu * vehicle.front.C_S * (GRAVITY * l_r - accel * h_cg) / l_wb
-        rear = vehicle.mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * h_cg) / l_wb
+        mu = vehicle.mu * self._grip
+        front = mu * vehicle.front.C_S * (GRAVITY * l_r - accel * h_cg) / l_wb
+        rear = mu * vehicle.rear.C_S * (GRAVITY * l_f + accel * h_cg) / l_wb
         # Axle forces per mass: stiffness times slip angle, positive to the left.
         force_front = front * (delta - beta - l_f * r / v)
         force_rear = rear * (-beta + l_r * r / v)

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from .car import SimulatedCar, hits_wall
+from .grip import Grip
 
 __all__ = ["Outcome", "RaceLog", "Sample", "race"]
 
@@ -121,7 +122,7 @@ def race(
     car = SimulatedCar(plant, localization, rate)
     car.put(start.x, start.y, start.psi)
     controller.reset()
-    tracker = RacelineTracker(raceline)
+    tracker, grip = RacelineTracker(raceline), Grip(plant)
     steering, speed = 0.0, 0.0
     samples = []
     driven, last_s = START_S, None
@@ -134,6 +135,7 @@ def race(
             poses += 1
             _, x, y, psi, _, _, _ = taken.true
             s, d = tracker.update(x, y, psi)[:2]
+            grip.update(car.now, s)
             if last_s is not None:
                 driven += math.remainder(s - last_s, raceline.length)
             last_s = s

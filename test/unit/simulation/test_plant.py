@@ -24,7 +24,7 @@ CARS = ["nuc4", "sim"]
 NUMBERS = [
     field.name
     for field in dataclasses.fields(PlantParameters)
-    if field.name not in ("vehicle", "measures_v_y")
+    if field.name not in ("vehicle", "measures_v_y", "grip_changes")
 ]
 
 
