@@ -83,15 +83,21 @@ def _comparisons(run, runs):
 
 
 def _head(title, runs):
-    result = runs[0].result
-    line = result.raceline
-    facts = [f"{line.name or 'raceline'}, {line.length:.1f} m"]
+    facts = [_track_name(runs[0])]
     stamps = [run.recording.t0_ns for run in runs if run.recording.t0_ns > 0]
     if stamps:
         when = datetime.fromtimestamp(1e-9 * min(stamps), timezone.utc)
         facts.append(when.strftime("%Y-%m-%d %H:%M UTC"))
-    facts += [fact for fact in [_driver(run) for run in runs[:1]] if fact]
+    if len(runs) == 1 and _driver(runs[0]):
+        facts.append(_driver(runs[0]))
     return f"<header><h1>{escape(title)}</h1><p>{escape(' · '.join(facts))}</p></header>\n"
+
+
+def _track_name(run):
+    line = run.result.raceline
+    recorded = run.settings.values.get("raceline") if run.settings is not None else None
+    name = recorded.get("name") if isinstance(recorded, dict) else None
+    return f"{name or line.name or 'raceline'}, {line.length:.1f} m"
 
 
 def _driver(run):
@@ -193,8 +199,8 @@ def _charts(runs, shown):
     if left_out:
         total = sum(len(laps) for laps in shown)
         said = (
-            f" The charts show {total} laps, the best among them; {left_out} others are only in the "
-            "tables."
+            f" The charts show {total} laps, the best among them; {left_out} others are only in "
+            "the tables."
         )
     return f"""<section id="over-distance">
 <div class="bar"><h2>Over distance</h2>
@@ -203,7 +209,8 @@ def _charts(runs, shown):
 <label><input type="checkbox" id="all-laps"> all laps</label>
 <button type="button" id="whole">whole lap</button></div>
 <div id="charts" class="plot"></div>
-<p class="hint">Drag to zoom, double-click for the whole lap. The cursor is the same everywhere.{said}</p>
+<p class="hint">Drag to zoom, double-click for the whole lap. The cursor is the same
+everywhere.{said}</p>
 </section>
 """
 

@@ -54,7 +54,9 @@ def test_planned_speed_of_a_raceline_that_the_controller_cannot_drive(controller
     assert settings.planned_speed(short) is None
 
 
-@pytest.mark.parametrize("text", ["", "hello", "[1, 2]", "a: [", "x: 2020-13-45", "a: 1\n---\nb: 2"])
+@pytest.mark.parametrize(
+    "text", ["", "hello", "[1, 2]", "a: [", "x: 2020-13-45", "a: 1\n---\nb: 2"]
+)
 def test_texts_of_something_else(text):
     settings = parse_settings(text)
     assert settings.controller is None and settings.vehicle is None

@@ -44,6 +44,7 @@ READERS = {
         "my_raceline.csv",
         "race_stack/global_waypoints.json",
     ],
+    "doc/report.md": ["run.bag", "line.csv"],
     "doc/racelines.md": ["my_raceline.csv", "recorded.bag", "centerline.csv", "hall.yaml"],
     "doc/identify.md": [
         "my_base.yaml",

@@ -153,7 +153,8 @@ def test_the_same_driving_has_no_places(reference, driving):
 def test_a_place_over_the_start_line(reference, driving):
     length = reference.length
     slow = lambda s: 4.0 - bump(s + 1.5, length, 0.0, 3.0)  # noqa: E731
-    bad, good = profile(driving, reference, slow, laps=3), profile(driving, reference, lambda s: 4.0)
+    bad = profile(driving, reference, slow, laps=3)
+    good = profile(driving, reference, lambda s: 4.0)
     first = costliest(bad, against_run(good, "other"), corners_of(bad.track))[0]
     assert first.begin > first.end or first.end == pytest.approx(length, abs=0.1)
 
@@ -173,7 +174,7 @@ def simulated(line, path):
 
 @pytest.fixture(scope="module")
 def two_runs(tmp_path_factory, reference):
-    """One run that brakes 0.5 m too early before a bend and runs wide in another; and a good one."""
+    """One run that brakes 0.5 m too early before a bend and runs wide in another; a good one."""
     folder = tmp_path_factory.mktemp("two")
     corners = {c.name: c for c in corners_of(track_profile(reference, 0.0))}
     early, wide = corners["second left"], corners["fourth left"]
@@ -250,7 +251,8 @@ def test_a_single_lap_is_compared_with_the_speeds_of_the_raceline(reference, dri
     recording = driving(reference, lambda s: 2.0, laps=1)
     run = analyze(recording, evaluate(recording, reference))
     (only,) = references(run, [])
-    assert only.time[-1] == pytest.approx(np.mean(1.0 / reference.speed) * reference.length, rel=0.01)
+    expected = np.mean(1.0 / reference.speed) * reference.length
+    assert only.time[-1] == pytest.approx(expected, rel=0.01)
     place = costliest(run.profile, only, run.corners)[0]
     assert place.loss_s > 0.1
 
