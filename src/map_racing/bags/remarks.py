@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from . import messages as msg
-from .records import BagFile
+from .opening import Source, open_bag
 from .samples import Recording
 from .topics import SETTINGS_TOPIC
 
@@ -35,12 +34,13 @@ class Remarks(NamedTuple):
     states: list
 
 
-def read_remarks(path: str | Path, recording: Recording) -> Remarks:
+def read_remarks(source: Source, recording: Recording) -> Remarks:
     """Read the remarks in a bag.
 
     Parameters
     ----------
-    path : str or pathlib.Path
+    source : str, pathlib.Path or sequence of them
+        See `map_racing.bags.opening.open_bag`.
     recording : Recording
         What was read from the same bag.
 
@@ -59,7 +59,7 @@ def read_remarks(path: str | Path, recording: Recording) -> Remarks:
         ("/diagnostics", msg.MD5[msg.DIAGNOSTICS]): "states",
     }
     found = {"settings": [], "states": []}
-    with BagFile(path) as bag:
+    with open_bag(source) as bag:
         kinds = {
             number: wanted[connection.topic, connection.md5sum]
             for number, connection in bag.connections.items()

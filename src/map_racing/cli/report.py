@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from tqdm import tqdm
 
-from ..bags.records import is_bag
+from ..bags.opening import is_bag, source_name
 from ..bags.remarks import read_remarks
 from ..control.settings import parse_settings
 from ..errors import MapRacingError, ParameterError
@@ -19,7 +19,7 @@ from ..pages.report import report_page
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .evaluate import check_evaluation, evaluate_one, run_names
-from .inputs import read_vehicle
+from .inputs import joined, read_vehicle
 from .outputs import check_outputs
 
 __all__ = ["analyses", "run"]
@@ -49,11 +49,13 @@ def analyses(arguments):
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     limits_of = lru_cache(None)(car_limits)
     found, failed = [], 0
-    bar = tqdm(arguments.recordings, desc="report", disable=None, leave=False)
-    for source, name in zip(bar, run_names(arguments.recordings)):
+    sources = joined(arguments.recordings, arguments.join)
+    bar = tqdm(sources, desc="report", disable=None, leave=False)
+    for source, name in zip(bar, run_names(map(source_name, sources))):
         try:
             runs = evaluate_one(source, track, arguments)
-            remarks = read_remarks(source, runs[0][0]) if is_bag(source) else None
+            bag = not isinstance(source, str) or is_bag(source)
+            remarks = read_remarks(source, runs[0][0]) if bag else None
         except MapRacingError as error:
             tqdm.write(f"map-racing: {error}", file=sys.stderr)
             failed = 1

@@ -7,6 +7,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from map_racing.bags import messages as msg
+from map_racing.bags.cdr import connection_of, layout_of_ros1
 from map_racing.bags.reader import read_recording
 from map_racing.bags.remarks import read_remarks
 from map_racing.bags.writer import BagWriter
@@ -77,3 +78,23 @@ def test_states_of_the_controller(tmp_path):
 def test_a_text_that_is_cut_off():
     with pytest.raises(struct.error):
         msg.decode_string(struct.pack("<I", 10) + b"abc")
+
+
+@pytest.mark.parametrize("name", ["a", "four", "names", "of many lengths"])
+def test_texts_of_ros2_in_the_layout_of_ros1(name):
+    """Every alignment of the strings."""
+    status = TYPES.types["diagnostic_msgs/msg/DiagnosticStatus"]
+    key = TYPES.types["diagnostic_msgs/msg/KeyValue"]
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    stamp = types.types["builtin_interfaces/msg/Time"](7, 8)
+    header = types.types["std_msgs/msg/Header"](stamp, name)
+    statuses = [status(1, name, "stopped", "map_racing", [key(name, ""), key("", name)])] * 2
+    array = types.types["diagnostic_msgs/msg/DiagnosticArray"](header, statuses)
+    data = bytes(types.serialize_cdr(array, "diagnostic_msgs/msg/DiagnosticArray"))
+    connection = connection_of("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "")
+    found = msg.decode_diagnostics(layout_of_ros1(connection)(data))
+    assert found == (7 * 10**9 + 8, [(name, "stopped", "map_racing")] * 2)
+    text = types.types["std_msgs/msg/String"](name)
+    text = bytes(types.serialize_cdr(text, "std_msgs/msg/String"))
+    connection = connection_of("settings", "std_msgs/msg/String", "")
+    assert msg.decode_string(layout_of_ros1(connection)(text)) == (name, 4 + len(name))

@@ -2,7 +2,7 @@
 
 import argparse
 
-from .shared import add_number
+from .shared import add_join_option, add_number
 
 __all__ = ["add_evaluation_options", "add_options"]
 
@@ -22,7 +22,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     """Add the recordings, and how they are evaluated."""
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="BAG",
+        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
+    )
+    add_join_option(parser)
     parser.add_argument(
         "--raceline",
         metavar="FILE",
