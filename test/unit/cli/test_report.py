@@ -56,7 +56,7 @@ def test_it_says_what_was_driven_with(page):
     text = text_of(page)
     assert "controller: steering_map table" in text and "ackermann" in text
     assert "vehicle: name NUC4" in text and "versions: map_racing" in text
-    assert "map at 70 % speed" in text
+    assert "reference, 36.5 m" in text and "speed_scale 0.7" in text
 
 
 def test_everything_is_in_the_file(page):
