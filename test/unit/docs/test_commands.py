@@ -48,6 +48,7 @@ READERS = {
         "long_0.bag",
         "long_1.bag",
     ],
+    "doc/report.md": ["run.bag", "line.csv"],
     "doc/racelines.md": ["my_raceline.csv", "recorded.bag", "centerline.csv", "hall.yaml"],
     "doc/identify.md": [
         "my_base.yaml",
