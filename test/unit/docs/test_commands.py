@@ -55,6 +55,7 @@ READERS = {
         "centerline.csv",
         "hall.yaml",
     ],
+    "doc/report.md": ["run.bag", "line.csv"],
     "doc/identify.md": [
         "my_base.yaml",
         "steering_ramp_1.bag",

@@ -4,6 +4,8 @@ import argparse
 
 from .shared import add_join_option, add_number, add_recording_options
 
+__all__ = ["add_evaluation_options", "add_options"]
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
@@ -11,6 +13,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
+    add_evaluation_options(parser)
+    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
+    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
+    parser.add_argument("--plots", metavar="DIR", help="write figures")
+    parser.set_defaults(run="evaluate.run")
+
+
+def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings, and how they are evaluated."""
     parser.add_argument(
         "recordings",
         nargs="+",
@@ -39,7 +50,3 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="a larger lateral error of the car's center is off track [m] (default: the walls or, "
         "without walls, 2 m)",
     )
-    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
-    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
-    parser.add_argument("--plots", metavar="DIR", help="write figures")
-    parser.set_defaults(run="evaluate.run")
