@@ -48,6 +48,25 @@ def test_every_argument_is_documented(folder):
                 assert argument.get("doc"), f"{file.name}: {argument.get('name')}"
 
 
+def test_every_argument_that_counts_is_listed(folder):
+    """roslaunch --ros-args lists what a file declares itself, not what it passes on."""
+    topics = {"odom", "pose", "drive", "waypoints"}
+    expected = {
+        "race": {*topics, "imu", "reference_point"},
+        "simulate": {*topics, "imu"},
+        "replay": topics,
+        "identify": {"odom", "drive", "imu", "joy", "vehicle"},
+    }
+    for file, names in expected.items():
+        own = ElementTree.parse(folder / f"{file}.launch").getroot().findall("arg")
+        assert names <= {argument.get("name") for argument in own}, file
+        # What cannot be set is not listed as an argument to set.
+        assert not [argument.get("name") for argument in own if "value" in argument.attrib]
+    code, output = roslaunch("--ros-args", "map_racing", "race.launch")
+    assert code == 0
+    assert '  odom (default "stack"): nav_msgs/Odometry' in output
+
+
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("file", FILES)
 def test_every_file_for_every_stack(roscore, file, stack):

@@ -151,6 +151,7 @@ class Connection(NamedTuple):
     md5sum: str
     definition: str
     sender: str = ""
+    latching: bool = False
 
 
 class Message(NamedTuple):
@@ -311,6 +312,7 @@ class BagFile:
             md5sum=about.text(b"md5sum"),
             definition=about.text(b"message_definition"),
             sender=about.text(b"callerid"),
+            latching=about.text(b"latching") == "1",
         )
         return True
 

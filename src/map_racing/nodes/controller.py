@@ -37,7 +37,7 @@ from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
-from .node import FirstSender, SteadyClock, get_parameter, overridden, run
+from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run
 from .transforms import TransformListener
 from .tuning import TuningServer
 from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messages
@@ -91,9 +91,8 @@ class ControllerNode:
             frame(get_parameter("map_frame", "map", "frame of poses and raceline")),
             frame(get_parameter("base_frame", "base_link", "frame of the car, pose_source tf")),
         )
-        ros_home = os.environ.get("ROS_HOME") or Path.home() / ".ros"
         self._save_to = get_parameter(
-            "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
+            "save_to", str(ros_home() / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor = _build()
         self._start(source, pose_source)

@@ -11,8 +11,16 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
 from ..control.safety import PoseMotion
-from ..control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from ..control.steering_ramp import (
+    Box,
+    Circle,
+    Phase,
+    RampParameters,
+    SteeringRamp,
+    told_room,
+)
 from ..errors import ParameterError
+from ..vehicle.parameters import load_vehicle
 from .conversions import plane_pose, stamp_ns
 from .node import FirstSender, get_parameter, overridden, run, sleep
 
@@ -28,6 +36,7 @@ class SteeringRampNode:
 
     def __init__(self):
         self._parameters = overridden(RampParameters())
+        vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
         self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
         self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
@@ -41,6 +50,9 @@ class SteeringRampNode:
             raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
         area = Box(*map(float, box)) if box else None
         self._ramp = SteeringRamp(self._parameters, area) if area else None
+        room = (area or Circle(0.0, 0.0, self._radius)).room
+        text, fits = told_room(self._parameters, vehicle, room)
+        (rospy.loginfo if fits else rospy.logwarn)("%s", text)
         if not self._dead_man:
             rospy.logwarn(
                 "driving without a dead-man button: only the area and Ctrl-C stop the car"
