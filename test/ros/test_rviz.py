@@ -1,5 +1,5 @@
-"""RViz opens on the track that is driven and shows what a driver wants to see: a real one, on a screen
-in memory, looked at through a screenshot."""
+"""RViz opens on the track that is driven and shows what a driver wants to see: a real one, on a
+screen in memory, looked at through a screenshot."""
 
 import os
 import subprocess
@@ -137,5 +137,5 @@ def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path)
     beneath = extent(picture, LAP_TEXT_COLOR, 0.02)[1] + 10
     top, bottom, left, right = extent(picture[beneath:], WALL)
     assert 0 < top < 40 and 0.9 * height < beneath + bottom < height - 1
-    assert 0 < left and right < width - 1 and abs(left + right - width) < 0.1 * width
+    assert left > 0 and right < width - 1 and abs(left + right - width) < 0.1 * width
     publisher.unregister()

@@ -1,8 +1,8 @@
 """Copies of bags whose stamps are the times that an evaluation takes.
 
-A node that hears a replayed message without a stamp can only take the time of ``/clock``, which runs
-in steps; one that another computer stamped lies elsewhere in time. In the copy each pose and drive
-command carries its time itself.
+A node that hears a replayed message without a stamp can only take the time of ``/clock``, which
+runs in steps; one that another computer stamped lies elsewhere in time. In the copy each pose and
+drive command carries its time itself.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import lz4.frame
 
 from ..errors import BagError
 from . import messages as msg
-from .records import BagFile, Message
+from .bag import Bag, Message
 from .topics import DRIVE_TOPIC
 
 __all__ = ["BagWriter", "copy_bag"]
@@ -196,12 +196,13 @@ class BagWriter:
         )
 
 
-def copy_bag(bag: BagFile, output: str | Path, data_of: Callable[[int, Message], bytes]) -> None:
+def copy_bag(bag: Bag, output: str | Path, data_of: Callable[[int, Message], bytes]) -> None:
     """Write all messages of a bag into another, uncompressed.
 
     Parameters
     ----------
-    bag : BagFile
+    bag : Bag
+        Of ROS 1.
     output : str or pathlib.Path
         Replaced if it exists.
     data_of : callable

@@ -1,8 +1,8 @@
 """``play``: play a bag once its subscribers are there.
 
-A node takes seconds to start on a small computer, and misses what is played before. Where stamps are
-missing or of another clock, a copy is played in which each message has the time that an evaluation of
-the bag takes.
+A node takes seconds to start on a small computer, and misses what is played before. Where stamps
+are missing or of another clock, a copy is played in which each message has the time that an
+evaluation of the bag takes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _copies(bags, topics, folder):
         with suppress(MapRacingError):
             if write_restamped(bag, copy, topics[0] if topics else None):
                 print(
-                    f"play: {bag}: stamps missing or of another clock: played with the times of an evaluation"
+                    print(f"play: {bag}: stamps missing or of another clock: an evaluation's used")
                 )
                 copies[bag] = str(copy)
     return copies

@@ -36,6 +36,8 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
     ------
     EvaluationError
         If the result has no traces.
+    ParameterError
+        If the color is another.
     """
     if color_by not in ("speed", "error"):
         raise ParameterError(f"color_by: expected speed or error, got {color_by!r}")
@@ -76,18 +78,8 @@ def plot_laps(result, title: str | None = None) -> Figure:
 
     Parameters
     ----------
-    result : RunResult
-        With traces.
-    title : str, optional
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    EvaluationError
-        If the result has no traces.
+    result, title
+        As for `plot_path`.
     """
     laps = _traced(result)
     laps = [lap for lap in laps if lap.valid] or laps

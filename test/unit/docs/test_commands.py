@@ -1,7 +1,8 @@
 """Every command in README and pages runs, in the order of its page.
 
-What a page uses without making it belongs to the reader, has a name in capitals and is in `READERS`;
-`MAKERS` makes it. Only what takes minutes is cut short, by options added to the command (`SHORTER`).
+What a page uses without making it belongs to the reader, has a name in capitals and is in
+`READERS`; `MAKERS` makes it. Only what takes minutes is cut short, by options added to the
+command (`SHORTER`).
 """
 
 import gzip
@@ -19,6 +20,7 @@ import yaml
 from matplotlib.figure import Figure
 from pages import PAGES, REPO, blocks, command_lines, name_of, prose
 from PIL import Image
+from ros2_bags import messages_of, write_sqlite
 
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
@@ -33,7 +35,7 @@ from map_racing.track.raceline import Raceline
 READERS = {
     "README.md": ["map_racing_2025.bag"],
     "doc/race_day.md": ["map_racing_2025.bag"],
-    "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv"],
+    "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv", "ROSBAG2", "LONG_0.bag", "LONG_1.bag"],
     "doc/racelines.md": ["HALL.yaml"],
     "doc/identify.md": [
         *("MY_BASE.yaml", "CIRCLES.csv"),
@@ -110,6 +112,23 @@ def bag(path):
                 written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5, topic=topic)
 
 
+def ros2(path):
+    bag(path.with_suffix(".bag"))
+    write_sqlite(path, messages_of(path.with_suffix(".bag")))
+
+
+def part(path):
+    """Half of a run, as a recorder splits it; the raceline was sent once."""
+    second = path.stem.endswith("1")
+    line = ring()
+    with BagWriter(path) as written:
+        if not second:
+            written.waypoints(1.0, waypoint_rows(line))
+        for t, x, y, psi in positions(line):
+            if (t >= 4.0) is second:
+                written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5)
+
+
 def log(path):
     with gzip.open(path, "wt") as file:
         file.write("time,pose_x,pose_y\n")
@@ -164,6 +183,9 @@ MAKERS = {
     "MY_BASE.yaml": vehicle,
     "TRACK.csv": raceline,
     "hangar.bag": bag,
+    "LONG_0.bag": part,
+    "LONG_1.bag": part,
+    "ROSBAG2": ros2,
     "map_racing_2025.bag": bag,
     "steering_ramp_1.bag": ramps,
     "steering_ramp_2.bag": ramps,

@@ -2,6 +2,8 @@
 
 import argparse
 
+from .shared import add_join_option, add_number
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
@@ -9,7 +11,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="BAG",
+        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
+    )
+    add_join_option(parser)
     parser.add_argument(
         "--raceline",
         metavar="FILE",
@@ -35,20 +43,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="arc length of the start line on the raceline [m] (default: its first point)",
     )
-    parser.add_argument(
-        "--car-width",
-        type=float,
-        default=0.3,
-        metavar="M",
-        help="car width, for the clearance to the walls [m] (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--sectors",
-        type=int,
-        default=3,
-        metavar="N",
-        help="number of timed sectors in CSV and JSON (default: %(default)s)",
-    )
+    width = "car width, for the clearance to the walls [m]"
+    add_number(parser, "--car-width", 0.3, width, metavar="M")
+    add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     parser.add_argument(
         "--max-deviation",
         type=float,
