@@ -70,9 +70,7 @@ def _copies(bags, topics, folder):
         # What cannot be evaluated is played as it is.
         with suppress(MapRacingError):
             if write_restamped(bag, copy, topics[0] if topics else None):
-                print(
-                    print(f"play: {bag}: stamps missing or of another clock: an evaluation's used")
-                )
+                print(f"play: {bag}: stamps missing or of another clock: an evaluation's used")
                 copies[bag] = str(copy)
     return copies
 

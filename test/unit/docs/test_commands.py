@@ -36,7 +36,8 @@ READERS = {
     "README.md": ["map_racing_2025.bag"],
     "doc/race_day.md": ["map_racing_2025.bag"],
     "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv", "ROSBAG2", "LONG_0.bag", "LONG_1.bag"],
-    "doc/racelines.md": ["HALL.yaml"],
+    "doc/racelines.md": ["HALL.yaml", "BY_HAND.bag"],
+    "doc/report.md": ["RUN.bag", "TRACK.csv"],
     "doc/identify.md": [
         *("MY_BASE.yaml", "CIRCLES.csv"),
         *("steering_ramp_1.bag", "steering_ramp_2.bag"),
@@ -112,6 +113,15 @@ def bag(path):
                 written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5, topic=topic)
 
 
+def by_hand(path):
+    """Two rounds and a half through the hall of the map, without a raceline."""
+    with BagWriter(path) as written:
+        for i in range(int(5.0 * np.pi / 0.02)):
+            angle = 0.02 * i
+            x, y = 2.3 * 1.4 * np.cos(angle) - 2.0, 2.3 * np.sin(angle)
+            written.pose(1.0 + 0.025 * i, x, y, angle + 1.6)
+
+
 def ros2(path):
     bag(path.with_suffix(".bag"))
     write_sqlite(path, messages_of(path.with_suffix(".bag")))
@@ -177,11 +187,13 @@ def circles(path):
 MAKERS = {
     "Austin_centerline.csv": centerline,
     "Austin_raceline.csv": wider,
+    "BY_HAND.bag": by_hand,
     "CIRCLES.csv": circles,
     "HALL.yaml": hall,
     "LOG.csv.gz": log,
     "MY_BASE.yaml": vehicle,
     "TRACK.csv": raceline,
+    "RUN.bag": bag,
     "hangar.bag": bag,
     "LONG_0.bag": part,
     "LONG_1.bag": part,
