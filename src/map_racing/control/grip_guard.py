@@ -40,6 +40,8 @@ class GripGuard:
     ----------
     use : float
         Low-passed share of the grip that guidance asks for, at most 2.
+    level : float
+        Grip that there is, relative to `grip`; 1 until it is set.
     """
 
     def __init__(self, grip, v_max):
@@ -48,6 +50,7 @@ class GripGuard:
         v = np.maximum(np.arange(count), 0.5) / _PER_MPS
         self._radius = (v * v / np.asarray(grip.max_lateral_acceleration(v))).tolist()
         self._last = len(self._radius) - 1
+        self.level = 1.0
         self.reset()
 
     def reset(self):
@@ -83,7 +86,7 @@ class GripGuard:
             i = 0
         elif i > self._last:
             i = self._last
-        needed = kappa * self._radius[i]
+        needed = kappa * self._radius[i] / self.level
         if needed < 0.0:
             needed = -needed
         if needed > MOST:

@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 from ..control.state import CarState, moved
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
-from ..vehicle.parameters import Vehicle, load_vehicle
+from ..vehicle.parameters import Vehicle, load_vehicle, scaled_tires
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
-from ..vehicle.tires import PacejkaTire
 from .grip import read_grip_changes
 
-__all__ = ["Localization", "Plant", "PlantParameters", "ScaledVehicle", "scaled_tires"]
+__all__ = ["Localization", "Plant", "PlantParameters", "ScaledVehicle"]
 
 TIME_STEP = 0.002  # of the integration [s]
 
@@ -60,8 +59,11 @@ class ScaledVehicle:
 
     def build_vehicle(self) -> Vehicle:
         """The vehicle with the plant's own tires."""
+        vehicle = self.vehicle
+        if not isinstance(vehicle, Vehicle):
+            vehicle = load_vehicle(vehicle)
         return scaled_tires(
-            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+            vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
         )
 
 
@@ -106,39 +108,6 @@ class PlantParameters(ScaledVehicle):
         """The vehicle with the plant's own tires and drive."""
         vehicle = super().build_vehicle()
         return replace(vehicle, a_max=self.a_max_mps2, a_brake_max=self.a_brake_max_mps2)
-
-
-def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
-    """The car with other tires.
-
-    Parameters
-    ----------
-    vehicle : Vehicle or str
-        A car, or its name or file.
-    mu : float
-        Factor on the friction.
-    front_stiffness, rear_stiffness : float
-        Factors on the cornering stiffness of each axle, whose peak force is kept.
-
-    Returns
-    -------
-    Vehicle
-    """
-    if not isinstance(vehicle, Vehicle):
-        vehicle = load_vehicle(vehicle)
-    return replace(
-        vehicle,
-        mu=vehicle.mu * mu,
-        front=_scaled(vehicle.front, front_stiffness),
-        rear=_scaled(vehicle.rear, rear_stiffness),
-    )
-
-
-def _scaled(tire, factor):
-    """The tire with its cornering stiffness scaled and its peak kept."""
-    if isinstance(tire, PacejkaTire):
-        return replace(tire, B=tire.B * factor)
-    return replace(tire, C_S=tire.C_S * factor)
 
 
 class Plant:
