@@ -114,6 +114,8 @@ class Adaptation:
         Steering map of the believed tires; another object whenever the belief has changed.
     grip : float
         As in `Belief`.
+    slowest : float
+        Least speed of a bend [m/s], from which on the lateral limit matters; it may be set.
     """
 
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
@@ -125,6 +127,7 @@ class Adaptation:
             tire.scalar_with_slope() for tire in (vehicle.front, vehicle.rear)
         )
         self.file_steering = TireSteering(vehicle, v_max)
+        self.slowest = 1.0
         self.forget()
 
     def forget(self):
@@ -148,6 +151,11 @@ class Adaptation:
     def delay(self):
         """Believed delay [s]."""
         return self._x[5] + SERVO_LAG
+
+    @property
+    def level(self):
+        """Believed lateral limit, relative to the vehicle file's."""
+        return self.steering.level(self.slowest)
 
     @property
     def belief(self):
@@ -381,9 +389,10 @@ class Adaptation:
         if changed:
             self._used = x[:]
             self.steering = self.file_steering.scaled(*(math.exp(x[k]) for k in (2, 3, 4)))
-        lower = self.steering.level * math.exp(-CAUTION * math.sqrt(P[2][2]))
+        level = self.level
+        lower = level * math.exp(-CAUTION * math.sqrt(P[2][2]))
         if lower < self.grip:
             self.grip = lower
-        elif use > NEAR * self.grip / self.steering.level:
+        elif use > NEAR * self.grip / level:
             self.grip = min(lower, self.grip + RISE * elapsed)
         return changed

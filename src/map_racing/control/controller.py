@@ -175,6 +175,8 @@ class Controller:
         self._speed_at = self._requested_speed_at if setup.plan is None else setup.plan.speed_at
         self._delay = setup.parameters.delay_s
         if self._adaptation is not None:
+            if setup.plan is not None:
+                self._adaptation.slowest = setup.plan.slowest
             self._follow_belief()
 
     def _planned(self, setup):
@@ -216,7 +218,7 @@ class Controller:
             self._steering_map = adaptation.steering
         if self._plan is not None:
             self._plan.level = adaptation.grip
-            self._guard.level = adaptation.steering.level
+            self._guard.level = adaptation.level
 
     @property
     def raceline(self):

@@ -216,6 +216,11 @@ class AdaptiveSpeedPlan(_Profile):
         As of `SpeedPlan`.
     grip : TireSteering
         Of the vehicle file.
+
+    Attributes
+    ----------
+    slowest : float
+        Least speed of the lap on a slippery day [m/s].
     """
 
     LEVELS = (0.3, 0.45, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
@@ -228,6 +233,7 @@ class AdaptiveSpeedPlan(_Profile):
         one = self._plans[0]
         self.s, self.ds, self.has_own_speeds = one.s, one.ds, one.has_own_speeds
         self.length, self._per_ds = one.length, one._per_ds
+        self.slowest = float(self._plans[self.LEVELS.index(0.8)].speed.min())
         self.level = 1.0
 
     @property

@@ -17,9 +17,6 @@ __all__ = ["TireSteering"]
 NODES, MOST_SLIP = 257, 1.0
 # Speeds at which the limit is found [m/s]; in between its reciprocal is linear in 1/v^2.
 SLOWEST, STEP = 0.5, 0.75
-# Below this speed [m/s] geometry, not the tires, limits the turn of any car of this size.
-GEOMETRIC = 2.0
-
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -46,8 +43,6 @@ class TireSteering:
     ----------
     factors : tuple of float
         On friction, front stiffness and rear stiffness.
-    level : float
-        Lateral limit relative to the vehicle file's, the least over speeds above walking pace.
 
     Raises
     ------
@@ -71,8 +66,8 @@ class TireSteering:
         self._speeds = self._v.tolist()
         self._nominal = None
         self._scale(1.0, 1.0, 1.0)
-        self._nominal = self._limits
-        if not np.all(self._nominal > 0.0):
+        self._nominal = copy.copy(self)
+        if not np.all(self._limits > 0.0):
             raise ParameterError(f"{vehicle.name}: expected a car that can be steered steadily")
 
     def scaled(self, friction, front_stiffness, rear_stiffness):
@@ -114,12 +109,12 @@ class TireSteering:
         # Faster than a car runs straight stably, the last limit counts.
         stable = np.maximum.accumulate(np.where(limits > 0.0, rows, 0))
         self._limits = limits[stable]
-        if self._nominal is None:
-            self.level = 1.0
-        else:
-            counted = self._v >= min(GEOMETRIC, self._v[-1])
-            self.level = float(np.min((self._limits / self._nominal)[counted]))
         self._inverse_limits = (1.0 / np.maximum(self._limits, 1e-6)).tolist()
+        # With the file's stiffness the limit would be like the file's at v / sqrt(friction).
+        nominal = self._nominal or self
+        alike = friction * nominal.max_lateral_acceleration(self._v / math.sqrt(friction))
+        ratio = (self._limits / alike)[::-1]
+        self._levels = (friction * np.minimum.accumulate(ratio)[::-1]).tolist()
 
     def steering(self, v: float, a_lat: float) -> tuple[float, bool]:
         """Steering angle [rad] for speed [m/s] and lateral acceleration [m/s^2], and saturation.
@@ -153,6 +148,10 @@ class TireSteering:
         if delta > self.delta_max:
             delta = self.delta_max
         return (delta if a_lat >= 0.0 else -delta), saturated
+
+    def level(self, v: float) -> float:
+        """Friction of the vehicle file's tires that have no higher limit from `v` [m/s] on."""
+        return self._levels[max(bisect_right(self._speeds, v) - 1, 0)]
 
     def limit(self, v: float) -> float:
         """`max_lateral_acceleration` of one speed that is not negative, faster."""
