@@ -24,10 +24,10 @@ __all__ = ["Adaptation", "Belief"]
 # Standard deviations of the prior: logarithms of friction, front and rear stiffness, and delay [s].
 # The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %; a vehicle
 # file that somebody else identified by more.
-PRIOR = (0.10, 0.20, 0.25, 0.025)
+PRIOR = (0.10, 0.20, 0.25, 0.025, 0.015)
 # Random walk of the same per square root of a second of cornering at the limit: tires warm up and
 # floors get dusty by some per cent in a minute.
-WALK = (0.010, 0.010, 0.010, 0.001)
+WALK = (0.010, 0.010, 0.010, 0.001, 0.001)
 # Noise [m/s, rad/s]: of the measurements, and per square root of a second of the model.
 MEASURED_V_Y, MEASURED_R = 0.06, 0.03
 MODEL_V_Y, MODEL_R = 0.1, 0.3
@@ -132,8 +132,8 @@ class Adaptation:
 
     def forget(self):
         """Believe the vehicle file again."""
-        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_delay - SERVO_LAG]
-        self._P = [[0.0] * 6 for _ in range(6)]
+        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_delay - SERVO_LAG, SERVO_LAG]
+        self._P = [[0.0] * 7 for _ in range(7)]
         for i, deviation in enumerate(PRIOR, 2):
             self._P[i][i] = deviation * deviation
         self.steering, self._used = self.file_steering, self._x[:]
@@ -143,14 +143,14 @@ class Adaptation:
     def restart(self):
         """Forget the motion, after a pause or when the car was moved; the belief stays."""
         self._t = None
-        self._angle = 0.0
+        self._angle = self._spread_angle = 0.0
         self._times, self._angles = [], []
         self._short = 0.0
 
     @property
     def delay(self):
         """Believed delay [s]."""
-        return self._x[5] + SERVO_LAG
+        return self._x[5] + self._x[6]
 
     @property
     def level(self):
@@ -163,7 +163,8 @@ class Adaptation:
         x, P = self._x, self._P
         return Belief(
             *(math.exp(x[2]), math.exp(x[3]), math.exp(x[4]), self.delay),
-            *(math.sqrt(P[i][i]) for i in range(2, 6)),
+            *(math.sqrt(P[i][i]) for i in range(2, 5)),
+            math.sqrt(P[5][5] + P[6][6] + 2.0 * P[5][6]),
             self.grip,
         )
 
@@ -211,7 +212,7 @@ class Adaptation:
         self._x[0] = v_y + self._behind * r if v_y == v_y else self.vehicle.l_r * r
         self._x[1] = r
         P = self._P
-        for i in range(6):
+        for i in range(7):
             P[0][i] = P[1][i] = P[i][0] = P[i][1] = 0.0
         P[0][0], P[1][1] = 0.1**2, 0.05**2
         self._a_long = 0.0
@@ -237,7 +238,7 @@ class Adaptation:
         than the poses.
         """
         car, x = self.vehicle, self._x
-        v_y, r, friction, front, rear, dead = x
+        v_y, r, friction, front, rear, dead, lag = x
         k_front, k_rear = math.exp(front), math.exp(rear)
         self._a_long += (a_long - self._a_long) * elapsed / (0.1 + elapsed)
         scale = car.mu * math.exp(friction) / car.l_wb
@@ -249,18 +250,20 @@ class Adaptation:
         count = math.ceil(elapsed / STEP - 1e-6)
         h = elapsed / count
         half = 0.5 * h
-        follow = 1.0 - math.exp(-h / SERVO_LAG)
+        follow = 1.0 - math.exp(-h / lag)
+        spread = self._spread_angle
         # Derivatives of the motion at the end: after the motion at the beginning (a), and after
         # friction, front and rear stiffness and delay (g).
         a00 = a11 = 1.0
         a01 = a10 = 0.0
-        g = [0.0] * 8
+        g = [0.0] * 10
         begin = self._t - dead
         for i in range(count):
             before = self._angle
             after = before + follow * (self._commanded(begin + i * h, begin + i * h + h) - before)
             self._angle = after
             turning = (after - before) / h
+            spread += follow * (-turning - spread)
             tan_f, tan_r = (v_y + l_f * r) / v, (v_y - l_r * r) / v
             slip_f, slip_r = 0.5 * (before + after) - math.atan(tan_f), -math.atan(tan_r)
             share_f, slope_f = self._front(k_front * slip_f)
@@ -272,7 +275,7 @@ class Adaptation:
             j00, j01 = -c_f - c_r, l_r * c_r - l_f * c_f - v
             j10 = inertia * (l_r * c_r - l_f * c_f)
             j11 = -inertia * (l_f * l_f * c_f + l_r * l_r * c_r)
-            s_f, s_r, s_d = d_f * slip_f, d_r * slip_r, -d_f * turning
+            s_f, s_r, s_d, s_l = d_f * slip_f, d_r * slip_r, -d_f * turning, d_f * spread
             moment = inertia * (l_f * f_f - l_r * f_r)
             # Inverse of 1 - h/2 J.
             m00, m01, m10, m11 = 1.0 - half * j11, half * j01, half * j10, 1.0 - half * j00
@@ -291,11 +294,13 @@ class Adaptation:
                 (1, s_f, lever_f * s_f),
                 (2, s_r, lever_r * s_r),
                 (3, s_d, lever_f * s_d),
+                (4, s_l, lever_f * s_l),
             ):
-                upper, lower = g[k], g[k + 4]
+                upper, lower = g[k], g[k + 5]
                 g[k] = b00 * upper + b01 * lower + h * (m00 * p + m01 * q)
-                g[k + 4] = b10 * upper + b11 * lower + h * (m10 * p + m11 * q)
+                g[k + 5] = b10 * upper + b11 * lower + h * (m10 * p + m11 * q)
         x[0], x[1] = v_y, r
+        self._spread_angle = spread
         self._spread(a00, a01, a10, a11, g)
         limit = self._limit(v)
         use = v * r / limit
@@ -308,19 +313,19 @@ class Adaptation:
     def _spread(self, a00, a01, a10, a11, g):
         """Propagate the covariance."""
         P = self._P
-        g0, g1, g2, g3, e0, e1, e2, e3 = g
+        g0, g1, g2, g3, g4, e0, e1, e2, e3, e4 = g
         upper, lower = [], []
-        for p0, p1, p2, p3, p4, p5 in P:
-            upper.append(a00 * p0 + a01 * p1 + g0 * p2 + g1 * p3 + g2 * p4 + g3 * p5)
-            lower.append(a10 * p0 + a11 * p1 + e0 * p2 + e1 * p3 + e2 * p4 + e3 * p5)
-        w0, w1, w2, w3, w4, w5 = upper
-        u0, u1, u2, u3, u4, u5 = lower
-        both = a10 * w0 + a11 * w1 + e0 * w2 + e1 * w3 + e2 * w4 + e3 * w5
-        upper[0] = a00 * w0 + a01 * w1 + g0 * w2 + g1 * w3 + g2 * w4 + g3 * w5
-        lower[1] = a10 * u0 + a11 * u1 + e0 * u2 + e1 * u3 + e2 * u4 + e3 * u5
+        for p0, p1, p2, p3, p4, p5, p6 in P:
+            upper.append(a00 * p0 + a01 * p1 + g0 * p2 + g1 * p3 + g2 * p4 + g3 * p5 + g4 * p6)
+            lower.append(a10 * p0 + a11 * p1 + e0 * p2 + e1 * p3 + e2 * p4 + e3 * p5 + e4 * p6)
+        w0, w1, w2, w3, w4, w5, w6 = upper
+        u0, u1, u2, u3, u4, u5, u6 = lower
+        both = a10 * w0 + a11 * w1 + e0 * w2 + e1 * w3 + e2 * w4 + e3 * w5 + e4 * w6
+        upper[0] = a00 * w0 + a01 * w1 + g0 * w2 + g1 * w3 + g2 * w4 + g3 * w5 + g4 * w6
+        lower[1] = a10 * u0 + a11 * u1 + e0 * u2 + e1 * u3 + e2 * u4 + e3 * u5 + e4 * u6
         upper[1] = lower[0] = both
         P[0], P[1] = upper, lower
-        for k in range(2, 6):
+        for k in range(2, 7):
             row = P[k]
             row[0], row[1] = upper[k], lower[k]
 
@@ -366,16 +371,17 @@ class Adaptation:
                 gain = gains[k]
                 x[k] += gain * difference
                 P[k] = [p - gain * c for p, c in zip(P[k], column)]
-            for k in range(2, 6):
+            for k in range(2, 7):
                 P[k][0], P[k][1] = P[0][k], P[1][k]
             return
-        for k in range(6):
+        for k in range(7):
             x[k] += gains[k] * difference
         low, high = self._bounds
         for k in (2, 3, 4):
             x[k] = low if x[k] < low else high if x[k] > high else x[k]
         most = LONGEST_DELAY - SERVO_LAG
         x[5] = 0.0 if x[5] < 0.0 else most if x[5] > most else x[5]
+        x[6] = 0.005 if x[6] < 0.005 else 0.12 if x[6] > 0.12 else x[6]
         self._P = [[p - k * c for p, c in zip(row, column)] for row, k in zip(P, gains)]
 
     def _follow(self, elapsed, use):
