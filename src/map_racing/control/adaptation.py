@@ -2,10 +2,11 @@
 
 An extended Kalman filter runs the single-track model of `map_racing.vehicle.single_track` beside
 the car. Its state is the lateral velocity and the yaw rate, and what the model does not know: a
-factor each on the friction and on the cornering stiffness of both axles (their logarithms), and the
-delay from a pose to the wheels' answer to it. Yaw rate and, where it is measured, lateral velocity
-correct all of them at once, each as far as the drive tells: below the limit only the product of
-friction and stiffness, near it both, in bends that change direction the delay.
+factor each on the friction and on the cornering stiffness of both axles (their logarithms), the
+time from a pose to the first answer of the steering, and the lag of the servo. Yaw rate and, where
+it is measured, lateral velocity correct all of them at once, each as far as the drive tells: below
+the limit only the product of friction and stiffness, near it both, and delays where the car turns
+in or out.
 
 What the controller drives with follows from that belief with caution, see `Adaptation`.
 """
@@ -21,9 +22,9 @@ from ..vehicle.tire_steering import TireSteering
 
 __all__ = ["Adaptation", "Belief"]
 
-# Standard deviations of the prior: logarithms of friction, front and rear stiffness, and delay [s].
-# The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %; a vehicle
-# file that somebody else identified by more.
+# Standard deviations of the prior: logarithms of friction, front and rear stiffness; dead time and
+# lag [s]. The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %;
+# a vehicle file that somebody else identified by more.
 PRIOR = (0.10, 0.20, 0.25, 0.025, 0.015)
 # Random walk of the same per square root of a second of cornering at the limit: tires warm up and
 # floors get dusty by some per cent in a minute.
@@ -31,21 +32,18 @@ WALK = (0.010, 0.010, 0.010, 0.001, 0.001)
 # Noise [m/s, rad/s]: of the measurements, and per square root of a second of the model.
 MEASURED_V_Y, MEASURED_R = 0.06, 0.03
 MODEL_V_Y, MODEL_R = 0.1, 0.3
-# First-order lag of a servo [s], included in the delay. Of servos with 0.06 s the delay is then read
-# 8 ms too short.
-SERVO_LAG = 0.03
+# Lag of a servo [s]: of the prior, and bounds. Bound of the dead time, the age of a pose included.
+SERVO_LAG, SHORTEST_LAG, LONGEST_LAG, LONGEST_DEAD_TIME = 0.03, 0.005, 0.12, 0.25
 # Longest time step of the model [s], and longest pause between poses that it is integrated over.
 STEP, LONGEST_PAUSE = 0.0125, 0.1
-# Bounds of the believed delay [s].
-LONGEST_DELAY = 0.25
 
 # Nothing is learned slower than this [m/s], with less than this share of the grip in use, while the
 # car slides at a larger angle than this [rad], or from a measurement that the belief calls a 1 in
 # 16000 event: a curb, a jump of the localization.
 SLOWEST, LEAST_USE, SLIDE, OUTLIER = 1.5, 0.2, 0.5, 4.0
 
-# A yaw rate that stays this many deviations short of the model's, on average over about 0.1 s, means
-# that the floor has changed: the friction is as uncertain again as this (of its logarithm).
+# A yaw rate that stays this many deviations short of the model's, on average over about 0.1 s,
+# means that the floor has changed: the friction is as uncertain again as this (of its logarithm).
 SHORT, MEMORY, CHANGED = 1.0, 0.25, 0.10
 
 # The speeds use the grip at this many standard deviations below the belief.
@@ -58,38 +56,52 @@ NOTABLE = 0.25
 
 
 class Belief(NamedTuple):
-    """What is believed of the day, relative to the vehicle file.
+    """What is believed of the day; the message ``Belief`` has the same numbers.
+
+    ``low`` and ``high`` are the ends of an interval of 95 %.
 
     Parameters
     ----------
-    friction, front_stiffness, rear_stiffness : float
-        Factors on the friction coefficient and on the cornering stiffness of each axle.
-    delay : float
+    friction, friction_low, friction_high : float
+        Friction coefficient relative to the vehicle file's.
+    front_stiffness, front_stiffness_low, front_stiffness_high : float
+        Cornering stiffness of the front axle relative to the file's, at equal friction.
+    rear_stiffness, rear_stiffness_low, rear_stiffness_high : float
+        The same of the rear axle.
+    delay, delay_low, delay_high : float
         Age of a pose when it is used, plus dead time and lag of the steering [s].
-    friction_deviation, front_deviation, rear_deviation : float
-        Relative standard deviations of the factors.
-    delay_deviation : float
-        [s]
     grip : float
-        Lateral limit that the speeds use, relative to the vehicle file's: the lower end of what is
-        believed.
+        Lateral limit that the speeds use, relative to the vehicle file's.
     """
 
     friction: float
+    friction_low: float
+    friction_high: float
     front_stiffness: float
+    front_stiffness_low: float
+    front_stiffness_high: float
     rear_stiffness: float
+    rear_stiffness_low: float
+    rear_stiffness_high: float
     delay: float
-    friction_deviation: float
-    front_deviation: float
-    rear_deviation: float
-    delay_deviation: float
+    delay_low: float
+    delay_high: float
     grip: float
+
+    @property
+    def factors(self):
+        """Factors on friction, front and rear stiffness."""
+        return self.friction, self.front_stiffness, self.rear_stiffness
+
+
+_QUANTILE = 1.96  # of a normal distribution, for 95 %
 
 
 class Adaptation:
     """Learns grip, cornering stiffness and delay from one pose and command after the other.
 
-    Fed the same poses and commands it believes the same, live, in simulation or from a recording.
+    Fed the same poses and commands it believes the same, live, in simulation or from a recording;
+    one takes 0.06 ms.
     The speeds follow the lower end of the belief: down at once, up slowly and only while the car
     drives near the limit. All factors stay within a share of the vehicle file's tires. Where the
     data say nothing (straights, stops, slides, curbs) nothing changes.
@@ -121,7 +133,7 @@ class Adaptation:
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
         self.vehicle, self._share = vehicle, share
         self._behind = vehicle.l_r if behind is None else behind
-        self._prior_delay = min(max(delay, SERVO_LAG), LONGEST_DELAY)
+        self._prior_dead_time = min(max(delay - SERVO_LAG, 0.0), LONGEST_DEAD_TIME)
         self._bounds = math.log(1.0 - share), math.log(1.0 + share)
         self._front, self._rear = (
             tire.scalar_with_slope() for tire in (vehicle.front, vehicle.rear)
@@ -132,7 +144,7 @@ class Adaptation:
 
     def forget(self):
         """Believe the vehicle file again."""
-        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_delay - SERVO_LAG, SERVO_LAG]
+        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time, SERVO_LAG]
         self._P = [[0.0] * 7 for _ in range(7)]
         for i, deviation in enumerate(PRIOR, 2):
             self._P[i][i] = deviation * deviation
@@ -143,7 +155,7 @@ class Adaptation:
     def restart(self):
         """Forget the motion, after a pause or when the car was moved; the belief stays."""
         self._t = None
-        self._angle = self._spread_angle = 0.0
+        self._angle = self._angle_slope = 0.0
         self._times, self._angles = [], []
         self._short = 0.0
 
@@ -161,16 +173,18 @@ class Adaptation:
     def belief(self):
         """The present `Belief`."""
         x, P = self._x, self._P
-        return Belief(
-            *(math.exp(x[2]), math.exp(x[3]), math.exp(x[4]), self.delay),
-            *(math.sqrt(P[i][i]) for i in range(2, 5)),
-            math.sqrt(P[5][5] + P[6][6] + 2.0 * P[5][6]),
-            self.grip,
-        )
+        numbers = []
+        for k in (2, 3, 4):
+            width = math.exp(_QUANTILE * math.sqrt(P[k][k]))
+            value = math.exp(x[k])
+            numbers += value, value / width, value * width
+        delay = self.delay
+        width = _QUANTILE * math.sqrt(max(P[5][5] + P[6][6] + 2.0 * P[5][6], 0.0))
+        return Belief(*numbers, delay, max(delay - width, 0.0), delay + width, self.grip)
 
     def believed_vehicle(self):
         """The vehicle with the believed tires."""
-        return scaled_tires(self.vehicle, *self.belief[:3])
+        return scaled_tires(self.vehicle, *self.belief.factors)
 
     def update(self, state, steering_angle):
         """Learn from a pose; then note the command that answers it.
@@ -194,7 +208,7 @@ class Adaptation:
         if last is None or not 0.0 < t - last <= LONGEST_PAUSE or v_x < SLOWEST:
             if last is None or not 0.0 < t - last <= LONGEST_PAUSE:
                 self.restart()
-            self._settle(v_x, v_y, r)
+            self._settle(t, v_x, v_y, r)
         else:
             elapsed = t - last
             use = self._predict(elapsed, 0.5 * (v_x + self._v_x), (v_x - self._v_x) / elapsed)
@@ -203,12 +217,15 @@ class Adaptation:
         times, angles = self._times, self._angles
         times.append(t)
         angles.append(steering_angle)
-        while times[1 if len(times) > 1 else 0] < t - LONGEST_DELAY - LONGEST_PAUSE:
+        while times[1 if len(times) > 1 else 0] < t - LONGEST_DEAD_TIME - LONGEST_PAUSE:
             del times[0], angles[0]
         return changed
 
-    def _settle(self, v_x, v_y, r):
-        """Take the motion as measured."""
+    def _settle(self, t, v_x, v_y, r):
+        """Take the motion as measured, and the wheels as they were told to be."""
+        if self._times:
+            end = t - self._x[5]
+            self._angle, self._angle_slope = self._commanded(end - STEP, end), 0.0
         self._x[0] = v_y + self._behind * r if v_y == v_y else self.vehicle.l_r * r
         self._x[1] = r
         P = self._P
@@ -251,9 +268,9 @@ class Adaptation:
         h = elapsed / count
         half = 0.5 * h
         follow = 1.0 - math.exp(-h / lag)
-        spread = self._spread_angle
+        slope = self._angle_slope
         # Derivatives of the motion at the end: after the motion at the beginning (a), and after
-        # friction, front and rear stiffness and delay (g).
+        # what is learned (g); `slope` is the derivative of the steering angle after the lag.
         a00 = a11 = 1.0
         a01 = a10 = 0.0
         g = [0.0] * 10
@@ -263,7 +280,7 @@ class Adaptation:
             after = before + follow * (self._commanded(begin + i * h, begin + i * h + h) - before)
             self._angle = after
             turning = (after - before) / h
-            spread += follow * (-turning - spread)
+            slope += follow * (-turning - slope)
             tan_f, tan_r = (v_y + l_f * r) / v, (v_y - l_r * r) / v
             slip_f, slip_r = 0.5 * (before + after) - math.atan(tan_f), -math.atan(tan_r)
             share_f, slope_f = self._front(k_front * slip_f)
@@ -275,7 +292,7 @@ class Adaptation:
             j00, j01 = -c_f - c_r, l_r * c_r - l_f * c_f - v
             j10 = inertia * (l_r * c_r - l_f * c_f)
             j11 = -inertia * (l_f * l_f * c_f + l_r * l_r * c_r)
-            s_f, s_r, s_d, s_l = d_f * slip_f, d_r * slip_r, -d_f * turning, d_f * spread
+            s_f, s_r, s_d, s_l = d_f * slip_f, d_r * slip_r, -d_f * turning, d_f * slope
             moment = inertia * (l_f * f_f - l_r * f_r)
             # Inverse of 1 - h/2 J.
             m00, m01, m10, m11 = 1.0 - half * j11, half * j01, half * j10, 1.0 - half * j00
@@ -300,15 +317,10 @@ class Adaptation:
                 g[k] = b00 * upper + b01 * lower + h * (m00 * p + m01 * q)
                 g[k + 5] = b10 * upper + b11 * lower + h * (m10 * p + m11 * q)
         x[0], x[1] = v_y, r
-        self._spread_angle = spread
+        self._angle_slope = slope
         self._spread(a00, a01, a10, a11, g)
-        limit = self._limit(v)
-        use = v * r / limit
+        use = v * r / self.steering.limit(v)
         return -use if use < 0.0 else use
-
-    def _limit(self, v):
-        """Believed lateral limit [m/s^2]."""
-        return self.steering.limit(v)
 
     def _spread(self, a00, a01, a10, a11, g):
         """Propagate the covariance."""
@@ -379,9 +391,8 @@ class Adaptation:
         low, high = self._bounds
         for k in (2, 3, 4):
             x[k] = low if x[k] < low else high if x[k] > high else x[k]
-        most = LONGEST_DELAY - SERVO_LAG
-        x[5] = 0.0 if x[5] < 0.0 else most if x[5] > most else x[5]
-        x[6] = 0.005 if x[6] < 0.005 else 0.12 if x[6] > 0.12 else x[6]
+        x[5] = min(max(x[5], 0.0), LONGEST_DEAD_TIME)
+        x[6] = min(max(x[6], SHORTEST_LAG), LONGEST_LAG)
         self._P = [[p - k * c for p, c in zip(row, column)] for row, k in zip(P, gains)]
 
     def _follow(self, elapsed, use):
