@@ -207,8 +207,8 @@ class AdaptiveSpeedPlan(_Profile):
     """Speed plans of a car for any grip, of which it drives the one of the present.
 
     The plans of some levels of the friction are made beforehand; in between the speed is
-    interpolated, within 0.1 % of the plan made for that level. So no plan has to be made while the
-    car drives.
+    interpolated: within 0.1 % of the plan made for that level on average, and 1 % where it ends to
+    accelerate and brakes. So no plan has to be made while the car drives.
 
     Parameters
     ----------
