@@ -53,6 +53,16 @@ class GripGuard:
         self.level = 1.0
         self.reset()
 
+    @property
+    def level(self):
+        return self._level
+
+    @level.setter
+    def level(self, level):
+        # With other friction a circle is what it was at v / sqrt(level): of the same slip angles.
+        self._level = level
+        self._per_mps = _PER_MPS / math.sqrt(level)
+
     def reset(self):
         """Forget the past."""
         self._t, self.use = _LONG_AGO, 0.0
@@ -81,12 +91,12 @@ class GripGuard:
             At most `planned`, and no less than walking pace for it [m/s].
         """
         # Comparisons, and the nearest entry: interpolation would take as long as all of the rest.
-        i = int(v * _PER_MPS + 0.5)
+        i = int(v * self._per_mps + 0.5)
         if i < 0:
             i = 0
         elif i > self._last:
             i = self._last
-        needed = kappa * self._radius[i] / self.level
+        needed = kappa * self._radius[i]
         if needed < 0.0:
             needed = -needed
         if needed > MOST:

@@ -150,7 +150,10 @@ class TireSteering:
         return (delta if a_lat >= 0.0 else -delta), saturated
 
     def level(self, v: float) -> float:
-        """Friction of the vehicle file's tires that have no higher limit from `v` [m/s] on."""
+        """Grip from `v` [m/s] on, as a factor on the friction of the vehicle file's tires.
+
+        The friction, times the least ratio of the limit to the one with the file's stiffness.
+        """
         return self._levels[max(bisect_right(self._speeds, v) - 1, 0)]
 
     def limit(self, v: float) -> float:

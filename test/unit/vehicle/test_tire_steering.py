@@ -64,15 +64,17 @@ def test_odd_and_saturated_exactly_beyond_the_limit(v, share, friction, front):
     assert steering.steering(v, -demand) == (-angle, saturated)
 
 
-@settings(deadline=None)
-@given(v=st.floats(0.5, 10.0), factors=st.tuples(*[st.floats(0.6, 1.4)] * 3))
-def test_the_level_is_the_friction_that_has_no_higher_limit(v, factors):
+@settings(deadline=None, max_examples=50)
+@given(factors=st.tuples(*[st.floats(0.6, 1.4)] * 3))
+def test_the_level_is_the_friction_that_has_no_higher_limit(factors):
+    """Where tires limit the turn; in tighter ones it is the lock, which friction hardly changes."""
     steering = STEERING.scaled(*factors)
-    level = steering.level(v)
+    level = steering.level(4.5)
     assert level <= factors[0] * (1.0 + 1e-9)
+    assert level >= steering.level(2.0)
     alike = STEERING.scaled(level, 1.0, 1.0)
-    for speed in np.linspace(v, V_MAX, 7):
-        assert alike.limit(speed) <= 1.05 * steering.limit(speed)
+    for speed in np.linspace(4.5, V_MAX, 7):
+        assert alike.limit(speed) <= 1.03 * steering.limit(speed)
 
 
 def test_friction_alone_is_the_level():
