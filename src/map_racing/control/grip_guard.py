@@ -40,8 +40,6 @@ class GripGuard:
     ----------
     use : float
         Low-passed share of the grip that guidance asks for, at most 2.
-    level : float
-        Grip that there is, relative to `grip`; 1 until it is set.
     """
 
     def __init__(self, grip, v_max):
@@ -55,6 +53,7 @@ class GripGuard:
 
     @property
     def level(self):
+        """Grip that there is, relative to that of `grip`; 1 until it is set."""
         return self._level
 
     @level.setter

@@ -127,6 +127,7 @@ def race(
     car.put(start.x, start.y, start.psi)
     controller.reset()
     tracker, grip = RacelineTracker(raceline), Grip(plant)
+    learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples = []
     driven, last_s = START_S, None
@@ -159,7 +160,6 @@ def race(
         for seen in arrived:
             result = controller.step(seen.measured)
             steering, speed = result.steering_angle, result.speed
-            learning = controller.adaptation
             samples.append(
                 Sample(
                     *(seen.true, seen.measured, seen.arrival, seen.acceleration),
