@@ -32,8 +32,8 @@ __all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
 
 # Poses kept while there is no raceline: 30 minutes at 100 Hz.
 _LONGEST_WAIT = 180000
-# Messages whose lags tell whether commands are stamped by another clock.
-_LAGS = 25
+# Changes between poses and commands after which their clocks are compared, and that are remembered.
+_COMPARED, _REMEMBERED = 25, 500
 # Past commands are deleted in groups of this size.
 _PASSED = 4096
 
@@ -121,31 +121,59 @@ class _Commands:
 
 
 class _CommandClock:
-    """What is to be added to the stamps of commands of another clock than the poses'."""
+    """How far the clock that stamps the commands is behind the clock of the poses.
+
+    Another clock shows in the lags, the time of receipt minus the stamp. So does a callback that
+    comes late: where a bag is played ten times as fast, 50 ms are half a second. But a late topic
+    catches up, so that its newest message is then newer than the other topic's. Clocks differ only
+    if neither topic ever catches up with the other.
+    """
 
     def __init__(self):
-        self._poses, self._commands = deque(maxlen=_LAGS), deque(maxlen=_LAGS)
+        self._pose = self._command = None
+        self._command_is_last = False
+        # Stamp of the newest pose minus the newest command's, where one kind follows the other.
+        self._ends_of_commands = deque(maxlen=_REMEMBERED)
+        self._ends_of_poses = deque(maxlen=_REMEMBERED)
+        self._lags = deque(maxlen=_REMEMBERED)
+        self._changes = 0
         self.offset_ns = 0
 
-    def add_pose(self, lag_ns):
-        self._poses.append(lag_ns)
+    @property
+    def compared(self):
+        """Whether the clocks have been compared."""
+        return self._changes >= _COMPARED
 
-    def on_poses_clock(self, stamp_ns, lag_ns):
-        """Stamp of a command on the clock of the poses."""
-        if self._poses:
-            self._commands.append(lag_ns - self._poses[-1])
-            apart = int(np.median(self._commands))
-            self.offset_ns = apart if abs(apart) > LATENCY_NS else 0
-        return stamp_ns + self.offset_ns
+    def add_pose(self, stamp_ns, lag_ns):
+        if self._command_is_last and self._pose is not None:
+            (pose_ns, pose_lag), (command_ns, command_lag) = self._pose, self._command
+            self._ends_of_commands.append(pose_ns - command_ns)
+            self._lags.append(command_lag - pose_lag)
+        self._pose, self._command_is_last = (stamp_ns, lag_ns), False
+
+    def add_command(self, stamp_ns, lag_ns):
+        if not self._command_is_last and self._ends_of_commands:
+            self._ends_of_poses.append(self._pose[0] - self._command[0])
+            self._changes += 1
+            if self._changes % _COMPARED == 0:
+                self._compare()
+        self._command, self._command_is_last = (stamp_ns, lag_ns), True
+
+    def _compare(self):
+        offset = int(np.median(self._lags))
+        # Of equal clocks, the topic that ended is the newer one: zero lies between these two.
+        one, other = np.median(self._ends_of_commands), np.median(self._ends_of_poses)
+        constant = one * other > 0.0 and min(abs(one), abs(other)) > abs(one - other)
+        self.offset_ns = offset if constant and abs(offset) > LATENCY_NS else 0
 
 
 class LiveEvaluation:
     """Laps from messages as they arrive.
 
-    A pose is evaluated when the raceline is known and a later command has arrived, so that no
-    earlier command can be missing, or `patience` after its arrival. A step back in time by more
-    than ``limits.max_gap`` (a bag is replayed, a simulation restarted) or another raceline ends the
-    run and begins the next.
+    A pose is evaluated when the raceline is known, the clocks of poses and commands are compared
+    and a later command has arrived, so that none can be missing, or `patience` after its
+    arrival. A step back in time by more than ``limits.max_gap`` (a bag is replayed, a simulation
+    restarted) or another raceline ends the run and begins the next.
 
     Parameters
     ----------
@@ -253,7 +281,7 @@ class LiveEvaluation:
         lag_ns : int, optional
             Time of receipt minus stamp [ns].
         """
-        self._clock.add_pose(lag_ns)
+        self._clock.add_pose(stamp_ns, lag_ns)
         if abs(x) < FARTHEST and abs(y) < FARTHEST:
             # As for a recording; math.hypot differs in the last bit.
             v = float(np.hypot(v_x, 0.0 if math.isnan(v_y) else v_y))
@@ -264,9 +292,10 @@ class LiveEvaluation:
     ) -> None:
         """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad], lag as of poses.
 
-        Where its lag is another than the poses' by more than latency, another clock stamped it.
+        Where its lag is another than the poses' by more than latency, and that is no delay, another
+        clock stamped it.
         """
-        stamp_ns = self._clock.on_poses_clock(stamp_ns, lag_ns)
+        self._clock.add_command(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
 
     def advance(self, now: float) -> None:
@@ -279,7 +308,7 @@ class LiveEvaluation:
         """
         if self._evaluator is None:
             return
-        batch = []
+        batch, behind = [], self._clock.offset_ns
         while self._poses:
             pose = self._poses[0]
             if self._last_ns is not None and pose.stamp_ns < self._last_ns - self._gap_ns:
@@ -287,10 +316,11 @@ class LiveEvaluation:
                 batch = []
                 last_ns = self._last_ns
                 self._end_run()
-                self._commands.restart(pose.stamp_ns, last_ns)
+                self._commands.restart(pose.stamp_ns - behind, last_ns - behind)
             waited = now - pose.received >= self._patience
             over = self._poses[-1].stamp_ns < pose.stamp_ns - self._gap_ns
-            if not (waited or over or self._commands.beyond(pose.stamp_ns)):
+            known = self._clock.compared and self._commands.beyond(pose.stamp_ns - behind)
+            if not (waited or over or known):
                 break
             self._poses.popleft()
             if self._t0_ns is None:
@@ -298,7 +328,7 @@ class LiveEvaluation:
             self._last_ns = pose.stamp_ns
             # The same arithmetic as for a recording.
             t = (pose.stamp_ns - self._t0_ns) * 1e-9
-            batch.append((t, *pose[1:4], *self._commands.at(pose.stamp_ns)))
+            batch.append((t, *pose[1:4], *self._commands.at(pose.stamp_ns - behind)))
         self._evaluate(batch)
 
     def finish(self) -> None:

@@ -122,6 +122,7 @@ class LapEvaluatorNode:
         self._idle.wait(_SUMMARY_S)
 
     def _evaluate(self):
+        received = 0.0
         while True:
             deadline = self._laps.deadline
             wait = None if deadline is None else max(deadline - time.monotonic(), 0.001)
@@ -136,8 +137,11 @@ class LapEvaluatorNode:
                 if self._no_poses:
                     why = why_silent(*self._pose_topic)
                     rospy.logwarn_throttle(30.0, f"{self._no_poses} yet ({why})")
-            if self._queue.empty() or self._queue.qsize() % 256 == 0:
+            if self._queue.empty():
                 self._laps.advance(time.monotonic())
+            elif self._queue.qsize() % 256 == 0:
+                # Whatever came within the patience is still in the queue, however late it is now.
+                self._laps.advance(received)
 
     # -- input ---------------------------------------------------------------------------------
 

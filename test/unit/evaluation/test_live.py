@@ -221,6 +221,58 @@ def test_commands_of_another_clock_are_shifted(line, drive, offset):
     same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
 
 
+def busy(poses, commands, behind, rng, rate=10.0, held_up=0.05):
+    """Messages of a bag that is played fast, as a busy computer receives them.
+
+    A thread for each topic reads all that has come when it gets the processor: at random times,
+    `held_up` seconds apart on average. The stamps of commands are ``behind`` [ns] behind.
+    """
+    order = []
+    for kind, messages in enumerate((poses, commands)):
+        sent = (np.array([message[0] for message in messages]) - T0_NS) / rate
+        at = np.cumsum(rng.exponential(1e9 * held_up, 1000))
+        received = at[np.searchsorted(at, sent)]
+        for message, time in zip(messages, received.tolist()):
+            lag = T0_NS + int(rate * time) - message[0]
+            stamp, rest = message[0] - behind * kind, message[1:]
+            order.append((time, kind, stamp, rest, lag + behind * kind))
+    return sorted(order, key=lambda entry: entry[0])
+
+
+def play_busy(taken, entries):
+    for time, kind, stamp, values, lag in entries:
+        if kind:
+            taken.evaluation.add_command(stamp, *values, lag)
+        else:
+            taken.evaluation.add_pose(stamp, *values, 1e-9 * time, lag)
+        taken.evaluation.advance(1e-9 * time)
+    taken.evaluation.finish()
+
+
+@pytest.mark.parametrize("first", ["poses", "commands"])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_busy_computer_is_no_other_clock(line, drive, seed, first):
+    """Messages late by half a second of the bag, those of one topic again and again more."""
+    recording, poses, commands = drive
+    entries = busy(poses, commands, 0, np.random.default_rng(seed))
+    # Where both topics were held up, one is always read before the other.
+    one = first == "commands"
+    entries.sort(key=lambda entry: (entry[0] // 1e8, (entry[1] == 1) != one))
+    taken = Taken(line)
+    play_busy(taken, entries)
+    assert taken.evaluation.command_offset_s == 0.0
+    same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
+
+
+@pytest.mark.parametrize("offset", [-3e7, -1.0, 1.0, 3e7])
+def test_another_clock_is_noticed_on_a_busy_computer(line, drive, offset):
+    _, poses, commands = drive
+    rng = np.random.default_rng(0)
+    taken = Taken(line)
+    play_busy(taken, busy(poses, commands, int(offset * 1e9), rng, held_up=0.01))
+    assert taken.evaluation.command_offset_s == pytest.approx(offset, abs=0.05)
+
+
 def test_poses_nowhere_are_left_out_even_the_first(line, drive):
     recording, poses, commands = drive
     taken = Taken(line)

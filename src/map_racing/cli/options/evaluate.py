@@ -2,6 +2,10 @@
 
 import argparse
 
+from .shared import add_join_option, add_number, add_recording_options
+
+__all__ = ["add_evaluation_options", "add_options"]
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
@@ -9,24 +13,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    add_evaluation_options(parser)
+    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
+    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
+    parser.add_argument("--plots", metavar="DIR", help="write figures")
+    parser.set_defaults(run="evaluate.run")
+
+
+def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings, and how they are evaluated."""
     parser.add_argument(
-        "--raceline",
-        metavar="FILE",
-        help="shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag[#topic] "
-        "(default: the raceline in the bag)",
+        "recordings",
+        nargs="+",
+        metavar="BAG",
+        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
     )
+    add_join_option(parser)
+    add_recording_options(parser)
     parser.add_argument(
         "--reverse", action="store_true", help="the raceline was driven in reverse direction"
-    )
-    parser.add_argument(
-        "--pose-topic", metavar="TOPIC", help="topic of the pose (default: the best in the bag)"
-    )
-    parser.add_argument(
-        "--columns",
-        metavar="MAP",
-        help="columns of CSV files with unusual names, such as t=time,x=pose_x,y=pose_y; also "
-        "psi v_x v_y yaw_rate steering speed_command",
     )
     parser.add_argument(
         "--start-line",
@@ -35,20 +40,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="arc length of the start line on the raceline [m] (default: its first point)",
     )
-    parser.add_argument(
-        "--car-width",
-        type=float,
-        default=0.3,
-        metavar="M",
-        help="car width, for the clearance to the walls [m] (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--sectors",
-        type=int,
-        default=3,
-        metavar="N",
-        help="number of timed sectors in CSV and JSON (default: %(default)s)",
-    )
+    width = "car width, for the clearance to the walls [m]"
+    add_number(parser, "--car-width", 0.3, width, metavar="M")
+    add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     parser.add_argument(
         "--max-deviation",
         type=float,
@@ -56,7 +50,3 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="a larger lateral error of the car's center is off track [m] (default: the walls or, "
         "without walls, 2 m)",
     )
-    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
-    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
-    parser.add_argument("--plots", metavar="DIR", help="write figures")
-    parser.set_defaults(run="evaluate.run")

@@ -4,6 +4,7 @@ import argparse
 import re
 
 from ...track.files.formats import FORMATS
+from .shared import add_join_option, add_number, add_recording_options
 
 SOURCE = (
     "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
@@ -15,7 +16,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the actions; each adds its own options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
-    for add_action in (add_check, add_convert, add_optimize):
+    for add_action in (add_check, add_convert, add_optimize, add_record):
         add_action(actions)
 
 
@@ -111,13 +112,7 @@ def add_optimize(actions):
     line.add_argument(
         "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
     )
-    line.add_argument(
-        "--margin",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="between the car's side and the walls [m] (default: %(default)s)",
-    )
+    add_number(line, "--margin", 0.1, "between the car's side and the walls [m]", metavar="M")
     line.add_argument(
         "--compare",
         metavar="FILE",
@@ -129,39 +124,18 @@ def add_optimize(actions):
         action="store_true",
         help="least squared curvature, even where a shorter line is faster",
     )
-    line.add_argument(
-        "--step",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="distance of the points that are moved [m] (default: %(default)s)",
-    )
+    add_number(line, "--step", 0.1, "distance of the points that are moved [m]", metavar="M")
 
     speed = parser.add_argument_group("speed")
     speed.add_argument(
         "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
     )
-    speed.add_argument(
-        "--lateral-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of the lateral acceleration to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--longitudinal-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of driving and braking to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--speed-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="scale of the speeds that result (default: %(default)s)",
-    )
+    for option, meaning in (
+        ("--lateral-scale", "share of the lateral acceleration to use"),
+        ("--longitudinal-scale", "share of driving and braking to use"),
+        ("--speed-scale", "scale of the speeds that result"),
+    ):
+        add_number(speed, option, 1.0, meaning, metavar="S")
     speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
     speed.add_argument(
         "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
@@ -190,3 +164,41 @@ def add_optimize(actions):
     # Else argparse takes -1.5,2 for an option.
     parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
     parser.set_defaults(run="raceline_optimize.run_optimize")
+
+
+def add_record(actions):
+    """Add ``raceline record``."""
+    parser = actions.add_parser(
+        "record",
+        help="a closed raceline from a lap that was driven, by hand or by another controller",
+        description="Find the laps of a recording and write the line of one of them: smoothed, "
+        "closed, at equal distances, with the speeds driven; and check it like raceline check. "
+        "Laps are those of evaluate where there is a raceline, else those of the path itself.",
+    )
+    parser.add_argument(
+        "recordings", nargs="+", metavar="RUN", help="bag of ROS 1 or 2, or CSV file"
+    )
+    add_join_option(parser)
+    add_recording_options(parser)
+    parser.add_argument("--output", required=True, metavar="FILE", help="raceline to write")
+    parser.add_argument(
+        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
+    )
+    parser.add_argument(
+        "--lap",
+        default="best",
+        metavar="N",
+        help="number of the lap, or best, the fastest that counts (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--speeds",
+        choices=("driven", "none"),
+        default="driven",
+        help="speeds of the output (default: %(default)s)",
+    )
+    parser.add_argument("--map", metavar="YAML", help="take the walls from this map of map_server")
+    add_number(parser, "--spacing", 0.1, "distance of the points [m]", metavar="M")
+    add_number(
+        parser, "--smoothing", 1.5, "waves of the path shorter than this are noise [m]", metavar="M"
+    )
+    parser.set_defaults(run="raceline_record.run_record")

@@ -4,6 +4,7 @@ import argparse
 
 from ...control.steering_ramp import RampParameters
 from ...resources import list_config
+from .shared import add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -23,11 +24,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         nargs="+",
-        default=[defaults.speed_mps],
         metavar="V",
-        help="speeds [m/s], one ramp after the other (default: 2)",
+        help="speeds [m/s], one ramp after the other (default: 2; like that of --rate for a 1:10 "
+        "car, and for larger ones by their wheelbase)",
     )
-    for option, name, what in (
+    for option, name, meaning in (
         ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
         ("--start", "start_rad", "steering angle at the beginning [rad]"),
         ("--limit", "limit_rad", "steering angle at the end [rad]"),
@@ -36,14 +37,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             option,
             dest=name,
             type=float,
-            default=getattr(defaults, name),
             metavar="X",
-            help=f"{what} (default: %(default)s)",
+            help=f"{meaning} (default: {getattr(defaults, name):g})",
         )
     parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"
-    )
+    add_number(parser, "--seed", 1, "seed of the noise")
     parser.add_argument(
         "--compression",
         choices=("lz4", "bz2", "none"),
