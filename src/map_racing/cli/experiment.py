@@ -36,6 +36,7 @@ PAIRS = (
     ("MAP Pacejka", "pure pursuit"),
     ("MAP Pacejka", "MAP linear"),
     ("MAP default", "MAP Pacejka"),
+    ("MAP adaptive", "MAP default"),
 )
 
 

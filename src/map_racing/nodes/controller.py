@@ -67,6 +67,8 @@ def _build():
     parameters = overridden(load_controller_parameters(source))
     if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
+    if table and parameters.adaptation:
+        raise ParameterError(f"~lookup_table: {source} adapts the vehicle's tires and uses none")
     limits = overridden(load_safety_limits(source))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
@@ -292,7 +294,7 @@ class ControllerNode:
             lookahead_distance=result.lookahead_distance,
             eta=result.eta,
             a_lat=result.a_lat,
-            a_lat_max=self._controller.steering_map.max_lateral_acceleration(guided.v_x),
+            a_lat_max=self._controller.max_lateral_acceleration(guided.v_x),
             steering_angle=decision.steering_angle,
             speed=decision.speed,
         )
