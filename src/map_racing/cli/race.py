@@ -109,6 +109,8 @@ def given_table(path, parameters, vehicle, own):
     """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
+    if parameters.adaptation:
+        raise ParameterError(f"{path}: a controller that adapts its tires uses no lookup table")
     table = load_table(path)
     made_for = f" for {table.provenance.vehicle}" if table.provenance else ""
     v, a_lat = 3.0, 0.5 * own.max_lateral_acceleration(3.0)

@@ -26,6 +26,7 @@ __all__ = [
     "load_vehicle",
     "parameter_hash",
     "save_vehicle",
+    "scaled_tires",
     "vehicle_of",
     "vehicle_values",
 ]
@@ -214,6 +215,36 @@ def linearized(vehicle: Vehicle) -> Vehicle:
         front=LinearTire(vehicle.front.stiffness),
         rear=LinearTire(vehicle.rear.stiffness),
     )
+
+
+def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
+    """The car with other tires.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mu : float
+        Factor on the friction.
+    front_stiffness, rear_stiffness : float
+        Factors on the cornering stiffness of each axle, whose peak force is kept.
+
+    Returns
+    -------
+    Vehicle
+    """
+    return dataclasses.replace(
+        vehicle,
+        mu=vehicle.mu * mu,
+        front=_scaled(vehicle.front, front_stiffness),
+        rear=_scaled(vehicle.rear, rear_stiffness),
+    )
+
+
+def _scaled(tire, factor):
+    """The tire with its cornering stiffness scaled and its peak kept."""
+    if isinstance(tire, PacejkaTire):
+        return dataclasses.replace(tire, B=tire.B * factor)
+    return dataclasses.replace(tire, C_S=tire.C_S * factor)
 
 
 def _vehicle(values, default_name):
