@@ -3,16 +3,16 @@
 import os
 import re
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
 
 from ..bags.opening import source_name
-from ..errors import EvaluationError, MapRacingError, ParameterError
-from ..evaluation.laps import LapLimits, evaluate
-from ..evaluation.recordings import load_recording, recorded_runs
+from ..errors import MapRacingError, ParameterError
+from ..evaluation.laps import LapLimits
+from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
+from ..evaluation.runs import evaluate_runs
 from ..files import write_json
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
@@ -77,30 +77,11 @@ def evaluate_one(source, track, arguments):
     list of (Recording, RunResult)
     """
     recording = load_recording(source, arguments.pose_topic, arguments.columns)
-    if track is not None:
-        return [(recording, evaluate_run(recording, track, arguments.raceline, arguments))]
-    runs, errors = [], []
-    for part, raceline in recorded_runs(recording):
-        try:
-            result = evaluate_run(part, raceline, recording.waypoints.topic, arguments)
-            runs.append((part, result))
-        except EvaluationError as error:
-            errors.append(error)
-    if not runs:
-        raise errors[0]
-    said = [f"warning: {error}" for error in errors]
-    return [(part, replace(result, notes=(*result.notes, *said))) for part, result in runs]
-
-
-def evaluate_run(recording, raceline, origin, arguments):
-    """Laps of a recording on a raceline, with a note on where that came from."""
-    notes = [*recording.notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
-    if arguments.reverse:
-        raceline = raceline.reversed()
-        notes = [*notes, "raceline reversed"]
-    return evaluate(
-        replace(recording, notes=notes),
-        raceline,
+    return evaluate_runs(
+        recording,
+        track,
+        arguments.raceline,
+        arguments.reverse,
         start_s=arguments.start_line,
         car_width=arguments.car_width,
         sectors=arguments.sectors,

@@ -6,7 +6,7 @@ import csv
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Iterable, Iterator
+from typing import TYPE_CHECKING, Iterable, Iterator, Sequence
 
 from ..files import replacing
 from .results import RunResult
@@ -22,6 +22,7 @@ __all__ = [
     "summary_table",
     "to_frame",
     "write_csv",
+    "write_rows",
 ]
 
 _LAP_COLUMNS = (
@@ -95,10 +96,21 @@ def write_csv(path: str | Path, results: Iterable[RunResult]) -> None:
         If the file cannot be written.
     """
     rows = _rows(results)
+    write_rows(path, list(rows[0]) if rows else ["bag"], rows)
+
+
+def write_rows(path: str | Path, columns: Sequence[str], rows: Iterable[dict]) -> None:
+    """Write rows that have values by the names of the columns, empty for NaN.
+
+    Raises
+    ------
+    MapRacingError
+        If the file cannot be written.
+    """
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(rows[0] if rows else ["bag"])
-        writer.writerows(csv_cells(row.values()) for row in rows)
+        writer.writerow(columns)
+        writer.writerows(csv_cells(row[name] for name in columns) for row in rows)
 
 
 def lap_table(result: RunResult) -> str:

@@ -19,7 +19,7 @@ from ..errors import MapRacingError
 from ..files import for_json
 from ..resources import config_directory
 
-__all__ = ["document", "escape", "pack", "plotly_script", "table"]
+__all__ = ["Markup", "document", "escape", "pack", "plotly_script", "table"]
 
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
@@ -28,8 +28,14 @@ _POLICY = (
 _MOST = 32767
 
 
+class Markup(str):
+    """Text that is HTML already, which `escape` leaves as it is."""
+
+
 def escape(text: object) -> str:
     """Text as it may stand in HTML, also in an attribute; NaN is a dash."""
+    if isinstance(text, Markup):
+        return text
     if isinstance(text, float) and text != text:
         return "&ndash;"
     readable = str(text).encode("utf-8", "surrogateescape").decode("utf-8", "replace")

@@ -51,6 +51,7 @@ RACED_ON_THE_RING = [*ON_THE_RING, "--no-tuning", "--laps", "1"]
 ON_A_SMALL_GRID = ["--grid", "grid.yaml", "--jobs", "1"]
 SHORTER = {
     "race": ["--laps", "1"],
+    "season": ["--jobs", "1"],
     "tune": [*ON_THE_RING, "--track", "ring.csv"],
     "tune --robust": ON_A_SMALL_GRID,
     "experiment tire-models": RACED_ON_THE_RING,

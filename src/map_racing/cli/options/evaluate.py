@@ -4,7 +4,7 @@ import argparse
 
 from .shared import add_join_option, add_number, add_recording_options
 
-__all__ = ["add_evaluation_options", "add_options"]
+__all__ = ["add_evaluation_options", "add_limit_options", "add_options"]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -40,9 +40,14 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="arc length of the start line on the raceline [m] (default: its first point)",
     )
+    add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
+    add_limit_options(parser)
+
+
+def add_limit_options(parser: argparse.ArgumentParser) -> None:
+    """Add the size of the car, and how far off the line a lap counts."""
     width = "car width, for the clearance to the walls [m]"
     add_number(parser, "--car-width", 0.3, width, metavar="M")
-    add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     parser.add_argument(
         "--max-deviation",
         type=float,

@@ -11,6 +11,7 @@ __all__ = [
     "add_number",
     "add_recording_options",
     "add_shared_options",
+    "add_worker_options",
 ]
 
 
@@ -95,20 +96,25 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
 
 def add_effort_options(parser: argparse.ArgumentParser) -> None:
     """Where the races are driven, and which are known already."""
-    parser.add_argument(
-        "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="race on the workers of this Dask scheduler (pip install 'map_racing[cluster]')",
-    )
+    add_worker_options(parser)
     parser.add_argument(
         "--reuse",
         action="append",
         default=[],
         metavar="DIR",
         help="take the races that this result directory already has from there; may be repeated",
+    )
+
+
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """How many processes work, or where."""
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="work on the workers of this Dask scheduler (pip install 'map_racing[cluster]')",
     )
 
 

@@ -1,0 +1,37 @@
+"""Options of ``map-racing season``."""
+
+import argparse
+
+from .evaluate import add_limit_options
+from .shared import add_number, add_worker_options
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Evaluate all bags of ROS 1 and 2 below folders: a table of heats (season.csv) and a page "
+        "of trends that opens offline (season.html). Bags that have not changed are not read "
+        "again, and an interrupted season continues. A bag that cannot be read is a row with the "
+        "reason."
+    )
+    parser.add_argument("folders", nargs="+", metavar="DIR", help="folders with bags, or bags")
+    parser.add_argument(
+        "--output", required=True, metavar="DIR", help="folder for results, also among the bags"
+    )
+    parser.add_argument(
+        "--tracks",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="racelines that name tracks, and on which bags without a raceline are evaluated",
+    )
+    add_number(
+        parser,
+        "--reports",
+        0,
+        "write the reports of so many of the latest heats, where they are missing",
+        metavar="N",
+    )
+    add_limit_options(parser)
+    add_worker_options(parser)
+    parser.set_defaults(run="season.run")

@@ -1,0 +1,91 @@
+"""``map-racing season``: all bags below folders, as a table of heats and a page of trends."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from ..errors import MapRacingError
+from ..evaluation.report import write_rows
+from ..experiments.executors import open_executor
+from ..experiments.season import COLUMNS, BagOptions, evaluate_season, find_bags
+from ..files import make_folder, replacing
+from ..pages.season import season_page
+from ..track.files.load import load_raceline
+from .evaluate import check_evaluation
+
+
+def run(arguments):
+    """Find, evaluate what is new, write table and page."""
+    check_evaluation(arguments)
+    output = Path(arguments.output)
+    bags = find_bags(arguments.folders, without=output)
+    if not bags:
+        raise MapRacingError(f"{', '.join(arguments.folders)}: no bags below")
+    for source in arguments.tracks:
+        load_raceline(source)  # what cannot be read is said at once
+    tracks = tuple(_anywhere(source) for source in arguments.tracks)
+    options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
+    make_folder(output)
+    with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
+        season = evaluate_season(bags, output, options, executor, capacity)
+    heats = season.heats
+    reports = report_paths(bags, output)
+    if arguments.reports:
+        make_reports(heats, reports, arguments)
+    for heat in heats:
+        heat["report"] = link(Path(heat["bag"]), reports[heat["bag"]], output)
+    write_rows(output / "season.csv", COLUMNS, heats)
+    with replacing(output / "season.html") as file:
+        file.write(season_page(heats))
+    unread = [heat for heat in heats if heat["reason"]]
+    for heat in unread[:20]:
+        print(f"not evaluated: {heat['reason']}")
+    if len(unread) > 20:
+        print(f"... and {len(unread) - 20} more, see the table")
+    print(
+        f"{len(bags)} bags: {season.read} read, {season.kept} known; {len(heats)} heats, "
+        f"{sum(int(heat['laps']) for heat in heats)} laps count"
+    )
+    print(f"written to {output / 'season.csv'} and {output / 'season.html'}")
+
+
+def _anywhere(source):
+    """A source as other processes find it, which may have another working folder."""
+    path, mark, key = source.partition("#")
+    return os.path.abspath(path) + mark + key if Path(path).exists() else source
+
+
+def report_paths(bags, output):
+    """Where the report of each bag is: in the folder ``reports``, in the folders of the bags."""
+    folders = [os.path.dirname(os.path.abspath(str(bag))) for bag in bags]
+    base = os.path.commonpath(folders)
+    paths = {}
+    for bag in bags:
+        name = os.path.relpath(os.path.abspath(str(bag)), base)
+        name = re.sub(r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?)$", "", name)
+        paths[str(bag)] = output / "reports" / f"{name}.html"
+    return paths
+
+
+def link(bag, report, output):
+    """Path from the page to the report of a bag, empty without one; beside the bag is one, too."""
+    for path in (report, bag.with_suffix(".html")):
+        if path.is_file():
+            return os.path.relpath(str(path), str(output)).replace(os.sep, "/")
+    return ""
+
+
+def make_reports(heats, reports, arguments):
+    """Write the reports of the latest heats that can be read, where they are missing or older."""
+    from . import build_parser, report
+
+    latest = list(dict.fromkeys(heat["bag"] for heat in heats[::-1] if not heat["reason"]))
+    for bag in latest[: arguments.reports]:
+        path = reports[bag]
+        if path.is_file() and path.stat().st_mtime >= Path(bag).stat().st_mtime:
+            continue
+        make_folder(path.parent)
+        words = ["report", bag, "--output", str(path), "--car-width", str(arguments.car_width)]
+        report.run(build_parser().parse_args(words))

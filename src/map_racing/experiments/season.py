@@ -1,0 +1,437 @@
+"""A season of bags: each evaluated once, in any number of processes, and kept on disk.
+
+What is kept of a bag holds as long as its files have the same sizes and times of change, the
+options are the same, and so is the version of this package.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
+from concurrent.futures.process import BrokenProcessPool
+from datetime import datetime, timezone
+from functools import lru_cache
+from pathlib import Path
+from typing import Iterable, NamedTuple, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+from tqdm import tqdm
+
+from .. import __version__
+from ..bags.opening import source_name
+from ..bags.remarks import read_remarks
+from ..bags.ros2 import METADATA, SUFFIXES
+from ..control.settings import parse_settings
+from ..errors import EvaluationError, MapRacingError
+from ..evaluation.laps import LapLimits
+from ..evaluation.recordings import load_recording
+from ..evaluation.runs import evaluate_runs
+from ..files import make_folder, write_json
+from ..resources import list_config
+from ..track.files.load import load_raceline
+from ..track.raceline import Raceline
+
+__all__ = ["COLUMNS", "BagOptions", "Season", "evaluate_season", "find_bags"]
+
+COLUMNS = (
+    "date",
+    "bag",
+    "run",
+    "track",
+    "track_length_m",
+    "vehicle",
+    "controller",
+    "speed_scale",
+    "settings",
+    "laps",
+    "laps_not_counted",
+    "best_lap_time_s",
+    "mean_lap_time_s",
+    "std_lap_time_s",
+    "rms_lateral_error_m",
+    "max_lateral_error_m",
+    "min_clearance_m",
+    "max_speed_mps",
+    "stops",
+    "warnings",
+    "reason",
+    "report",
+)
+"""Columns of the table of heats."""
+
+# Two lines are of the same track if their lengths differ less, and no place of one is farther from
+# the other [m]; another raceline between the same walls is.
+_SAME_LENGTH, _SAME_MEAN, _SAME_PLACE = 0.1, 0.5, 2.0
+_PLACES = 150
+_SUMMARY = {
+    "laps": "laps_completed",
+    "laps_not_counted": "laps_not_counted",
+    "best_lap_time_s": "best_lap_time_s",
+    "mean_lap_time_s": "mean_lap_time_s",
+    "std_lap_time_s": "std_lap_time_s",
+    "rms_lateral_error_m": "mean_rms_lateral_error_m",
+    "max_lateral_error_m": "max_abs_lateral_error_m",
+    "min_clearance_m": "min_clearance_m",
+    "max_speed_mps": "max_speed_mps",
+}
+
+
+class BagOptions(NamedTuple):
+    """How bags are evaluated.
+
+    Attributes
+    ----------
+    tracks : tuple of str
+        Racelines to evaluate bags on that have none, see `map_racing.track.files.load`.
+    car_width : float
+        See `map_racing.evaluation.laps.LapEvaluator`.
+    max_deviation : float or None
+        See `map_racing.evaluation.laps.LapLimits`.
+    """
+
+    tracks: tuple = ()
+    car_width: float = 0.3
+    max_deviation: float | None = None
+
+
+class Season(NamedTuple):
+    """Heats in the order of their dates, rows by `COLUMNS`; bags that were read, and kept ones."""
+
+    heats: list
+    read: int
+    kept: int
+
+
+def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) -> list[Path]:
+    """Bags below folders, those of ROS 2 as one each.
+
+    Parameters
+    ----------
+    folders : iterable of str or pathlib.Path
+        Folders or bags.
+    without : str or pathlib.Path, optional
+        Folder to leave out.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Sorted, each once.
+
+    Raises
+    ------
+    MapRacingError
+        If a folder does not exist.
+    """
+    left_out = None if without is None else os.path.realpath(str(without))
+    found = {}
+    for folder in folders:
+        if not Path(folder).exists():
+            raise MapRacingError(f"{folder}: no such folder")
+        if Path(folder).is_file() or _is_ros2_folder(Path(folder), os.listdir(str(folder))):
+            found.setdefault(os.path.realpath(str(folder)), Path(folder))
+            continue
+        for place, inside, names in os.walk(str(folder)):
+            path = Path(place)
+            inside[:] = sorted(
+                name
+                for name in inside
+                if not name.startswith(".") and os.path.realpath(f"{place}/{name}") != left_out
+            )
+            if _is_ros2_folder(path, names):
+                found.setdefault(os.path.realpath(place), path)
+                inside.clear()
+                continue
+            for name in sorted(names):
+                if not name.startswith(".") and name.endswith((".bag", ".bag.active", *SUFFIXES)):
+                    found.setdefault(os.path.realpath(f"{place}/{name}"), path / name)
+    return sorted(found.values())
+
+
+def _is_ros2_folder(path, names):
+    """Whether a folder is one bag: closed, or with parts that have its name."""
+    if METADATA in names:
+        return True
+    parts = [name for name in names if name.endswith(SUFFIXES)]
+    return bool(parts) and all(name.startswith(f"{path.name}_") for name in parts)
+
+
+def evaluate_season(
+    bags: Sequence[Path],
+    output: str | Path,
+    options: BagOptions,
+    executor: Executor,
+    capacity: int,
+) -> Season:
+    """Evaluate bags that are not yet known, and put all heats together.
+
+    Parameters
+    ----------
+    bags : sequence of pathlib.Path
+    output : str or pathlib.Path
+        Folder in which results are kept, each at once, so that an interrupted season continues.
+    options : BagOptions
+    executor : concurrent.futures.Executor
+        See `map_racing.experiments.executors.open_executor`.
+    capacity : int
+        Largest number of submitted jobs.
+
+    Returns
+    -------
+    Season
+        With a row for each run of each bag; one that cannot be read has a ``reason``.
+
+    Raises
+    ------
+    MapRacingError
+        If a process died, a worker of a cluster has another version, or nothing can be written.
+    """
+    folder = make_folder(Path(output) / "heats")
+    heats, waiting, running = {}, [], {}
+    for path in bags:
+        rows = _kept(folder, path, options)
+        if rows is None:
+            waiting.append(path)
+        else:
+            heats[path] = rows
+    kept, waiting = len(heats), waiting[::-1]
+    bar = tqdm(total=len(bags), initial=kept, desc="season", unit="bag", disable=None, leave=False)
+    with bar:
+        try:
+            while waiting or running:
+                while waiting and len(running) < capacity:
+                    path = waiting.pop()
+                    stamp = _stamp(path)
+                    job = executor.submit(_evaluate_bag, os.path.abspath(str(path)), options)
+                    running[job] = path, stamp
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    path, stamp = running.pop(future)
+                    version, rows, lasting = _outcome(future)
+                    if version != __version__:
+                        raise MapRacingError(f"a worker of the cluster has map_racing {version}")
+                    if lasting:
+                        _keep(folder, path, stamp, options, rows)
+                    heats[path] = rows
+                    bar.update()
+        finally:
+            for future in running:
+                future.cancel()
+    rows = [dict(row, bag=str(path)) for path in bags for row in heats[path]]
+    rows.sort(key=lambda row: (row["date"], row["bag"], row["run"]))
+    _name_tracks(rows, options.tracks)
+    return Season(rows, len(bags) - kept, kept)
+
+
+def _outcome(future):
+    try:
+        return future.result()
+    except (BrokenProcessPool, CancelledError):
+        raise MapRacingError(
+            "a process died while it evaluated a bag; run again to continue from the others"
+        ) from None
+
+
+# -- one bag -------------------------------------------------------------------------------------
+
+
+def _evaluate_bag(path, options):
+    """Version, rows of a bag, and whether they will be the same again; in any process."""
+    try:
+        return __version__, _rows(path, options), True
+    except MapRacingError as error:
+        return __version__, [_row(path, reason=str(error))], True
+    except Exception as error:  # one bag must not end a season; it is tried again
+        return __version__, [_row(path, reason=f"{type(error).__name__}: {error}")], False
+
+
+def _rows(path, options):
+    recording = load_recording(path)
+    try:
+        runs = _runs(recording, options)
+    except MapRacingError as error:
+        return [_row(path, date=_date(recording.t0_ns), reason=str(error))]
+    remarks = read_remarks(path, recording)
+    driven_with = _settings(remarks.settings[-1][1]) if remarks.settings else {}
+    rows = []
+    for number, (part, result) in enumerate(runs, 1):
+        begin, end = float(part.t[0]), float(part.t[-1])
+        states = [text for t, text in remarks.states if begin <= t <= end]
+        stops = sum(text.startswith("stopping") for text in states)
+        if not states:
+            reasons = [lap.reason for lap in result.laps]
+            stops = sum("stood" in reason or "stopped" in reason for reason in reasons)
+        summary = {name: getattr(result.summary, key) for name, key in _SUMMARY.items()}
+        rows.append(
+            _row(
+                path,
+                date=_date(recording.t0_ns + int(begin * 1e9)),
+                run=number,
+                track_length_m=round(result.raceline.length, 3),
+                stops=stops,
+                warnings="; ".join(result.warnings),
+                line=_places(result.raceline),
+                **driven_with,
+                **summary,
+            )
+        )
+    return rows
+
+
+def _runs(recording, options):
+    """Runs on the racelines in the recording or, without one, on the first track that fits."""
+    more = {
+        "car_width": options.car_width,
+        "limits": LapLimits(max_deviation=options.max_deviation),
+    }
+    if recording.waypoints is not None or not options.tracks:
+        return evaluate_runs(recording, **more)
+    for source in options.tracks:
+        try:
+            return evaluate_runs(recording, _track(source), source, **more)
+        except EvaluationError:
+            continue
+    raise EvaluationError(
+        f"{recording.source}: no raceline in it, and it was driven on none of the tracks given"
+    )
+
+
+@lru_cache(maxsize=None)
+def _track(source):
+    return load_raceline(source)
+
+
+@lru_cache(maxsize=64)
+def _settings(text):
+    """Columns of what the car was driven with; heats of one setting have the same text."""
+    values = parse_settings(text).values
+    controller, vehicle = (
+        values[key] if isinstance(values.get(key), dict) else {}
+        for key in ("controller", "vehicle")
+    )
+    scale = controller.get("speed_scale")
+    return {
+        "controller": str(controller.get("name", "")),
+        "vehicle": str(vehicle.get("name", "")),
+        "speed_scale": scale if isinstance(scale, (int, float)) else math.nan,
+        "settings": hashlib.sha256(text.encode()).hexdigest()[:8],
+    }
+
+
+def _row(path, **values):
+    texts = ("date", "track", "vehicle", "controller", "settings", "warnings", "reason", "report")
+    row = {name: "" if name in texts else math.nan for name in COLUMNS}
+    row.update(bag=path, run=1, laps=0, line=None)
+    row.update(values)
+    return row
+
+
+def _date(time_ns):
+    if time_ns < 10**9:
+        return ""
+    moment = datetime.fromtimestamp(time_ns // 10**9, timezone.utc)
+    return moment.strftime("%Y-%m-%d %H:%M:%S")
+
+
+def _places(raceline: Raceline):
+    """Positions along a raceline [m], by which its track is known."""
+    at = raceline.sample(np.arange(_PLACES) * (raceline.length / _PLACES))
+    return [at.x.round(2).tolist(), at.y.round(2).tolist()]
+
+
+# -- what is kept --------------------------------------------------------------------------------
+
+
+def _stamp(path):
+    """Names, sizes and times of change of the files of a bag."""
+    files = [path]
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.is_file() and _of_bag(file))
+    stamps = []
+    for file in files:
+        status = os.stat(str(file))
+        stamps.append([file.name, status.st_size, status.st_mtime_ns])
+    return stamps
+
+
+def _of_bag(file):
+    return file.name == METADATA or file.name.endswith(SUFFIXES)
+
+
+def _record(folder, path):
+    name = hashlib.sha256(os.fsencode(os.path.realpath(str(path)))).hexdigest()[:24]
+    return folder / f"{name}.json"
+
+
+def _state(stamp, options):
+    """What must be as it was for the rows to hold."""
+    return json.loads(json.dumps([__version__, COLUMNS, stamp, options]))
+
+
+def _kept(folder, path, options):
+    """Rows of a bag that has not changed; None for others."""
+    try:
+        record = json.loads(_record(folder, path).read_text(encoding="utf-8"))
+        if record["state"] != _state(_stamp(path), options):
+            return None
+        return [
+            {
+                key: math.nan if value is None and key != "line" else value
+                for key, value in row.items()
+            }
+            for row in record["rows"]
+        ]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _keep(folder, path, stamp, options, rows):
+    content = {"bag": source_name(path), "state": _state(stamp, options), "rows": rows}
+    write_json(_record(folder, path), content, indent=None)
+
+
+# -- tracks --------------------------------------------------------------------------------------
+
+
+def _name_tracks(rows, tracks):
+    """Name the track of each row: shipped, given, or numbered in the order of their dates."""
+    known = []
+    for source in [*tracks, *list_config("tracks")]:
+        line = _track(source)
+        known.append((line.name, line.length, _Shape(_places(line))))
+    unknown, names = 0, {}
+    for row in rows:
+        line = row.pop("line")
+        if line is None:
+            continue
+        key = json.dumps(line)
+        if key not in names:
+            shape, length = _Shape(line), row["track_length_m"]
+            names[key] = next((n for n, other, s in known if shape.fits(length, s, other)), None)
+            if names[key] is None:
+                unknown += 1
+                names[key] = f"track {unknown}"
+                known.append((names[key], length, shape))
+        row["track"] = names[key]
+
+
+class _Shape:
+    """Places along a track."""
+
+    def __init__(self, places):
+        self._xy = np.transpose(places)
+        self._tree = cKDTree(self._xy)
+
+    def fits(self, length, other, other_length):
+        """Whether two lines are of the same track, with the same frame."""
+        if abs(length - other_length) > _SAME_LENGTH * other_length:
+            return False
+        # Places are so far apart that the next one of the other line is off by half of that.
+        step = 0.5 * max(length, other_length) / _PLACES
+        for one, two in ((self, other), (other, self)):
+            apart = two._tree.query(one._xy)[0]
+            if np.mean(apart) > _SAME_MEAN + step or np.max(apart) > _SAME_PLACE + step:
+                return False
+        return True

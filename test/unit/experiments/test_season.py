@@ -1,0 +1,203 @@
+"""A season: what is found, read once, named by its track, and continued."""
+
+import csv
+import os
+import re
+import shutil
+from xml.etree import ElementTree
+
+import pytest
+from ros2_bags import messages_of, write_mcap, write_sqlite
+
+from map_racing.bags.writer import BagWriter
+from map_racing.cli import main
+from map_racing.control.settings import parse_settings
+from map_racing.errors import MapRacingError
+from map_racing.experiments import season as season_module
+from map_racing.experiments.executors import SerialExecutor
+from map_racing.experiments.season import BagOptions, evaluate_season, find_bags
+from map_racing.track.files.load import save_raceline
+from map_racing.track.files.waypoints import waypoint_rows
+
+T0 = 1700000000.0
+
+
+def heat(path, line, begin=T0, speed=3.0, raceline=True, laps=2.3, settings=""):
+    """A drive on a line at a constant speed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with BagWriter(path) as bag:
+        if raceline:
+            bag.waypoints(begin, waypoint_rows(line))
+        if settings:
+            bag.text(begin, settings)
+        for i in range(int(laps * line.length / (speed * 0.025))):
+            point = line.pose(speed * 0.025 * i - 1.0)
+            state = point.x, point.y, point.psi, speed, 0.0, speed * point.kappa
+            bag.odometry(begin + 0.025 * i, *state)
+    return path
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory, ring, track):
+    """A folder as a team has it."""
+    folder = tmp_path_factory.mktemp("bags")
+    heat(folder / "friday" / "a.bag", ring)
+    heat(folder / "friday" / "b.bag", ring, T0 + 3600, 3.2)
+    heat(folder / "saturday" / "a.bag", track.raceline(), T0 + 90000, 5.0)
+    messages = list(messages_of(folder / "friday" / "b.bag"))
+    write_sqlite(folder / "saturday" / "ros2", messages)
+    write_mcap(folder / "saturday" / "alone.mcap", messages)
+    (folder / "saturday" / "broken.bag").write_bytes(b"#ROSBAG V2.0\nnothing")
+    (folder / "saturday" / "notes.txt").write_text("no bag")
+    return folder
+
+
+def evaluated(folder, output, **options):
+    paths = find_bags([folder], without=output)
+    return evaluate_season(paths, output, BagOptions(**options), SerialExecutor(), 1)
+
+
+def test_bags_are_found_once_each(bags, tmp_path):
+    names = [str(path.relative_to(bags)) for path in find_bags([bags, bags / "friday"])]
+    assert names == [
+        *("friday/a.bag", "friday/b.bag", "saturday/a.bag", "saturday/alone.mcap"),
+        *("saturday/broken.bag", "saturday/ros2"),
+    ]
+    never_closed = tmp_path / "rosbag2_x"
+    never_closed.mkdir()
+    for number in range(2):
+        shutil.copy(
+            str(bags / "saturday" / "alone.mcap"), f"{never_closed}/rosbag2_x_{number}.mcap"
+        )
+    assert find_bags([tmp_path]) == [never_closed]
+    assert find_bags([tmp_path], without=never_closed) == []
+    with pytest.raises(MapRacingError, match="no such folder"):
+        find_bags([tmp_path / "nowhere"])
+
+
+def test_heats_are_in_order_with_their_tracks_and_reasons(bags, tmp_path):
+    season = evaluated(bags, tmp_path)
+    assert (season.read, season.kept) == (6, 0)
+    rows = {os.path.relpath(row["bag"], str(bags)): row for row in season.heats}
+    assert "no messages" in rows["saturday/broken.bag"]["reason"]
+    dates = [row["date"] for row in season.heats if not row["reason"]]
+    assert dates == sorted(dates) and dates[0] == "2023-11-14 22:13:20"
+    # Lines of one track have one name, whatever the format; the others are numbered.
+    names = {name: row["track"] for name, row in rows.items()}
+    assert names["friday/a.bag"] == "track 1" and names["saturday/a.bag"] == "track 2"
+    same = ("friday/b.bag", "saturday/ros2", "saturday/alone.mcap")
+    assert {names[name] for name in same} == {"track 1"}
+    for name in same:
+        assert rows[name]["laps"] == 2
+        assert rows[name]["best_lap_time_s"] == rows["friday/b.bag"]["best_lap_time_s"]
+        assert rows[name]["rms_lateral_error_m"] < 0.01
+
+
+def test_what_has_not_changed_is_not_read_again(bags, tmp_path, monkeypatch, ring):
+    folder = tmp_path / "bags"
+    shutil.copytree(str(bags), str(folder))
+    before = evaluated(folder, tmp_path / "out")
+    reads = []
+    original = season_module._rows
+    monkeypatch.setattr(
+        season_module, "_rows", lambda path, options: reads.append(path) or original(path, options)
+    )
+    again = evaluated(folder, tmp_path / "out")
+    assert not reads and again.kept == 6
+    assert str(again.heats) == str(before.heats)  # NaN is not equal to itself
+    heat(folder / "friday" / "b.bag", ring, T0 + 3600, 3.5)
+    os.utime(str(folder / "saturday" / "ros2" / "metadata.yaml"), (1, 1))
+    (folder / "friday" / "a.bag").unlink()
+    evaluated(folder, tmp_path / "out")
+    assert sorted(os.path.basename(path) for path in reads) == ["b.bag", "ros2"]
+    evaluated(folder, tmp_path / "out", car_width=0.2)
+    assert len(reads) == 2 + 5
+    # A record that was damaged is made again.
+    record = next((tmp_path / "out" / "heats").iterdir())
+    record.write_text("{")
+    assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 1
+
+
+def test_an_interrupted_season_continues(bags, tmp_path, monkeypatch):
+    original, done = season_module._rows, []
+
+    def interrupted(path, options):
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(path)
+        return original(path, options)
+
+    monkeypatch.setattr(season_module, "_rows", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluated(bags, tmp_path)
+    monkeypatch.setattr(season_module, "_rows", original)
+    season = evaluated(bags, tmp_path)
+    assert (season.read, season.kept) == (3, 3) and len(season.heats) == 6
+
+
+def test_an_error_of_the_program_costs_one_row_and_is_tried_again(bags, tmp_path, monkeypatch):
+    original = season_module._rows
+
+    def faulty(path, options):
+        if path.endswith("friday/a.bag"):
+            raise ZeroDivisionError("oops")
+        return original(path, options)
+
+    monkeypatch.setattr(season_module, "_rows", faulty)
+    season = evaluated(bags, tmp_path)
+    assert [row["reason"] for row in season.heats].count("ZeroDivisionError: oops") == 1
+    monkeypatch.setattr(season_module, "_rows", original)
+    assert evaluated(bags, tmp_path).read == 1
+
+
+def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ring, track):
+    save_raceline(ring, tmp_path / "hall.csv")
+    save_raceline(track.raceline(), tmp_path / "bean.csv")
+    heat(tmp_path / "bags" / "bare.bag", track.raceline(0.2), speed=5.0, raceline=False)
+    tracks = tuple(str(tmp_path / name) for name in ("hall.csv", "bean.csv"))
+    (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks).heats
+    assert row["track"] == "bean" and row["laps"] == 2 and row["reason"] == ""
+    (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks[:1]).heats
+    assert "driven on none of the tracks given" in row["reason"] and row["date"]
+
+
+def test_the_command(bags, tmp_path, capsys):
+    output = tmp_path / "season"
+    arguments = ["season", str(bags), "--output", str(output), "--jobs", "2"]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "6 bags: 6 read, 0 known; 6 heats" in printed and "not evaluated" in printed
+    (output / "reports" / "friday").mkdir(parents=True)
+    (output / "reports" / "friday" / "a.html").write_text("report")
+    assert main(arguments) == 0
+    assert "0 read, 6 known" in capsys.readouterr().out
+    with (output / "season.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["report"] for row in rows if row["report"]] == ["reports/friday/a.html"]
+    page = (output / "season.html").read_text()
+    assert 'href="reports/friday/a.html"' in page
+    # Nothing comes from the network, and each trend has a point for each heat.
+    assert not re.search(r"(src|href)=\"(https?:)?//", page)
+    drawings = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
+    assert len(drawings) == 2 * 3
+    points = [len(ElementTree.fromstring(svg).findall(".//circle")) for svg in drawings]
+    assert sorted(points) == [1, 1, 1, 4, 4, 4]
+    assert main(["season", str(tmp_path / "season"), "--output", str(tmp_path / "b")]) == 1
+    assert "no bags below" in capsys.readouterr().err
+
+
+def test_names_are_escaped_in_the_page(tmp_path, ring):
+    heat(tmp_path / "bags" / "<b>&.bag", ring)
+    assert main(["season", str(tmp_path / "bags"), "--output", str(tmp_path), "--jobs", "1"]) == 0
+    page = (tmp_path / "season.html").read_text()
+    assert "<b>" not in page and "&lt;b&gt;&amp;.bag" in page
+
+
+def test_settings_are_columns(tmp_path, ring):
+    text = "controller: {name: map, speed_scale: 0.8}\nvehicle: {name: nuc4}\n"
+    assert parse_settings(text).values["vehicle"] == {"name": "nuc4"}
+    heat(tmp_path / "a.bag", ring, settings=text)
+    heat(tmp_path / "b.bag", ring, T0 + 100, settings=text)
+    first, second = evaluated(tmp_path, tmp_path / "out").heats
+    assert (first["controller"], first["vehicle"], first["speed_scale"]) == ("map", "nuc4", 0.8)
+    assert first["settings"] == second["settings"] != ""
