@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
 from harness import Car, Rig, wait_for, waypoints
-from map_racing.msg import Guidance
+from map_racing.msg import Guidance, Tracking
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
@@ -85,8 +85,15 @@ def test_numbers_for_plots(rig, listen):
         name: listen(f"/{name}", Float64)
         for name in ("lateral_error", "speed_error", "latency", "pose_age")
     }
+    tracking = listen("/tracking", Tracking)
     rig.driving()
     assert inboxes["lateral_error"].wait().data == pytest.approx(0.1, abs=1e-6)
+    last = tracking.wait(lambda m: m.speed_command > 1.0)
+    assert last.header.stamp.to_sec() > 0.0 and last.header.frame_id == "map"
+    assert last.lateral_error == pytest.approx(0.1, abs=1e-6)
+    assert last.speed_error == pytest.approx(last.speed - last.speed_command)
+    assert 0.0 < last.lateral_acceleration_limit < 20.0
+    assert abs(last.lateral_acceleration) < 20.0 and 0.0 < last.pose_age < 5.0
     wait_for(lambda: len(inboxes["latency"]) > 50)
     assert inboxes["speed_error"]
     # In seconds; how long it takes is for scripts/latency.

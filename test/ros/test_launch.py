@@ -5,8 +5,10 @@ import os
 from xml.etree import ElementTree
 
 import pytest
+import rospy
 from ackermann_msgs.msg import AckermannDriveStamped
 from harness import wait_for
+from layouts import TYPES
 from map_racing.msg import LapResult
 from roslaunch.arg_dump import get_args
 from roslaunch.core import RLException
@@ -165,6 +167,9 @@ def test_three_laps_as_in_the_core(launch, listen, tmp_path):
     inbox = listen("/lap_result", LapResult)
     launch("simulate.launch", clock_rate=3, lockstep="true", csv=tmp_path / "laps.csv")
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
+    # The layouts for plots show topics that are really there.
+    sent = dict(rospy.get_published_topics())
+    assert {topic: sent.get(topic) for topic in TYPES} == TYPES
     laps = [lap for lap in inbox if lap.valid]
     assert [lap.lap for lap in laps] == [1, 2, 3] and len(expected) == 3
     assert [lap.lap for lap in inbox if not lap.valid] == [0]

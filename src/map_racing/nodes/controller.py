@@ -19,7 +19,7 @@ from std_msgs.msg import Bool, Float64, Header, String
 from std_srvs.srv import Trigger, TriggerResponse
 from tf2_msgs.msg import TFMessage
 
-from map_racing.msg import Guidance
+from map_racing.msg import Guidance, Tracking
 
 from ..bags.topics import SETTINGS_TOPIC
 from ..control.controller import Controller, Status, build_steering_maps
@@ -119,6 +119,7 @@ class ControllerNode:
 
         self._drive = _publisher("drive", AckermannDriveStamped, 1)
         self._guidance = _publisher("guidance", Guidance)
+        self._tracking = _publisher("tracking", Tracking)
         self._numbers = {
             name: _publisher(name, Float64)
             for name in ("lateral_error", "speed_error", "latency", "pose_age")
@@ -273,6 +274,16 @@ class ControllerNode:
         for name, value in numbers.items():
             if self._numbers[name].get_num_connections():
                 self._numbers[name].publish(value())
+        if self._tracking.get_num_connections():
+            self._tracking.publish(
+                header=header,
+                **{name: value() for name, value in numbers.items()},
+                speed=state.v_x,
+                speed_command=decision.speed,
+                steering_angle=decision.steering_angle,
+                lateral_acceleration=state.v_x * state.r,
+                lateral_acceleration_limit=self._controller.max_lateral_acceleration(state.v_x),
+            )
         if not self._guidance.get_num_connections() or result.status in _UNGUIDED:
             return
         guided = result.state

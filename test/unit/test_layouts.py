@@ -1,0 +1,67 @@
+"""Layouts for PlotJuggler and Foxglove: topics and fields that exist, numbers with stamps."""
+
+import json
+import re
+from pathlib import Path
+
+import layouts
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+REPO = Path(__file__).resolve().parents[2]
+PLAIN = {"float64", "float32", "int32", "uint8", "bool"}
+
+
+@pytest.fixture(scope="module")
+def fields():
+    """Names and types of the fields of each message type."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    for path in (REPO / "msg").glob("*.msg"):
+        text = path.read_text(encoding="utf-8").replace("\nHeader ", "\nstd_msgs/Header ")
+        types.register(get_types_from_msg(text, f"map_racing/msg/{path.stem}"))
+
+    def of(kind):
+        package, name = kind.split("/")
+        definition = types.generate_msgdef(f"{package}/msg/{name}")[0].split("=" * 80)[0]
+        rows = (line.split() for line in definition.splitlines() if "=" not in line)
+        return {row[1]: row[0] for row in rows if len(row) == 2}
+
+    return of
+
+
+@pytest.mark.parametrize("tool", ["plotjuggler", "foxglove"])
+def test_every_topic_and_field_exists(tool, fields):
+    shown = list(getattr(layouts, tool)())
+    assert len(shown) > 8
+    for topic, path in shown:
+        if topic in layouts.OTHERS:
+            continue
+        kind = layouts.TYPES[topic]
+        assert not path or "header" in fields(kind), f"{topic} has no stamp"
+        for field in path:
+            assert field in fields(kind), (topic, path)
+            kind = fields(kind)[field]
+            kind = kind if "/" in kind or kind in PLAIN else f"geometry_msgs/{kind}"
+        assert not path or kind in PLAIN, (topic, path)
+
+
+def test_foxglove_has_a_place_for_each_panel():
+    layout = json.loads((layouts.FOLDER / "foxglove.json").read_text(encoding="utf-8"))
+
+    def panels(part):
+        if isinstance(part, str):
+            return [part]
+        assert part["direction"] in ("row", "column")
+        return panels(part["first"]) + panels(part["second"])
+
+    assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
+
+
+def test_own_topics_are_those_of_the_nodes():
+    """By name, as the nodes advertise them; `test_launch` looks at running ones."""
+    nodes = REPO / "src" / "map_racing" / "nodes"
+    source = "".join(path.read_text(encoding="utf-8") for path in sorted(nodes.glob("*.py")))
+    advertised = dict(re.findall(r'_?[Pp]ublisher\(\s*"/?([\w/]+)",\s*(\w+)', source))
+    for topic, kind in layouts.TYPES.items():
+        if topic != "/car_state/odom":
+            assert advertised[topic.lstrip("/")] == kind.split("/")[1], topic
