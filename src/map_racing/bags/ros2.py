@@ -32,11 +32,14 @@ METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
+# It decodes the texts of its own errors.
+_SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 MAGIC = (_SQLITE_MAGIC[:8], _MCAP_MAGIC)
 """First bytes of the files, by which they are told without a name."""
 
 _BLOCK = 1 << 20
+_TIMES_END = 1 << 63  # what int64 cannot hold is damage [ns]
 _U16, _U32 = struct.Struct("<H"), struct.Struct("<I")
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -95,6 +98,7 @@ class _Sqlite:
 
     def _connect(self, uri):
         self._database = sqlite3.connect(uri, uri=True)
+        self._database.text_factory = lambda text: text.decode("utf-8", "replace")
         try:
             self.topics = self._read_topics()
         except BaseException:
@@ -123,10 +127,10 @@ class _Sqlite:
 
     def count(self):
         self.counts, spans = {}, []
-        with suppress(sqlite3.Error):  # what is damaged is said when the messages are read
+        with suppress(*_SQLITE_ERRORS):  # what is damaged is said when the messages are read
             for number, count, first, last in self._database.execute(
                 "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
-                "GROUP BY topic_id"
+                "WHERE typeof(timestamp) = 'integer' GROUP BY topic_id"
             ):
                 self.counts[number] = count
                 spans.append((first, last))
@@ -137,10 +141,10 @@ class _Sqlite:
         try:
             yield from self._database.execute(
                 f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "
-                "ORDER BY id",
+                "AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob' ORDER BY id",
                 sorted(wanted),
             )
-        except sqlite3.Error as error:
+        except _SQLITE_ERRORS as error:
             self.damage.append(str(error))
 
 
@@ -373,7 +377,7 @@ class Ros2Bag(Bag):
                 return _Mcap(path)
         except OSError as error:
             raise BagError(f"{path}: cannot read the bag: {error.strerror}") from None
-        except sqlite3.Error as error:
+        except _SQLITE_ERRORS as error:
             raise BagError(f"{path}: cannot read the bag: {error}") from None
         what = "another file" if magic else "an empty file"
         raise BagError(f"{path}: expected a ROS 2 bag (sqlite3 or MCAP), got {what}")
@@ -461,6 +465,8 @@ class Ros2Bag(Bag):
                 if data[:4] == ZSTD_MAGIC:  # compressed message by message
                     data = decompress_message(data)
                 number = own[key]
+                if not 0 <= time_ns < _TIMES_END:
+                    continue
                 layout = layouts.get(number)
                 found += 1
                 yield Message(number, time_ns, data if layout is None else layout(data))

@@ -6,7 +6,7 @@ import json
 import lz4.frame
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ros2_bags import (
     forget_definitions,
@@ -27,6 +27,7 @@ from map_racing.bags.waypoints import read_waypoints
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.errors import BagError
+from map_racing.identification.data import load_run
 
 T0_NS = 1600000000 * 10**9
 CUT_NS = T0_NS + 5 * 10**9
@@ -216,6 +217,40 @@ def test_a_file_that_was_cut_off_gives_all_complete_messages(made, share, packed
     assert read_recording(path).t.size > 0.2 * share * len(messages) - 1
 
 
+@pytest.fixture(scope="module")
+def small(made, tmp_path_factory):
+    """Contents of small files of both formats."""
+    folder = tmp_path_factory.mktemp("small")
+    (database,) = write_sqlite(folder / "run", made[:150]).glob("*.db3")
+    packed = {"compress": lz4.frame.compress, "name": "lz4"}
+    return {
+        ".mcap": write_mcap(folder / "a.mcap", made[:150], per_chunk=40, **packed).read_bytes(),
+        ".db3": database.read_bytes(),
+    }
+
+
+@pytest.mark.parametrize("kind", [".mcap", ".db3"])
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_damage_is_never_an_error_of_the_program(kind, small, data, tmp_path):
+    contents = bytearray(small[kind])
+    for _ in range(data.draw(st.sampled_from([1, 1, 3, 20]))):
+        # Heads and ends hold what leads to the rest.
+        place = st.one_of(
+            st.integers(0, len(contents) - 1), st.integers(0, 400), st.integers(-600, -1)
+        )
+        contents[data.draw(place)] = data.draw(st.integers(0, 255))
+    if data.draw(st.integers(0, 4)) == 0:
+        del contents[data.draw(st.integers(1, len(contents))) :]
+    path = tmp_path / f"damaged{kind}"
+    path.write_bytes(bytes(contents))
+    for read in (read_recording, read_waypoints):
+        try:
+            read(path)
+        except BagError as error:
+            assert "\n" not in str(error)
+
+
 def test_damage_in_the_middle_costs_one_chunk(made, tmp_path):
     path = write_mcap(tmp_path / "a.mcap", made)
     data = bytearray(path.read_bytes())
@@ -313,3 +348,18 @@ def test_parts_of_different_runs(race_bag, tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
     assert main(["evaluate", "--join", str(first), str(tmp_path / "a.csv")]) == 1
     assert "--join: expected bags" in capsys.readouterr().err
+
+
+def test_identification_reads_them_like_one_bag_of_ros_1(ramps, tmp_path):
+    messages = list(messages_of(ramps.path))
+    middle = messages[len(messages) // 2][2]
+    parts = [
+        write_mcap(tmp_path / f"{name}.mcap", [m for m in messages if (m[2] < middle) is first])
+        for name, first in (("late", False), ("early", True))
+    ]
+    for source in (write_mcap(tmp_path / "all.mcap", messages), parts):
+        run = load_run(source)
+        assert run.signals.keys() == ramps.run.signals.keys()
+        for name, (t, values) in ramps.run.signals.items():
+            np.testing.assert_array_equal(run.signals[name].t, t)
+            np.testing.assert_array_equal(run.signals[name].value, values)

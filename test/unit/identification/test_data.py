@@ -48,6 +48,18 @@ def test_units_scales_and_offsets(tmp_path):
     assert not run.pose_clock
 
 
+def test_units_of_the_file_count_where_the_map_has_none(tmp_path):
+    header = "t,px,py,yaw,servo,gyro,pt\nms,cm,m,deg,rad,deg/s,s"
+    channels_ = {name: Channel(column) for name, column in COLUMNS.items()}
+    channels_["yaw_rate"] = Channel("gyro", unit="rad/s")
+    data = [(20 * i, 10 * i, 1.0, 90.0, 0.5, 60.0, 0.0) for i in range(50)]
+    run = load_run(csv(tmp_path / "a.csv", data, header), ChannelMap(channels_))
+    assert run.signals["x"].t[-1] == pytest.approx(0.98)
+    assert run.signals["x"].value[-1] == pytest.approx(4.9)
+    assert run.signals["psi"].value[0] == pytest.approx(0.5 * math.pi)
+    assert run.signals["yaw_rate"].value[0] == 60.0
+
+
 def test_servo_position_becomes_an_angle(tmp_path):
     text = NAMES.replace("servo\n", "{column: servo, servo_gain: -1.2135, servo_offset: 0.5304}\n")
     run = load_run(csv(tmp_path / "a.csv", rows()), channels(tmp_path, text))

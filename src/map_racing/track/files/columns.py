@@ -59,7 +59,8 @@ ALIASES = {
     "alpha": ("alpha",),
     # What no raceline needs.
     "-": ("", "z", "height", "elevation", "altitude", "id", "index", "idx", "no", "nr", "number")
-    + ("d", "t", "time", "stamp", "timestamp", "lap", "frame", "banking"),
+    + ("d", "t", "time", "stamp", "timestamp", "lap", "frame", "banking")
+    + ("tz", "qx", "qy", "qz", "qw"),
 }
 REFERENCE = ("x_ref", "y_ref", "x_normal", "y_normal", "alpha")
 
@@ -91,6 +92,8 @@ _GLUED = {
     "halfwidth": "half width",
     "targetspeed": "speed",
     "targetvelocity": "speed",
+    "tx": "x",
+    "ty": "y",
     "xpos": "x",
     "ypos": "y",
     "posx": "x",

@@ -79,6 +79,9 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
     finite[np.abs(finite) > FARTHEST] = 0.0
     if count in LAYOUTS and _holds(finite, LAYOUTS[count]):
         return list(LAYOUTS[count]), []
+    if _is_trajectory(values):
+        text = "a trajectory with time and orientation: only its positions are taken"
+        return ["-", "x", "y"] + ["-"] * (count - 3), [Finding("trajectory", NOTE, text)]
     names, reasons = ["?"] * count, []
     first = 1 if count > 2 and _counts_along(finite) else 0
     names[first : first + 2] = "x", "y"
@@ -108,6 +111,15 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
         "decide, as in FILE#x,y,speed"
     )
     return names, [Finding("unnamed-columns", WARNING if guessed else NOTE, text)]
+
+
+def _is_trajectory(values):
+    """Whether columns are ``timestamp tx ty tz qx qy qz qw``, as the TUM benchmark has them."""
+    if values.shape[1] != 8 or len(values) < 4:
+        return False
+    with np.errstate(all="ignore"):
+        lengths = np.sqrt(np.sum(values[:, 4:] ** 2, axis=1))
+        return bool(np.all(np.diff(values[:, 0]) > 0.0) and np.all(np.abs(lengths - 1.0) < 1e-3))
 
 
 def _name_the_curve(names, values, curve, reasons):

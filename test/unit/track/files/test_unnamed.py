@@ -107,6 +107,21 @@ def test_columns_without_names(tmp_path, columns, expected, severity):
     assert codes(read.findings).get("unnamed-columns") == severity
 
 
+@pytest.mark.parametrize("head", ["", "# timestamp tx ty tz qx qy qz qw\n"])
+def test_a_trajectory_of_the_tum_benchmark(tmp_path, head):
+    angle = 0.05 * np.arange(125)
+    rows = [
+        f"{1700000000 + 0.05 * i:.3f} {3 * np.cos(a):.6f} {3 * np.sin(a):.6f} 0 0 0 "
+        f"{np.sin(0.5 * a):.9f} {np.cos(0.5 * a):.9f}\n"
+        for i, a in enumerate(angle)
+    ]
+    (tmp_path / "lap.txt").write_text(head + "".join(rows))
+    read = read_raceline(tmp_path / "lap.txt")
+    assert sorted(read.columns) == ["x", "y"]
+    np.testing.assert_allclose(read.columns["x"], 3 * np.cos(angle), atol=1e-5)
+    assert WARNING not in codes(read.findings).values()
+
+
 def test_columns_that_numbers_do_not_tell_are_refused(tmp_path):
     path = write(tmp_path / "c.csv", "x", "y", "wild", "rising", "constant", "d_right")
     with pytest.raises(FileFormatError, match=r"expected names of the 6 columns.*FILE#x,y,speed"):
