@@ -67,6 +67,8 @@ COLUMNS = (
 # the other [m]; another raceline between the same walls is.
 _SAME_LENGTH, _SAME_MEAN, _SAME_PLACE = 0.1, 0.5, 2.0
 _PLACES = 150
+# Bags that a process evaluates at once, where there are many; an interruption loses as many.
+_MOST_AT_ONCE = 8
 _SUMMARY = {
     "laps": "laps_completed",
     "laps_not_counted": "laps_not_counted",
@@ -203,19 +205,21 @@ def evaluate_season(
         try:
             while waiting or running:
                 while waiting and len(running) < capacity:
-                    path = waiting.pop()
-                    stamp = _stamp(path)
-                    job = executor.submit(_evaluate_bag, os.path.abspath(str(path)), options)
-                    running[job] = path, stamp
+                    size = max(1, min(_MOST_AT_ONCE, len(waiting) // (4 * capacity)))
+                    batch = [waiting.pop() for _ in range(size) if waiting]
+                    stamps = [_stamp(path) for path in batch]
+                    names = [os.path.abspath(str(path)) for path in batch]
+                    running[executor.submit(_evaluate_bags, names, options)] = batch, stamps
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    path, stamp = running.pop(future)
-                    version, rows, lasting = _outcome(future)
+                    batch, stamps = running.pop(future)
+                    version, results = _outcome(future)
                     if version != __version__:
                         raise MapRacingError(f"a worker of the cluster has map_racing {version}")
-                    if lasting:
-                        _keep(folder, path, stamp, options, rows)
-                    heats[path] = rows
-                    bar.update()
+                    for path, stamp, (rows, lasting) in zip(batch, stamps, results):
+                        if lasting:
+                            _keep(folder, path, stamp, options, rows)
+                        heats[path] = rows
+                        bar.update()
         finally:
             for future in running:
                 future.cancel()
@@ -237,14 +241,18 @@ def _outcome(future):
 # -- one bag -------------------------------------------------------------------------------------
 
 
+def _evaluate_bags(paths, options):
+    """Version, and of each bag its rows and whether they will be the same again; in any process."""
+    return __version__, [_evaluate_bag(path, options) for path in paths]
+
+
 def _evaluate_bag(path, options):
-    """Version, rows of a bag, and whether they will be the same again; in any process."""
     try:
-        return __version__, _rows(path, options), True
+        return _rows(path, options), True
     except MapRacingError as error:
-        return __version__, [_row(path, reason=str(error))], True
+        return [_row(path, reason=str(error))], True
     except Exception as error:  # one bag must not end a season; it is tried again
-        return __version__, [_row(path, reason=f"{type(error).__name__}: {error}")], False
+        return [_row(path, reason=f"{type(error).__name__}: {error}")], False
 
 
 def _rows(path, options):
