@@ -6,11 +6,12 @@ import os
 import re
 from pathlib import Path
 
-from ..errors import MapRacingError
+from ..errors import MapRacingError, ParameterError
 from ..evaluation.report import write_rows
 from ..experiments.executors import open_executor
 from ..experiments.season import COLUMNS, BagOptions, evaluate_season, find_bags
 from ..files import make_folder, replacing
+from ..pages.html import plotly_script
 from ..pages.season import season_page
 from ..track.files.load import load_raceline
 from .evaluate import check_evaluation
@@ -19,6 +20,10 @@ from .evaluate import check_evaluation
 def run(arguments):
     """Find, evaluate what is new, write table and page."""
     check_evaluation(arguments)
+    if arguments.reports < 0:
+        raise ParameterError(f"--reports: expected 0 or more, got {arguments.reports}")
+    if arguments.reports:
+        plotly_script()  # without it no report can be written
     output = Path(arguments.output)
     bags = find_bags(arguments.folders, without=output)
     if not bags:

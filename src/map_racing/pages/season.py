@@ -15,6 +15,7 @@ __all__ = ["season_page"]
 # Okabe and Ito, which the color-blind can tell apart; then again.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 900, 220, 56, 26, 24
+_MANY = 150  # points that are drawn smaller
 _TRENDS = (
     ("best_lap_time_s", "best lap [s]"),
     ("mean_lap_time_s", "mean lap [s]"),
@@ -140,11 +141,12 @@ def _trend(name, count, points, colors):
         own = [place(number, value) for number, value, heat in points if _driver(heat) == driver]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in own)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{colors[driver]}"/>\n')
+    radius = 4 if len(points) <= _MANY else 2
     for number, value, heat in points:
         x, y = place(number, value)
         what = f"{heat['date']} {heat['bag']}: {value:.3f}, {_driver(heat)}"
         dot = (
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colors[_driver(heat)]}">'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{colors[_driver(heat)]}">'
             f"<title>{escape(what)}</title></circle>"
         )
         parts.append(_linked(heat, dot) + "\n")

@@ -186,6 +186,18 @@ def test_the_command(bags, tmp_path, capsys):
     assert "no bags below" in capsys.readouterr().err
 
 
+def test_reports_of_the_latest_heats(bags, tmp_path):
+    words = ["season", str(bags / "friday"), "--output", str(tmp_path), "--jobs", "1"]
+    assert main([*words, "--reports", "1"]) == 0
+    (report,) = (tmp_path / "reports").rglob("*.html")
+    assert report.name == "b.html" and "b</title>" in report.read_text()
+    assert 'href="reports/b.html"' in (tmp_path / "season.html").read_text()
+    made = report.stat().st_mtime_ns
+    assert main([*words, "--reports", "1"]) == 0
+    assert report.stat().st_mtime_ns == made
+    assert main([*words, "--reports", "-1"]) == 1
+
+
 def test_names_are_escaped_in_the_page(tmp_path, ring):
     heat(tmp_path / "bags" / "<b>&.bag", ring)
     assert main(["season", str(tmp_path / "bags"), "--output", str(tmp_path), "--jobs", "1"]) == 0
