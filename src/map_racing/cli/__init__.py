@@ -18,11 +18,11 @@ __all__ = ["main"]
 
 COMMANDS = {
     "race": "race a simulated car, write a ROS 1 bag",
-    "evaluate": "lap times and lateral errors from bags or CSV files",
+    "evaluate": "lap times and lateral errors from bags of ROS 1 or 2, or CSV files",
     "report": "one HTML page on runs: where the time goes, and why",
     "season": "evaluate all bags below folders: table of heats, page of trends",
     "lookup": "make or check a steering lookup table",
-    "raceline": "check, convert and optimize racelines",
+    "raceline": "check, convert, optimize and record racelines",
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
     "identify": "identify tires from recorded steady cornering, write vehicle file and table",
     "tune": "find the lookahead with which a controller follows a track closest",
