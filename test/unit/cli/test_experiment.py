@@ -158,7 +158,7 @@ def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
     command = [sys.executable, script, "experiment", "tire-models", *options]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert "\n8 races driven" in done.stdout
+    assert "\n10 races driven" in done.stdout
 
 
 @pytest.mark.parametrize("option", ["--track", "--plant", "--vehicle", "--conditions"])

@@ -112,10 +112,10 @@ def test_what_has_not_changed_is_not_read_again(bags, tmp_path, monkeypatch, rin
     assert sorted(os.path.basename(path) for path in reads) == ["b.bag", "ros2"]
     evaluated(folder, tmp_path / "out", car_width=0.2)
     assert len(reads) == 2 + 5
-    # A record that was damaged is made again.
-    record = next((tmp_path / "out" / "heats").iterdir())
-    record.write_text("{")
-    assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 1
+    # Records that were damaged are made again.
+    for record in (tmp_path / "out" / "heats").iterdir():
+        record.write_text("{")
+    assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 5
 
 
 def test_an_interrupted_season_continues(bags, tmp_path, monkeypatch):
@@ -184,6 +184,21 @@ def test_the_command(bags, tmp_path, capsys):
     assert sorted(points) == [1, 1, 1, 4, 4, 4]
     assert main(["season", str(tmp_path / "season"), "--output", str(tmp_path / "b")]) == 1
     assert "no bags below" in capsys.readouterr().err
+
+
+def test_a_cluster_gives_the_same_table(bags, tmp_path, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.chdir(bags)  # the workers have another folder
+    tables = []
+    options = {"n_workers": 1, "threads_per_worker": 2, "dashboard_address": None}
+    with LocalCluster(**options) as cluster:
+        for where in (["--jobs", "1"], ["--scheduler", cluster.scheduler_address]):
+            output = tmp_path / where[0].strip("-")
+            assert main(["season", "friday", "saturday", "--output", str(output), *where]) == 0
+            tables.append((output / "season.csv").read_text())
+    # Errors name the file as the process found it.
+    assert tables[0] == tables[1] and tables[0].count("\n") == 7
 
 
 def test_reports_of_the_latest_heats(bags, tmp_path):
