@@ -2,6 +2,8 @@
 
 import inspect
 import json
+import shutil
+import sqlite3
 
 import lz4.frame
 import numpy as np
@@ -269,6 +271,25 @@ def test_a_folder_that_was_never_closed(made, expected, tmp_path):
     (run,) = evaluated(tmp_path, path)
     assert run["laps"] == expected[0]["laps"]
     assert any("not closed" in note for note in run["notes"])
+
+
+def test_a_journal_that_a_killed_recorder_left_is_read(made, expected, tmp_path):
+    (closed,) = write_sqlite(tmp_path / "run", made).glob("*.db3")
+    open_ = tmp_path / "open"
+    open_.mkdir()
+    recording = sqlite3.connect(str(open_ / "open_0.db3"))
+    recording.execute("PRAGMA journal_mode = WAL")
+    source = sqlite3.connect(str(closed))
+    recording.executescript("\n".join(source.iterdump()))
+    recording.commit()
+    killed = tmp_path / "killed"
+    shutil.copytree(str(open_), str(killed))
+    (killed / "open_0.db3-shm").unlink()
+    assert (killed / "open_0.db3-wal").stat().st_size > 100000
+    for database in (recording, source):
+        database.close()
+    (run,) = evaluated(tmp_path, killed)
+    assert run["laps"] == expected[0]["laps"]
 
 
 def test_what_is_no_bag_of_ros_2(made, tmp_path):
