@@ -10,7 +10,7 @@ import zlib
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, TextIO
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, TextIO
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from .errors import FileFormatError
 from .files import refuse_special
 
 __all__ = [
+    "UNITS",
     "Columns",
     "column_index",
     "is_number",
@@ -26,6 +27,14 @@ __all__ = [
     "read_columns",
     "some_names",
 ]
+
+
+UNITS = {
+    **dict.fromkeys(("m", "rad", "m/s", "rad/s", "m/s^2", "s"), 1.0),
+    **{"cm": 0.01, "mm": 0.001, "deg": math.pi / 180.0, "deg/s": math.pi / 180.0},
+    **{"km/h": 1.0 / 3.6, "g": 9.80665, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+"""Factors to SI units."""
 
 
 class Columns(NamedTuple):
@@ -41,20 +50,28 @@ class Columns(NamedTuple):
         Line number of each row.
     notes : list of str
         What was left out.
+    units : dict of str to str
+        Of `UNITS`, from a row of units below the names; empty where the file does not say.
     """
 
     values: dict
     names: dict
     lines: list
     notes: list
+    units: dict
 
 
-def read_columns(path: str | Path, locate: Callable[[list[str]], dict[str, int]]) -> Columns:
+def read_columns(
+    path: str | Path,
+    locate: Callable[[list[str]], dict[str, int]],
+    unnamed: Mapping[int, Sequence[str]] | None = None,
+) -> Columns:
     """Read some columns of a CSV file, which may be gzipped.
 
     Lines that begin with ``#`` are comments. The names of the columns are in the first other line
-    or, if that holds numbers, in the last comment before it. Cells are separated by comma,
-    semicolon or tab. A last line that was cut off is left out.
+    or, if that holds numbers, in the last comment before it. A row of units may follow. Cells are
+    separated by semicolon, tab, comma or else blanks; a comma between other separators is a decimal
+    comma. A last line that was cut off is left out.
 
     Parameters
     ----------
@@ -62,6 +79,8 @@ def read_columns(path: str | Path, locate: Callable[[list[str]], dict[str, int]]
     locate : callable
         Given the names of the columns, returns the index of each column to read under the key that
         it has in the result.
+    unnamed : dict of int to sequence of str, optional
+        Names of the columns of a file without names, by their number.
 
     Returns
     -------
@@ -73,11 +92,13 @@ def read_columns(path: str | Path, locate: Callable[[list[str]], dict[str, int]]
         If the file cannot be read or a cell is not a number; names file, line and column.
     """
     with open_text(path) as file:
-        names, rows = _split_header(path, file)
+        names, rows = _split_header(path, file, unnamed or {})
         where = locate(names)
+        units, rows = _split_units(rows, len(names))
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
-    return Columns(dict(zip(where, table.T)), named, lines, notes)
+    stated = {key: units[index] for key, index in where.items()} if units else {}
+    return Columns(dict(zip(where, table.T)), named, lines, notes, stated)
 
 
 @contextmanager
@@ -97,7 +118,7 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
         raise FileFormatError(f"{path}: expected UTF-8 text") from None
 
 
-def _split_header(path, file):
+def _split_header(path, file, unnamed):
     """Names of the columns, and numbered rows of cells of an open file."""
     comment = ""
     lines = ((number, line.strip()) for number, line in enumerate(file, 1))
@@ -111,17 +132,33 @@ def _split_header(path, file):
     delimiter = _delimiter(first[1])
     numeric = is_number(_cells(path, *first, delimiter)[0])
     header = comment if numeric else first[1]
-    if not header:
+    count = len(_cells(path, *first, delimiter))
+    names = [name.strip() for name in _cells(path, first[0], header, delimiter)] if header else []
+    if numeric and len(names) != count and count in unnamed:
+        names = list(unnamed[count])
+    if not names:
         raise FileFormatError(f"{path}: expected names of columns above the numbers, got none")
-    names = [name.strip() for name in _cells(path, first[0], header, delimiter)]
     data = (row for row in lines if not row[1].startswith("#"))
     return names, _rows(path, chain([first], data) if numeric else data, delimiter)
 
 
+def _split_units(rows, count):
+    """Units of the columns in the first row, None if it has none, and the other rows."""
+    rows = iter(rows)
+    first = next(rows, None)
+    if first is None:
+        return None, rows
+    units = [cell.strip("[](){} ") for cell in first[1]]
+    units = ["" if unit in ("-", "1") else unit for unit in units]
+    if len(units) == count and any(units) and all(unit in UNITS for unit in units if unit):
+        return units, rows
+    return None, chain([first], rows)
+
+
 def _delimiter(line):
-    """Delimiter of a line; what stands in quotes is no delimiter."""
+    """Delimiter of a line, None for blanks; what stands in quotes is no delimiter."""
     bare = re.sub(r'"[^"]*"', "", line)
-    return max(",;\t", key=bare.count)
+    return next((mark for mark in ";\t," if mark in bare), None)
 
 
 def _cells(path, number, line, delimiter):
@@ -131,6 +168,9 @@ def _cells(path, number, line, delimiter):
 
 def _rows(path, lines, delimiter):
     """Numbered rows of cells; a quoted cell may hold delimiters and even ends of lines."""
+    if delimiter is None:
+        yield from ((number, line.replace(",", ".").split()) for number, line in lines)
+        return
     number = 0
 
     def texts():
@@ -140,9 +180,17 @@ def _rows(path, lines, delimiter):
 
     try:
         for cells in csv.reader(texts(), delimiter=delimiter, skipinitialspace=True):
+            if delimiter != "," and any("," in cell for cell in cells):
+                cells = [_with_point(cell) for cell in cells]
             yield number, cells
     except csv.Error as error:
         raise FileFormatError(f"{path}:{number}: expected cells of a table: {error}") from None
+
+
+def _with_point(cell):
+    """A number with a point instead of a decimal comma; other texts as they are."""
+    number = cell.replace(",", ".", 1)
+    return number if is_number(number.strip('" ')) else cell
 
 
 def column_index(path: str | Path, names: list[str], column: str) -> int:

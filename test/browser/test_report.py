@@ -79,8 +79,10 @@ def opened(browser, page):
 
 def until_drawn(browser):
     WebDriverWait(browser, 60).until(
-        lambda b: b.find_elements(By.CSS_SELECTOR, "#charts .main-svg")
-        and b.find_elements(By.CSS_SELECTOR, "#map .main-svg")
+        lambda b: (
+            b.find_elements(By.CSS_SELECTOR, "#charts .main-svg")
+            and b.find_elements(By.CSS_SELECTOR, "#map .main-svg")
+        )
     )
 
 

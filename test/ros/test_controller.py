@@ -623,6 +623,11 @@ def test_tuning_and_saving(rig, ros, tmp_path):
     answer = client.update_configuration({"lookahead_min_m": 4.0, "lookahead_max_m": 1.0})
     assert answer["lookahead_min_m"] == shipped["map"].lookahead_min_m
     assert "reconfigure rejected" in rig.node.output
+    # So has that to one beyond the slider, or above the speed at the start; the log says it.
+    assert client.update_configuration({"delay_s": 9.0})["delay_s"] == 0.5
+    assert client.update_configuration({"v_max_mps": 14.0})["v_max_mps"] == 12.0
+    told(rig, "reconfigure: delay_s: expected 0 to 0.5, got 9: 0.5 is taken")
+    told(rig, "reconfigure: v_max_mps: expected at most 12, its value at the start, got 14: 12 is")
 
 
 def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders(ros, rig):

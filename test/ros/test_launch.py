@@ -8,6 +8,7 @@ import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
 from harness import wait_for
 from map_racing.msg import LapResult
+from roslaunch.arg_dump import get_args
 from roslaunch.core import RLException
 
 from map_racing.cli import main
@@ -60,6 +61,24 @@ def test_every_argument_is_documented(folder):
             # Those with a value pass on or work out, and cannot be set.
             if "value" not in argument.attrib:
                 assert argument.get("doc"), f"{file.name}: {argument.get('name')}"
+
+
+def test_every_argument_that_counts_is_listed(folder):
+    """roslaunch --ros-args lists what a file declares itself, not what it passes on."""
+    topics = {"odom", "pose", "drive", "waypoints"}
+    expected = {
+        "race": {*topics, "imu", "reference_point"},
+        "simulate": {*topics, "imu"},
+        "replay": topics,
+        "identify": {"odom", "drive", "imu", "joy", "vehicle"},
+    }
+    for file, names in expected.items():
+        own = ElementTree.parse(folder / f"{file}.launch").getroot().findall("arg")
+        assert names <= {argument.get("name") for argument in own}, file
+        # What cannot be set is not listed as an argument to set.
+        assert not [argument.get("name") for argument in own if "value" in argument.attrib]
+        listed = get_args([str(folder / f"{file}.launch")])
+        assert names <= set(listed), file
 
 
 @pytest.mark.parametrize("stack", STACKS)

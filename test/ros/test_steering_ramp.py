@@ -7,6 +7,7 @@ import signal
 import numpy as np
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
+from harness import wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
@@ -63,6 +64,12 @@ def test_both_sides_then_the_end(field, start, hold, listen):
     assert min(angles) == pytest.approx(-0.3, abs=1e-6)
     assert max(m.drive.speed for m in commands) == 2.0
     assert [m.drive.speed for m in list(commands)[-5:]] == [0.0] * 5
+
+
+def test_the_room_is_told_before_the_start(start):
+    node = start("steering_ramp", {"speed_mps": 3.0, "sides": "left"})
+    wait_for(lambda: "rad and 3 m/s, is 9.6 m wide with the tires of NUC4" in node.output)
+    assert "[WARN] the first circle" in node.output and "start at 0.13 rad" in node.output
 
 
 def test_another_button_does_not_count(field, start, hold, listen):

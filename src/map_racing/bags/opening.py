@@ -42,6 +42,8 @@ def is_bag(path: str | Path) -> bool:
 
 
 def _begins_with(path, *magic):
+    if not path.is_file():  # opening a pipe would wait for a writer
+        return False
     try:
         with path.open("rb") as file:
             return file.read(8).startswith(magic)

@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from ..vehicle.parameters import Vehicle, load_vehicle
 
-__all__ = ["joined", "read_vehicle"]
+if TYPE_CHECKING:
+    from ..simulation.plant import PlantParameters
+    from ..simulation.public_simulator import PublicSimulatorParameters
+
+__all__ = ["joined", "read_plant", "read_vehicle"]
 
 
 def joined(paths: list[str], join: bool) -> list:
     """Sources of the recordings to read: each file, or with ``--join`` all of them as one run."""
     return [tuple(paths)] if join else list(paths)
+
+
+def read_plant(source: str) -> PlantParameters | PublicSimulatorParameters:
+    """Load a plant and print the notes on the vehicle that it names.
+
+    Parameters
+    ----------
+    source : str
+        See `load_plant`.
+
+    Raises
+    ------
+    FileFormatError, ParameterError
+        If it cannot be read.
+    """
+    # Imported here: most commands that read a vehicle simulate nothing.
+    from ..simulation.plants import load_plant
+
+    plant = load_plant(source)
+    for note in plant.vehicle.notes:
+        print(f"{source}: its vehicle {plant.vehicle.name}: {note}")
+    return plant
 
 
 def read_vehicle(source: str) -> Vehicle:

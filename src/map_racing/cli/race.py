@@ -7,14 +7,14 @@ from ..control.parameters import load_controller_parameters
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
-from ..simulation.plants import build_plant, load_plant
+from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import parameter_hash
-from .inputs import read_vehicle
+from .inputs import read_plant, read_vehicle
 from .outputs import check_outputs
 from .progress import progress_bar
 
@@ -40,7 +40,7 @@ def run(arguments):
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
     raceline = load_track(arguments.track)
-    plant_parameters = load_plant(arguments.plant)
+    plant_parameters = read_plant(arguments.plant)
     plant, localization = build_plant(plant_parameters, arguments.seed)
     if plant_parameters.reference_point != "rear_axle":
         parameters = parameters.with_(reference_point=plant_parameters.reference_point)
@@ -109,6 +109,8 @@ def given_table(path, parameters, vehicle, own):
     """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
+    if parameters.adaptation:
+        raise ParameterError(f"{path}: a controller that adapts its tires uses no lookup table")
     table = load_table(path)
     made_for = f" for {table.provenance.vehicle}" if table.provenance else ""
     v, a_lat = 3.0, 0.5 * own.max_lateral_acceleration(3.0)

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from ..control.steering_ramp import RampParameters
 from ..errors import ParameterError
-from ..simulation.plants import load_plant
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
+from .inputs import read_plant
 from .outputs import check_outputs
 from .progress import progress_bar
 
@@ -15,7 +15,7 @@ def run(arguments):
     """Drive and record."""
     output = Path(arguments.output)
     check_outputs([arguments.output], [arguments.plant])
-    plant = load_plant(arguments.plant)
+    plant = read_plant(arguments.plant)
     vehicle = plant.build_vehicle()
     given = {name: getattr(arguments, name) for name in ("rate_radps", "start_rad", "limit_rad")}
     given = {name: value for name, value in given.items() if value is not None}

@@ -114,8 +114,8 @@ def settings_text(
         values["speed_sectors"] = {
             "file": Path(sectors).name,
             "sectors": [
-                {"start_m": round(start, 3), "end_m": round(end, 3), "scale": scale}
-                for start, end, scale in controller.sectors.stretches()
+                dict(zip(("start_m", "end_m", "scale"), (round(float(v), 3) for v in stretch)))
+                for stretch in controller.sectors.stretches()
             ],
         }
     if limits is not None:

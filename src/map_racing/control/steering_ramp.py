@@ -10,14 +10,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
+
+import numpy as np
 
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import ONE_TENTH, size_of
+from ..vehicle.steady_state import steady_state_table
 
-__all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
+__all__ = [
+    "Box",
+    "Circle",
+    "Phase",
+    "RampCommand",
+    "RampParameters",
+    "SteeringRamp",
+    "circle_widths",
+    "told_room",
+]
 
 STANDSTILL = 0.1  # m/s
 # The rear breaks away where the car turns this much faster for its steering angle and speed than
@@ -101,6 +113,72 @@ class RampParameters:
                 )
 
 
+def circle_widths(
+    parameters: RampParameters, vehicle: Vehicle, angles: Sequence[float]
+) -> np.ndarray:
+    """Widths [m] of the circles that a car drives at the speed of the maneuver.
+
+    Parameters
+    ----------
+    parameters : RampParameters
+    vehicle : Vehicle
+    angles : sequence of float
+        Steering angles [rad], ascending.
+
+    Returns
+    -------
+    ndarray, shape (n_angles,)
+        Infinite straight ahead, NaN where the car slides.
+    """
+    a_lat = steady_state_table(vehicle, [parameters.speed_mps], angles).a_lat[:, 0]
+    with np.errstate(divide="ignore"):
+        return 2.0 * parameters.speed_mps**2 / a_lat
+
+
+def told_room(parameters: RampParameters, vehicle: Vehicle, room: float) -> tuple[str, bool]:
+    """How much room the maneuver takes, in words, and whether the area has it.
+
+    Parameters
+    ----------
+    parameters : RampParameters
+    vehicle : Vehicle
+    room : float
+        How far the area reaches from where the car starts [m].
+
+    Returns
+    -------
+    text : str
+        If there is too little room, with what fits.
+    fits : bool
+    """
+    angles = np.append(parameters.start_rad, np.arange(0.01, parameters.limit_rad, 0.01))
+    order = np.argsort(angles, kind="mergesort")
+    widths = np.empty(angles.size)
+    widths[order] = circle_widths(parameters, vehicle, angles[order])
+    text = (
+        f"the first circle, at {parameters.start_rad:g} rad and {parameters.speed_mps:g} m/s, is "
+        f"{widths[0]:.1f} m wide with the tires of {vehicle.name}"
+    )
+    both = len(SIDES[parameters.sides])
+    if both > 1:
+        text += "; the second side begins where the first ends"
+    if both * widths[0] <= room:
+        return text, True
+    advice = [f"start at {angle:.2f} rad" for angle in _first(angles, widths, room / both)]
+    if both > 1:
+        fitting = "".join(f", start at {angle:.2f} rad" for angle in _first(angles, widths, room))
+        advice.append(f"drive each side by itself from the middle of the area{fitting}")
+    advice.append(f"widen the area to {both * widths[0]:.1f} m")
+    text += f". The area reaches {room:g} m, and stops the car at its edge: "
+    return text + ", or ".join(advice), False
+
+
+def _first(angles, widths, room):
+    """The smallest first angle [rad] whose circle fits, if any and if it is not the one given."""
+    fitting = angles[(widths <= room)]
+    return [] if not fitting.size or fitting.min() <= angles[0] else [float(fitting.min())]
+
+
 @dataclass(frozen=True)
 class Circle:
     """Area within a radius [m] around a center [m]."""
@@ -112,6 +190,11 @@ class Circle:
     def __post_init__(self):
         if not (math.isfinite(self.x + self.y) and 0.0 < self.radius < math.inf):
             raise ParameterError(f"area: expected a circle, got {self}")
+
+    @property
+    def room(self) -> float:
+        """How far it reaches [m] from its center, where the car starts."""
+        return self.radius
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a position [m] is inside; one that is not finite is not."""
@@ -130,6 +213,11 @@ class Box:
     def __post_init__(self):
         if not (self.x_min < self.x_max and self.y_min < self.y_max):
             raise ParameterError(f"area: expected a box, got {self}")
+
+    @property
+    def room(self) -> float:
+        """How far it reaches [m] at most from where the car starts, at the best place."""
+        return min(self.x_max - self.x_min, self.y_max - self.y_min)
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a position [m] is inside; one that is not finite is not."""

@@ -16,7 +16,7 @@ from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..bags.series import quaternion_note
 from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
 from ..files import refuse_special
-from ..tables import column_index, read_columns, some_names
+from ..tables import UNITS, column_index, read_columns, some_names
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
 from ..track.raceline import Raceline
@@ -39,8 +39,8 @@ def _of_pose(name):
 # messages are as `rostopic echo -p` has them, without its "field.".
 _ALIASES = {
     "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp", "header.stamp", "%time"),
-    "x": ("x", "x_m", "pose_x", "pos_x", "position_x", *_of_pose("position.x")),
-    "y": ("y", "y_m", "pose_y", "pos_y", "position_y", *_of_pose("position.y")),
+    "x": ("x", "x_m", "tx", "pose_x", "pos_x", "position_x", *_of_pose("position.x")),
+    "y": ("y", "y_m", "ty", "pose_y", "pos_y", "position_y", *_of_pose("position.y")),
     "psi": ("psi", "psi_rad", "yaw", "yaw_rad", "theta", "heading", "pose_theta"),
     "v_x": (
         *("v_x", "vx", "vx_mps", "linear_vel_x", "speed", "v", "v_mps"),
@@ -55,7 +55,11 @@ _ALIASES = {
     "speed_command": ("speed_command", "v_command", "translational_control"),
 }
 # Read besides, where a file has them: the orientation, and the time of receipt of a message.
-_QUATERNION = {f"q_{axis}": _of_pose(f"orientation.{axis}") for axis in "xyzw"}
+_QUATERNION = {
+    f"q_{axis}": (f"q{axis}", f"q_{axis}", *_of_pose(f"orientation.{axis}")) for axis in "xyzw"
+}
+# Columns of a trajectory without names, as the TUM RGB-D benchmark and evo write it.
+_UNNAMED = {8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
 _RECEIVED = "%time"
 # Times under these names are in nanoseconds.
 _NANOSECONDS = ("%time", "header.stamp")
@@ -202,8 +206,9 @@ def same_raceline(one: Raceline, other: Raceline) -> bool:
 def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:
     """Read the driving recorded in a CSV file.
 
-    The layout is described at `map_racing.tables.read_columns`; files of ``rostopic echo -p`` are
-    read as they come. Time is in seconds, or in nanoseconds since 1970; rows without time or
+    The layout is described at `map_racing.tables.read_columns`; files of ``rostopic echo -p`` and
+    trajectories of the TUM benchmark (``timestamp tx ty tz qx qy qz qw``, names or not) are read as
+    they come. Time is in seconds, or in nanoseconds since 1970; rows without time or
     position are left out.
 
     Parameters
@@ -230,7 +235,9 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     unknown = sorted(set(columns) - set(_ALIASES))
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
-    table = read_columns(path, partial(_locate, path, columns))
+    table = read_columns(path, partial(_locate, path, columns), _UNNAMED)
+    for name, unit in table.units.items():
+        table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
     _bring_to_seconds(path, table)
     _check_times(path, table)
     _add_heading(path, table)
@@ -354,7 +361,7 @@ def _fields():
 
 def _is_csv(path):
     names = Path(path).name.lower()
-    return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".gz"))
+    return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".tum", ".gz"))
 
 
 def _plain(name):

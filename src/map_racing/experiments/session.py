@@ -148,6 +148,7 @@ class Session(Races):
         super().__init__(kind, folder, **where)
         self._tuning = tuning
         self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
+        self.notes += [f"{conditions.plant}: its vehicle: {note}" for note in plant.vehicle.notes]
         if raceline.d_left is None:
             self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
         if given is None:

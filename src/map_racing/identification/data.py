@@ -21,7 +21,7 @@ from ..bags.samples import in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
 from ..resources import find_config
-from ..tables import column_index, read_columns
+from ..tables import UNITS, column_index, read_columns
 from ..validation import finite
 
 __all__ = [
@@ -37,11 +37,6 @@ __all__ = [
 POSE = ("x", "y", "psi")
 INERTIAL = ("yaw_rate", "a_x", "a_y", "a_z")
 CHANNELS = (*POSE, "v_x", "v_y", *INERTIAL, "steering")
-UNITS = {
-    **dict.fromkeys(("m", "rad", "m/s", "rad/s", "m/s^2", "s"), 1.0),
-    **{"cm": 0.01, "mm": 0.001, "deg": math.pi / 180.0, "deg/s": math.pi / 180.0},
-    **{"km/h": 1.0 / 3.6, "g": 9.80665, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-}
 
 
 class Signal(NamedTuple):
@@ -252,7 +247,8 @@ def load_run(source: Source, channels: ChannelMap | None = None) -> Run:
         If the file cannot be read as what it is.
     """
     channels = channels or ChannelMap()
-    if not isinstance(source, (str, Path)) or is_bag(source):
+    parts = not isinstance(source, (str, Path))
+    if parts or (Path(source).is_dir() and is_bag(source)):
         return _load_bag(source, channels)
     path = find_config("recordings", source, (".bag",))
     if is_bag(path):
@@ -307,6 +303,7 @@ def _load_csv(path, channel_map):
         path, lambda names: {column: column_index(path, names, column) for column in wanted}
     )
     table, notes = columns.values, columns.notes
+    clocks, channels = (_with_units(some, columns.units) for some in (clocks, channels))
     t = clocks["time"].to_si(table[clocks["time"].source])
     values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}
     _blank_before_first(values, table, channels, POSE, "pose", notes)
@@ -323,6 +320,16 @@ def _load_csv(path, channel_map):
             pose_t = pose_t + float(np.median((t - pose_t)[known]))
         signals.update((name, (pose_t, values[name])) for name in POSE if name in values)
     return _run(path, signals, channel_map.setup, notes, clocks["pose_time"] is not None)
+
+
+def _with_units(channels, units):
+    """Channels with the units that the file states, where the channel map does not."""
+    return {
+        name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
+        if channel and not channel.unit
+        else channel
+        for name, channel in channels.items()
+    }
 
 
 def _blank_before_first(values, table, channels, names, what, notes):

@@ -40,7 +40,7 @@ from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
-from .node import FirstSender, SteadyClock, get_parameter, overridden, run
+from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run
 from .transforms import TransformListener
 from .tuning import TuningServer
 from .watchdog import Watchdog
@@ -67,6 +67,8 @@ def _build():
     parameters = overridden(load_controller_parameters(source))
     if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
+    if table and parameters.adaptation:
+        raise ParameterError(f"~lookup_table: {source} adapts the vehicle's tires and uses none")
     limits = overridden(load_safety_limits(source))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
@@ -95,9 +97,8 @@ class ControllerNode:
             frame(get_parameter("map_frame", "map", "frame of poses and raceline")),
             frame(get_parameter("base_frame", "base_link", "frame of the car, pose_source tf")),
         )
-        ros_home = os.environ.get("ROS_HOME") or Path.home() / ".ros"
         self._save_to = get_parameter(
-            "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
+            "save_to", str(ros_home() / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor, self._names = _build()
         self._driver = SupervisedController(
@@ -293,7 +294,7 @@ class ControllerNode:
             lookahead_distance=result.lookahead_distance,
             eta=result.eta,
             a_lat=result.a_lat,
-            a_lat_max=self._controller.steering_map.max_lateral_acceleration(guided.v_x),
+            a_lat_max=self._controller.max_lateral_acceleration(guided.v_x),
             steering_angle=decision.steering_angle,
             speed=decision.speed,
         )

@@ -56,7 +56,10 @@ class SimulatorNode:
         if self._lockstep and not self._clock_rate:
             raise ParameterError("~lockstep: expected a ~clock_rate, got 0: real time cannot wait")
 
-        plant, localization = build_plant(load_plant(plant_name), seed)
+        parameters = load_plant(plant_name)
+        for note in parameters.vehicle.notes:
+            rospy.logwarn("~plant: its vehicle %s: %s", parameters.vehicle.name, note)
+        plant, localization = build_plant(parameters, seed)
         self._car = DrivenCar(SimulatedCar(plant, localization), raceline)
         start = raceline.pose(start_s)
         self._car.put(start.x, start.y, start.psi)

@@ -246,9 +246,7 @@ class CommonRoadCar(ActuatedCar):
             cos, sin = math.cos(beta), math.sin(beta)
             self.acceleration = along * cos - across * sin, along * sin + across * cos
         sixth = step / 6.0
-        self._x = [
-            a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4)
-        ]
+        self._x = [a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4)]
 
     def _kinematic_sideslip(self):
         car = self._car

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from ..control.state import CarState, moved
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
-from ..vehicle.parameters import Vehicle, load_vehicle
+from ..vehicle.parameters import Vehicle, load_vehicle, scaled_tires
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
-from ..vehicle.tires import PacejkaTire
 from .grip import read_grip_changes
 
 __all__ = [
@@ -25,7 +24,6 @@ __all__ = [
     "Plant",
     "PlantParameters",
     "ScaledVehicle",
-    "scaled_tires",
 ]
 
 TIME_STEP = 0.002  # of the integration [s]
@@ -67,8 +65,11 @@ class ScaledVehicle:
 
     def build_vehicle(self) -> Vehicle:
         """The vehicle with the plant's own tires."""
+        vehicle = self.vehicle
+        if not isinstance(vehicle, Vehicle):
+            vehicle = load_vehicle(vehicle)
         return scaled_tires(
-            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+            vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
         )
 
 
@@ -113,39 +114,6 @@ class PlantParameters(ScaledVehicle):
         """The vehicle with the plant's own tires and drive."""
         vehicle = super().build_vehicle()
         return replace(vehicle, a_max=self.a_max_mps2, a_brake_max=self.a_brake_max_mps2)
-
-
-def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
-    """The car with other tires.
-
-    Parameters
-    ----------
-    vehicle : Vehicle or str
-        A car, or its name or file.
-    mu : float
-        Factor on the friction.
-    front_stiffness, rear_stiffness : float
-        Factors on the cornering stiffness of each axle, whose peak force is kept.
-
-    Returns
-    -------
-    Vehicle
-    """
-    if not isinstance(vehicle, Vehicle):
-        vehicle = load_vehicle(vehicle)
-    return replace(
-        vehicle,
-        mu=vehicle.mu * mu,
-        front=_scaled(vehicle.front, front_stiffness),
-        rear=_scaled(vehicle.rear, rear_stiffness),
-    )
-
-
-def _scaled(tire, factor):
-    """The tire with its cornering stiffness scaled and its peak kept."""
-    if isinstance(tire, PacejkaTire):
-        return replace(tire, B=tire.B * factor)
-    return replace(tire, C_S=tire.C_S * factor)
 
 
 class ActuatedCar:

@@ -1,5 +1,7 @@
 """The closed loop: a controller drives a plant around a raceline, lap after lap."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 from enum import Enum
@@ -39,7 +41,8 @@ class Sample(NamedTuple):
     `true` and `measured` are :class:`~map_racing.control.state.CarState` of the same instant;
     `arrival` [s] is when the measurement reached the controller; `acceleration` is the IMU's
     (longitudinal, lateral) [m/s^2]; `result` is the controller's
-    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad].
+    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad];
+    `belief` the controller's of the tires after the step, None if it does not learn them.
     """
 
     true: tuple
@@ -48,6 +51,7 @@ class Sample(NamedTuple):
     acceleration: tuple
     steering_angle: float
     result: tuple
+    belief: tuple | None = None
 
 
 @dataclass
@@ -123,6 +127,7 @@ def race(
     car.put(start.x, start.y, start.psi)
     controller.reset()
     tracker, grip = RacelineTracker(raceline), Grip(plant)
+    learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples = []
     driven, last_s = START_S, None
@@ -160,6 +165,7 @@ def race(
                     *(seen.true, seen.measured, seen.arrival, seen.acceleration),
                     plant.steering_angle,
                     result,
+                    None if learning is None else learning.belief,
                 )
             )
         # On to the next pose; time is looked at in between, should there be none.

@@ -12,7 +12,7 @@ from typing import Union
 
 import yaml
 
-from ..errors import ParameterError
+from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
 from ..validation import POSITIVE, check, documented, finite, parameter, positive
@@ -26,6 +26,7 @@ __all__ = [
     "load_vehicle",
     "parameter_hash",
     "save_vehicle",
+    "scaled_tires",
     "vehicle_of",
     "vehicle_values",
 ]
@@ -123,6 +124,9 @@ _TIRE_KEYS = {
 def load_vehicle(source: str | Path) -> Vehicle:
     """Read a car from a YAML file, also from a published model file.
 
+    Newer public stacks split a car: mass and geometry are in ``car_model.yaml``, the tires of each
+    floor in a file beside it or in ``pacejka/FLOOR/``. Either of the two stands for both.
+
     Keys that are not used and what is assumed are in `Vehicle.notes`.
 
     Parameters
@@ -133,16 +137,60 @@ def load_vehicle(source: str | Path) -> Vehicle:
     Raises
     ------
     ParameterError
-        If there is no such file; if a parameter is missing or impossible.
+        If there is no such file; if a parameter is missing or impossible; if there are tires of
+        several floors.
     FileFormatError
         If the file is not a YAML mapping.
     """
     path = find_config("vehicles", source, (".yaml",))
     values = read_yaml_mapping(path)
     try:
-        return _vehicle(values, default_name=path.stem)
+        values, notes = _joined(path, values)
+        vehicle = _vehicle(values, default_name=path.stem)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
+    return dataclasses.replace(vehicle, notes=(*notes, *vehicle.notes))
+
+
+def _joined(path, values):
+    """The values of a file and of the one that holds the other half of the car, and notes."""
+    body, tires = "m" in values or "mass" in values, _has_tires(values)
+    if tires and not body:
+        for folder in list(path.resolve().parents)[:3]:
+            other = folder / "car_model.yaml"
+            if other.is_file() and other != path.resolve():
+                return {**read_yaml_mapping(other), **values}, [f"mass and geometry from {other}"]
+    if body and not tires:
+        found = [
+            other
+            for pattern in ("*.yaml", "pacejka/*/default.yaml")
+            for other in sorted(path.resolve().parent.glob(pattern))
+            if other != path.resolve() and _holds_only_tires(other)
+        ]
+        if len(found) > 1:
+            several = ", ".join(map(str, found))
+            raise ParameterError(f"no tires, but several files of tires: name one of {several}")
+        if found:
+            return {**values, **read_yaml_mapping(found[0])}, [f"tires from {found[0]}"]
+    return values, []
+
+
+def _has_tires(values):
+    return any(
+        key in values
+        for spellings in _TIRE_KEYS.values()
+        for axle in "fr"
+        for keys in spellings(axle)
+        for key in keys
+    )
+
+
+def _holds_only_tires(path):
+    try:
+        values = read_yaml_mapping(path)
+    except FileFormatError:
+        return False
+    return _has_tires(values) and not {"m", "mass"} & set(values)
 
 
 def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
@@ -216,6 +264,36 @@ def linearized(vehicle: Vehicle) -> Vehicle:
     )
 
 
+def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
+    """The car with other tires.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mu : float
+        Factor on the friction.
+    front_stiffness, rear_stiffness : float
+        Factors on the cornering stiffness of each axle, whose peak force is kept.
+
+    Returns
+    -------
+    Vehicle
+    """
+    return dataclasses.replace(
+        vehicle,
+        mu=vehicle.mu * mu,
+        front=_scaled(vehicle.front, front_stiffness),
+        rear=_scaled(vehicle.rear, rear_stiffness),
+    )
+
+
+def _scaled(tire, factor):
+    """The tire with its cornering stiffness scaled and its peak kept."""
+    if isinstance(tire, PacejkaTire):
+        return dataclasses.replace(tire, B=tire.B * factor)
+    return dataclasses.replace(tire, C_S=tire.C_S * factor)
+
+
 def _vehicle(values, default_name):
     """Build a `Vehicle` from the keys of a file."""
     rest, notes = {}, []
@@ -277,7 +355,10 @@ def _tire_model(rest, file_name):
     if model is None:
         named = [model for model in given if file_name.lower().endswith(model)]
         if len(given) != 1 and len(named) != 1:
-            raise ParameterError(f"tire_model: missing, expected {' or '.join(_TIRE_KEYS)}")
+            raise ParameterError(
+                f"tire_model: missing, expected {' or '.join(_TIRE_KEYS)}"
+                + ("" if given else ", and there is no tire (C_Pf and C_Pr, or C_Sf and C_Sr)")
+            )
         return (named or given)[0]
     if not isinstance(model, str) or model.lower() not in _TIRE_KEYS:
         raise ParameterError(f"tire_model: expected {' or '.join(_TIRE_KEYS)}, got {model!r}")

@@ -5,9 +5,11 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 
 from map_racing.bags.reader import read_recording
 from map_racing.cli import main
+from map_racing.resources import find_config
 
 
 def test_race_says_how_it_ended(tmp_path, capsys):
@@ -115,3 +117,18 @@ def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch):
 
 def test_race_refuses_a_folder_that_is_not_there(tmp_path, refused):
     assert "does not exist" in refused("race", "--output", tmp_path / "no" / "a.bag")
+
+
+def test_notes_on_the_vehicle_of_a_plant_are_printed(tmp_path, capsys):
+    """A published model file in a plant file: what was assumed is said as for --vehicle."""
+    values = yaml.safe_load(find_config("vehicles", "nuc4", (".yaml",)).read_text())
+    del values["mu"]
+    (tmp_path / "car.yaml").write_text(yaml.safe_dump({**values, "C_R": 2.0}))
+    plant = yaml.safe_load(find_config("plants", "nuc4", (".yaml",)).read_text())
+    (tmp_path / "plant.yaml").write_text(yaml.safe_dump({**plant, "vehicle": "car.yaml"}))
+    path = str(tmp_path / "plant.yaml")
+    bag = str(tmp_path / "run.bag")
+    assert main(["race", "--plant", path, "--laps", "1", "--output", bag]) == 0
+    printed = capsys.readouterr().out
+    assert f"{path}: its vehicle NUC4: no mu: taken as 1" in printed
+    assert "its vehicle NUC4: keys not used: C_R" in printed

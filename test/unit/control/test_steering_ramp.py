@@ -5,9 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from map_racing.control.steering_ramp import (
+    Box,
+    Circle,
+    Phase,
+    RampParameters,
+    SteeringRamp,
+    circle_widths,
+    told_room,
+)
 from map_racing.errors import ParameterError
 from map_racing.simulation.plant import Plant, PlantParameters
+from map_racing.simulation.plants import load_plant
+from map_racing.simulation.ramps import drive_ramps
+from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
 WIDE = Circle(0.0, 0.0, 100.0)
@@ -175,3 +186,50 @@ def test_an_understeering_car_is_driven_to_the_last_angle():
         angle, speed = seen[0][:2]
         t += STEP
     assert drives[0].completed == 1
+
+
+# -- room ------------------------------------------------------------------------------------------
+
+
+def farthest(start, sides, speed=3.0):
+    """How far the simulated car comes from where it starts [m]."""
+    parameters = RampParameters(speed_mps=speed, start_rad=start, sides=sides)
+    samples = drive_ramps(load_plant("nuc4"), [parameters])
+    return max(math.hypot(sample.true.x, sample.true.y) for sample in samples)
+
+
+@pytest.mark.parametrize("start, fits", [(0.1, False), (0.14, True)])
+def test_the_first_circle_is_as_wide_as_said(start, fits):
+    parameters = RampParameters(speed_mps=3.0, start_rad=start, sides="left")
+    text, said = told_room(parameters, load_vehicle("nuc4"), Circle(0.0, 0.0, 8.0).room)
+    assert said is fits and (farthest(start, "left") <= 8.0) is fits
+    (width,) = circle_widths(parameters, load_vehicle("nuc4"), [start])
+    assert f"is {width:.1f} m wide" in text
+    # Until it has its speed the car drives a smaller circle.
+    assert 0.85 * width < farthest(start, "left") < width
+    assert ("start at 0.13 rad, or widen the area to 9.6 m" in text) is not fits
+
+
+def test_both_sides_take_more_room():
+    """The defaults leave their area on the second side, which begins where the first ends."""
+    parameters = RampParameters()
+    text, fits = told_room(parameters, load_vehicle("nuc4"), 8.0)
+    assert not fits and farthest(0.1, "both", 2.0) > 8.0
+    assert "drive each side by itself from the middle of the area, or widen" in text
+    width = circle_widths(parameters, load_vehicle("nuc4"), [0.1])[0]
+    assert told_room(parameters, load_vehicle("nuc4"), 2.0 * width)[1]
+
+
+def test_no_angle_fits_a_car_that_is_too_fast():
+    parameters = RampParameters(speed_mps=6.0, sides="left")
+    text, fits = told_room(parameters, load_vehicle("nuc4"), 8.0)
+    assert not fits and "start at" not in text and "widen the area to 20.9 m" in text
+
+
+def test_the_width_without_slip_is_known():
+    """At walking pace a car with stiff tires follows Ackermann: 2 l_wb / tan(delta)."""
+    vehicle = load_vehicle("nuc4")
+    parameters = RampParameters(speed_mps=0.1)
+    angles = [0.1, 0.3]
+    expected = 2.0 * vehicle.l_wb / np.tan(angles)
+    assert circle_widths(parameters, vehicle, angles) == pytest.approx(expected, rel=2e-3)

@@ -185,9 +185,7 @@ def two_runs(tmp_path_factory, reference):
     # Outside of the line around the exit, 0.35 m where it is most.
     d = -0.35 * bump(s, reference.length, wide.apex - 1.0, wide.end)
     x, y = reference.to_cartesian(s, d)
-    bad = Raceline(
-        x, y, vx_mps=speed, d_left_m=at.d_left - d, d_right_m=at.d_right + d, name="bad"
-    )
+    bad = Raceline(x, y, vx_mps=speed, d_left_m=at.d_left - d, d_right_m=at.d_right + d, name="bad")
     return [simulated(line, folder / f"{line.name}.bag") for line in (bad, reference)]
 
 

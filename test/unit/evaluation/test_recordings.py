@@ -62,12 +62,42 @@ def test_column_map(csv):
         "t\tx\ty\n0\t1\t2\n1\t3\t4\n",
         "\ufeffT, X, Y\r\n0, 1, 2\r\n1, 3, 4\r\n",
         '"t","x","y"\n"0","1","2"\n"1", "3", "4"\n',
+        "t x   y\n0 1 2\n1  3 4\n",
+        "t;x;y;note\n0,0;1,0;2,0;a, b\n1,0;3,0;4,0;1,2,3\n",
+        "t\tx\ty\n0,0\t1,0\t2,0\n1,0\t3,0\t4,0\n",
+        "t x y\n0,0 1,0 2,0\n1,0 3,0 4,0\n",
+        "t,x,y\ns,m,m\n0,1,2\n1,3,4\n",
+        "t;x;y\n[ms];[cm];[-]\n0;100;2\n1000;300;4\n",
+        "# t x y\n0 1 2\n1 3 4\n",
     ],
 )
 def test_layouts(csv, text):
     recording = read_csv_recording(csv(text))
     assert recording.t.tolist() == [0.0, 1.0]
     assert (recording.x.tolist(), recording.y.tolist()) == ([1.0, 3.0], [2.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    "head", ["", "# timestamp tx ty tz qx qy qz qw\n", "# ground truth of the hall\n"]
+)
+def test_trajectories_of_the_tum_benchmark(tmp_path, head):
+    path = tmp_path / "run.tum"
+    rows = [f"{1700000000 + 0.5 * i:.6f} {i} 2.5 0 0 0 1 1\n" for i in range(4)]
+    path.write_text(head + "".join(rows))
+    recording = load_recording(path)
+    assert recording.t.tolist() == [0.0, 0.5, 1.0, 1.5]
+    assert recording.x.tolist() == [0.0, 1.0, 2.0, 3.0] and recording.y.tolist() == 4 * [2.5]
+    np.testing.assert_allclose(recording.psi, 0.5 * np.pi)
+    assert recording.t0_ns == 1700000000 * 10**9
+
+
+def test_units_below_the_names_are_brought_to_si(csv):
+    text = "t;x;y;psi;v_x\nms;mm;m;deg;km/h\n0;1000,5;2;180;3,6\n500;3000;4;-90;36\n"
+    recording = read_csv_recording(csv(text))
+    assert recording.t.tolist() == [0.0, 0.5]
+    np.testing.assert_allclose(recording.x, [1.0005, 3.0])
+    np.testing.assert_allclose(recording.psi, [np.pi, -0.5 * np.pi])
+    np.testing.assert_allclose(recording.v_x, [1.0, 10.0])
 
 
 def test_gzip(tmp_path):
@@ -104,6 +134,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
         ("a,b,c\n0,1,2\n", "which columns are t, x, y.* say --columns t=NAME,x=NAME,y=NAME"),
         ("t,x,y\n0,1,2\n25000000,1,2\n50000000,1,2\n", "column t: .* seconds, .* 2.5e.07 between"),
         ('t,x,y\n0,"1,2\n1,1,2\n', "run.csv:3: expected 3 columns, got 2|at least two rows"),
+        ("t,x,y\nfurlong,m,m\n0,1,2\n", r"run.csv:2: column t: expected a number, got 'furlong'"),
         ("", "expected rows of numbers"),
         ("# only a comment\n", "expected rows of numbers"),
         ("t,x,y\n", "at least two rows"),

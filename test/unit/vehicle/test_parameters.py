@@ -272,6 +272,57 @@ def test_spellings_of_other_stacks(write):
     assert load_vehicle(write(values)) == car
 
 
+TIRES = {
+    **{f"{c}{axle}": value for axle in "fr" for c, value in zip("BCDE", PACEJKA[f"C_P{axle}"])},
+    "friction_coeff": 1.0,
+    "floor": "hall",
+}
+
+
+@pytest.fixture
+def split(tmp_path):
+    """A car as the newer stacks split it; tires of one floor."""
+    car = without({**PACEJKA, **FURTHER}, "C_Pf", "C_Pr", "tire_model", "mu")
+    (tmp_path / "car_model.yaml").write_text(yaml.safe_dump(car))
+    (tmp_path / "vesc.yaml").write_text("max_rpm: 20000\n")
+    floor = tmp_path / "pacejka" / "hall"
+    floor.mkdir(parents=True)
+    (floor / "default.yaml").write_text(yaml.safe_dump(TIRES))
+    return tmp_path
+
+
+def test_a_car_split_from_its_tires_is_joined(split, write):
+    expected = load_vehicle(write({**PACEJKA, "mu": 1.0}, "whole.txt"))
+    tires = split / "pacejka" / "hall" / "default.yaml"
+    by_car, by_tires = load_vehicle(split / "car_model.yaml"), load_vehicle(tires)
+    assert parameter_hash(by_car) == parameter_hash(by_tires) == parameter_hash(expected)
+    assert by_car.notes[0] == f"tires from {tires}"
+    assert by_tires.notes[0] == f"mass and geometry from {split / 'car_model.yaml'}"
+    # Beside it, under any name.
+    tires.rename(split / "pacejka_tire_params.yaml")
+    assert load_vehicle(split / "car_model.yaml").front == expected.front
+
+
+def test_tires_of_two_floors_must_be_chosen(split):
+    other = split / "pacejka" / "foyer"
+    other.mkdir()
+    (other / "default.yaml").write_text(yaml.safe_dump({**TIRES, "Df": 0.5, "Dr": 0.5}))
+    with pytest.raises(ParameterError, match=r"name one of .*foyer/default.yaml, .*hall/default"):
+        load_vehicle(split / "car_model.yaml")
+    assert load_vehicle(other / "default.yaml").front.D == 0.5
+
+
+def test_half_a_car_says_which_half_is_missing(split, tmp_path):
+    tires = split / "pacejka" / "hall" / "default.yaml"
+    alone = tmp_path / "a" / "b" / "c" / "d"
+    alone.mkdir(parents=True)
+    tires.rename(alone / "tires.yaml")
+    with pytest.raises(ParameterError, match=r"tires.yaml: m: missing"):
+        load_vehicle(alone / "tires.yaml")
+    with pytest.raises(ParameterError, match=r"car_model.yaml: tire_model: .* there is no tire"):
+        load_vehicle(split / "car_model.yaml")
+
+
 def test_a_wheelbase_that_the_reader_of_the_file_does_not_use_is_noted(write):
     car = load_vehicle(write({**PACEJKA, "model_name": "NUC9", "mu": 1.0, "l_wb": 0.32}))
     assert car.l_wb == pytest.approx(0.31) and "l_wb: expected" in car.notes[0]

@@ -264,6 +264,23 @@ def test_exchanged_walls():
     assert codes(RacelineTable(columns)) == {}
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("track", ["reference", "club"])
+def test_a_line_along_one_wall_is_not_taken_for_exchanged(track, side):
+    """Close to one wall all around, and swinging: the other wall is as smooth as it was."""
+    middle = load_raceline(track)
+    room = middle.d_left if side == "left" else -middle.d_right
+    for share, swing in ((0.85, 0.0), (0.7, 0.3)):
+        wave = np.sin(6.0 * np.pi * middle.s / middle.length)
+        line = Raceline(*middle.to_cartesian(middle.s, room * (share + swing * wave * share)))
+        feet = [middle.project(x, y) for x, y in zip(line.x, line.y)]
+        at = middle.sample([foot.s for foot in feet])
+        d, slope = np.array([foot.d for foot in feet]), np.cos(line.psi - at.psi)
+        columns = {"d_left": (at.d_left - d) / slope, "d_right": (at.d_right + d) / slope}
+        found = codes(RacelineTable({"x": line.x, "y": line.y, **columns}))
+        assert "swapped-walls" not in found, (share, swing)
+
+
 @pytest.mark.parametrize(
     "file",
     [
