@@ -36,6 +36,7 @@ __all__ = [
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 WALL, RACELINE = "0.5", "0.1"
+DPI = 130
 # Gray in the middle: white, as in the usual diverging maps, would hide a path without error.
 DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#D55E00", "0.75", "#0072B2"])
 
@@ -59,7 +60,7 @@ def save(figure: Figure, path: str | Path) -> None:
         with warnings.catch_warnings():
             # A letter that the font lacks is drawn as a box.
             warnings.filterwarnings("ignore", "Glyph")
-            figure.savefig(str(path), dpi=130)
+            figure.savefig(str(path), dpi=DPI)
     except (OSError, ValueError) as error:
         raise MapRacingError(f"{path}: cannot write the figure: {error}") from None
 

@@ -9,6 +9,15 @@ from map_racing.track.files.load import save_raceline
 from map_racing.track.raceline import Raceline
 
 
+@pytest.fixture(scope="session", autouse=True)
+def coarse():
+    """Figures of few pixels, not laid out: how they look is for the tests of the plots."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("map_racing.plots.style.DPI", 30)
+        patch.setattr("matplotlib.figure.Figure.tight_layout", lambda figure, **_: None)
+        yield
+
+
 @pytest.fixture
 def refused(capsys):
     """``refused("race", "--laps", 0)`` runs a command that must fail; its one line on stderr."""
@@ -55,7 +64,7 @@ def place(tmp_path_factory):
 def run(place):
     """``run("tune", ...)`` runs a command under these conditions, in this process; its exit code.
 
-    Tuning searches a grid of few pairs: its own tests search the whole one.
+    Tuning searches a grid of few pairs, and little beyond: its own tests search the whole one.
     """
 
     def command(*arguments):
@@ -63,6 +72,7 @@ def run(place):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tuning, "GRID", (8, 16))
             patch.setattr(tuning, "COARSE", 2)
+            patch.setattr(tuning, "MOST_MOVES", 1)
             return main([str(argument) for argument in (*arguments, *conditions)])
 
     return command
@@ -80,7 +90,7 @@ def tires(place, run):
 def shipped(place, run):
     """Result directory of tire-models on one day, with the shipped parameters."""
     output = place / "shipped"
-    options = ["--no-tuning", "--laps", 1, "--seeds", 1, "--output", output]
+    options = ["--no-tuning", "--vehicle", "nuc4", "--laps", 1, "--seeds", 1, "--output", output]
     assert run("experiment", "tire-models", *options) == 0
     return output
 
@@ -89,6 +99,7 @@ def shipped(place, run):
 def scaling(place, tires, run):
     """Result directory of velocity-scaling, which takes over the races that tuned."""
     output = place / "scaling"
-    options = ["--laps", 1, "--to", 0.65, "--seeds", 1, "--reuse", tires, "--output", output]
+    options = ["--laps", 1, "--to", 0.65, "--seeds", 1, "--vehicle", tires / "identified.yaml"]
+    options += ["--reuse", tires, "--output", output]
     assert run("experiment", "velocity-scaling", *options) == 0
     return output

@@ -7,6 +7,7 @@ import pytest
 
 from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
+from map_racing.experiments import tuning
 
 GRID = """\
 plant: nuc4
@@ -108,7 +109,8 @@ def test_mistakes_in_the_grid_are_one_line(tmp_path, capsys, text, expected):
     assert expected in said and said.count("\n") == 1
 
 
-def test_robust_tuning(folder, tmp_path, capsys):
+def test_robust_tuning(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(tuning, "MOST_MOVES", 1)
     output = tmp_path / "tuned"
     options = ("--controller", "map", "--grip-use", 0.8, "--output", output)
     assert run(folder, "tune", "--robust", *options) == 0

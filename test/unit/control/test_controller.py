@@ -489,7 +489,7 @@ def test_two_infinities_do_not_cancel():
     assert controller().step(state).status is Status.INVALID_STATE
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 @given(state=st.tuples(*[st.floats()] * 7), name=st.sampled_from(["table", "ackermann"]))
 def test_no_numbers_at_all_make_it_fail(state, name):
     """Decoded from a corrupt message: any bits."""
