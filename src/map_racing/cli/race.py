@@ -4,6 +4,7 @@ from pathlib import Path
 
 from ..control.controller import Controller, build_steering_maps
 from ..control.parameters import load_controller_parameters
+from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..simulation.plants import build_plant, load_plant
@@ -47,7 +48,13 @@ def run(arguments):
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
-    write_race_bag(output, log, raceline)
+    settings = settings_text(
+        controller,
+        name=arguments.controller,
+        table=arguments.lookup_table or "",
+        sectors=arguments.speed_sectors or "",
+    )
+    write_race_bag(output, log, raceline, settings=settings)
     if raceline.d_left is None:
         print(f"{arguments.track}: no walls are known, so crashes are not detected")
     print(

@@ -48,7 +48,14 @@ READERS = {
         "long_0.bag",
         "long_1.bag",
     ],
-    "doc/racelines.md": ["my_raceline.csv", "recorded.bag", "centerline.csv", "hall.yaml"],
+    "doc/racelines.md": [
+        "my_raceline.csv",
+        "recorded.bag",
+        "by_hand.bag",
+        "centerline.csv",
+        "hall.yaml",
+    ],
+    "doc/report.md": ["run.bag", "line.csv"],
     "doc/identify.md": [
         "my_base.yaml",
         "steering_ramp_1.bag",
@@ -132,6 +139,15 @@ def bag(path):
                 written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5, topic=topic)
 
 
+def by_hand(path):
+    """Two rounds and a half through the hall of the map, without a raceline."""
+    with BagWriter(path) as written:
+        for i in range(int(5.0 * np.pi / 0.02)):
+            angle = 0.02 * i
+            x, y = 2.3 * 1.4 * np.cos(angle) - 2.0, 2.3 * np.sin(angle)
+            written.pose(1.0 + 0.025 * i, x, y, angle + 1.6)
+
+
 def ros2(path):
     bag(path.with_suffix(".bag"))
     write_sqlite(path, messages_of(path.with_suffix(".bag")))
@@ -206,6 +222,7 @@ def experiment(path):
 MAKERS = {
     "Austin_centerline.csv": centerline,
     "Austin_raceline.csv": wider,
+    "by_hand.bag": by_hand,
     "centerline.csv": centerline,
     "circles_1/cmd.csv": circles,
     "hall.yaml": hall,
