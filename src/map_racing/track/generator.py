@@ -241,18 +241,20 @@ def _walled(path, shape):
     return Raceline(line.x, line.y, d_left_m=left, d_right_m=right)
 
 
-def rounded_polygon(corners):
+def rounded_polygon(corners, step=STEP):
     """Points of a closed polygon with rounded corners, from the middle of its first side on.
 
     Parameters
     ----------
     corners : list of tuple
         x, y and radius of each corner [m].
+    step : float, optional
+        Distance of the points [m].
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Points 0.02 m apart [m].
+        Points [m].
 
     Raises
     ------
@@ -274,32 +276,34 @@ def rounded_polygon(corners):
             raise ValueError(f"the arc of corner {corners[k]} begins before the last one ends")
         left = math.copysign(1.0, turn) * np.array([-into[1], into[0]])
         center = vertex - reach * into + radius * left
-        parts = np.linspace(0.0, 1.0, 1 + math.ceil(abs(turn) * radius / STEP))[:, None]
+        parts = np.linspace(0.0, 1.0, 1 + math.ceil(abs(turn) * radius / step))[:, None]
         angle = np.abs(parts * turn)
         path.extend(center - radius * (np.cos(angle) * left - np.sin(angle) * into))
     if np.dot(middle - path[-1], vertices[1] - vertices[0]) < 0.0:
         raise ValueError(f"the arc of corner {corners[0]} ends beyond the middle of its side")
     path = np.array([*path, middle])
     s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
-    at = np.arange(0.0, s[-1] - 0.5 * STEP, STEP)
+    at = np.arange(0.0, s[-1] - 0.5 * step, step)
     return np.stack((np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])), axis=1)
 
 
-def smoothed(path, deviation):
+def smoothed(path, deviation, step=STEP):
     """A closed path blurred by a Gaussian.
 
     Parameters
     ----------
     path : ndarray, shape (n, 2)
-        Points 0.02 m apart [m].
+        Points [m].
     deviation : float
         Standard deviation [m].
+    step : float, optional
+        Distance of the points [m].
 
     Returns
     -------
     Raceline
     """
-    wave = np.fft.fftfreq(len(path), STEP) * 2.0 * math.pi
+    wave = np.fft.fftfreq(len(path), step) * 2.0 * math.pi
     blur = np.exp(-0.5 * (wave * deviation) ** 2)
     x, y = (np.fft.ifft(np.fft.fft(column) * blur).real for column in path.T)
     return Raceline(x, y)

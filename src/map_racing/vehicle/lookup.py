@@ -17,6 +17,7 @@ from ..files import read_yaml_mapping, replacing
 from ..tables import open_text, parse_rows
 from ..validation import positive
 from .parameters import Vehicle
+from .size import ONE_TENTH, size_of
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
 
@@ -275,7 +276,9 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     """Speeds and angles so fine that interpolation errors hardly matter.
 
     There are 257 angles, and about one column per 0.1 m/s from 0.1 m/s on; the notes of
-    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute.
+    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. Larger cars have
+    columns as much farther apart as they are faster, and angles that are denser the smaller they
+    are: at full speed they steer by hundredths of a radian.
 
     Parameters
     ----------
@@ -296,8 +299,11 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     v_max = vehicle.v_max if v_max is None else float(v_max)
     if not 0.2 <= v_max <= 100.0:
         raise ParameterError(f"v_max: expected a speed from 0.2 to 100 m/s, got {v_max:g}")
-    speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 * (v_max - 0.1))) + 1)
-    return speeds, np.linspace(0.0, vehicle.delta_max, 257)
+    size = size_of(vehicle)
+    speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 / size.time * (v_max - 0.1))) + 1)
+    if size == ONE_TENTH:
+        return speeds, np.linspace(0.0, vehicle.delta_max, 257)
+    return speeds, vehicle.delta_max * np.linspace(0.0, 1.0, 257) ** 2
 
 
 def published_grid() -> tuple[np.ndarray, np.ndarray]:

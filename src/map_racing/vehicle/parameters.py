@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 Tire = Union[PacejkaTire, LinearTire]
+NO_LIMIT = 1000.0  # of the lateral acceleration [m/s^2]
 
 
 def _positive(text, unit="", default=dataclasses.MISSING):
@@ -63,6 +64,12 @@ class Vehicle:
     a_brake_max: float = _positive("Largest deceleration, positive", "m/s^2", 8.26)
     width: float = _positive("Outer width", "m", 0.296)
     length: float = _positive("Outer length", "m", 0.568)
+    a_lat_max: float = _positive(
+        "Largest lateral acceleration of the lookup table. Where the data did not reach the peak "
+        "of the tires, what they reached; the default is beyond any car's",
+        "m/s^2",
+        NO_LIMIT,
+    )
     notes: tuple[str, ...] = dataclasses.field(
         default=(),
         compare=False,
@@ -93,6 +100,7 @@ class Vehicle:
 
 
 _LIMITS = ("delta_max", "delta_rate_max", "v_max", "a_max", "a_brake_max", "width", "length")
+_LIMITS += ("a_lat_max",)
 _REQUIRED = ("m", "I_z", "l_f", "l_r", "h_cg", "mu")
 
 # other spellings of the published model files
@@ -227,6 +235,8 @@ def vehicle_values(vehicle: Vehicle) -> dict:
         else:
             values["C_S" + axle] = coefficients[0]
     values.update((key, getattr(vehicle, key)) for key in _LIMITS)
+    if vehicle.a_lat_max == NO_LIMIT:
+        del values["a_lat_max"]
     return values
 
 

@@ -91,7 +91,8 @@ def _solve(vehicle, speeds, angles):
     i, j = np.concatenate(rows), np.concatenate(columns)
     s_f = _front_slip(vehicle, speeds[j], angles[i], *np.concatenate(brackets, axis=1))
     a_lat[i, j] = vehicle.mu * GRAVITY * vehicle.front.normalized_force(s_f)
-    return a_lat
+    with np.errstate(invalid="ignore"):
+        return np.minimum(a_lat, vehicle.a_lat_max)
 
 
 def _branches(vehicle, speeds):
