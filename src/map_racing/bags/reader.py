@@ -107,7 +107,9 @@ def _read(path, bag, source, notes):
     commands = None
     if drives:
         at, (angle, speed) = command.columns(notes, drive_topic, clock)
-        commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic)
+        stamps, received = command.stamps()
+        shifted = not clock.use_receipt and stamps is not clock.times(stamps, received, [], "")
+        commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic, shifted)
         if at.size and (at[-1] < times[0] or at[0] > times[-1]):
             when = "before" if at[-1] < times[0] else "after"
             notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")

@@ -39,12 +39,16 @@ class Commands:
         Speed [m/s]; NaN where unknown.
     topic : str
         Topic or columns they came from.
+    shifted : bool
+        Whether their stamps were of another clock, and were brought to the poses' by the times of
+        receipt; then they are earlier than they were given by the age of the poses.
     """
 
     t: np.ndarray
     steering_angle: np.ndarray
     speed: np.ndarray
     topic: str = ""
+    shifted: bool = False
 
 
 class Waypoints(NamedTuple):

@@ -25,6 +25,7 @@ COMMANDS = {
     "raceline": "check, convert, optimize and record racelines",
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
     "identify": "identify tires from recorded steady cornering, write vehicle file and table",
+    "delay": "delays of steering, drive and localization from recorded laps",
     "tune": "find the lookahead with which a controller follows a track closest",
     "experiment": "repeat an experiment of the paper",
     "compare": "compare two result directories of experiments or of tuning",

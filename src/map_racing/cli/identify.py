@@ -11,7 +11,7 @@ from tqdm import tqdm
 from .. import __version__
 from ..errors import ParameterError
 from ..files import make_folder, write_json
-from ..identification.data import Channel, ChannelMap, load_channel_map, load_run
+from ..identification.data import load_run
 from ..identification.identify import Identification, identify, leave_one_out
 from ..identification.limits import SteadyLimits
 from ..identification.report import report_data, report_text
@@ -19,7 +19,7 @@ from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
-from .inputs import joined, read_vehicle
+from .inputs import channel_map, joined, read_vehicle
 from .outputs import check_outputs
 
 
@@ -67,24 +67,6 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.plots:
         draw_identification(arguments.plots, found, left_out, table)
         print(f"figures are in {arguments.plots}")
-
-
-def channel_map(arguments: argparse.Namespace) -> ChannelMap:
-    """The channel map with the changes of the command line."""
-    channels = load_channel_map(arguments.channels) if arguments.channels else ChannelMap()
-    if arguments.pose_topic:
-        channels = dataclasses.replace(channels, pose_topic=arguments.pose_topic)
-    if arguments.servo_topic:
-        gain, offset = arguments.servo_gain, arguments.servo_offset
-        if not gain:
-            raise ParameterError("--servo-gain: expected a number other than 0, got 0")
-        steering = Channel(arguments.servo_topic, scale=1.0 / gain, offset=-offset / gain)
-        merged = {**channels.channels, "steering": steering}
-        channels = dataclasses.replace(channels, channels=merged)
-    if arguments.steering_delay is not None:
-        setup = dataclasses.replace(channels.setup, steering_delay_s=arguments.steering_delay)
-        channels = dataclasses.replace(channels, setup=setup)
-    return channels
 
 
 def provenance(found: Identification) -> str:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 from typing import TYPE_CHECKING
 
+from ..errors import ParameterError
+from ..identification.data import Channel, ChannelMap, load_channel_map
 from ..vehicle.parameters import Vehicle, load_vehicle
 
 if TYPE_CHECKING:
     from ..simulation.plant import PlantParameters
     from ..simulation.public_simulator import PublicSimulatorParameters
 
-__all__ = ["joined", "read_plant", "read_vehicle"]
+__all__ = ["channel_map", "joined", "read_plant", "read_vehicle"]
 
 
 def joined(paths: list[str], join: bool) -> list:
@@ -61,3 +65,21 @@ def read_vehicle(source: str) -> Vehicle:
     for note in vehicle.notes:
         print(f"{source}: {note}")
     return vehicle
+
+
+def channel_map(arguments: argparse.Namespace) -> ChannelMap:
+    """The channel map with the changes of the command line."""
+    channels = load_channel_map(arguments.channels) if arguments.channels else ChannelMap()
+    if arguments.pose_topic:
+        channels = dataclasses.replace(channels, pose_topic=arguments.pose_topic)
+    if arguments.servo_topic:
+        gain, offset = arguments.servo_gain, arguments.servo_offset
+        if not gain:
+            raise ParameterError("--servo-gain: expected a number other than 0, got 0")
+        steering = Channel(arguments.servo_topic, scale=1.0 / gain, offset=-offset / gain)
+        merged = {**channels.channels, "steering": steering}
+        channels = dataclasses.replace(channels, channels=merged)
+    if arguments.steering_delay is not None:
+        setup = dataclasses.replace(channels.setup, steering_delay_s=arguments.steering_delay)
+        channels = dataclasses.replace(channels, setup=setup)
+    return channels

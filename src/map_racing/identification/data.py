@@ -36,7 +36,7 @@ __all__ = [
 
 POSE = ("x", "y", "psi")
 INERTIAL = ("yaw_rate", "a_x", "a_y", "a_z")
-CHANNELS = (*POSE, "v_x", "v_y", *INERTIAL, "steering")
+CHANNELS = (*POSE, "v_x", "v_y", *INERTIAL, "steering", "speed_command")
 
 
 class Signal(NamedTuple):
@@ -178,6 +178,10 @@ class Run:
         Whether the poses have a clock of their own, with an unknown offset.
     notes : list of str
         Choices, repairs and omissions made while reading.
+    pose_lag : (float, float, float), optional
+        From stamp to receipt of the poses [s]: median between the 2.5th and the 97.5th percentile.
+    commands_shifted : bool
+        See `map_racing.bags.samples.Commands`.
     """
 
     name: str
@@ -185,6 +189,8 @@ class Run:
     setup: SensorSetup = SensorSetup()
     pose_clock: bool = False
     notes: list[str] = field(default_factory=list)
+    pose_lag: tuple[float, float, float] | None = None
+    commands_shifted: bool = False
 
     @property
     def label(self) -> str:
@@ -277,9 +283,10 @@ def _load_bag(source, channel_map):
     signals["yaw_rate"] = recording.t, recording.yaw_rate
     if "imu" in extra:
         t, columns = extra.pop("imu")
-        signals.update((name, (t, columns[name])) for name in INERTIAL)
+        signals.update((name, (t, columns[name])) for name in INERTIAL if columns[name].any())
     if recording.commands is not None:
         signals["steering"] = recording.commands.t, recording.commands.steering_angle
+        signals["speed_command"] = recording.commands.t, recording.commands.speed
     for name, (t, columns) in extra.items():
         channel = channel_map.channels[name]
         wanted = channel.field or (name if name in columns else next(iter(columns)))
@@ -288,7 +295,13 @@ def _load_bag(source, channel_map):
                 f"{path}: {name}: expected {', '.join(columns)} of {channel.source}, got {wanted!r}"
             )
         signals[name] = t, channel.to_si(columns[wanted])
-    return _run(path, signals, channel_map.setup, recording.notes)
+    run = _run(path, signals, channel_map.setup, recording.notes)
+    clock, commands = recording.clock, recording.commands
+    lag = None
+    if clock is not None and not clock.use_receipt and clock.lag.size:
+        lag = tuple(1e-9 * np.percentile(clock.lag, (2.5, 50.0, 97.5)))
+    shifted = commands is not None and commands.shifted
+    return dataclasses.replace(run, pose_lag=lag, commands_shifted=shifted)
 
 
 def _load_csv(path, channel_map):

@@ -155,7 +155,17 @@ def bag(tmp_path):
 
 def test_bag_as_it_usually_is(bag):
     run = load_run(bag)
-    assert set(run.signals) == {"x", "y", "psi", "yaw_rate", "a_x", "a_y", "a_z", "steering"}
+    assert set(run.signals) == {
+        "x",
+        "y",
+        "psi",
+        "yaw_rate",
+        "a_x",
+        "a_y",
+        "a_z",
+        "steering",
+        "speed_command",
+    }
     # The localization's twist is not filled: the yaw rate is the IMU's, the speed that of the path.
     assert run.signals["yaw_rate"].value[0] == 0.5
     assert run.signals["steering"].value[0] == pytest.approx(0.2)

@@ -1,0 +1,34 @@
+"""``map-racing delay``: how late a car acts, from recorded driving."""
+
+from __future__ import annotations
+
+import argparse
+
+from tqdm import tqdm
+
+from ..files import write_json
+from ..identification.data import load_run
+from ..identification.delay import delay_data, delay_text, estimate_delays
+from ..resources import list_config
+from ..vehicle.parameters import load_vehicle
+from .inputs import channel_map, read_vehicle
+from .outputs import check_outputs
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Estimate and report."""
+    check_outputs([arguments.json], [*arguments.data, arguments.vehicle, arguments.channels])
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
+    others = [] if vehicle else [load_vehicle(name) for name in list_config("vehicles")]
+    channels = channel_map(arguments)
+    runs = [
+        load_run(path, channels) for path in tqdm(arguments.data, "read", disable=None, leave=False)
+    ]
+    delays = estimate_delays(runs, vehicle, others)
+    for recorded in runs:
+        for note in recorded.notes:
+            print(f"{recorded.label}: {note}")
+    print(delay_text(delays))
+    if arguments.json:
+        write_json(arguments.json, delay_data(delays))
+        print(f"delays written to {arguments.json}")

@@ -1,0 +1,25 @@
+"""Options of ``map-racing delay``."""
+
+import argparse
+
+from .recording import add_recording_options
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Estimate how late a car acts from recorded laps: age of the pose, dead time and lag of "
+        "the steering and of the drive, and the controller's delay_s and speed_lookahead_s that "
+        "follow, each with its 95 %% interval. Straight driving tells no delay, and is said to."
+    )
+    parser.add_argument(
+        "data", nargs="+", metavar="RUN", help="ROS 1 bags, or CSV files with --channels"
+    )
+    parser.add_argument(
+        "--vehicle",
+        help="model of the car, which makes the estimate more certain: shipped vehicle or YAML "
+        "file (default: any car of this size)",
+    )
+    add_recording_options(parser)
+    parser.add_argument("--json", metavar="FILE", help="write the delays as JSON")
+    parser.set_defaults(run="delay.run")

@@ -1,0 +1,363 @@
+"""How late a car acts: age of the pose, dead time and lag of the steering and of the drive.
+
+A model of the car stands between the commands and what they cause, because the yaw of a car lags
+behind its wheels by itself; the lag depends on the tires, which are fitted with the delays
+(`output_error`). A delay is only told where the commands move: pieces without turning, or without
+change of speed, do not count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Iterable, NamedTuple
+
+import numpy as np
+
+from ..errors import IdentificationError
+from ..vehicle.parameters import Vehicle
+from .data import Run
+from .driving import LONGEST_DELAY_S, driving_of, windows_of
+from .output_error import believed, fit_car
+from .robust_fit import CONFIDENCE, Believed, fit
+from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
+
+__all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
+
+ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
+# A window tells a delay of the steering where the yaw rate varies by so much, one of the drive
+# where the speed does; and so many windows are needed.
+LEAST_TURNING_RADPS, LEAST_CHANGE_MPS, FEWEST_WINDOWS = 0.3, 0.15, 5
+MOST_WINDOWS = 30
+# A wider interval to either side is no answer [s].
+WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
+# The model must explain this share of the variance.
+LEAST_SHARE = 0.8
+# A servo that steps must leave less than this share of the residuals that one with a lag leaves.
+STEPPING = 0.8
+OWN = believed(inertia=0.15)
+ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
+STEP_S = 0.005
+# Poses as old as this are of another clock [s], and synchronized clocks differ by the other.
+OLDEST_S, FUTURE_S = 0.15, 0.02
+
+
+class Part(NamedTuple):
+    """A delay with its 95 % interval.
+
+    Parameters
+    ----------
+    value, low, high : float or None
+        [s]; None if not determined.
+    reason : str
+        Why it is not determined, or what it rests on.
+    """
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    reason: str = ""
+
+    @property
+    def status(self) -> str:
+        """``estimated`` or ``not determined``."""
+        return NOT_DETERMINED if self.value is None else ESTIMATED
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Delays of a car, and the controller's parameters that follow.
+
+    Parameters
+    ----------
+    delay : Part
+        The controller's ``delay_s``: how much older than its effect a pose is when the command made
+        of it turns the wheels. Age of the pose, dead time and lag of the steering.
+    speed_lookahead : Part
+        The controller's ``speed_lookahead_s``: what the drive takes longer than the steering.
+    pose_age, steering_dead_time, steering_lag, steering : Part
+        The last is dead time and lag together, which are better known than each.
+    drive_dead_time, drive_lag : Part
+    notes : list of str
+    """
+
+    delay: Part
+    speed_lookahead: Part
+    pose_age: Part
+    steering: Part
+    steering_dead_time: Part
+    steering_lag: Part
+    drive_dead_time: Part
+    drive_lag: Part
+    notes: list[str] = field(default_factory=list)
+
+
+def estimate_delays(
+    runs: list[Run], vehicle: Vehicle | None = None, others: Iterable[Vehicle] = ()
+) -> Delays:
+    """Estimate the delays of a car from one or more drives.
+
+    Parameters
+    ----------
+    runs : list of Run
+    vehicle : Vehicle, optional
+        This car's own file, where the model of it begins.
+    others : iterable of Vehicle
+        Without such a file: cars of about this size from which the model may begin, whose
+        wheelbase, inertia and tires are free. The one that fits best counts.
+
+    Returns
+    -------
+    Delays
+    """
+    drives, notes = [], []
+    for run in runs:
+        try:
+            drive = driving_of(run)
+        except IdentificationError as error:
+            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            continue
+        drives.append(drive)
+        notes += [f"{run.label}: {note}" for note in drive.notes]
+    age, shifted = _pose_age(runs)
+    models = [(vehicle, OWN)] if vehicle else [(other, ANY) for other in others]
+    total, dead, lag = _steering(drives, models, notes)
+    drive_dead, drive_lag = _drive(drives)
+    delay = total
+    if total.value is None:
+        age_note = ""
+    elif shifted:
+        age_note = "the clocks differ, so the age of the pose is in the steering's"
+        age = Part(reason=age_note)
+    elif age.value is None:
+        age_note = f"without the age of the pose: {age.reason}"
+    else:
+        age_note = ""
+        delay = Part(total.value + age.value, total.low + age.value, total.high + age.value)
+    if age_note:
+        delay = delay._replace(reason=age_note)
+    return Delays(
+        delay,
+        _speed_lookahead(total, drive_dead, drive_lag),
+        age,
+        total,
+        dead,
+        lag,
+        drive_dead,
+        drive_lag,
+        notes,
+    )
+
+
+def _pose_age(runs):
+    """Age of the poses on arrival, and whether commands were shifted to the poses' clock."""
+    stamped = [run.pose_lag for run in runs if run.pose_lag is not None]
+    shifted = any(run.commands_shifted for run in runs)
+    if not stamped:
+        return Part(reason="the recording does not say when poses were received"), shifted
+    low, middle, high = (float(np.median(values)) for values in zip(*stamped))
+    if not -FUTURE_S <= middle <= OLDEST_S:
+        return Part(reason=f"the stamps of the poses are of another clock ({middle:+.3f} s)"), True
+    if low == high == 0.0:
+        return Part(reason="poses are stamped when they are received"), shifted
+    return Part(middle, low, high), shifted
+
+
+def _steering(drives, models, notes):
+    """Dead time and lag of the steering together, and each."""
+    if not drives:
+        return (Part(reason="no drive with commands and yaw rate"),) * 3
+    windows = _windows(drives)
+    if windows.count < FEWEST_WINDOWS:
+        return (
+            Part(
+                reason=f"the yaw rate varies by {LEAST_TURNING_RADPS:g} rad/s in {windows.count} s "
+                f"of the {FEWEST_WINDOWS} s needed: straight or steady driving tells no delay"
+            ),
+        ) * 3
+    found, vehicle, beliefs = min(
+        ((fit_car(car, windows, beliefs), car, beliefs) for car, beliefs in models),
+        key=lambda entry: entry[0].noise["r"],
+    )
+    value, share = found["delay"], found["share"]
+    unsure = CONFIDENCE * found.deviation({"delay": 1.0})
+    explained = 1.0 - (found.noise["r"] / _spread(windows.observed["r"])) ** 2
+    if explained < LEAST_SHARE:
+        reason = f"the commands explain {max(explained, 0.0):.0%} of how the yaw rate varies"
+        return (Part(reason=reason),) * 3
+    samples = _stepping(drives, vehicle, beliefs, found)
+    if samples is not None:
+        text = f"the servo turns in steps of {SAMPLE_S:g} s, behind a line of {samples} samples"
+        total = _part(samples * SAMPLE_S, 0.5 * SAMPLE_S, text)
+        return total, total, Part(0.0, 0.0, 0.0, text)
+    if unsure > WIDEST_STEERING_S or value > LONGEST_DELAY_S - 0.015:
+        reason = f"{value:.3f} +- {unsure:.3f} s: too little turning"
+        return (Part(reason=reason),) * 3
+    dead = CONFIDENCE * found.deviation({"delay": 1.0 - share, "share": -value})
+    lag = CONFIDENCE * found.deviation({"delay": share, "share": value})
+    return _part(value, unsure), _part(value * (1.0 - share), dead), _part(value * share, lag)
+
+
+def _windows(drives):
+    """Windows with turning; the lateral velocity of the car tells its tires, where measured."""
+    measured = all("v_y" in drive.measured for drive in drives)
+    return windows_of(
+        drives,
+        step=STEP_S,
+        channels=("r", "v_y") if measured else ("r",),
+        excited="r",
+        least=LEAST_TURNING_RADPS,
+        most=MOST_WINDOWS,
+    )
+
+
+def _stepping(drives, vehicle, beliefs, found):
+    """Length of the line of a servo that steps, if it is one; otherwise None."""
+    if not all(on_raster(drive.measured["r"].t) for drive in drives):
+        return None
+    free = replace(vehicle, delta_rate_max=1e6)
+    held = {
+        name: belief._replace(center=0.0, spread=0.0) if name in ("delay", "share") else belief
+        for name, belief in beliefs.items()
+    }
+    noise = {}
+    about = round(found["delay"] / SAMPLE_S) - 1
+    for samples in range(max(about - 1, 0), about + 2):
+        stepped = [
+            behind_stepping_servo(drive, vehicle.delta_rate_max, vehicle.delta_max, samples)
+            for drive in drives
+        ]
+        noise[samples] = fit_car(free, _windows(stepped), held).noise["r"]
+    best = min(noise, key=noise.get)
+    return best if noise[best] < STEPPING * found.noise["r"] else None
+
+
+def _drive(drives):
+    """Dead time and lag of the drive."""
+    drives = [drive for drive in drives if drive.speed_command is not None]
+    if not drives:
+        return (Part(reason="no speed commands"),) * 2
+    windows = windows_of(
+        drives,
+        length=1.5,
+        burn_in=0.0,
+        step=0.01,
+        channels=("v_x",),
+        excited="v_x",
+        least=LEAST_CHANGE_MPS,
+        most=MOST_WINDOWS,
+    )
+    if windows.count < FEWEST_WINDOWS:
+        return (Part(reason="the speed hardly changes"),) * 2
+    beliefs = {
+        "delay": Believed(0.03, 0.1, 0.0, 0.29, 1e-3),
+        "lag": Believed(0.1, 0.3, 0.005, 2.0, 1e-3),
+        "a_max": Believed(7.0, 20.0, 0.5, 30.0, 1e-2),
+        "a_brake_max": Believed(8.0, 20.0, 0.5, 30.0, 1e-2),
+        "gain": Believed(1.0, 0.05, 0.7, 1.4, 1e-3),
+    }
+
+    def predict(lanes):
+        delay, lag, most, least, gain = lanes.T[:, :, None]
+        command = gain * windows.commands("speed_command", lanes[:, 0])
+        v = np.empty((windows.steps + 1, *command.shape[1:]))
+        v[0] = windows.v_x[0]
+        # Exactly over a step, as far as the limits allow.
+        follow = -np.expm1(-windows.step / lag)
+        up, down = most * windows.step, -least * windows.step
+        for k in range(windows.steps):
+            v[k + 1] = v[k] + np.clip((command[k] - v[k]) * follow, down, up)
+        return {"v_x": windows.at("v_x", v)}
+
+    found = fit(predict, windows.observed, beliefs, [{"delay": 0.02}, {"lag": 0.4}], {"v_x": 0.1})
+    explained = 1.0 - (found.noise["v_x"] / _spread(windows.observed["v_x"])) ** 2
+    parts = []
+    for name in ("delay", "lag"):
+        unsure = CONFIDENCE * found.deviation({name: 1.0})
+        if explained < LEAST_SHARE or unsure > WIDEST_DRIVE_S:
+            parts.append(
+                Part(
+                    reason=f"{found[name]:.3f} +- {unsure:.3f} s, a model with lag and "
+                    f"limits explains {max(explained, 0.0):.0%} of the changes of speed"
+                )
+            )
+        else:
+            parts.append(_part(found[name], unsure))
+    return tuple(parts)
+
+
+def _speed_lookahead(steering, drive_dead, drive_lag):
+    """The state is predicted by the delay of the steering already: the rest is looked ahead."""
+    for part, name in ((steering, "steering"), (drive_dead, "drive"), (drive_lag, "drive")):
+        if part.value is None:
+            return Part(reason=f"{name}: {part.reason}")
+    low, middle, high = (
+        max(drive_dead[i] + drive_lag[i] - steering[j], 0.0) for i, j in ((1, 2), (0, 0), (2, 1))
+    )
+    return Part(middle, low, high)
+
+
+def _spread(observed):
+    """Robust standard deviation of measurements around the mean of their window."""
+    window, value = observed[0], observed[-1]
+    count = np.maximum(np.bincount(window), 1)
+    mean = np.bincount(window, value) / count
+    return float(np.sqrt(np.mean((value - mean[window]) ** 2)))
+
+
+def _part(value, unsure, reason=""):
+    return Part(float(value), max(float(value - unsure), 0.0), float(value + unsure), reason)
+
+
+PARTS = (
+    *("pose_age", "steering", "steering_dead_time", "steering_lag"),
+    *("drive_dead_time", "drive_lag", "speed_lookahead"),
+)
+
+
+def delay_data(delays: Delays) -> dict[str, Any]:
+    """The delays as plain data, the controller's ``delay_s`` on top."""
+
+    def entries(part, name):
+        return {
+            name: part.value,
+            f"{name[:-2]}_interval_s": None if part.value is None else [part.low, part.high],
+            "status": part.status,
+            "reason": part.reason,
+        }
+
+    result = entries(delays.delay, "delay_s")
+    for name in PARTS:
+        part = getattr(delays, name)
+        result[name] = {
+            "value_s": part.value,
+            "interval_s": None if part.value is None else [part.low, part.high],
+            "status": part.status,
+            "reason": part.reason,
+        }
+    result["speed_lookahead_s"] = delays.speed_lookahead.value
+    result["notes"] = list(delays.notes)
+    return result
+
+
+def delay_text(delays: Delays) -> str:
+    """The delays as lines of text."""
+    rows = [
+        ("age of the pose", delays.pose_age),
+        ("steering, dead time and lag", delays.steering),
+        ("  dead time", delays.steering_dead_time),
+        ("  lag", delays.steering_lag),
+        ("drive, dead time", delays.drive_dead_time),
+        ("drive, lag", delays.drive_lag),
+        ("delay_s", delays.delay),
+        ("speed_lookahead_s", delays.speed_lookahead),
+    ]
+    lines = []
+    for name, part in rows:
+        if part.value is None:
+            lines.append(f"{name}: not determined: {part.reason}")
+        else:
+            note = f"; {part.reason}" if part.reason else ""
+            lines.append(
+                f"{name}: {part.value:.3f} s (95 %: {part.low:.3f} to {part.high:.3f} s){note}"
+            )
+    return "\n".join([*lines, *delays.notes])

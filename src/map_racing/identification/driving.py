@@ -1,0 +1,361 @@
+"""Recorded driving as windows over which a model of the car can be driven by the same commands.
+
+Commands hold until the next one. All that a window needs is prepared once: speed and acceleration
+at the steps of the integration, the integral of the steering command, from which its mean over any
+step follows for any dead time, and the measurements with their places between the steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import IdentificationError
+from .cornering import low_passed
+from .data import Run
+
+__all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of"]
+
+# Clock on which speed and yaw rate are smoothed [Hz], and their low-pass: a drive is no faster.
+GRID_HZ, SMOOTH_HZ = 100.0, 6.0
+# Slower than this slip angles, and delays, are of no use [m/s].
+SLOWEST_MPS = 1.0
+# Longer gaps in measurements, and silences of the commands, end a window [s].
+LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
+# Longest dead time and lag together that are looked for [s].
+LONGEST_DELAY_S = 0.3
+# An acceleration of the IMU counts as lateral if it follows speed times yaw rate with such a slope.
+SLOPES = (0.7, 1.4)
+# Shorter than this nothing is told from it [s].
+SHORTEST_S = 3.0
+
+
+class Held(NamedTuple):
+    """A command that holds until the next one.
+
+    Parameters
+    ----------
+    t : ndarray, shape (k,)
+        When it was given [s].
+    value : ndarray, shape (k,)
+        Steering angle [rad] or speed [m/s].
+    """
+
+    t: np.ndarray
+    value: np.ndarray
+
+    def integral(self) -> np.ndarray:
+        """Integral of the command up to each `t`, from 0."""
+        return np.append(0.0, np.cumsum(np.diff(self.t) * self.value[:-1]))
+
+    def means(self, t: np.ndarray, step: float, integral: np.ndarray) -> np.ndarray:
+        """Mean over the step that begins at each of `t`, smooth in `t`; `integral` is its own."""
+        both = np.concatenate((t, t[-1:] + step)) if t.ndim == 1 else np.vstack((t, t[-1:] + step))
+        at = np.searchsorted(self.t, both, side="right") - 1
+        at = np.clip(at, 0, self.t.size - 1)
+        total = integral[at] + (both - self.t[at]) * self.value[at]
+        return np.diff(total, axis=0) / step
+
+
+class Measured(NamedTuple):
+    """Measurements of one quantity: times [s] and values [SI]."""
+
+    t: np.ndarray
+    value: np.ndarray
+
+
+@dataclass(frozen=True)
+class Driving:
+    """One drive on true time, in SI units, with the setup of its sensors applied.
+
+    Parameters
+    ----------
+    label : str
+    steering : Held
+        Angle of the front wheels that the commands ask for [rad].
+    speed_command : Held or None
+        [m/s]
+    t, v_x, a_long, r : ndarray, shape (n,)
+        Even times [s], and speed, its rate and yaw rate there, smoothed without delay.
+    measured : dict of str to Measured
+        ``r`` [rad/s] and, where measured, ``a_y`` of the IMU [m/s^2], and ``v_y`` of the localized
+        point [m/s]; ``v_x`` [m/s].
+    pose_x : float
+        Where ``v_y`` is measured, ahead of the rear axle [m].
+    usable : ndarray of bool, shape (n,)
+        Where the car drives and all signals are there.
+    notes : list of str
+    """
+
+    label: str
+    steering: Held
+    speed_command: Held | None
+    t: np.ndarray
+    v_x: np.ndarray
+    a_long: np.ndarray
+    r: np.ndarray
+    measured: dict[str, Measured]
+    pose_x: float
+    usable: np.ndarray
+    notes: list[str]
+
+
+def driving_of(run: Run) -> Driving:
+    """Prepare a run.
+
+    Parameters
+    ----------
+    run : Run
+        Its setup is applied. Speed and yaw rate that nothing measures come from the poses.
+
+    Raises
+    ------
+    IdentificationError
+        If there are no steering commands, or too little else.
+    """
+    signals, setup, notes = run.signals, run.setup, []
+    if "steering" not in signals:
+        raise IdentificationError(f"{run.name}: steering: expected drive commands, got none")
+    scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
+    r = scaled.get("yaw_rate")
+    if r is None:
+        r = _rate_of_heading(run, scaled)
+        notes.append("yaw rate from the heading of the poses")
+    else:
+        r = r[0], setup.yaw_rate_scale * r[1]
+    v = scaled.get("v_x")
+    if v is None:
+        v = _speed_of_path(run, scaled)
+        notes.append("speed from the path of the poses")
+    else:
+        v = v[0], setup.speed_scale * v[1]
+    begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
+    commands_t, angle = scaled["steering"]
+    begin = max(begin, float(commands_t[0]))
+    if end - begin < SHORTEST_S:
+        raise IdentificationError(
+            f"{run.name}: expected {SHORTEST_S:g} s in which commands, speed and yaw rate exist, "
+            f"got {max(end - begin, 0.0):.1f} s"
+        )
+    t = np.arange(begin, end, 1.0 / GRID_HZ)
+    smooth = low_passed(np.stack([np.interp(t, *v), np.interp(t, *r)]), GRID_HZ, SMOOTH_HZ)
+    measured = {"r": Measured(*r), "v_x": Measured(*v)}
+    a_y = _lateral_acceleration(run, scaled, t, smooth, notes)
+    if a_y is not None:
+        measured["a_y"] = a_y
+    if "v_y" in scaled:
+        measured["v_y"] = Measured(*scaled["v_y"])
+    usable = (smooth[0] > SLOWEST_MPS) & _near(t, commands_t, LONGEST_HOLD_S)
+    for name in measured:
+        usable &= _near(t, measured[name].t, LONGEST_GAP_S)
+    speed = scaled.get("speed_command")
+    delay = setup.steering_delay_s
+    return Driving(
+        run.label,
+        Held(commands_t + delay, setup.steering_gain * angle + setup.steering_offset_rad),
+        Held(*speed) if speed is not None else None,
+        t,
+        smooth[0],
+        np.gradient(smooth[0], 1.0 / GRID_HZ),
+        smooth[1],
+        measured,
+        setup.pose_x_m,
+        usable,
+        notes,
+    )
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Pieces of equal length of one or more drives, n in all, in K steps.
+
+    Parameters
+    ----------
+    step : float
+        [s]
+    burn_in : int
+        Steps before measurements count: the car forgets how it began.
+    begin : ndarray, shape (n,)
+        [s]
+    drive : ndarray of int, shape (n,)
+        Index of the drive of each.
+    drives : list of Driving
+    v_x, a_long : ndarray, shape (K + 1, n)
+        [m/s], [m/s^2]
+    r_0 : ndarray, shape (n,)
+        Yaw rate at the beginning [rad/s].
+    observed : dict of str to tuple
+        By quantity: window, step before, share of the step after it, and value of each measurement.
+    """
+
+    step: float
+    burn_in: int
+    begin: np.ndarray
+    drive: np.ndarray
+    drives: list[Driving]
+    v_x: np.ndarray
+    a_long: np.ndarray
+    r_0: np.ndarray
+    observed: dict[str, tuple]
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return self.begin.size
+
+    @property
+    def steps(self) -> int:
+        """Steps of each."""
+        return self.v_x.shape[0] - 1
+
+    def at(self, name: str, simulated: np.ndarray) -> np.ndarray:
+        """Simulated values, shape (K + 1, p, n), where `name` was measured, shape (p, k)."""
+        window, before, share, _ = self.observed[name]
+        low, high = simulated[before, :, window], simulated[before + 1, :, window]
+        return (low + share[:, None] * (high - low)).T
+
+    def commands(self, kind: str, delay: np.ndarray) -> np.ndarray:
+        """Mean command over each step.
+
+        Parameters
+        ----------
+        kind : {"steering", "speed_command"}
+        delay : ndarray, shape (p,)
+            Dead times [s].
+
+        Returns
+        -------
+        ndarray, shape (K, p, n)
+        """
+        out = np.empty((self.steps, delay.size, self.count))
+        t = self.step * np.arange(self.steps)
+        for index, drive in enumerate(self.drives):
+            own = np.flatnonzero(self.drive == index)
+            if own.size:
+                held = getattr(drive, kind)
+                at = t[:, None] + (self.begin[own][None, :] - delay[:, None]).ravel()[None, :]
+                means = held.means(at, self.step, held.integral())
+                out[:, :, own] = means.reshape(self.steps, delay.size, own.size)
+        return out
+
+
+def windows_of(
+    drives: list[Driving],
+    *,
+    length: float = 1.0,
+    burn_in: float = 0.3,
+    step: float = 0.005,
+    most: int = 120,
+    channels: tuple[str, ...] = ("r", "a_y", "v_y"),
+    excited: str = "r",
+    least: float = 0.0,
+) -> Windows:
+    """Cut drives into windows.
+
+    Parameters
+    ----------
+    drives : list of Driving
+    length, burn_in, step : float
+        Duration that counts, duration before it, and step [s].
+    most : int
+        Of more windows those are taken in which `excited` varies most.
+    channels : tuple of str
+        Quantities to observe.
+    excited : {"r", "v_x"}
+        What must vary in a window.
+    least : float
+        By how much: standard deviation of the smoothed signal.
+
+    Returns
+    -------
+    Windows
+        Possibly none.
+    """
+    begins, owners, excitement = [], [], []
+    need = round((length + burn_in) * GRID_HZ)
+    skip = round(length * GRID_HZ)
+    for index, drive in enumerate(drives):
+        # A window needs the commands of a while before it.
+        known = drive.usable & (drive.t > drive.steering.t[0] + LONGEST_DELAY_S)
+        signal = getattr(drive, excited)
+        good = np.append(0, np.cumsum(known))
+        at = 0
+        while at + need < drive.t.size:
+            if good[at + need + 1] - good[at] == need + 1:
+                varies = float(np.std(signal[at : at + need]))
+                if varies >= least:
+                    begins.append(drive.t[at])
+                    owners.append(index)
+                    excitement.append(varies)
+                at += skip
+            else:
+                at += 10
+    if len(begins) > most:
+        kept = np.sort(np.argsort(excitement)[-most:])
+        begins, owners = [begins[i] for i in kept], [owners[i] for i in kept]
+    begin, drive = np.array(begins, dtype=float), np.array(owners, dtype=int)
+    steps = round((length + burn_in) / step)
+    t = step * np.arange(steps + 1)
+    v_x, a_long = np.empty((2, steps + 1, begin.size))
+    r_0 = np.empty(begin.size)
+    parts = {name: [] for name in channels}
+    for i, (start, owner) in enumerate(zip(begin, drive)):
+        own = drives[owner]
+        v_x[:, i] = np.interp(start + t, own.t, own.v_x)
+        a_long[:, i] = np.interp(start + t, own.t, own.a_long)
+        r_0[i] = np.interp(start, own.t, own.r)
+        for name in channels:
+            if name not in own.measured:
+                continue
+            at, value = own.measured[name]
+            low, high = np.searchsorted(at, (start + burn_in, start + burn_in + length))
+            place = (at[low:high] - start) / step
+            before = np.minimum(place.astype(int), steps - 1)
+            parts[name].append((np.full(high - low, i), before, place - before, value[low:high]))
+    observed = {
+        name: tuple(np.concatenate(columns) for columns in zip(*rows))
+        for name, rows in parts.items()
+        if rows
+    }
+    return Windows(step, round(burn_in / step), begin, drive, drives, v_x, a_long, r_0, observed)
+
+
+def _lateral_acceleration(run, scaled, t, smooth, notes):
+    """Lateral acceleration of the IMU, if it is one."""
+    setup = run.setup
+    name = f"a_{setup.lateral_axis}"
+    if name not in scaled:
+        return None
+    at, raw = scaled[name]
+    value = setup.lateral_scale * raw + setup.lateral_offset_mps2
+    expected = smooth[0] * smooth[1]
+    seen = low_passed(np.interp(t, at, value), GRID_HZ, 1.0)
+    power = float(expected @ expected)
+    slope = float(seen @ expected) / power if power > 0.1 * t.size else 0.0
+    if not SLOPES[0] < slope < SLOPES[1]:
+        notes.append(f"lateral acceleration left out: {slope:.2f} times speed times yaw rate")
+        return None
+    return Measured(at, value)
+
+
+def _rate_of_heading(run, scaled):
+    if "psi" not in scaled:
+        raise IdentificationError(f"{run.name}: expected a yaw rate or a heading, got neither")
+    t, psi = scaled["psi"]
+    return 0.5 * (t[1:] + t[:-1]), np.diff(np.unwrap(psi)) / np.diff(t)
+
+
+def _speed_of_path(run, scaled):
+    if "x" not in scaled:
+        raise IdentificationError(f"{run.name}: expected a speed or poses, got neither")
+    t, x = scaled["x"]
+    y = np.interp(t, *scaled["y"])
+    return 0.5 * (t[1:] + t[:-1]), np.hypot(np.diff(x), np.diff(y)) / np.diff(t)
+
+
+def _near(t, samples, longest):
+    """Whether each time lies in a gap of at most `longest` [s] between samples."""
+    after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
+    return samples[after] - samples[after - 1] <= longest

@@ -1,0 +1,219 @@
+"""The single-track model driven by recorded commands, and its fit to what was measured.
+
+Output error: the model runs by itself through a window, from the speed and the commands alone, and
+its yaw rate, lateral acceleration and lateral velocity are compared with the measured ones. The
+servo between command and wheels has a dead time and a first-order lag within the rate of the
+vehicle. All windows, and the steps of the parameters for the Jacobian, are integrated side by side
+as columns of arrays, in a linearly implicit trapezoidal rule, which is stable however stiff the
+tires are (Rosenbrock, 1963).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..vehicle.parameters import Vehicle
+from ..vehicle.single_track import GRAVITY
+from ..vehicle.tires import PacejkaTire
+from .driving import LONGEST_DELAY_S, Windows
+from .robust_fit import Believed, Fitted, fit
+
+__all__ = ["NAMES", "believed", "fit_car", "simulate", "vehicle_with"]
+
+NAMES = ("front", "rear", "grip", "delay", "share", "gain", "offset", "inertia", "height")
+"""The parameters: logarithms of factors on the cornering stiffness of both axles, on the grip, on
+the steering gain and on the moment of inertia; dead time and lag of the steering together [s], the
+lag's share of them, offset of the steering [rad], and height of the center of gravity above the
+vehicle's [m]."""
+
+# Dead time and lag from which the search begins [s]; the better result counts.
+START_DELAYS = (0.03, 0.08)
+# First guess of the noise, before the residuals tell it.
+NOISE = {"r": 0.05, "a_y": 0.4, "v_y": 0.08}
+
+
+def believed(**spreads: float) -> dict[str, Believed]:
+    """What is believed of the parameters before the fit.
+
+    Parameters
+    ----------
+    **spreads : float
+        Standard deviations of parameters around the vehicle's, instead of the usual ones; 0 holds
+        a parameter. ``share`` is around a half.
+    """
+    usual = {
+        "front": (0.0, 0.4, -2.5, 2.5, 1e-3),
+        "rear": (0.0, 0.6, -2.5, 2.5, 1e-3),
+        "grip": (0.0, 0.15, -1.2, 0.8, 1e-3),
+        "delay": (0.0, 10.0, 0.0, LONGEST_DELAY_S - 0.01, 2e-4),
+        "share": (0.5, 0.5, 0.0, 0.99, 1e-2),
+        "gain": (0.0, 0.02, -0.7, 0.7, 1e-3),
+        "offset": (0.0, 0.02, -0.2, 0.2, 1e-4),
+        "inertia": (0.0, 0.25, -1.2, 1.2, 1e-3),
+        "height": (0.0, 0.02, -0.05, 0.1, 1e-3),
+    }
+    return {
+        name: Believed(values[0], spreads.get(name, values[1]), *values[2:])
+        for name, values in usual.items()
+    }
+
+
+def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str, np.ndarray]:
+    """Drive a car through windows by its recorded commands and speed.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    windows : Windows
+    theta : ndarray, shape (p, 9)
+        Sets of parameters, see `NAMES`.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (K + 1, p, n)
+        Yaw rate ``r`` [rad/s], lateral velocity ``v_y`` [m/s] and lateral acceleration ``a_y``
+        [m/s^2] of the center of gravity at each step of each window.
+    """
+    theta = np.atleast_2d(theta)
+    h, steps = windows.step, windows.steps
+    delta, ahead = _wheels(vehicle, windows, theta)
+    shape = delta.shape[1:]
+    front, rear, grip, inertia = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 7))
+    m, l_f, l_r = vehicle.m, vehicle.l_f, vehicle.l_r
+    I_z = vehicle.I_z * inertia
+    mu = vehicle.mu * grip
+    # The stiffness is the tire's own: the grip only moves the peak.
+    curve_f, curve_r = _curve(vehicle.front, front / grip), _curve(vehicle.rear, rear / grip)
+    load = m / vehicle.l_wb
+    a_long = windows.a_long
+    transfer = np.maximum(vehicle.h_cg + theta[:, 8], 0.0)[:, None] * a_long[:, None, :]
+    F_f = mu * load * (GRAVITY * l_r - transfer)
+    F_r = mu * load * (GRAVITY * l_f + transfer)
+    v = windows.v_x[:, None, :]
+    r = np.broadcast_to(windows.r_0, shape).copy()
+    v_y = l_r * r
+    out_r, out_vy, out_ay = (np.empty((steps + 1, *shape)) for _ in range(3))
+    out_r[0], out_vy[0] = r, v_y
+    for k in range(steps + 1):
+        v_k = v[k]
+        tan_f, tan_r = (v_y + l_f * r) / v_k, (v_y - l_r * r) / v_k
+        P_f, S_f = curve_f(np.arctan(tan_f) - delta[k])
+        P_r, S_r = curve_r(np.arctan(tan_r))
+        P_f, P_r = -F_f[k] * P_f, -F_r[k] * P_r
+        out_ay[k] = (P_f + P_r) / m
+        if k == steps:
+            break
+        # Slopes of the forces over v_y.
+        S_f = F_f[k] * S_f / (v_k * (1.0 + tan_f * tan_f))
+        S_r = F_r[k] * S_r / (v_k * (1.0 + tan_r * tan_r))
+        half = 0.5 * h
+        # J = [[a, b], [c, d]] of (v_y', r')
+        a = -(S_f + S_r) / m
+        b = -(l_f * S_f - l_r * S_r) / m - v_k
+        c = -(l_f * S_f - l_r * S_r) / I_z
+        d = -(l_f * l_f * S_f + l_r * l_r * S_r) / I_z
+        # The wheels turn on: the force at their mean angle of the step.
+        turned = ahead[k] * S_f * v_k * (1.0 + tan_f * tan_f)
+        f_1 = h * (out_ay[k] + turned / m - v_k * r - half * (v[k + 1] - v_k) / h * r)
+        f_2 = h * (l_f * (P_f + turned) - l_r * P_r) / I_z
+        p, q = 1.0 - half * a, 1.0 - half * d
+        s, u = -half * b, -half * c
+        det = p * q - s * u
+        v_y = v_y + (q * f_1 - s * f_2) / det
+        r = r + (p * f_2 - u * f_1) / det
+        out_r[k + 1], out_vy[k + 1] = r, v_y
+    return {"r": out_r, "v_y": out_vy, "a_y": out_ay}
+
+
+def _wheels(vehicle, windows, theta):
+    """Angle of the wheels at each step, and its mean over the step less that."""
+    total, share, gain, offset = theta[:, 3], theta[:, 4], np.exp(theta[:, 5]), theta[:, 6]
+    command = windows.commands("steering", total * (1.0 - share))
+    command = gain[:, None] * np.clip(command, -vehicle.delta_max, vehicle.delta_max)
+    command += offset[:, None]
+    lag = np.maximum(total * share, 1e-6)[:, None]
+    follow = -np.expm1(-windows.step / lag)
+    # Of an exponential approach; a turn at full rate is halfway on average.
+    mean = 1.0 / follow - lag / windows.step
+    slew = vehicle.delta_rate_max * windows.step
+    delta = np.empty((windows.steps + 1, *command.shape[1:]))
+    ahead = np.empty_like(command)
+    delta[0] = command[0]
+    for k in range(windows.steps):
+        wanted = (command[k] - delta[k]) * follow
+        move = np.minimum(np.maximum(wanted, -slew), slew)
+        ahead[k] = np.where(move == wanted, mean, 0.5) * move
+        delta[k + 1] = delta[k] + move
+    return delta, ahead
+
+
+def _curve(tire, factor):
+    """Normalized force and slope of a tire whose slope at zero slip is scaled."""
+    if not isinstance(tire, PacejkaTire):
+        slope = tire.C_S * factor
+
+        def linear(alpha):
+            return slope * alpha, slope
+
+        return linear
+    B, C, D, E = tire.B * factor, tire.C, tire.D, tire.E
+
+    def pacejka(alpha):
+        x = B * alpha
+        atan = np.arctan(x)
+        y = x - E * (x - atan)
+        phase = C * np.arctan(y)
+        bend = (1.0 + (1.0 - E) * x * x) / (1.0 + x * x)
+        return D * np.sin(phase), (B * C * D) * np.cos(phase) * bend / (1.0 + y * y)
+
+    return pacejka
+
+
+def fit_car(
+    vehicle: Vehicle, windows: Windows, beliefs: dict[str, Believed] | None = None
+) -> Fitted:
+    """Fit tires, steering and delays of a car to what was measured in windows.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car, whose parameters are the center of what is believed.
+    windows : Windows
+    beliefs : dict of str to Believed, optional
+        See `believed`.
+
+    Returns
+    -------
+    Fitted
+        Parameters are `NAMES`.
+    """
+    pose_x = np.array([drive.pose_x for drive in windows.drives])
+    behind = vehicle.l_r - pose_x[windows.drive]
+
+    def predict(lanes):
+        found = simulate(vehicle, windows, lanes)
+        found["v_y"] -= found["r"] * behind
+        return {name: windows.at(name, found[name]) for name in windows.observed}
+
+    starts = [{"delay": delay} for delay in START_DELAYS]
+    return fit(predict, windows.observed, beliefs or believed(), starts, NOISE)
+
+
+def vehicle_with(vehicle: Vehicle, found: Fitted, name: str) -> Vehicle:
+    """The car with the fitted stiffness and grip; only the friction coefficient has the grip."""
+    grip = math.exp(found["grip"])
+    tires = {
+        key: _stiffer(getattr(vehicle, key), math.exp(found[key]) / grip)
+        for key in ("front", "rear")
+    }
+    return replace(vehicle, name=name, mu=vehicle.mu * grip, **tires)
+
+
+def _stiffer(tire, factor):
+    """The tire with its slope at zero slip scaled, and its peak kept."""
+    if isinstance(tire, PacejkaTire):
+        return replace(tire, B=tire.B * factor)
+    return replace(tire, C_S=tire.C_S * factor)

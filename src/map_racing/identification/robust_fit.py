@@ -1,0 +1,224 @@
+"""Fit of a simulated model to measurements: robust, bounded, with priors and honest intervals.
+
+Levenberg and Marquardt's method on Huber's loss. A model is given by what it predicts for several
+sets of parameters at once, because one pass over time for all of them costs hardly more than one
+for a single set. Intervals follow from how much the windows disagree with each other (a sandwich
+covariance, clustered by window), so that errors that last, such as a wrong model's, widen them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+__all__ = ["CONFIDENCE", "Believed", "Fitted", "fit"]
+
+CONFIDENCE = 1.96  # of a normal distribution: 95 %
+HUBER = 2.5  # residuals beyond so many standard deviations pull no harder
+MOST_STEPS = 25
+ROUGH, FINE = 1e-3, 1e-6  # relative gain of a step that ends the search
+LEAST_NOISE = 1e-4
+
+
+class Believed(NamedTuple):
+    """A parameter before the fit.
+
+    Parameters
+    ----------
+    center, spread : float
+        Mean and standard deviation of what is believed; a spread of inf is no belief, one of 0
+        holds the parameter.
+    low, high : float
+        Bounds.
+    step : float
+        For finite differences.
+    """
+
+    center: float
+    spread: float
+    low: float
+    high: float
+    step: float
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit.
+
+    Parameters
+    ----------
+    names : tuple of str
+    values : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+    information : ndarray, shape (p, p)
+        Of the measurements alone: what they would say without the beliefs.
+    noise : dict of str to float
+        Standard deviation of the residuals of each quantity.
+    cost : float
+        Of the measurements, in variances of that noise.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    information: np.ndarray
+    noise: dict[str, float]
+    cost: float
+
+    def __getitem__(self, name: str) -> float:
+        """A parameter."""
+        return float(self.values[self.names.index(name)])
+
+    def deviation(self, gradient: dict[str, float]) -> float:
+        """Standard deviation of a function of the parameters with this gradient."""
+        row = np.array([gradient.get(name, 0.0) for name in self.names])
+        return float(np.sqrt(max(row @ self.covariance @ row, 0.0)))
+
+
+def fit(
+    predict: Callable[[np.ndarray], dict[str, np.ndarray]],
+    observed: dict[str, tuple],
+    believed: dict[str, Believed],
+    starts: list[dict[str, float]],
+    noise: dict[str, float],
+) -> Fitted:
+    """Fit a model to measurements.
+
+    Parameters
+    ----------
+    predict : callable
+        ``predict(lanes)`` gives, for sets of parameters of shape (k, p), each quantity where it was
+        measured, shape (k, n).
+    observed : dict of str to tuple
+        By quantity; first of the tuple the window of each measurement, last its value.
+    believed : dict of str to Believed
+        In the order of the parameters.
+    starts : list of dict
+        Changes of the centers from which to search; the best result counts.
+    noise : dict of str to float
+        First guess for each quantity.
+
+    Returns
+    -------
+    Fitted
+    """
+    problem = _Problem(predict, observed, believed)
+    noise = {name: noise[name] for name in observed}
+    best = None
+    starts = [
+        {name: value for name, value in start.items() if believed[name].spread > 0.0}
+        for start in starts
+    ]
+    for start in [start for i, start in enumerate(starts) if start not in starts[:i]]:
+        begin = problem.center.copy()
+        for name, value in start.items():
+            begin[problem.names.index(name)] = value
+        solved = problem.minimize(begin, noise, ROUGH)
+        if best is None or solved[1] < best[1]:
+            best = solved
+    theta = best[0]
+    for _ in range(2):
+        noise = problem.noise_at(theta)
+        theta, _ = problem.minimize(theta, noise, FINE)
+    return problem.result(theta, noise)
+
+
+class _Problem:
+    """Residuals of a model, their derivatives and their minimum."""
+
+    def __init__(self, predict, observed, believed):
+        self.predict, self.observed, self.names = predict, observed, tuple(believed)
+        self.center, self.spread, self.low, self.high, self.step = np.array(
+            list(believed.values())
+        ).T
+        self.free = np.flatnonzero(self.spread > 0.0)
+        self.precision = self.spread[self.free] ** -2.0
+        self.window = np.concatenate([columns[0] for columns in observed.values()])
+        self.measured = {name: columns[-1] for name, columns in observed.items()}
+
+    def errors(self, lanes):
+        """Predicted minus measured, by quantity."""
+        found = self.predict(lanes)
+        return {name: found[name] - values for name, values in self.measured.items()}
+
+    def linearized(self, theta, noise):
+        """Residuals in standard deviations, and their Jacobian."""
+        free = self.free
+        steps = np.where(theta + self.step > self.high, -self.step, self.step)[free]
+        lanes = np.repeat(theta[None], free.size + 1, axis=0)
+        lanes[np.arange(1, free.size + 1), free] += steps
+        errors = self.errors(lanes)
+        rows = np.concatenate([errors[name] / noise[name] for name in errors], axis=1)
+        return rows[0], ((rows[1:] - rows[0]) / steps[:, None]).T
+
+    def cost(self, theta, residual):
+        size = np.abs(residual)
+        rows = np.where(size < HUBER, 0.5 * size * size, HUBER * (size - 0.5 * HUBER))
+        away = (theta - self.center)[self.free]
+        return float(np.sum(rows) + 0.5 * np.sum(self.precision * away * away))
+
+    def normal(self, theta, residual, jacobian):
+        """Information of the measurements, the Hessian with the beliefs, and the gradient."""
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
+        weighted = jacobian * weight[:, None]
+        information = weighted.T @ jacobian
+        away = (theta - self.center)[self.free]
+        gradient = weighted.T @ residual + self.precision * away
+        return information, information + np.diag(self.precision), gradient
+
+    def minimize(self, theta, noise, tolerance):
+        """The minimum near `theta`, and its cost."""
+        low, high = self.low[self.free], self.high[self.free]
+        residual, jacobian = self.linearized(theta, noise)
+        cost, damping = self.cost(theta, residual), 1e-3
+        for _ in range(MOST_STEPS):
+            _, hessian, gradient = self.normal(theta, residual, jacobian)
+            at = theta[self.free]
+            held = ((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0))
+            loose = np.flatnonzero(~held)
+            system = hessian[np.ix_(loose, loose)]
+            system = system + np.diag(damping * np.diag(system) + 1e-12)
+            tried = theta.copy()
+            tried[self.free[loose]] -= np.linalg.solve(system, gradient[loose])
+            tried = np.clip(tried, self.low, self.high)
+            there, slope = self.linearized(tried, noise)
+            reached = self.cost(tried, there)
+            if reached < cost:
+                small = cost - reached < tolerance * cost
+                theta, residual, jacobian, cost = tried, there, slope, reached
+                damping = max(0.1 * damping, 1e-6)
+                if small:
+                    break
+            else:
+                damping *= 10.0
+                if damping > 1e3:
+                    break
+        return theta, cost
+
+    def noise_at(self, theta):
+        """Standard deviations of the errors, from their medians."""
+        return {
+            name: max(1.4826 * float(np.median(np.abs(values))), LEAST_NOISE)
+            for name, values in self.errors(theta[None]).items()
+        }
+
+    def result(self, theta, noise):
+        """The fit at the minimum."""
+        residual, jacobian = self.linearized(theta, noise)
+        information, hessian, _ = self.normal(theta, residual, jacobian)
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
+        windows = int(np.max(self.window)) + 1
+        scores = np.zeros((windows, self.free.size))
+        np.add.at(scores, self.window, jacobian * (weight * residual)[:, None])
+        few = windows / max(windows - 1, 1)
+        inverse = np.linalg.pinv(hessian)
+        spread = inverse @ (few * scores.T @ scores + np.diag(self.precision)) @ inverse
+        place = np.ix_(self.free, self.free)
+        covariance, information_ = np.zeros((2, theta.size, theta.size))
+        covariance[place], information_[place] = spread, information
+        own = self.cost(theta, residual) - 0.5 * float(
+            np.sum(self.precision * (theta - self.center)[self.free] ** 2)
+        )
+        return Fitted(self.names, theta, covariance, information_, noise, own)

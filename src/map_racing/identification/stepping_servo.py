@@ -1,0 +1,67 @@
+"""A servo that turns in steps: at each sample by its full rate towards the command, or not at all.
+
+So does the servo of the public ROS 1 simulator, behind a line of delayed samples. Around a held
+command it goes to and fro, which a first-order lag cannot; where the yaw rate shows it, the dead
+time is a whole number of samples, and is known exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from .driving import Driving, Held
+
+__all__ = ["SAMPLE_S", "behind_stepping_servo", "on_raster"]
+
+SAMPLE_S = 0.01
+DEAD_BAND_RAD = 1e-4
+
+
+def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: int) -> Driving:
+    """The same drive with the angle that such a servo would have had instead of the commands.
+
+    Parameters
+    ----------
+    driving : Driving
+    rate, lock : float
+        Of the servo [rad/s], [rad].
+    samples : int
+        Length of the line.
+
+    Returns
+    -------
+    Driving
+    """
+    stamps = driving.measured["r"].t
+    ticks = np.arange(stamps[0], stamps[-1], SAMPLE_S)
+    commands = driving.steering
+    # A command given at a sample counts for it.
+    last = np.searchsorted(commands.t, ticks + 1e-6, side="right") - 1
+    last = np.maximum(np.append(np.zeros(samples, dtype=int), last)[: ticks.size], 0)
+    wanted = commands.value[last].tolist()
+    move = rate * SAMPLE_S
+    angle, angles = 0.0, []
+    for target in wanted:
+        angles.append(angle)
+        error = target - angle
+        if abs(error) > DEAD_BAND_RAD:
+            angle = min(max(angle + math.copysign(move, error), -lock), lock)
+    # Nothing is noisy there: the speed as it was, whose rate may change at each sample.
+    v_t, v = driving.measured["v_x"]
+    rates = np.append(np.diff(v) / np.diff(v_t), 0.0)
+    at = np.clip(np.searchsorted(v_t, driving.t + 1e-6) - 1, 0, v_t.size - 1)
+    return replace(
+        driving,
+        steering=Held(ticks, np.array(angles)),
+        v_x=np.interp(driving.t, v_t, v),
+        a_long=rates[at],
+    )
+
+
+def on_raster(t: np.ndarray) -> bool:
+    """Whether all times are whole samples apart, as in a simulation and nowhere else."""
+    samples = (t - t[0]) / SAMPLE_S
+    return bool(np.max(np.abs(samples - np.round(samples))) < 1e-3)

@@ -1,0 +1,157 @@
+"""Delays of cars whose delays are known."""
+
+import dataclasses
+import json
+import math
+import random
+
+import numpy as np
+import pytest
+
+from map_racing.cli import main
+from map_racing.control.controller import build_controller
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.identification.data import Run, Signal
+from map_racing.identification.delay import delay_data, delay_text, estimate_delays
+from map_racing.simulation.plants import build_plant, load_plant
+from map_racing.simulation.race import race
+from map_racing.track.files.load import load_raceline
+from map_racing.vehicle.parameters import load_vehicle
+
+NUC4, SIM = load_vehicle("nuc4"), load_vehicle("sim")
+
+
+def driven(plant_name, steering, rate=40.0, seconds=14.0, age=0.02, **changes):
+    """A drive by open-loop commands at the rate of the poses, as a run."""
+    parameters = dataclasses.replace(load_plant(plant_name), localization_rate_hz=rate, **changes)
+    plant, localization = build_plant(parameters, seed=3)
+    plant.reset(0.0, 0.0, 0.0, 2.5)
+    rows = {name: [] for name in ("t", "v_x", "v_y", "r", "steering", "speed")}
+    angle, speed, samples = 0.0, 2.5, 0
+    for tick in range(round(seconds / plant.time_step)):
+        t = tick * plant.time_step
+        if t >= samples / rate - 1e-9:
+            samples += 1
+            angle = steering(t)
+            speed = 3.0 + math.copysign(0.8, math.sin(1.9 * t))
+            exact = localization is None
+            seen = (
+                plant.measured_state() if exact else localization.measure(plant.reference_state())
+            )
+            values = (t, seen.v_x, seen.v_y, seen.r, angle, speed)
+            for name, value in zip(rows, values):
+                rows[name].append(value)
+        plant.advance(angle, speed)
+    columns = {name: np.array(values) for name, values in rows.items()}
+    t = columns["t"]
+    signals = {
+        "v_x": Signal(t, columns["v_x"]),
+        "yaw_rate": Signal(t, columns["r"]),
+        "steering": Signal(t, columns["steering"]),
+        "speed_command": Signal(t, columns["speed"]),
+    }
+    if np.all(np.isfinite(columns["v_y"])):
+        signals["v_y"] = Signal(t, columns["v_y"])
+    return Run("a.bag", signals, pose_lag=(age, age, age))
+
+
+def weaving(t):
+    return 0.05 * math.sin(12.0 * t) + 0.08 * math.sin(5.0 * t) + 0.08 * math.sin(1.3 * t + 1.0)
+
+
+def straight(t):
+    return random.Random(round(1e4 * t)).gauss(0.0, 0.01)
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return driven("nuc4", weaving, seconds=18.0)
+
+
+def test_of_the_shipped_car(shipped):
+    delays = estimate_delays([shipped], NUC4)
+    for part, true in (
+        (delays.pose_age, 0.02),
+        (delays.steering, 0.05),
+        (delays.delay, 0.07),
+        (delays.drive_dead_time, 0.02),
+        (delays.drive_lag, 0.1),
+    ):
+        assert part.status == "estimated"
+        assert part.value == pytest.approx(true, abs=0.005)
+        assert part.low <= part.value <= part.high
+    # What each has of the sum is known less.
+    assert delays.steering_dead_time.low <= 0.02 <= delays.steering_dead_time.high
+    assert delays.steering_lag.low <= 0.03 <= delays.steering_lag.high
+    assert delays.speed_lookahead.value == pytest.approx(0.07, abs=0.01)
+
+
+def test_without_a_file_of_the_car(shipped):
+    delays = estimate_delays([shipped], others=(NUC4, SIM))
+    assert delays.delay.value == pytest.approx(0.07, abs=0.005)
+
+
+def test_short_delays_at_another_rate():
+    changes = {"steering_delay_s": 0.01, "steering_time_constant_s": 0.01}
+    run = driven("nuc4", weaving, 100.0, 12.0, age=0.0, **changes)
+    delays = estimate_delays([run], NUC4)
+    assert delays.delay.value == pytest.approx(0.02, abs=0.004)
+    assert "stamped when they are received" in delays.pose_age.reason
+
+
+def test_the_line_of_the_public_simulator():
+    """Its servo steps, which shows in poses without noise: the line is known exactly."""
+    parameters = dataclasses.replace(load_plant("public_simulator"), steering_delay_s=0.03)
+    plant, _ = build_plant(parameters, seed=1)
+    raceline = load_raceline("reference")
+    controller = build_controller(
+        load_controller_parameters("map").with_(reference_point="center_of_gravity"), SIM, raceline
+    )
+    samples = race(plant, controller, raceline, laps=1).samples
+    t = np.array([sample.measured.t for sample in samples])
+    signals = {
+        "v_x": Signal(t, np.array([sample.measured.v_x for sample in samples])),
+        "yaw_rate": Signal(t, np.array([sample.measured.r for sample in samples])),
+        "steering": Signal(t, np.array([sample.result.steering_angle for sample in samples])),
+    }
+    delays = estimate_delays([Run("a.bag", signals)], SIM)
+    assert delays.delay.value == pytest.approx(0.03, abs=1e-9)
+    assert delays.steering_lag.value == 0.0 and "steps" in delays.steering.reason
+
+
+@pytest.mark.parametrize("steering", [straight, lambda t: 0.2], ids=["straight", "circle"])
+def test_no_answer_without_turning(steering):
+    delays = estimate_delays([driven("nuc4", steering)], NUC4)
+    data = delay_data(delays)
+    assert data["status"] == "not determined" and data["delay_s"] is None
+    assert data["delay_interval_s"] is None and "straight or steady" in data["reason"]
+    assert data["steering_lag"]["status"] == "not determined"
+    assert data["speed_lookahead_s"] is None
+    assert "delay_s: not determined" in delay_text(delays)
+
+
+def test_commands_of_another_car_explain_nothing(shipped):
+    other = driven("nuc4", lambda t: 0.2 * math.sin(2.3 * t * t / 4.0))
+    mixed = {**shipped.signals, "steering": other.signals["steering"]}
+    delays = estimate_delays([dataclasses.replace(shipped, signals=mixed)], NUC4)
+    assert delays.delay.status == "not determined"
+
+
+def test_the_age_is_within_where_clocks_differ(shipped):
+    """Commands brought to the poses' clock by the times of receipt come early by the age."""
+    early = Signal(shipped.signals["steering"].t - 0.02, shipped.signals["steering"].value)
+    signals = {**shipped.signals, "steering": early}
+    run = dataclasses.replace(
+        shipped, signals=signals, pose_lag=(-0.98,) * 3, commands_shifted=True
+    )
+    delays = estimate_delays([run], NUC4)
+    assert delays.delay.value == pytest.approx(0.07, abs=0.005)
+    assert delays.pose_age.status == "not determined"
+
+
+def test_the_command(tmp_path, capsys):
+    path = tmp_path / "delays.json"
+    assert main(["delay", "nuc4_ramps", "--vehicle", "nuc4", "--json", str(path)]) == 0
+    data = json.loads(path.read_text())
+    assert data["status"] == "not determined" and data["pose_age"]["value_s"] == 0.02
+    assert "delay_s: not determined" in capsys.readouterr().out
