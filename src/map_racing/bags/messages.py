@@ -17,6 +17,8 @@ from ..angles import yaw_from_quaternion
 
 __all__ = [
     "ACKERMANN",
+    "BELIEF",
+    "BELIEF_FIELDS",
     "DEFINITIONS",
     "DIAGNOSTICS",
     "FLOAT64",
@@ -35,6 +37,7 @@ __all__ = [
     "WAYPOINT_FIELDS",
     "Transform",
     "decode_diagnostics",
+    "decode_belief",
     "decode_drive",
     "decode_float64",
     "decode_frames",
@@ -46,6 +49,7 @@ __all__ = [
     "decode_string",
     "decode_transforms",
     "decode_waypoints",
+    "encode_belief",
     "encode_drive",
     "encode_imu",
     "encode_odometry",
@@ -60,6 +64,7 @@ ODOMETRY = "nav_msgs/Odometry"
 POSE = "geometry_msgs/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/PoseWithCovarianceStamped"
 ACKERMANN = "ackermann_msgs/AckermannDriveStamped"
+BELIEF = "map_racing/Belief"
 IMU = "sensor_msgs/Imu"
 PATH = "nav_msgs/Path"
 FLOAT64 = "std_msgs/Float64"
@@ -67,6 +72,13 @@ STRING = "std_msgs/String"
 DIAGNOSTICS = "diagnostic_msgs/DiagnosticArray"
 TF = "tf2_msgs/TFMessage"
 WAYPOINTS = "f110_msgs/WpntArray"
+# Fields of map_racing/Belief after its header: a value and the ends of its interval each.
+BELIEF_FIELDS = (
+    *("friction", "friction_low", "friction_high"),
+    *("front_stiffness", "front_stiffness_low", "front_stiffness_high"),
+    *("rear_stiffness", "rear_stiffness_low", "rear_stiffness_high"),
+    *("delay", "delay_low", "delay_high", "grip"),
+)
 # Fields of f110_msgs/Wpnt after its id.
 WAYPOINT_FIELDS = (
     "s_m",
@@ -85,6 +97,7 @@ MD5 = {
     ODOMETRY: "cd5e73d190d741a2f92e81eda573aca7",
     POSE: "d3812c3cbc69362b77dc0b19b345f8f5",
     POSE_COVARIANCE: "953b798c0f514ff060a53a3498ce6246",
+    BELIEF: "4105f78e1f50b177aaa2054a5ec7cdc0",
     ACKERMANN: "1fd5d7f58889cefd44d29f6653240d0c",
     IMU: "6a62c6daae103f4ff57a132d6f95cec2",
     PATH: "6227e2b7e9cce15051f669a5e197bbf7",
@@ -108,6 +121,8 @@ DEFINITIONS = {
     "ackermann_msgs/msg/AckermannDriveStamped": (
         "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
     ),
+    "map_racing/msg/Belief": "std_msgs/Header header\n"
+    + "".join(f"float64 {name}\n" for name in BELIEF_FIELDS),
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
 }
 """Definitions of message types that are not part of ROS."""
@@ -120,6 +135,8 @@ _PLANE_POSE = struct.Struct("<2d8x4d")
 _ODOMETRY_OUT = struct.Struct("<7d288x6d288x")
 _IMU_OUT = struct.Struct("<4d9d3d9d3d9d")
 _DRIVE = struct.Struct("<5f")
+_BELIEF = struct.Struct(f"<{len(BELIEF_FIELDS)}d")
+_BELIEF_LAYOUT = {name: ("<f8", 8 * i) for i, name in enumerate(BELIEF_FIELDS)}
 _WAYPOINT = struct.Struct("<i10d")
 _WAYPOINTS = np.dtype([("id", "<i4")] + [(name, "<f8") for name in WAYPOINT_FIELDS])
 # Offsets from the beginning of the body, after the header and the child frame.
@@ -216,6 +233,11 @@ def decode_pose(batch: list[bytes]) -> Decoded:
 def decode_drive(batch: list[bytes]) -> Decoded:
     """Decode ``AckermannDriveStamped``, with values ``steering_angle speed`` [rad, m/s]."""
     return _table(batch, _DRIVE.size, _DRIVE_FIELDS)
+
+
+def decode_belief(batch: list[bytes]) -> Decoded:
+    """Decode ``map_racing/Belief``, with the values `BELIEF_FIELDS`."""
+    return _table(batch, _BELIEF.size, _BELIEF_LAYOUT)
 
 
 def decode_imu(batch: list[bytes]) -> Decoded:
@@ -405,6 +427,11 @@ def encode_drive(
     return _header(seq, stamp_ns, frame) + _DRIVE.pack(
         steering_angle, steering_angle_velocity, speed, acceleration, jerk
     )
+
+
+def encode_belief(seq, stamp_ns, frame, *values):
+    """``map_racing/Belief`` of the values `BELIEF_FIELDS`."""
+    return _header(seq, stamp_ns, frame) + _BELIEF.pack(*values)
 
 
 _NO_ORIENTATION = (0.0, 0.0, 0.0, 1.0, -1.0) + (0.0,) * 8

@@ -11,7 +11,7 @@ from ..errors import BagError
 from . import messages as msg
 from .clocks import stamps_are_unusable
 from .opening import Source, open_bag, source_name
-from .samples import Commands, Recording
+from .samples import Beliefs, Commands, Recording
 from .series import Series
 from .topics import drive_connections, imu_topic, pose_sources
 from .waypoints import WaypointCollection
@@ -85,11 +85,19 @@ def _read(path, bag, source, notes):
     drive_topic, drives = drive_connections(bag)
     pose, command = source.series(bag), Series(msg.decode_drive)
     waypoints = WaypointCollection(bag)
-    for message in bag.messages(source.connections.union(drives, waypoints.connections)):
+    believed, belief_topic = Series(msg.decode_belief), ""
+    believing = {n for n, c in bag.connections.items() if c.md5sum == msg.MD5[msg.BELIEF]}
+    if believing:
+        belief_topic = min(bag.connections[number].topic for number in believing)
+        believing = {n for n in believing if bag.connections[n].topic == belief_topic}
+    wanted = source.connections.union(drives, waypoints.connections, believing)
+    for message in bag.messages(wanted):
         if message.connection in source.connections:
             pose.add(message)
         elif message.connection in drives:
             command.add(message)
+        elif message.connection in believing:
+            believed.add(message)
         else:
             waypoints.add(message)
     damage = bag.notes()
@@ -113,6 +121,10 @@ def _read(path, bag, source, notes):
         if at.size and (at[-1] < times[0] or at[0] > times[-1]):
             when = "before" if at[-1] < times[0] else "after"
             notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")
+    beliefs = None
+    if believing:
+        at, values = believed.columns(notes, belief_topic, clock)
+        beliefs = Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
     first = waypoints.best()
     later = waypoints.later.get(first.topic, []) if first else []
     at = np.array([received for received, _ in later], dtype=np.int64)
@@ -126,6 +138,7 @@ def _read(path, bag, source, notes):
         type=source.type,
         frame=source.frame,
         commands=commands,
+        beliefs=beliefs,
         waypoints=first,
         later_waypoints=[
             (float(t), first._replace(columns=columns)) for t, (_, columns) in zip(at, later)

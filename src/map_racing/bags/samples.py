@@ -11,6 +11,7 @@ from ..validation import FARTHEST
 from .clocks import Clock
 
 __all__ = [
+    "Beliefs",
     "Commands",
     "Recording",
     "Waypoints",
@@ -51,6 +52,21 @@ class Commands:
     shifted: bool = False
 
 
+class Beliefs(NamedTuple):
+    """What an adaptive controller believed over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (k,)
+        Time on the clock of the recording [s].
+    values : ndarray, shape (k, 13)
+        `map_racing.bags.messages.BELIEF_FIELDS`.
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
 class Waypoints(NamedTuple):
     """Waypoints of a message.
 
@@ -89,6 +105,8 @@ class Recording:
         Origin of the pose in the file.
     commands : Commands, optional
         Drive commands of the same recording.
+    beliefs : Beliefs, optional
+        What the controller believed of the day.
     waypoints : Waypoints, optional
         Raceline in the recording, as it was sent.
     later_waypoints : list of (float, Waypoints)
@@ -113,6 +131,7 @@ class Recording:
     type: str = ""
     frame: str = ""
     commands: Commands | None = None
+    beliefs: Beliefs | None = None
     waypoints: Waypoints | None = None
     later_waypoints: list[tuple[float, Waypoints]] = field(default_factory=list)
     clock: Clock | None = None

@@ -14,6 +14,7 @@ from .series import PoseSeries
 from .transforms import ComposedPoses, FramePoses, RecordedTransforms
 
 __all__ = [
+    "BELIEF_TOPIC",
     "DRIVE_TOPIC",
     "SETTINGS_TOPIC",
     "PoseSource",
@@ -24,6 +25,8 @@ __all__ = [
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
 """Where racing stacks publish the drive command."""
+BELIEF_TOPIC = "/map_racing/belief"
+"""Where the controller says what it believes of the day."""
 SETTINGS_TOPIC = "/map_racing/settings"
 """Where the controller says what it drives with, as text."""
 

@@ -13,7 +13,7 @@ import lz4.frame
 from ..errors import BagError
 from . import messages as msg
 from .bag import Bag, Message
-from .topics import DRIVE_TOPIC, SETTINGS_TOPIC
+from .topics import BELIEF_TOPIC, DRIVE_TOPIC, SETTINGS_TOPIC
 
 __all__ = ["BagWriter", "copy_bag"]
 
@@ -127,6 +127,10 @@ class BagWriter:
         """Drive command: steering angle [rad], speed [m/s]."""
         values = (frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk)
         self._write(topic, msg.ACKERMANN, stamp, received, msg.encode_drive, values)
+
+    def belief(self, stamp, values, *, topic=BELIEF_TOPIC, frame="map", received=None):
+        """What the controller believes of the day: `BELIEF_FIELDS` in order."""
+        self._write(topic, msg.BELIEF, stamp, received, msg.encode_belief, (frame, *values))
 
     def imu(
         self,

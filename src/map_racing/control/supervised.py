@@ -64,7 +64,10 @@ class SupervisedController:
             if self._on_raceline is not None:
                 self._on_raceline()
         result = controller.step(state) if trusted and not failed else None
-        return SupervisedStep(result, supervisor.decide(now, result))
+        decision = supervisor.decide(now, result)
+        if result is not None and controller.adaptation is not None:
+            controller.adaptation.sent(decision.steering_angle)
+        return SupervisedStep(result, decision)
 
     def follow(self, raceline: Raceline, sectors, setup: object) -> bool:
         """Drive along another raceline from the next step on.

@@ -498,6 +498,10 @@ def evaluate(
     result = evaluator.finish()
     if not result.laps:
         raise EvaluationError(f"{recording.source}: expected at least two samples")
+    if recording.beliefs is not None:
+        times, values = recording.beliefs
+        laps = [lap.believed(times.tolist(), values) for lap in result.laps]
+        result = replace(result, laps=laps)
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
     notes = list(recording.notes)

@@ -15,7 +15,7 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import fields
 from pathlib import Path
-from typing import Callable, NamedTuple
+from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -226,6 +226,7 @@ class LiveEvaluation:
         self._t0_ns = self._last_ns = None
         self._gap_ns = int(round(self._limits.max_gap * 1e9))
         self._commands, self._clock = _Commands(self._gap_ns), _CommandClock()
+        self._believed_ns, self._beliefs = [], []
         self._reported = 0
         if raceline is not None:
             self.set_raceline(raceline)
@@ -298,6 +299,17 @@ class LiveEvaluation:
         self._clock.add_command(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
 
+    def add_belief(self, stamp_ns: int, values: Sequence[float]) -> None:
+        """Add what the controller believes: time stamp [ns] and `BELIEF_FIELDS`."""
+        stamps = self._believed_ns
+        if stamps and stamp_ns < stamps[-1] - self._gap_ns:
+            del stamps[:], self._beliefs[:]
+        if not stamps or stamp_ns > stamps[-1]:
+            stamps.append(stamp_ns)
+            self._beliefs.append(values)
+        if len(stamps) > 2 * _LONGEST_WAIT:
+            del stamps[:_LONGEST_WAIT], self._beliefs[:_LONGEST_WAIT]
+
     def advance(self, now: float) -> None:
         """Evaluate the poses that need not wait any longer.
 
@@ -343,9 +355,13 @@ class LiveEvaluation:
             self._report(self._evaluator.update(*zip(*batch)))
 
     def _report(self, laps):
+        times = [(stamp - self._t0_ns) * 1e-9 for stamp in self._believed_ns] if laps else []
         for lap in laps:
             end_ns = self._t0_ns + int(round(lap.end_time_s * 1e9))
-            self._on_lap(LiveLap(self._run, end_ns, lap))
+            self._on_lap(LiveLap(self._run, end_ns, lap.believed(times, self._beliefs)))
+            passed = bisect_right(self._believed_ns, end_ns) - 1
+            if passed > 0:
+                del times[:passed], self._believed_ns[:passed], self._beliefs[:passed]
         self._reported += len(laps)
 
     def _end_run(self):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from bisect import bisect_right
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
+from ..bags.messages import BELIEF_FIELDS
 from ..track.raceline import Raceline
 
 __all__ = ["Lap", "LapTrace", "RunResult", "Summary"]
@@ -28,6 +30,14 @@ class LapTrace(NamedTuple):
     d: np.ndarray
     v: np.ndarray
     command: np.ndarray
+
+
+# Columns of a lap, and the fields of a belief that they are.
+_BELIEVED = {
+    **{f"believed_{name}": name for name in ("grip", "friction", "friction_low", "friction_high")},
+    **{f"believed_{name}": name for name in ("front_stiffness", "rear_stiffness")},
+    "believed_delay_s": "delay",
+}
 
 
 @dataclass(frozen=True)
@@ -63,6 +73,11 @@ class Lap:
         how long a command is held.
     start_time_s, end_time_s : float
         On the recording's clock.
+    believed_grip, believed_friction, believed_friction_low, believed_friction_high, \
+    believed_front_stiffness, believed_rear_stiffness, believed_delay_s : float
+        What an adaptive controller believed at its end, relative to the vehicle file's tires: the
+        lateral limit that the speeds use, friction with the ends of its interval, cornering
+        stiffness of both axles; and the delay.
     sector_times_s : tuple of float
         Sectors have equal lengths, from the start line on.
     trace : LapTrace, optional
@@ -85,8 +100,31 @@ class Lap:
     mean_steering_rate_radps: float = math.nan
     start_time_s: float = math.nan
     end_time_s: float = math.nan
+    believed_grip: float = math.nan
+    believed_friction: float = math.nan
+    believed_friction_low: float = math.nan
+    believed_friction_high: float = math.nan
+    believed_front_stiffness: float = math.nan
+    believed_rear_stiffness: float = math.nan
+    believed_delay_s: float = math.nan
     sector_times_s: tuple = ()
     trace: LapTrace | None = None
+
+    def believed(self, times: Sequence[float], values: Sequence[Sequence[float]]) -> Lap:
+        """The lap with what was believed at its end.
+
+        Parameters
+        ----------
+        times : sequence of float
+            Times of beliefs, ascending [s].
+        values : sequence of sequences of 13 floats
+            `map_racing.bags.messages.BELIEF_FIELDS`.
+        """
+        last = bisect_right(times, self.end_time_s) - 1
+        if last < 0:
+            return self
+        belief = dict(zip(BELIEF_FIELDS, map(float, values[last])))
+        return replace(self, **{name: belief[field] for name, field in _BELIEVED.items()})
 
     def row(self) -> dict:
         """Row of a table: values by name, the sectors as ``sector_1_s`` and so on."""

@@ -11,8 +11,10 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from map_racing.msg import LapResult
+from map_racing.msg import Belief, LapResult
 
+from ..bags.messages import BELIEF_FIELDS
+from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits
 from ..evaluation.live import LapLog, LiveEvaluation
@@ -84,6 +86,7 @@ class LapEvaluatorNode:
                 lambda error: rospy.logwarn("%s", error),
             )
         self._subscribe("drive", AckermannDriveStamped, self._add_command)
+        self._subscribe(BELIEF_TOPIC, Belief, self._add_belief)
         kind, add = (
             (Odometry, self._add_odometry) if pose == "odom" else (PoseStamped, self._add_pose)
         )
@@ -165,6 +168,10 @@ class LapEvaluatorNode:
         self._frame = frame(message.header.frame_id) or "map"
         stamp = stamp_ns(message.header, received_ns)
         self._add(stamp, at.x, at.y, _NAN, _NAN, received, received_ns - stamp)
+
+    def _add_belief(self, message, received_ns, _received):
+        values = [getattr(message, name) for name in BELIEF_FIELDS]
+        self._laps.add_belief(stamp_ns(message.header, received_ns), values)
 
     def _add(self, *sample):
         self._no_poses = ""

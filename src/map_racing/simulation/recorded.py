@@ -31,7 +31,8 @@ def write_race_bag(
     Localization is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, stamped with the time
     of measurement and received when it arrived; commands are on the drive topic, the IMU on
     ``/vesc/sensors/imu/raw``, the raceline on ``/global_waypoints``, the true motion on
-    ``/ground_truth/odom``, the settings on ``/map_racing/settings``.
+    ``/ground_truth/odom``, the settings on ``/map_racing/settings``, and what an adaptive
+    controller believes on ``/map_racing/belief``.
 
     Parameters
     ----------
@@ -62,6 +63,8 @@ def write_race_bag(
             bag.imu(stamp, *sample.acceleration, seen.r, received=arrival)
             bag.odometry(stamp, *true[1:], topic=GROUND_TRUTH_TOPIC, received=arrival)
             bag.drive(arrival, sample.result.steering_angle, sample.result.speed)
+            if sample.belief is not None:
+                bag.belief(stamp, sample.belief, received=arrival)
 
 
 def write_ramp_bag(

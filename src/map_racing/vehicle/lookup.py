@@ -276,9 +276,9 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     """Speeds and angles so fine that interpolation errors hardly matter.
 
     There are 257 angles, and about one column per 0.1 m/s from 0.1 m/s on; the notes of
-    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. Larger cars have
-    columns as much farther apart as they are faster, and angles that are denser the smaller they
-    are: at full speed they steer by hundredths of a radian.
+    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. Larger cars
+    have columns as much farther apart as they are faster, and angles that are denser the smaller
+    they are: at full speed they steer by hundredths of a radian.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ import argparse
 
 from ...identification.limits import SteadyLimits
 from .recording import add_recording_options
-from .shared import add_join_option
+from .shared import add_join_option, add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
