@@ -24,12 +24,18 @@ class Observation(NamedTuple):
         Time of arrival [s].
     acceleration : (float, float)
         Longitudinal and lateral acceleration of the IMU [m/s^2].
+    frame : str
+        Frame of the pose; empty for the raceline's.
+    quaternion : float
+        Length of the quaternion that gives the heading.
     """
 
     true: tuple
     measured: tuple
     arrival: float
     acceleration: tuple
+    frame: str = ""
+    quaternion: float = 1.0
 
 
 class SimulatedCar:
@@ -45,6 +51,8 @@ class SimulatedCar:
         ``measured_state()``, at once.
     rate : float, optional
         Poses per second instead of the plant's ``localization_rate_hz``.
+    faults : Faults, optional
+        What goes wrong.
 
     Attributes
     ----------
@@ -52,8 +60,8 @@ class SimulatedCar:
         Time in steps of the plant; a reset of the car does not reset it.
     """
 
-    def __init__(self, plant, localization=None, rate=None):
-        self.plant = plant
+    def __init__(self, plant, localization=None, rate=None, faults=None):
+        self.plant, self.faults = plant, faults
         self._localization = localization
         self._rate = rate or plant.parameters.localization_rate_hz
         self._latency = 0.0
@@ -98,7 +106,9 @@ class SimulatedCar:
         taken = None
         if self._due < soon:
             taken = self._measure(now)
-            self._pending.append(taken)
+            self._pending.extend(
+                [taken] if self.faults is None else self.faults.measured(taken)
+            )
             self._poses += 1
             self._due = self._poses / self._rate
         arrived = []
@@ -120,7 +130,12 @@ class SimulatedCar:
 
     def advance(self, steering_angle, speed):
         """Drive for one tick under the given commands [rad, m/s]."""
-        self.plant.advance(steering_angle, speed)
+        faults = self.faults
+        if faults is None or not faults.active:
+            self.plant.advance(steering_angle, speed)
+        else:
+            self.plant.advance(*faults.commanded(steering_angle, speed))
+            faults.advanced()
         self.tick += 1
 
 

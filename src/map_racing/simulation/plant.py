@@ -172,6 +172,7 @@ class Plant:
         self._v_eps = max(V_EPS, rate * self.time_step / 2.5)
         self._grip = None
         self.set_grip(1.0)
+        self.set_drive(1.0, 1.0)
         lag = parameters.steering_time_constant_s
         self._servo_gain = 1.0 - math.exp(-self.time_step / lag) if lag else 1.0
         # A lag shorter than the step would overshoot, and end a braking backwards.
@@ -195,6 +196,15 @@ class Plant:
             self._grip = factor
             vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
             self._derivatives = single_track_derivatives(vehicle, self._v_eps)
+
+    def set_drive(self, acceleration, braking):
+        """Share of the drive's acceleration and of its braking that is left, from the next step on."""
+        vehicle = self.vehicle
+        self._drive_limits = vehicle.a_max * acceleration, -vehicle.a_brake_max * braking
+
+    def hold(self, x, y, psi):
+        """Keep the rear axle in a place, at rest; time and actuators go on."""
+        self.state = moved(CarState(self.state.t, x, y, psi, 0.0, 0.0, 0.0), self.vehicle.l_r)
 
     def reference_state(self):
         """True state of the rear axle, which localization sees and which follows the raceline."""
@@ -264,7 +274,7 @@ class Plant:
     def _drive(self, target):
         """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
         vehicle = self.vehicle
-        most, least = vehicle.a_max, -vehicle.a_brake_max
+        most, least = self._drive_limits
         target = 0.0 if target < 0.0 else vehicle.v_max if target > vehicle.v_max else target
         wanted = (target - self.state.v_x) / self._drive_lag
         return most if wanted > most else least if wanted < least else wanted
