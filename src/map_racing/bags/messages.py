@@ -22,6 +22,7 @@ __all__ = [
     "IMU",
     "MD5",
     "ODOMETRY",
+    "ODOMETRY_SIZE",
     "PATH",
     "POSE",
     "POSE_COVARIANCE",
@@ -124,7 +125,8 @@ _ODOMETRY_FIELDS = {
     "v_y": ("<f8", _TWIST + 8),
     "yaw_rate": ("<f8", _TWIST + 40),
 }
-_ODOMETRY_BODY = _TWIST + 48 + 288
+ODOMETRY_SIZE = _TWIST + 48 + 288
+"""Bytes of an Odometry after its frames."""
 _DRIVE_FIELDS = {"steering_angle": ("<f4", 0), "speed": ("<f4", 8)}
 # Orientation, angular velocity and linear acceleration are each followed by a covariance.
 _RATES, _ACCELERATIONS = 13 * 8, 25 * 8
@@ -194,7 +196,7 @@ def decode_odometry(batch: list[bytes]) -> Decoded:
     good : ndarray of bool, shape (n,)
         False for messages that do not have the layout of their type.
     """
-    return _decode(batch, _ODOMETRY_BODY, _ODOMETRY_FIELDS, has_child=True)
+    return _decode(batch, ODOMETRY_SIZE, _ODOMETRY_FIELDS, has_child=True)
 
 
 def decode_pose(batch: list[bytes]) -> Decoded:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..bags.opening import source_name
 from ..errors import EvaluationError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_recording, recorded_runs
@@ -16,6 +17,7 @@ from ..files import write_json
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .figures import draw_runs
+from .inputs import joined
 from .outputs import check_outputs
 
 
@@ -29,8 +31,9 @@ def run(arguments):
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
-    bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
-    for source, name in zip(bar, run_names(arguments.recordings)):
+    sources = joined(arguments.recordings, arguments.join)
+    bar = tqdm(sources, desc="evaluate", disable=None, leave=False)
+    for source, name in zip(bar, run_names(map(source_name, sources))):
         try:
             runs = evaluate_one(source, track, arguments)
         except MapRacingError as error:
@@ -96,7 +99,9 @@ def evaluate_run(recording, raceline, origin, arguments):
 
 def run_names(sources):
     """Short names of runs: stems of the files or, if these repeat, what differs in the paths."""
-    stems = [re.sub(r"\.(bag(\.active)?|csv(\.gz)?)$", "", Path(source).name) for source in sources]
+    sources = list(sources)
+    suffixes = r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?|csv(\.gz)?)$"
+    stems = [re.sub(suffixes, "", Path(source).name) for source in sources]
     names = stems
     if len(set(stems)) < len(stems):
         folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]

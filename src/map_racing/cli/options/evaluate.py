@@ -2,7 +2,7 @@
 
 import argparse
 
-from .shared import add_number
+from .shared import add_join_option, add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -11,7 +11,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="BAG",
+        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
+    )
+    add_join_option(parser)
     parser.add_argument(
         "--raceline",
         metavar="FILE",

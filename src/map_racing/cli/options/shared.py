@@ -4,7 +4,22 @@ import argparse
 
 from ...resources import list_config
 
-__all__ = ["add_effort_options", "add_grid_options", "add_number", "add_shared_options"]
+__all__ = [
+    "add_effort_options",
+    "add_grid_options",
+    "add_join_option",
+    "add_number",
+    "add_shared_options",
+]
+
+
+def add_join_option(parser: argparse.ArgumentParser) -> None:
+    """How bags are read that a recorder split by size or time."""
+    parser.add_argument(
+        "--join",
+        action="store_true",
+        help="the bags are the parts of one run, which the recorder split by size or time",
+    )
 
 
 def add_number(parser, option: str, default: float, meaning: str, **settings) -> None:
