@@ -23,6 +23,7 @@ COMMANDS = {
     "raceline": "check, convert and optimize racelines",
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
     "identify": "identify tires from recorded steady cornering, write vehicle file and table",
+    "faults": "rehearse faults: what stops the car, how soon, and what lets it drive again",
     "tune": "find the lookahead with which a controller follows a track closest",
     "experiment": "repeat an experiment of the paper",
     "compare": "compare two result directories of experiments or of tuning",

@@ -106,9 +106,7 @@ class SimulatedCar:
         taken = None
         if self._due < soon:
             taken = self._measure(now)
-            self._pending.extend(
-                [taken] if self.faults is None else self.faults.measured(taken)
-            )
+            self._pending.extend([taken] if self.faults is None else self.faults.measured(taken))
             self._poses += 1
             self._due = self._poses / self._rate
         arrived = []

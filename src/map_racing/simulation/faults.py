@@ -16,7 +16,7 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
 from ..validation import POSITIVE, check, documented, finite, parameter
 
-__all__ = ["KINDS", "Fault", "Faults", "load_faults"]
+__all__ = ["KINDS", "Fault", "Faults", "kinds_table", "load_faults"]
 
 # Rolling resistance of a car without motor torque [m/s^2].
 COASTING = 0.5
@@ -58,7 +58,9 @@ KINDS = {
         "another node publishes odometry beside the first, off to the left",
         *("m", 2.0, -100.0, 100.0, _SIMULATOR),
     ),
-    "quaternion_length": Kind("quaternions have another length than 1", "", 1.05, 0.2, 10.0, _SIMULATOR),
+    "quaternion_length": Kind(
+        "quaternions have another length than 1", "", 1.05, 0.2, 10.0, _SIMULATOR
+    ),
     # odometry
     "velocity_missing": Kind("the velocity is 0"),
     "velocity_absurd": Kind("the velocity is absurd", "m/s", 1e9, POSITIVE, 1e300),
@@ -69,10 +71,14 @@ KINDS = {
     "servo_stuck": Kind("the steering stays where it is"),
     "servo_slow": Kind("the steering has another rate", "rad/s", 0.5, POSITIVE, 10.0),
     "servo_offset": Kind("the steering is off to the left", "rad", 0.05, -0.5, 0.5),
-    "motor_weak": Kind("share of the acceleration that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"),
+    "motor_weak": Kind(
+        "share of the acceleration that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"
+    ),
     "motor_dead": Kind("no torque: the car rolls out", method="set_drive"),
     "motor_runaway": Kind("the car drives at a speed of its own", "m/s", 7.0, POSITIVE, 20.0),
-    "brakes_weak": Kind("share of the braking that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"),
+    "brakes_weak": Kind(
+        "share of the braking that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"
+    ),
     "battery_sag": Kind("largest speed that is left", "m/s", 2.5, POSITIVE, 20.0),
     "drive_loss": Kind("commands do not reach the car, which stops after 0.2 s by itself"),
     "drive_delay": Kind("commands reach the car later", "s", 0.1, 0.0, 1.0),
@@ -86,6 +92,18 @@ KINDS = {
     "raceline_reversed": Kind("the raceline is published the other way round", where=_RACE),
     "controller_failed": Kind("the controller raises an exception", where=_RACE),
 }
+
+
+def kinds_table() -> str:
+    """Markdown table of the faults: name, meaning, default and valid sizes, who injects it."""
+    rows = ["| fault | what happens | size by default, and valid | by |", "|---|---|---|---|"]
+    for name, kind in KINDS.items():
+        size = ""
+        if kind.default is not None:
+            low = "more than 0" if kind.low == POSITIVE else f"{kind.low:g}"
+            size = f"{kind.default:g} {kind.unit}".rstrip() + f"; {low} to {kind.high:g}"
+        rows.append(f"| `{name}` | {kind.text} | {size} | {' and '.join(kind.where)} |")
+    return "\n".join(rows) + "\n"
 
 
 @documented
@@ -146,7 +164,9 @@ def load_faults(path: str | Path) -> list[Fault]:
     values = read_yaml_mapping(path)
     entries = values.get("faults")
     if set(values) != {"faults"} or not isinstance(entries, list):
-        raise FileFormatError(f"{path}: expected one list, faults, got {', '.join(map(str, values))}")
+        raise FileFormatError(
+            f"{path}: expected one list, faults, got {', '.join(map(str, values))}"
+        )
     faults = []
     for number, entry in enumerate(entries, 1):
         if not isinstance(entry, dict) or "fault" not in entry:

@@ -18,14 +18,14 @@ from .faults import KINDS, Fault
 from .plants import build_plant, load_plant
 from .race import Outcome, RaceLog, race
 
-__all__ = ["SCENARIOS", "Rehearsal", "Scenario", "rehearse", "rehearsal_track"]
+__all__ = ["SCENARIOS", "Rehearsal", "Scenario", "rehearsal_track", "rehearse", "table"]
 
 SPEED = 4.0  # m/s
 STRAIGHT, RADIUS, HALF_WIDTH = 12.0, 4.0, 2.0  # m
 # In the middle of the first bend, and until the end of the rehearsal [s].
 BEGIN, END = 4.5, 18.0
 # The driver calls ~resume this long after the end of the fault [s].
-RESUMES_AFTER = 2.0
+RESUMES_AFTER = 4.0
 STANDSTILL = 0.05  # m/s
 
 
@@ -139,7 +139,9 @@ class Rehearsal:
         elif stops and math.isnan(self.back_s):
             back = "stays"
         elif stops and self.resumed:
-            back = "after `~resume`"
+            back = "`~resume`"
+        elif stops and self.back_s < 0.0:
+            back = f"with it, {self.back_s + scenario.for_s:.1f} s after its begin"
         elif stops:
             back = f"{self.back_s:.1f} s after its end"
         return [
@@ -172,13 +174,13 @@ def rehearsal_track() -> Raceline:
     )
 
 
-def rehearse(scenario: Scenario, plant: str = "nuc4", seed: int = 1) -> Rehearsal:
+def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
     """Drive one scenario with the shipped controller ``map``, supervised.
 
     Parameters
     ----------
     scenario : Scenario
-    plant : str, optional
+    car : str, optional
         Shipped plant or plant file.
     seed : int, optional
         Of the noise.
@@ -189,13 +191,13 @@ def rehearse(scenario: Scenario, plant: str = "nuc4", seed: int = 1) -> Rehearsa
     """
     track = rehearsal_track()
     parameters = load_controller_parameters("map").with_(speed_scale=1.0)
-    plant_parameters = load_plant(plant)
+    plant_parameters = load_plant(car)
     if plant_parameters.reference_point != "rear_axle":
         parameters = parameters.with_(reference_point=plant_parameters.reference_point)
     controller = build_controller(parameters, plant_parameters.vehicle, track)
+    plant, localization = build_plant(plant_parameters, seed)
     log = race(
-        *(*build_plant(plant_parameters, seed)[:1], controller, track),
-        build_plant(plant_parameters, seed)[1],
+        *(plant, controller, track, localization),
         time_limit=END,
         faults=scenario.schedule(),
     )
@@ -214,7 +216,7 @@ def rehearse(scenario: Scenario, plant: str = "nuc4", seed: int = 1) -> Rehearsa
     )
 
 
-def table(rehearsals) -> str:
+def table(rehearsals: list[Rehearsal]) -> str:
     """Markdown table of rehearsals."""
     rows = [HEADER, ("---",) * len(HEADER), *(rehearsal.row() for rehearsal in rehearsals)]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
