@@ -17,7 +17,7 @@ def run(arguments):
     chosen = [scenario for scenario in SCENARIOS if name in (None, scenario.fault)]
     if not chosen:
         raise ParameterError(
-            f"--fault: {name} cannot be rehearsed without messages: inject it with the simulator node"
+            f"--fault: {name} cannot be rehearsed without messages: the simulator node injects it"
         )
     rehearsals = []
     with progress_bar("faults", len(chosen), "faults") as show:

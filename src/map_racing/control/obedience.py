@@ -37,8 +37,8 @@ class PoseMotion:
     """Detects a frozen pose: the car moves while its pose stays, but for jitter.
 
     The car moves if its velocity says so, or if it did when the pose last moved, as a pose-derived
-    velocity ends with the poses; then for 3 s. A single jump, as when somebody corrects the localization of a
-    parked car, is no motion.
+    velocity ends with the poses; that counts for 3 s. A single jump, as when somebody corrects the
+    localization of a parked car, is no motion.
     """
 
     def __init__(self):

@@ -148,6 +148,8 @@ class DrivenCar:
     car : SimulatedCar
     raceline : Raceline
         Its widths give the walls.
+    on_faults : callable, optional
+        Called with the faults that have begun and those that have ended, where any has.
 
     Attributes
     ----------
@@ -155,8 +157,8 @@ class DrivenCar:
     crashed : bool
     """
 
-    def __init__(self, car, raceline):
-        self.car = car
+    def __init__(self, car, raceline, on_faults=None):
+        self.car, self._on_faults = car, on_faults
         self.crashed = False
         self._raceline = raceline
         self._tracker, self._grip = RacelineTracker(raceline), Grip(car.plant)
@@ -191,16 +193,25 @@ class DrivenCar:
         car = self.car
         while car.tick < tick:
             taken, arrived = car.observe()
-            if taken is not None and not self.crashed:
+            if taken is not None:
                 x, y, psi = taken.true[1:4]
                 s, d = self._tracker.update(x, y, psi)[:2]
                 self._grip.update(car.now, s)
+                self._update_faults(s)
+            if taken is not None and not self.crashed:
                 self.crashed = hits_wall(self._raceline, s, d, car.plant.vehicle.width)
                 if self.crashed:
                     car.put(x, y, psi)
             yield from arrived
             fresh = car.tick - self._commanded < self._timeout
             car.advance(self._steering_angle, self._speed if fresh and not self.crashed else 0.0)
+
+    def _update_faults(self, s):
+        faults = self.car.faults
+        if faults is not None:
+            begun, ended = faults.update(self.car.now, s)
+            if self._on_faults is not None and (begun or ended):
+                self._on_faults(begun, ended)
 
 
 def hits_wall(raceline, s, d, car_width):

@@ -10,7 +10,7 @@ import math
 import random
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
@@ -27,7 +27,7 @@ class Kind(NamedTuple):
 
     text: str
     unit: str = ""
-    default: Optional[float] = None
+    default: float | None = None
     low: float = -math.inf
     high: float = math.inf
     # Who can inject it: race has no messages, the simulator no controller.
@@ -124,7 +124,7 @@ class Fault:
         low=0.0,
         default=0.0,
     )
-    size: Optional[float] = parameter(
+    size: float | None = parameter(
         "How large it is, in the unit of its kind; by default that of the kind", default=None
     )
 

@@ -198,7 +198,7 @@ class Plant:
             self._derivatives = single_track_derivatives(vehicle, self._v_eps)
 
     def set_drive(self, acceleration, braking):
-        """Share of the drive's acceleration and of its braking that is left, from the next step on."""
+        """Set the shares of acceleration and braking that the drive has from the next step on."""
         vehicle = self.vehicle
         self._drive_limits = vehicle.a_max * acceleration, -vehicle.a_brake_max * braking
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..control.controller import build_controller
 from ..control.parameters import load_controller_parameters
-from ..control.safety import Mode, Reason
+from ..control.safety import Reason
 from ..track.raceline import Raceline
 from .faults import KINDS, Fault
 from .plants import build_plant, load_plant

@@ -47,8 +47,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--faults",
         metavar="YAML",
-        help="drive under the supervisor, as the node does, with the faults of this schedule; map-racing "
-        "faults --list names them",
+        help="drive under the supervisor, as the node does, with the faults of this schedule; "
+        "map-racing faults --list names them",
     )
     add_number(parser, "--laps", 5, "timed laps")
     parser.add_argument(
