@@ -54,7 +54,7 @@ def test_a_stop_is_a_ramp(scenario):
             assert fell <= 6.0 * (after.t - before.t) + 1e-9
 
 
-# What the supervisor has to notice, and by when: [s] from the fault, besides the latency of the pose.
+# What the supervisor has to notice, and by when [s], besides the latency of the pose.
 NOTICED = {
     "pose_dropout": ("pose too old", 0.2),
     "pose_frozen": ("pose too old", 0.2),
