@@ -1,5 +1,5 @@
-"""RViz opens the shipped layout and shows what a driver wants to see: a real one, on a screen in
-memory, looked at through a screenshot."""
+"""RViz opens on the track that is driven and shows what a driver wants to see: a real one, on a
+screen in memory, looked at through a screenshot."""
 
 import os
 import subprocess
@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from map_racing.msg import LapResult
 from matplotlib.image import imread
+from nav_msgs.msg import OccupancyGrid
 
 from map_racing.nodes.colors import WALL, gradient
 from map_racing.nodes.lap_evaluator import LAP_TEXT_COLOR
 from map_racing.nodes.lookahead_visualizer import CAR_COLOR, LOOKAHEAD_COLOR, STEERING_COLOR
+from map_racing.track.files.load import load_raceline, save_raceline
+from map_racing.track.raceline import Raceline
 
 SIZE = 1400, 760
 # Fewest pixels of each color. Lines are a pixel or two wide where they have it.
@@ -21,10 +24,13 @@ EXPECTED = {
     "fast raceline": 40,
     "walls": 2000,
     "car": 200,
-    "lookahead": 20,
+    "lookahead": 12,
     "steering": 20,
     "lap text": 300,
+    "map": 8000,
 }
+# White at the layout's 70 % over its background.
+MAP_COLOR = (0.77, 0.77, 0.78)
 
 
 def near(picture, color, tolerance=0.06):
@@ -55,6 +61,7 @@ def found(picture):
         "lookahead": shaded(picture, LOOKAHEAD_COLOR),
         "steering": shaded(picture, STEERING_COLOR),
         "lap text": near(picture, LAP_TEXT_COLOR, 0.02),
+        "map": near(picture, MAP_COLOR, 0.04),
     }
 
 
@@ -78,18 +85,57 @@ def screen(processes, monkeypatch):
     server.wait()
 
 
-def test_the_layout_shows_the_race(screen, launch, listen, tmp_path):
-    race = launch("simulate.launch", rviz="true", speed_scale=0.8)
-    listen("/lap_result", LapResult).wait(lambda lap: lap.valid, 90.0, "a lap")
+def extent(picture, color, tolerance=0.06):
+    """First and last row and column with pixels of a color."""
+    rows, columns = np.nonzero(np.abs(picture - np.array(color)).max(axis=2) < tolerance)
+    return rows.min(), rows.max(), columns.min(), columns.max()
+
+
+def elsewhere():
+    """The track reference, a quarter larger and at another place."""
+    line = load_raceline("reference")
+    return Raceline(
+        *(1.25 * line.x + 40.0, 1.25 * line.y - 25.0),
+        vx_mps=line.speed,
+        d_left_m=1.25 * line.d_left,
+        d_right_m=1.25 * line.d_right,
+    )
+
+
+def a_map():
+    """A free room of 3 x 4 m within the inner wall of that track."""
+    grid = OccupancyGrid(data=[0] * 1200)
+    grid.header.frame_id = "map"
+    grid.info.resolution, grid.info.width, grid.info.height = 0.1, 30, 40
+    grid.info.origin.position.x, grid.info.origin.position.y = 38.5, -22.0
+    grid.info.origin.orientation.w = 1.0
+    return grid
+
+
+def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path):
+    publisher = ros.Publisher("/map", OccupancyGrid, queue_size=1, latch=True)
+    publisher.publish(a_map())
+    track = tmp_path / "elsewhere.csv"
+    save_raceline(elsewhere(), track, "map_racing")
+    pace = {"speed_scale": 0.8, "clock_rate": 2, "lockstep": "true"}
+    race = launch("simulate.launch", rviz="true", track=track, **pace)
+    listen("/lap_result", LapResult).wait(lambda lap: lap.valid, 120.0, "a lap")
     path = tmp_path / "rviz.png"
     for _ in range(20):
         subprocess.run(["import", "-window", "root", path], check=True)
-        picture = imread(path)[:, :, :3]
         # Behind menus and panels: only what is drawn in the map.
-        counts = found(picture[70:-40, 370:-20])
+        picture = imread(path)[70:-40, 370:-20, :3]
+        counts = found(picture)
         if all(counts[name] >= EXPECTED[name] for name in EXPECTED):
             break
         assert race.running, race.output
     print(f"{path}: pixels {counts}")
     missing = [name for name in EXPECTED if counts[name] < EXPECTED[name]]
     assert not missing, (missing, counts, str(path))
+    # The text above the whole track, which is as large as the window allows.
+    height, width = picture.shape[:2]
+    beneath = extent(picture, LAP_TEXT_COLOR, 0.02)[1] + 10
+    top, bottom, left, right = extent(picture[beneath:], WALL)
+    assert 0 < top < 40 and 0.9 * height < beneath + bottom < height - 1
+    assert left > 0 and right < width - 1 and abs(left + right - width) < 0.1 * width
+    publisher.unregister()

@@ -18,15 +18,16 @@ ALLOWED = {
     "control": {"vehicle", "track"},
     "simulation": {"control", "vehicle", "track", "track/files", "bags"},
     "identification": {"vehicle", "bags"},
-    "evaluation": {"track", "track/files", "bags"},
+    "evaluation": {"control", "vehicle", "track", "track/files", "bags"},
     "plots": {"track"},
+    "pages": {"evaluation", "vehicle"},
     "experiments": {
         *("plots", "evaluation", "identification", "simulation", "control", "track"),
         *("track/files", "vehicle", "bags"),
     },
     "nodes": {"evaluation", "simulation", "control", "track", "track/files", "vehicle", "bags"},
     "cli": {
-        *("experiments", "plots", "evaluation", "identification", "simulation", "control"),
+        *("experiments", "pages", "plots", "evaluation", "identification", "simulation", "control"),
         *("track", "track/files", "vehicle", "bags"),
     },
 }

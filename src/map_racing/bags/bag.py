@@ -14,7 +14,7 @@ class Connection(NamedTuple):
     The topic begins with a slash; the type is written as in ROS 1, ``nav_msgs/Odometry``. The
     sender is empty where the bag does not name it. The sum is that of the ROS 1 message with the
     same layout, empty where there is none. Where ``cdr`` is set, messages are serialized as by
-    ROS 2.
+    ROS 2. A latching publisher sends its last message to whoever comes later.
     """
 
     topic: str
@@ -23,6 +23,7 @@ class Connection(NamedTuple):
     definition: str
     sender: str = ""
     cdr: bool = False
+    latching: bool = False
 
 
 class Message(NamedTuple):

@@ -139,6 +139,37 @@ def _waypoints(data):
     return header + data[at : at + 4] + rows.tobytes()
 
 
+def _string(data):
+    length, text, _ = _text(data, _START)
+    return length + data[_START + 4 : text]
+
+
+def _diagnostics(data):
+    header, at = _header(data, _START)
+    at = _aligned(at, 4)
+    (count,) = _U32.unpack_from(data, at)
+    parts, at = [header, data[at : at + 4]], at + 4
+
+    def texts(number):
+        nonlocal at
+        for _ in range(number):
+            at = _aligned(at, 4)
+            length, text, end = _text(data, at)
+            parts.extend((length, data[at + 4 : text]))
+            at = end
+
+    for _ in range(count):
+        parts.append(data[at : at + 1])  # the level
+        at += 1
+        texts(3)
+        at = _aligned(at, 4)
+        (pairs,) = _U32.unpack_from(data, at)
+        parts.append(data[at : at + 4])
+        at += 4
+        texts(2 * pairs)
+    return b"".join(parts)
+
+
 _MAKERS = {
     msg.ODOMETRY: lambda: _Stamped(8, child=True, size=msg.ODOMETRY_SIZE),
     msg.POSE: lambda: _Stamped(8),
@@ -149,6 +180,8 @@ _MAKERS = {
     msg.TF: lambda: _transforms,
     msg.PATH: lambda: _path,
     msg.WAYPOINTS: lambda: _waypoints,
+    msg.STRING: lambda: _string,
+    msg.DIAGNOSTICS: lambda: _diagnostics,
 }
 
 

@@ -274,6 +274,7 @@ class BagFile(Bag):
             md5sum=about.text(b"md5sum"),
             definition=about.text(b"message_definition"),
             sender=about.text(b"callerid"),
+            latching=about.text(b"latching") == "1",
         )
         return True
 

@@ -13,10 +13,19 @@ from .samples import is_odometry_frame
 from .series import PoseSeries
 from .transforms import ComposedPoses, FramePoses, RecordedTransforms
 
-__all__ = ["DRIVE_TOPIC", "PoseSource", "drive_connections", "imu_topic", "pose_sources"]
+__all__ = [
+    "DRIVE_TOPIC",
+    "SETTINGS_TOPIC",
+    "PoseSource",
+    "drive_connections",
+    "imu_topic",
+    "pose_sources",
+]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
 """Where racing stacks publish the drive command."""
+SETTINGS_TOPIC = "/map_racing/settings"
+"""Where the controller says what it drives with, as text."""
 
 POSE_DECODERS = {
     msg.MD5[msg.ODOMETRY]: msg.decode_odometry,

@@ -6,14 +6,16 @@ import os
 import struct
 from contextlib import suppress
 from pathlib import Path
+from typing import Callable
 
 import lz4.frame
 
 from ..errors import BagError
 from . import messages as msg
-from .topics import DRIVE_TOPIC
+from .bag import Bag, Message
+from .topics import DRIVE_TOPIC, SETTINGS_TOPIC
 
-__all__ = ["BagWriter"]
+__all__ = ["BagWriter", "copy_bag"]
 
 
 class BagWriter:
@@ -163,6 +165,10 @@ class BagWriter:
         values, encode = (frame, rows.tolist()), msg.encode_waypoints
         self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=latched)
 
+    def text(self, stamp, text, *, topic=SETTINGS_TOPIC, latched=True, received=None):
+        """A text as ``std_msgs/String``; it has no stamp of its own."""
+        self._write(topic, msg.STRING, stamp, received, msg.encode_string, (text,), latched=latched)
+
     def _write(self, topic, kind, stamp, received, encode, values, latched=False):
         entry = self._topics.get(topic)
         if entry is None:
@@ -192,6 +198,49 @@ class BagWriter:
             callerid="/map_racing",
             latching=int(latched),
         )
+
+
+def copy_bag(bag: Bag, output: str | Path, data_of: Callable[[int, Message], bytes]) -> None:
+    """Write all messages of a bag into another, uncompressed.
+
+    Parameters
+    ----------
+    bag : Bag
+        Of ROS 1.
+    output : str or pathlib.Path
+        Replaced if it exists.
+    data_of : callable
+        Content of a message, from its number within its connection and the message.
+
+    Raises
+    ------
+    BagError
+        If the file cannot be written.
+    """
+    from rosbags.rosbag1 import Writer
+
+    try:
+        with suppress(FileNotFoundError):
+            Path(output).unlink()
+        with Writer(Path(output)) as writer:
+            connections, count = {}, {}
+            for message in bag.messages():
+                number = message.connection
+                if number not in connections:
+                    about = bag.connections[number]
+                    package, _, name = about.type.partition("/")
+                    connections[number] = writer.add_connection(
+                        about.topic,
+                        f"{package}/msg/{name}",
+                        msgdef=about.definition,
+                        md5sum=about.md5sum,
+                        callerid=about.sender or None,
+                        latching=int(about.latching),
+                    )
+                place = count[number] = count.get(number, -1) + 1
+                writer.write(connections[number], message.time_ns, data_of(place, message))
+    except OSError as error:
+        raise BagError(f"{output}: cannot write the bag: {error.strerror}") from None
 
 
 def _compress_for_ros(data):

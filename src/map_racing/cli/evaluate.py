@@ -23,10 +23,7 @@ from .outputs import check_outputs
 
 def run(arguments):
     """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
-    if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
-        raise ParameterError(
-            f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
-        )
+    check_evaluation(arguments)
     given = split_source(arguments.raceline or "")[0]
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
@@ -35,7 +32,7 @@ def run(arguments):
     bar = tqdm(sources, desc="evaluate", disable=None, leave=False)
     for source, name in zip(bar, run_names(map(source_name, sources))):
         try:
-            runs = evaluate_one(source, track, arguments)
+            runs = [result for _, result in evaluate_one(source, track, arguments)]
         except MapRacingError as error:
             tqdm.write(f"map-racing: {error}", file=sys.stderr)
             failed = 1
@@ -64,21 +61,35 @@ def run(arguments):
     return failed
 
 
+def check_evaluation(arguments):
+    """Refuse options of the evaluation that are impossible."""
+    if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
+        raise ParameterError(
+            f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
+        )
+
+
 def evaluate_one(source, track, arguments):
-    """Runs of one recording on the track given or, without one, on its own racelines."""
+    """Runs of one recording on the track given or, without one, on its own racelines.
+
+    Returns
+    -------
+    list of (Recording, RunResult)
+    """
     recording = load_recording(source, arguments.pose_topic, arguments.columns)
     if track is not None:
-        return [evaluate_run(recording, track, arguments.raceline, arguments)]
-    results, errors = [], []
+        return [(recording, evaluate_run(recording, track, arguments.raceline, arguments))]
+    runs, errors = [], []
     for part, raceline in recorded_runs(recording):
         try:
-            results.append(evaluate_run(part, raceline, recording.waypoints.topic, arguments))
+            result = evaluate_run(part, raceline, recording.waypoints.topic, arguments)
+            runs.append((part, result))
         except EvaluationError as error:
             errors.append(error)
-    if not results:
+    if not runs:
         raise errors[0]
     said = [f"warning: {error}" for error in errors]
-    return [replace(result, notes=(*result.notes, *said)) for result in results]
+    return [(part, replace(result, notes=(*result.notes, *said))) for part, result in runs]
 
 
 def evaluate_run(recording, raceline, origin, arguments):

@@ -26,7 +26,7 @@ from ..experiments.paper import (
     tire_table,
 )
 from ..experiments.robustness import grid_table
-from .figures import draw_robustness, draw_scaling, draw_trajectories
+from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
 from .session import open_grid, open_session
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
@@ -36,6 +36,7 @@ PAIRS = (
     ("MAP Pacejka", "pure pursuit"),
     ("MAP Pacejka", "MAP linear"),
     ("MAP default", "MAP Pacejka"),
+    ("MAP adaptive", "MAP default"),
 )
 
 
@@ -83,6 +84,7 @@ def run_tires(arguments: argparse.Namespace) -> None:
     print("\n".join(tire_lines(table)), end="\n\n")
     print("\n".join(pairs_lines(against)))
 
+    drawn = []
     for seed in session.setting.conditions.seeds:
         rows = [
             [
@@ -93,7 +95,9 @@ def run_tires(arguments: argparse.Namespace) -> None:
             for scale in TIRE_SCALES
         ]
         title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
-        draw_trajectories(session.figures, session.setting.raceline, rows, title, seed)
+        raceline = session.setting.raceline
+        drawn.append(draw_trajectories(session.figures, raceline, rows, title, seed).name)
+    remove_stale(session.figures, "trajectories_seed*.png", drawn)
     session.report()
 
 
@@ -111,9 +115,11 @@ def run_robustness(arguments):
     print("\n".join(not_completed_lines(races)))
     print("\n".join(grid_lines(table)))
     title = f"Robustness: {scale:.0%} speed, {session.grid.conditions.laps} timed laps"
+    drawn = []
     for label in controllers:
-        own = races[races.controller == label]
-        draw_robustness(session.figures, own, f"{title}, {label}", Path(label).stem)
+        own, stem = races[races.controller == label], Path(label).stem
+        drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", stem).name)
+    remove_stale(session.figures, "robustness_*.png", drawn)
     session.report()
 
 

@@ -5,6 +5,7 @@ Each function imports what it draws with: matplotlib takes a second, and most ca
 
 from __future__ import annotations
 
+import glob
 import math
 import re
 from pathlib import Path
@@ -25,6 +26,7 @@ __all__ = [
     "draw_scaling",
     "draw_table",
     "draw_trajectories",
+    "remove_stale",
 ]
 
 
@@ -51,11 +53,16 @@ def draw_runs(folder: str, names: list[str], results: list) -> None:
     named = list(zip(titles, results))
     figures.append(("boxes.png", runs.plot_boxes, (named,)))
     _save(folder, figures)
+    drawn = [file_name for file_name, *_ in figures]
     if sum(result.summary.laps_completed > 0 for result in results) > 1:
         try:
             _save(folder, [("difference.png", runs.plot_differences, (named,))])
+            drawn.append("difference.png")
         except EvaluationError as error:  # different tracks cannot be compared
             print(f"no difference.png: {error}")
+    for name in names:
+        remove_stale(folder, f"{glob.escape(name.replace('/', '_'))}_laps.png", drawn)
+    remove_stale(folder, "difference.png", drawn)
 
 
 def _title(name):
@@ -129,6 +136,7 @@ def draw_identification(folder: str, found, left_out, table) -> None:
         drive = plots.DriveFigure(m.run.label, m.t, m.v_x, m.delta, m.r, m.a_y, m.segments())
         figures.append((f"run_{number}.png", plots.plot_drive, (drive,)))
     _save(folder, figures)
+    remove_stale(folder, "run_*.png", [file_name for file_name, *_ in figures])
 
 
 def _force(tire, load):
@@ -167,18 +175,19 @@ def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) 
     _save(folder, [("velocity_scaling.png", plot_scaling, (laps, ended, labels, title))])
 
 
-def draw_robustness(folder: str, races, title: str, stem: str) -> None:
+def draw_robustness(folder: str, races, title: str, stem: str) -> Path:
     """Draw the races of one controller over tracks and cars; arguments as in `plot_robustness`."""
     from ..plots.experiments import plot_robustness
 
-    _save(folder, [(f"robustness_{stem}.png", plot_robustness, (races, title))])
+    return _save(folder, [(f"robustness_{stem}.png", plot_robustness, (races, title))])
 
 
-def draw_trajectories(folder: str, raceline, rows: list, title: str, seed: int) -> None:
+def draw_trajectories(folder: str, raceline, rows: list, title: str, seed: int) -> Path:
     """Draw the driven paths of one race day; arguments as in `plot_trajectories`."""
     from ..plots.experiments import plot_trajectories
 
-    _save(folder, [(f"trajectories_seed{seed}.png", plot_trajectories, (raceline, rows, title))])
+    name = f"trajectories_seed{seed}.png"
+    return _save(folder, [(name, plot_trajectories, (raceline, rows, title))])
 
 
 def draw_comparison(folder: str, comparison, names: tuple[str, str]) -> Path:
@@ -199,3 +208,11 @@ def _save(folder, figures):
         with own_settings():
             save(plot(*arguments), path)
     return path
+
+
+def remove_stale(folder: str, pattern: str, drawn: list[str]) -> None:
+    """Remove figures of an earlier call that this one did not draw: they show something else."""
+    for path in sorted(Path(folder).glob(pattern)):
+        if path.is_file() and path.name not in drawn:
+            path.unlink()
+            print(f"{path}: removed, it was of an earlier call")

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ..control.controller import Controller, build_steering_maps
 from ..control.parameters import load_controller_parameters, load_safety_limits
+from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..simulation.faults import load_faults
@@ -59,10 +60,16 @@ def run(arguments):
             progress=show,
             **supervision,
         )
-    write_race_bag(output, log, raceline)
     for t, reason, again in log.stops():
         until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
         print(f"stop at {t:.2f} s: {reason.value}; {until}")
+    settings = settings_text(
+        controller,
+        name=arguments.controller,
+        table=arguments.lookup_table or "",
+        sectors=arguments.speed_sectors or "",
+    )
+    write_race_bag(output, log, raceline, settings=settings)
     if raceline.d_left is None:
         print(f"{arguments.track}: no walls are known, so crashes are not detected")
     print(
@@ -117,6 +124,8 @@ def given_table(path, parameters, vehicle, own):
     """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
+    if parameters.adaptation:
+        raise ParameterError(f"{path}: a controller that adapts its tires uses no lookup table")
     table = load_table(path)
     made_for = f" for {table.provenance.vehicle}" if table.provenance else ""
     v, a_lat = 3.0, 0.5 * own.max_lateral_acceleration(3.0)

@@ -141,6 +141,18 @@ class ControllerParameters:
         tuning=(0.5, 20.0),
         default=6.0,
     )
+    adaptation: bool = parameter(
+        "Learn grip, cornering stiffness and delay while driving: steering map, speeds and delay "
+        "compensation follow",
+        default=False,
+    )
+    adaptation_share: float = parameter(
+        "What is learned of the tires stays within this share of the vehicle file's friction and "
+        "stiffness",
+        low=0.0,
+        high=0.6,
+        default=0.4,
+    )
     reference_point: str = parameter(
         "Point of the car that localization reports and that follows the raceline. The rear axle "
         "is base_link",

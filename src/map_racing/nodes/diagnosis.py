@@ -97,8 +97,8 @@ class Diagnosis:
             level = DiagnosticStatus.WARN
         status = DiagnosticStatus(
             level=level,
-            name=f"{rospy.get_name().lstrip('/')}: driving",
-            hardware_id="map_racing",
+            name=f"{rospy.get_name().lstrip('/')}: state",
+            hardware_id=self._controller.vehicle.name,
             message=_text(mode, reason),
             values=[KeyValue(key, value) for key, value in values.items()],
         )

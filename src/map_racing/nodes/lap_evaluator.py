@@ -19,7 +19,7 @@ from ..evaluation.live import LapLog, LiveEvaluation
 from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline
 from .conversions import frame, stamp_ns, to_time
-from .markers import delete_all, make_marker
+from .markers import delete_all, lap_text_place, make_marker
 from .node import FirstSender, get_parameter, run, why_silent
 from .waypoints import RacelineSubscriber
 
@@ -47,11 +47,14 @@ class LapEvaluatorNode:
         deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
         patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
         csv = get_parameter("csv", "", "file that laps are appended to; empty: none")
-        self._text_size = get_parameter("text_size", 0.5, "height of the lap text [m]")
+        self._text_size = get_parameter(
+            "text_size", 0.0, "height of the lap text [m]; 0: as fits the track"
+        )
         if pose not in ("odom", "pose"):
             raise ParameterError(f"~pose_source: expected odom or pose, got {pose!r}")
-        if not deviation >= 0.0:
-            raise ParameterError(f"~max_deviation: expected 0 m or more, got {deviation}")
+        for name, value in (("max_deviation", deviation), ("text_size", self._text_size)):
+            if not 0.0 <= value < math.inf:
+                raise ParameterError(f"~{name}: expected 0 m or more, got {value}")
 
         self._queue = queue.SimpleQueue()
         self._frame = "map"
@@ -165,6 +168,8 @@ class LapEvaluatorNode:
 
     def _add(self, *sample):
         self._no_poses = ""
+        if not sample[0]:  # before the first time on /clock, and without a stamp
+            return
         if self._laps.raceline is None:
             rospy.logwarn_throttle(10.0, "poses wait for a raceline")
         self._laps.add_pose(*sample)
@@ -202,14 +207,14 @@ class LapEvaluatorNode:
         rospy.loginfo("%s", text.replace("\n", ", "))
 
     def _marker(self, text):
-        raceline = self._laps.raceline
-        size = (0.0, 0.0, self._text_size)
-        kind = Marker.TEXT_VIEW_FACING
-        marker = make_marker(kind, "lap", self._frame, LAP_TEXT_COLOR, scale=size)
+        x, y, size = lap_text_place(self._laps.raceline, self._text_size)
+        scale = (0.0, 0.0, size)
+        marker = make_marker(
+            Marker.TEXT_VIEW_FACING, "lap", self._frame, LAP_TEXT_COLOR, scale=scale
+        )
         marker.text = text
-        marker.pose.position.x = 0.5 * (raceline.x.min() + raceline.x.max())
-        marker.pose.position.y = 0.5 * (raceline.y.min() + raceline.y.max())
-        marker.pose.position.z = self._text_size
+        at = marker.pose.position
+        at.x, at.y, at.z = x, y, size
         return marker
 
     def _summarize(self, run, result):

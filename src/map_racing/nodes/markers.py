@@ -15,7 +15,17 @@ from .colors import WALL, gradient
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["delete_all", "make_marker", "points_of", "raceline_markers"]
+__all__ = [
+    "delete_all",
+    "lap_text_place",
+    "make_marker",
+    "points_of",
+    "raceline_markers",
+    "track_box",
+]
+
+# Height of the lap text and width of the raceline, as shares of the larger side of the track.
+_TEXT, _LINE = 0.032, 0.003
 
 
 def make_marker(
@@ -59,6 +69,36 @@ def delete_all() -> MarkerArray:
     return MarkerArray([Marker(action=Marker.DELETEALL)])
 
 
+def track_box(raceline: Raceline) -> tuple[float, float, float, float]:
+    """Smallest and largest x, smallest and largest y [m] of a raceline and its walls."""
+    x, y = raceline.x, raceline.y
+    if raceline.d_left is not None:
+        left = raceline.to_cartesian(raceline.s, raceline.d_left)
+        right = raceline.to_cartesian(raceline.s, -raceline.d_right)
+        x, y = (np.concatenate(parts) for parts in zip(left, right, (x, y)))
+    return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+
+
+def _side(raceline):
+    """Larger side of the track [m]."""
+    x_min, x_max, y_min, y_max = track_box(raceline)
+    return max(x_max - x_min, y_max - y_min)
+
+
+def lap_text_place(raceline: Raceline, size: float = 0.0) -> tuple[float, float, float]:
+    """Center x, y [m] of the three lines of lap text above the track, and the height of one [m].
+
+    Parameters
+    ----------
+    raceline : Raceline
+    size : float, optional
+        Height of a line; 0: as fits the track.
+    """
+    x_min, x_max, _, y_max = track_box(raceline)
+    size = size or _TEXT * _side(raceline)
+    return 0.5 * (x_min + x_max), y_max + 2.0 * size, size
+
+
 def raceline_markers(raceline: Raceline, rows: np.ndarray, frame: str) -> MarkerArray:
     """A raceline colored by speed, from its slowest to its fastest, and its walls.
 
@@ -77,7 +117,9 @@ def raceline_markers(raceline: Raceline, rows: np.ndarray, frame: str) -> Marker
     closed = {name: [*rows[name].tolist(), float(rows[name][0])] for name in rows.dtype.names}
     least = min(closed["vx_mps"])
     span = max(closed["vx_mps"]) - least or 1.0
-    line = make_marker(Marker.LINE_STRIP, "raceline", frame, WALL, scale=(0.06, 0.0, 0.0))
+    # Seen from above the whole track, too.
+    width = max(0.06, _LINE * _side(raceline))
+    line = make_marker(Marker.LINE_STRIP, "raceline", frame, WALL, scale=(width, 0.0, 0.0))
     line.points = points_of(zip(closed["x_m"], closed["y_m"]), 0.01)
     line.colors = [gradient((v - least) / span) for v in closed["vx_mps"]]
     array = delete_all()
@@ -85,7 +127,8 @@ def raceline_markers(raceline: Raceline, rows: np.ndarray, frame: str) -> Marker
     if raceline.d_left is not None:
         for number, (side, column) in enumerate(((1.0, "d_left"), (-1.0, "d_right"))):
             x, y = raceline.to_cartesian(closed["s_m"], side * np.array(closed[column]))
-            wall = make_marker(Marker.LINE_STRIP, "walls", frame, WALL, scale=(0.04, 0.0, 0.0))
+            size = (width / 1.5, 0.0, 0.0)
+            wall = make_marker(Marker.LINE_STRIP, "walls", frame, WALL, scale=size)
             wall.id = number
             wall.points = points_of(zip(x.tolist(), y.tolist()))
             array.markers.append(wall)

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Callable, TypeVar
 
 import rosgraph
@@ -22,6 +23,7 @@ __all__ = [
     "SteadyClock",
     "get_parameter",
     "overridden",
+    "ros_home",
     "run",
     "sleep",
     "to_launch_folder",
@@ -31,6 +33,8 @@ __all__ = [
 # A wall clock that drifts this far [s] from the monotonic clock was set.
 CLOCK_STEP_S = 0.2
 MASTER_PERIOD_S = 10.0
+# Simulated time must run after this time [s].
+CLOCK_S = 5.0
 Value = TypeVar("Value", bool, int, float, str, list)
 # A node that has published nothing for this long [s] is gone.
 SENDER_GONE_S = 1.0
@@ -111,7 +115,8 @@ def run(name: str, make: Callable[[], object]) -> None:
     node = None
     try:
         rospy.init_node(name, disable_signals=True)
-        threading.Thread(target=_watch_master, daemon=True).start()
+        for watch in (_watch_master, _watch_clock):
+            threading.Thread(target=watch, daemon=True).start()
         node = make()
         if not rospy.core.is_shutdown_requested():
             getattr(node, "run", rospy.spin)()
@@ -164,6 +169,21 @@ def _watch_master():
             )
 
 
+def _watch_clock():
+    """Log that simulated time, which all nodes are told to use, does not run.
+
+    Without it timers stand still and each stamp is 0: a node would wait without a word.
+    """
+    wait = CLOCK_S
+    while not rospy.rostime.is_wallclock() and sleep(wait) and rospy.Time.now().is_zero():
+        why = why_silent("/clock", "rosgraph_msgs/Clock")
+        rospy.logwarn(
+            f"/use_sim_time is true, but there is no time on /clock ({why}): everything waits. For "
+            "real time: rosparam set /use_sim_time false, and start the nodes again"
+        )
+        wait *= 2.0
+
+
 def why_silent(topic: str, kind: str) -> str:
     """Why no messages come on a topic, as far as the master knows.
 
@@ -204,6 +224,11 @@ def to_launch_folder() -> None:
     folder = os.environ.get("MAP_RACING_LAUNCH_FOLDER", "")
     if os.path.isdir(folder):
         os.chdir(folder)
+
+
+def ros_home() -> Path:
+    """Folder of files that ROS keeps for the user."""
+    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
 
 
 class SteadyClock:

@@ -1,16 +1,24 @@
 """``play``: play a bag once its subscribers are there.
 
-A node takes seconds to start on a small computer, and misses what is played before.
+A node takes seconds to start on a small computer, and misses what is played before. Where stamps
+are missing or of another clock, a copy is played in which each message has the time that an
+evaluation of the bag takes.
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+import tempfile
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import rosgraph
 
+from ..bags.restamped import write_restamped
+from ..errors import MapRacingError
 from .node import to_launch_folder
 
 __all__ = ["main"]
@@ -31,28 +39,63 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code, if a bag or a subscriber is missing; otherwise it does not return.
+        Exit code, if a bag or a subscriber is missing, or a copy was played; otherwise it does not
+        return.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     to_launch_folder()
-    for bag in (a for a in arguments if not a.startswith("-") and ":=" not in a):
+    options = [argument for argument in arguments if not argument.startswith(AWAIT)]
+    bags = [o for o in options if not o.startswith("-") and ":=" not in o]
+    for bag in bags:
         if not os.path.isfile(bag):
             print(f"play: bag: {bag or 'none given'}: no such file in {os.getcwd()}")
             return 1
+    awaited = [a[len(AWAIT) :].partition(":")[::2] for a in arguments if a.startswith(AWAIT)]
+    with tempfile.TemporaryDirectory(prefix="map_racing_") as folder:
+        copies = _copies(bags, [topic for _, topic in awaited], folder)
+        code = _await_all(awaited)
+        if code == 0 and copies:
+            # Not replaced by rosbag: the copies are deleted afterwards.
+            return _play([copies.get(option, option) for option in options])
+    if code == 0:
+        os.execvp("rosbag", ["rosbag", "play", *options])
+    return code
+
+
+def _copies(bags, topics, folder):
+    """Copies by the names of their bags, of those whose stamps are not the times to take."""
+    copies = {}
+    for number, bag in enumerate(bags):
+        copy = Path(folder) / f"{number}.bag"
+        # What cannot be evaluated is played as it is.
+        with suppress(MapRacingError):
+            if write_restamped(bag, copy, topics[0] if topics else None):
+                print(f"play: {bag}: stamps missing or of another clock: an evaluation's used")
+                copies[bag] = str(copy)
+    return copies
+
+
+def _await_all(awaited):
+    """Wait for subscribers; exit code, 0 if all are there."""
     end = time.monotonic() + PATIENCE_S
-    for argument in arguments:
-        if argument.startswith(AWAIT):
-            node, _, topic = argument[len(AWAIT) :].partition(":")
-            while not _subscribed(node, topic):
-                if time.monotonic() > end:
-                    print(f"play: {node} did not subscribe to {topic} within {PATIENCE_S:g} s")
-                    return 1
-                try:
-                    time.sleep(0.1)
-                except KeyboardInterrupt:
-                    return 130
-    options = [argument for argument in arguments if not argument.startswith(AWAIT)]
-    os.execvp("rosbag", ["rosbag", "play", *options])
+    for node, topic in awaited:
+        while not _subscribed(node, topic):
+            if time.monotonic() > end:
+                print(f"play: {node} did not subscribe to {topic} within {PATIENCE_S:g} s")
+                return 1
+            try:
+                time.sleep(0.1)
+            except KeyboardInterrupt:
+                return 130
+    return 0
+
+
+def _play(options):
+    """Play in a child process; its exit code."""
+    with subprocess.Popen(["rosbag", "play", *options]) as player:
+        while True:
+            with suppress(KeyboardInterrupt):  # the player gets the signal, too
+                return player.wait()
 
 
 def _subscribed(node, topic):

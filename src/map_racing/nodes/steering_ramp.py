@@ -14,7 +14,14 @@ from ..control.controller import ControlResult, Status, build_controller
 from ..control.parameters import load_controller_parameters
 from ..control.safety import Reason, SafetyLimits
 from ..control.state import CarState
-from ..control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from ..control.steering_ramp import (
+    Box,
+    Circle,
+    Phase,
+    RampParameters,
+    SteeringRamp,
+    told_room,
+)
 from ..control.supervised import build_supervisor
 from ..errors import ParameterError
 from ..vehicle.parameters import load_vehicle
@@ -50,6 +57,9 @@ class SteeringRampNode:
             raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
         area = Box(*map(float, box)) if box else None
         self._ramp = SteeringRamp(self._parameters, area) if area else None
+        room = (area or Circle(0.0, 0.0, self._radius)).room
+        text, fits = told_room(self._parameters, vehicle, room)
+        (rospy.loginfo if fits else rospy.logwarn)("%s", text)
         if not self._dead_man:
             rospy.logwarn(
                 "driving without a dead-man button: only the area and Ctrl-C stop the car"

@@ -23,6 +23,19 @@ if TYPE_CHECKING:
 __all__ = ["TuningServer"]
 
 
+class _Server(Server):
+    """The server clamps values to their ranges without a word: this one says so."""
+
+    def update_configuration(self, changes):
+        for name, value in changes.items():
+            low, high = ControllerConfig.min.get(name), ControllerConfig.max.get(name)
+            if isinstance(value, float) and (value < low or value > high):
+                taken = min(max(value, low), high)
+                text = "reconfigure: %s: expected %g to %g, got %g: %g is taken"
+                rospy.logwarn(text, name, low, high, value, taken)
+        return super().update_configuration(changes)
+
+
 class TuningServer:
     """Changes parameters, steering map and safety limits while the car drives.
 
@@ -68,7 +81,7 @@ class TuningServer:
                 ControllerConfig.min[name] = min(ControllerConfig.min[name], value)
                 ControllerConfig.max[name] = max(ControllerConfig.max[name], value)
         rospy.set_param("~tuning", values)
-        self._server = Server(ControllerConfig, self._reconfigure, namespace="tuning")
+        self._server = _Server(ControllerConfig, self._reconfigure, namespace="tuning")
 
     def _in_use(self):
         """The values in use, by the names of the configuration."""
@@ -90,6 +103,10 @@ class TuningServer:
         for name, value in config.items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise ParameterError(f"{name}: expected a finite number, got {value}")
+        if config["v_max_mps"] > self._v_max:
+            text = "reconfigure: v_max_mps: expected at most %g, its value at the start, got %g: "
+            text += "%g is taken"
+            rospy.logwarn(text, self._v_max, config["v_max_mps"], self._v_max)
         kind = config["steering_map"]
         lookaheads = {k: (config[f"{k}_m_m"], config[f"{k}_q_s"]) for k in STEERING_MAPS}
         m_m, q_s = lookaheads.get(kind, (0.0, 0.0))

@@ -82,7 +82,7 @@ KINDS = {
     "battery_sag": Kind("largest speed that is left", "m/s", 2.5, POSITIVE, 20.0),
     "drive_loss": Kind("commands do not reach the car, which stops after 0.2 s by itself"),
     "drive_delay": Kind("commands reach the car later", "s", 0.1, 0.0, 1.0),
-    "blocked": Kind("something holds the car in its place"),
+    "blocked": Kind("something holds the car in its place", method="hold"),
     # floor
     "grip_lost": Kind("factor on the friction", "", 0.5, 0.1, 2.0, method="set_grip"),
     # operators and neighbors

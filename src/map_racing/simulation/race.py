@@ -1,5 +1,7 @@
 """The closed loop: a controller drives a plant around a raceline, lap after lap."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 from enum import Enum
@@ -42,7 +44,8 @@ class Sample(NamedTuple):
     `true` and `measured` are :class:`~map_racing.control.state.CarState` of the same instant;
     `arrival` [s] is when the measurement reached the controller; `acceleration` is the IMU's
     (longitudinal, lateral) [m/s^2]; `result` is the controller's
-    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad].
+    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad];
+    `belief` the controller's of the tires after the step, None if it does not learn them.
     """
 
     true: tuple
@@ -51,6 +54,7 @@ class Sample(NamedTuple):
     acceleration: tuple
     steering_angle: float
     result: tuple
+    belief: tuple | None = None
 
 
 @dataclass
@@ -161,6 +165,7 @@ def race(
     supervised = faults is not None or limits is not None
     driver = SupervisedDriver(controller, limits) if supervised else DirectDriver(controller)
     tracker, grip = RacelineTracker(raceline), Grip(plant)
+    learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples, truth = [], []
     driven, last_s = START_S, None
@@ -202,6 +207,7 @@ def race(
                     *(seen.true, seen.measured, seen.arrival, seen.acceleration),
                     plant.steering_angle,
                     result,
+                    None if learning is None else learning.belief,
                 )
             )
         stop = car.tick + longest

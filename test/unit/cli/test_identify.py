@@ -29,6 +29,10 @@ def identified(tmp_path_factory):
         ("--linear-output", "l.yaml"),
     ):
         arguments += [option, str(folder / name)]
+    # What an earlier call with more recordings has left.
+    (folder / "figures").mkdir()
+    for number in (1, 2, 11):
+        (folder / "figures" / f"run_{number}.png").write_text("old")
     assert main(["identify", *arguments]) == 0
     return folder
 

@@ -5,9 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from map_racing.control.steering_ramp import (
+    Box,
+    Circle,
+    Phase,
+    RampParameters,
+    SteeringRamp,
+    circle_widths,
+    told_room,
+)
 from map_racing.errors import ParameterError
 from map_racing.simulation.plant import Plant, PlantParameters
+from map_racing.simulation.plants import load_plant
+from map_racing.simulation.ramps import drive_ramps
+from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
 WIDE = Circle(0.0, 0.0, 100.0)
@@ -142,3 +153,83 @@ def test_the_simulated_car_is_taken_through_its_steady_states():
     table = steady_state_table(plant.vehicle, np.array([1.5, 2.0, 2.5]), np.linspace(0.0, 0.4, 161))
     expected = [table.acceleration(2.0, at) for at in angle.tolist()]
     assert a_lat == pytest.approx(expected, rel=0.01)
+
+
+def test_a_ramp_ends_where_the_rear_breaks_away():
+    """A car that turns by geometry up to 0.2 rad, and from there on ever faster."""
+    parameters = RampParameters(speed_mps=2.0, rate_radps=0.02, start_rad=0.1, sides="left")
+    ramp = SteeringRamp(parameters, WIDE)
+    t, speed, angle, reached = 0.0, 0.0, 0.0, []
+    while ramp.completed == 0 and t < 30.0:
+        excess = max(abs(angle) - 0.2, 0.0)
+        r = speed * angle / 0.3 * (1.0 + 20.0 * excess)
+        angle, speed, phase = ramp.update(t, 0.0, 0.0, speed, True, r)
+        if phase is Phase.RAMPING:
+            reached.append(angle)
+        t += STEP
+    # 1.3 times as fast at 0.215 rad; the average lags by 0.3 s, which are 6 mrad.
+    assert max(reached) == pytest.approx(0.221, abs=0.003)
+    # The wheels go straight, to catch the car.
+    assert (angle, speed, phase) == (0.0, 0.0, Phase.STOPPING)
+
+
+def test_an_understeering_car_is_driven_to_the_last_angle():
+    parameters = RampParameters(sides="left", limit_rad=0.3)
+    drives = [SteeringRamp(parameters, WIDE) for _ in range(2)]
+    t, speed, angle = 0.0, 0.0, 0.0
+    while t < 20.0:
+        r = speed * math.sin(3.0 * angle)  # less and less per angle
+        seen = [
+            ramp.update(t, 0.0, 0.0, speed, True, *given) for ramp, given in zip(drives, ((), (r,)))
+        ]
+        assert seen[0] == seen[1]
+        angle, speed = seen[0][:2]
+        t += STEP
+    assert drives[0].completed == 1
+
+
+# -- room ------------------------------------------------------------------------------------------
+
+
+def farthest(start, sides, speed=3.0):
+    """How far the simulated car comes from where it starts [m]."""
+    parameters = RampParameters(speed_mps=speed, start_rad=start, sides=sides)
+    samples = drive_ramps(load_plant("nuc4"), [parameters])
+    return max(math.hypot(sample.true.x, sample.true.y) for sample in samples)
+
+
+@pytest.mark.parametrize("start, fits", [(0.1, False), (0.14, True)])
+def test_the_first_circle_is_as_wide_as_said(start, fits):
+    parameters = RampParameters(speed_mps=3.0, start_rad=start, sides="left")
+    text, said = told_room(parameters, load_vehicle("nuc4"), Circle(0.0, 0.0, 8.0).room)
+    assert said is fits and (farthest(start, "left") <= 8.0) is fits
+    (width,) = circle_widths(parameters, load_vehicle("nuc4"), [start])
+    assert f"is {width:.1f} m wide" in text
+    # Until it has its speed the car drives a smaller circle.
+    assert 0.85 * width < farthest(start, "left") < width
+    assert ("start at 0.13 rad, or widen the area to 9.6 m" in text) is not fits
+
+
+def test_both_sides_take_more_room():
+    """The defaults leave their area on the second side, which begins where the first ends."""
+    parameters = RampParameters()
+    text, fits = told_room(parameters, load_vehicle("nuc4"), 8.0)
+    assert not fits and farthest(0.1, "both", 2.0) > 8.0
+    assert "drive each side by itself from the middle of the area, or widen" in text
+    width = circle_widths(parameters, load_vehicle("nuc4"), [0.1])[0]
+    assert told_room(parameters, load_vehicle("nuc4"), 2.0 * width)[1]
+
+
+def test_no_angle_fits_a_car_that_is_too_fast():
+    parameters = RampParameters(speed_mps=6.0, sides="left")
+    text, fits = told_room(parameters, load_vehicle("nuc4"), 8.0)
+    assert not fits and "start at" not in text and "widen the area to 20.9 m" in text
+
+
+def test_the_width_without_slip_is_known():
+    """At walking pace a car with stiff tires follows Ackermann: 2 l_wb / tan(delta)."""
+    vehicle = load_vehicle("nuc4")
+    parameters = RampParameters(speed_mps=0.1)
+    angles = [0.1, 0.3]
+    expected = 2.0 * vehicle.l_wb / np.tan(angles)
+    assert circle_widths(parameters, vehicle, angles) == pytest.approx(expected, rel=2e-3)

@@ -1,7 +1,8 @@
 """Every command in README and pages runs, in the order of its page.
 
-What a page uses before it makes it belongs to the reader: `READERS` lists these files, and `MAKERS`
-makes them. Only what takes minutes is cut short, by options added to the command (`SHORTER`).
+What a page uses without making it belongs to the reader, has a name in capitals and is in
+`READERS`; `MAKERS` makes it. Only what takes minutes is cut short, by options added to the
+command (`SHORTER`).
 """
 
 import gzip
@@ -31,34 +32,18 @@ from map_racing.simulation.faults import KINDS
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.parameters import load_vehicle
-from map_racing.vehicle.steady_state import steady_state_table
 
 READERS = {
     "README.md": ["map_racing_2025.bag"],
     "doc/race_day.md": ["map_racing_2025.bag"],
-    "doc/safety.md": ["faults.yaml"],
-    "doc/evaluate.md": [
-        "run.bag",
-        "run1.bag",
-        "run2.bag",
-        "log.csv.gz",
-        "line.csv",
-        "my_raceline.csv",
-        "race_stack/global_waypoints.json",
-        "rosbag2_2026_05_01",
-        "long_0.bag",
-        "long_1.bag",
-    ],
-    "doc/racelines.md": ["my_raceline.csv", "recorded.bag", "centerline.csv", "hall.yaml"],
+    "doc/safety.md": ["FAULTS.yaml"],
+    "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv", "ROSBAG2", "LONG_0.bag", "LONG_1.bag"],
+    "doc/racelines.md": ["HALL.yaml", "BY_HAND.bag"],
+    "doc/report.md": ["RUN.bag", "TRACK.csv"],
     "doc/identify.md": [
-        "my_base.yaml",
-        "steering_ramp_1.bag",
-        "steering_ramp_2.bag",
-        "circles_1/cmd.csv",
-        "old_table.csv",
+        *("MY_BASE.yaml", "CIRCLES.csv"),
+        *("steering_ramp_1.bag", "steering_ramp_2.bag"),
     ],
-    "doc/experiments.md": ["other/tire-models"],
     "doc/results.md": ["hangar.bag", "Austin_centerline.csv", "Austin_raceline.csv"],
 }
 
@@ -123,10 +108,6 @@ def centerline(path):
     save_raceline(ring(), path, "centerline")
 
 
-def race_stack(path):
-    save_raceline(ring(), path, "race_stack")
-
-
 def faults(path):
     """The schedule that the page shows."""
     shown = re.search(r"```yaml\n(.*?)```", (REPO / "doc" / "safety.md").read_text("utf-8"), re.S)
@@ -140,6 +121,15 @@ def bag(path):
         for t, x, y, psi in positions(line):
             for topic in ("/car_state/odom", "/pf/pose/odom"):
                 written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5, topic=topic)
+
+
+def by_hand(path):
+    """Two rounds and a half through the hall of the map, without a raceline."""
+    with BagWriter(path) as written:
+        for i in range(int(5.0 * np.pi / 0.02)):
+            angle = 0.02 * i
+            x, y = 2.3 * 1.4 * np.cos(angle) - 2.0, 2.3 * np.sin(angle)
+            written.pose(1.0 + 0.025 * i, x, y, angle + 1.6)
 
 
 def ros2(path):
@@ -171,7 +161,7 @@ def hall(path):
     radius = np.hypot((x + 2.0) / 1.4, y)
     pixels = np.where((radius > 1.5) & (radius < 3.2), 254, 0).astype(np.uint8)
     Image.fromarray(pixels).save(path.with_suffix(".png"))
-    settings = {"image": "hall.png", "resolution": 0.05, "origin": [-7.0, -4.0, 0.0]}
+    settings = {"image": "HALL.png", "resolution": 0.05, "origin": [-7.0, -4.0, 0.0]}
     settings.update(negate=0, occupied_thresh=0.65, free_thresh=0.196)
     path.write_text(yaml.safe_dump(settings))
 
@@ -204,38 +194,22 @@ def circles(path):
     np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
 
 
-def table(path):
-    speeds, angles = np.linspace(0.5, 7.0, 14), np.linspace(0.0, 0.4, 21)
-    steady_state_table(load_vehicle("nuc4"), speeds, angles).save(path)
-
-
-def experiment(path):
-    run(f"map-racing experiment tire-models --output {path}", path.parent)
-
-
 MAKERS = {
     "Austin_centerline.csv": centerline,
     "Austin_raceline.csv": wider,
-    "centerline.csv": centerline,
-    "circles_1/cmd.csv": circles,
-    "faults.yaml": faults,
-    "hall.yaml": hall,
+    "BY_HAND.bag": by_hand,
+    "CIRCLES.csv": circles,
+    "FAULTS.yaml": faults,
+    "HALL.yaml": hall,
+    "LOG.csv.gz": log,
+    "MY_BASE.yaml": vehicle,
+    "TRACK.csv": raceline,
+    "RUN.bag": bag,
     "hangar.bag": bag,
-    "line.csv": raceline,
-    "long_0.bag": part,
-    "long_1.bag": part,
-    "log.csv.gz": log,
+    "LONG_0.bag": part,
+    "LONG_1.bag": part,
+    "ROSBAG2": ros2,
     "map_racing_2025.bag": bag,
-    "my_base.yaml": vehicle,
-    "my_raceline.csv": raceline,
-    "old_table.csv": table,
-    "other/tire-models": experiment,
-    "race_stack/global_waypoints.json": race_stack,
-    "recorded.bag": bag,
-    "rosbag2_2026_05_01": ros2,
-    "run.bag": bag,
-    "run1.bag": bag,
-    "run2.bag": bag,
     "steering_ramp_1.bag": ramps,
     "steering_ramp_2.bag": ramps,
 }
@@ -347,6 +321,15 @@ def test_commands_run(page, done, tmp_path, monkeypatch, capsys):
     for block in blocks(page, "text"):
         for line in block.splitlines():
             assert line in printed
+
+
+def test_what_is_the_readers_is_named_so():
+    """A lowercase file is there when it is typed: shipped, or made by a command above."""
+    recorded = ("map_racing_2025.bag", "steering_ramp_1.bag", "steering_ramp_2.bag")  # by a launch
+    for page, names in READERS.items():
+        if page != "doc/results.md":  # names public files where it links them
+            for name in names:
+                assert name in recorded or name.split(".")[0].isupper(), (page, name)
 
 
 def test_extras_exist():
