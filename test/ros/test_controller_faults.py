@@ -1,5 +1,6 @@
 """The running controller among neighbors that do what they should not."""
 
+import itertools
 import math
 import os
 import signal
@@ -10,6 +11,7 @@ import pytest
 from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
 from harness import ROOT, Car, Rig, wait_for, waypoints
+from map_racing.msg import Guidance
 from nav_msgs.msg import Odometry
 
 from map_racing.nodes.waypoints import waypoint_array_class
@@ -72,6 +74,47 @@ def test_poses_of_two_nodes(rig, start):
     wait_for(lambda: text in rig.node.output, what="the error")
     rig.more(100)
     rig.wait_mode("driving")
+    assert_sane(rig)
+
+
+def test_quaternions_of_any_length(rig, listen):
+    """Some stacks fill in w alone, or round: the heading is the same, and it is reported."""
+    rig = rig()
+    lengths = itertools.cycle((0.5, 1.05, 2.0, 3.0))
+
+    def scaled(message):
+        length, q = next(lengths), message.pose.pose.orientation
+        q.z, q.w = length * q.z, length * q.w
+        return message
+
+    rig.car.change = scaled
+    guidance = listen("/guidance", Guidance)
+    rig.driving()
+    wait_for(lambda: len(guidance) > 100)
+    raceline = rig.car.raceline
+    for message in list(guidance):
+        # The state is the one after the delay: the car is then somewhere else on the line.
+        along = raceline.pose(message.s).psi
+        assert abs(math.remainder(message.psi - along, math.tau)) < 0.1
+    assert "quaternions of length" in rig.node.output
+    rig.wait_mode("driving")
+
+
+def test_a_raceline_the_other_way_round_waits_for_the_car_to_stand(rig, advertise):
+    rig = rig({"raceline": None})
+    raceline = load_raceline("reference")
+    publisher = advertise("/global_waypoints", waypoint_array_class()[0])
+    message = waypoints(raceline)
+    publisher.publish(message)
+    rig.driving()
+    turned = waypoints(raceline)
+    turned.wpnts = turned.wpnts[::-1]
+    publisher.publish(turned)
+    rig.wait_mode("stopped", "raceline against the motion")
+    assert "runs against the motion of the car: it has to stand first" in rig.node.output
+    # Back again, it drives on.
+    publisher.publish(message)
+    rig.driving()
     assert_sane(rig)
 
 

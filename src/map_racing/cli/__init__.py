@@ -26,6 +26,7 @@ COMMANDS = {
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
     "identify": "identify tires from recorded steady cornering, write vehicle file and table",
     "delay": "delays of steering, drive and localization from recorded laps",
+    "faults": "rehearse faults: what stops the car, how soon, and what lets it drive again",
     "tune": "find the lookahead with which a controller follows a track closest",
     "experiment": "repeat an experiment of the paper",
     "compare": "compare two result directories of experiments or of tuning",

@@ -1,12 +1,14 @@
 """``map-racing race``: drive a simulated car around a track and record a bag."""
 
+import math
 from pathlib import Path
 
 from ..control.controller import Controller, build_steering_maps
-from ..control.parameters import load_controller_parameters
+from ..control.parameters import load_controller_parameters, load_safety_limits
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
+from ..simulation.faults import load_faults
 from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
@@ -34,6 +36,7 @@ def run(arguments):
         arguments.vehicle,
         arguments.lookup_table,
         arguments.speed_sectors,
+        arguments.faults,
     ]
     check_outputs([arguments.output], inputs)
     parameters = load_controller_parameters(arguments.controller)
@@ -45,9 +48,21 @@ def run(arguments):
     if plant_parameters.reference_point != "rear_axle":
         parameters = parameters.with_(reference_point=plant_parameters.reference_point)
     controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
+    supervision = {}
+    if arguments.faults:
+        supervision["faults"] = load_faults(arguments.faults)
+        supervision["limits"] = load_safety_limits(arguments.controller)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
-        log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
+        log = race(
+            *(plant, controller, raceline, localization),
+            laps=arguments.laps,
+            progress=show,
+            **supervision,
+        )
+    for t, reason, again in log.stops():
+        until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
+        print(f"stop at {t:.2f} s: {reason.value}; {until}")
     settings = settings_text(
         controller,
         name=arguments.controller,

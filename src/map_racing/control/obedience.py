@@ -16,6 +16,8 @@ SETTLING = 0.15
 SHARE = 0.1
 # ... and than a localization that stands still jitters [m].
 JITTER = 0.003
+# A velocity that ended with the poses counts for this long [s].
+MEMORY = 3.0
 # No more than this distance is held against a pose [m]: a car that is carried away moves again.
 MOST_DRIVEN = 1.0
 
@@ -35,8 +37,8 @@ class PoseMotion:
     """Detects a frozen pose: the car moves while its pose stays, but for jitter.
 
     The car moves if its velocity says so, or if it did when the pose last moved, as a pose-derived
-    velocity ends with the poses. A single jump, as when somebody corrects the localization of a
-    parked car, is no motion.
+    velocity ends with the poses; that counts for 3 s. A single jump, as when somebody corrects the
+    localization of a parked car, is no motion.
     """
 
     def __init__(self):
@@ -74,8 +76,8 @@ class PoseMotion:
             self._speed = speed if since is not None and now - since > SETTLING else 0.0
             self._x, self._y = x, y
             self._changed, self._driven = now, 0.0
-        elif not (fast or self._speed):
-            self._changed, self._driven = now, 0.0
+        elif not (fast or (self._speed and now - self._changed < MEMORY)):
+            self._changed, self._driven, self._speed = now, 0.0, 0.0
         return now - self._changed
 
 

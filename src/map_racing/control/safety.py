@@ -476,6 +476,9 @@ class Supervisor:
         if (slows and not self._slows) or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
             speed = min(speed, max(self._speed, 0.0))
+        if self._slowing is not None and self._slowing.always:
+            most = self._slowing.largest(v)
+            angle = most if angle > most else -most if angle < -most else angle
         asked, slowest = angle, -math.inf
         if self._slowing is not None and (slows or self._slows):
             deceleration = self._slowing.bounded(deceleration)

@@ -33,15 +33,23 @@ class Slowing:
         Largest deceleration on a straight [m/s^2]: the other axis of the ellipse.
     delta_max : float
         Steering lock [rad].
+    always : bool, optional
+        Whether no angle is to be beyond the one of the largest lateral acceleration, also while the
+        car is not too fast: not for pure pursuit, which knows no tires.
     """
 
-    def __init__(self, grip, a_brake_max: float, delta_max: float):
+    def __init__(self, grip, a_brake_max: float, delta_max: float, always: bool = True):
         self._grip, self._brake, self.delta_max = grip, a_brake_max, delta_max
+        self.always = always
         self._peak = float(np.max(grip.max_lateral_acceleration(np.arange(1.0, 20.0))))
 
     def bounded(self, deceleration: float) -> float:
         """The deceleration, or the most of it that leaves grip for steering [m/s^2]."""
         return min(deceleration, MOST_BRAKING * self._brake)
+
+    def largest(self, v: float) -> float:
+        """Angle [rad] of the largest lateral acceleration at a speed [m/s], within the lock."""
+        return min(self._grip.steering(v, self._peak)[0], self.delta_max)
 
     def steering(
         self, v: float, angle: float, last: float, deceleration: float, elapsed: float

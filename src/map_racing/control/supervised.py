@@ -109,5 +109,8 @@ def build_supervisor(controller: Controller, limits: SafetyLimits, grip=None) ->
     parameters, vehicle = controller.parameters, controller.vehicle
     if grip is None:
         grip = build_steering_maps(parameters, vehicle)[1]
-    slowing = Slowing(grip, parameters.a_brake_max_mps2, vehicle.delta_max)
+    slowing = Slowing(
+        *(grip, parameters.a_brake_max_mps2, vehicle.delta_max),
+        always=parameters.steering_map != "ackermann",
+    )
     return Supervisor(limits, parameters.v_max_mps, slowing)

@@ -1,6 +1,9 @@
 """Node ``simulator``: the simulated car in real time, or with a simulated clock."""
 
 import math
+import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -12,8 +15,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 
+from map_racing.srv import InjectFault, InjectFaultResponse
+
 from ..errors import ParameterError
 from ..simulation.car import DrivenCar, SimulatedCar
+from ..simulation.faults import Fault, Faults, load_faults
 from ..simulation.plants import build_plant, load_plant
 from ..simulation.race import START_S
 from ..track.files.load import load_raceline
@@ -60,7 +66,10 @@ class SimulatorNode:
         for note in parameters.vehicle.notes:
             rospy.logwarn("~plant: its vehicle %s: %s", parameters.vehicle.name, note)
         plant, localization = build_plant(parameters, seed)
-        self._car = DrivenCar(SimulatedCar(plant, localization), raceline)
+        schedule = get_parameter("faults", "", "schedule of faults, a YAML file; empty: none")
+        self._faults = Faults(load_faults(schedule) if schedule else (), plant, "simulator", seed)
+        car = SimulatedCar(plant, localization, faults=self._faults)
+        self._car, self._second = DrivenCar(car, raceline, self._on_faults), None
         start = raceline.pose(start_s)
         self._car.put(start.x, start.y, start.psi)
         self._step_ns = round(plant.time_step * SECOND)
@@ -83,6 +92,8 @@ class SimulatorNode:
             "drive", AckermannDriveStamped, self._on_drive, queue_size=10, tcp_nodelay=True
         )
         rospy.Subscriber("initialpose", PoseWithCovarianceStamped, self._on_initial_pose)
+        self._service = rospy.Service("~inject_fault", InjectFault, self._on_inject)
+        rospy.on_shutdown(self._end_second)
 
     # -- time ----------------------------------------------------------------------------------
 
@@ -194,10 +205,58 @@ class SimulatorNode:
             self._car.put(x, y, psi)
         rospy.loginfo("the car was reset to x %.2f m, y %.2f m, heading %.2f rad", x, y, psi)
 
+    # -- faults --------------------------------------------------------------------------------
+
+    def _on_inject(self, request):
+        with self._changed:
+            if not request.fault:
+                self._faults.clear()
+                return InjectFaultResponse(True, "all faults end")
+            begin = self._car.car.now
+            try:
+                fault = Fault(
+                    *(request.fault, begin, request.for_s or Fault.for_s),
+                    size=request.size or None,
+                )
+                self._faults.add(fault)
+            except ParameterError as error:
+                return InjectFaultResponse(False, str(error))
+        size = "" if fault.size is None else f", {fault.size:g}"
+        return InjectFaultResponse(True, f"{fault.fault}{size}")
+
+    def _on_faults(self, begun, ended):
+        for fault in begun:
+            size = "" if fault.size is None else f", {fault.size:g}"
+            rospy.logwarn("fault begins: %s%s", fault.fault, size)
+            if fault.fault == "second_publisher":
+                self._start_second(fault.size)
+        for fault in ended:
+            rospy.logwarn("fault ends: %s", fault.fault)
+            if fault.fault == "second_publisher":
+                self._end_second()
+
+    def _start_second(self, aside):
+        folder = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+        path = os.pathsep.join([folder, *filter(None, [os.environ.get("PYTHONPATH")])])
+        name = f"{rospy.get_name().rpartition('/')[2]}_second"
+        self._second = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "map_racing.nodes.second_publisher", f"__name:={name}"),
+                *(f"odom:={self._odom.resolved_name}", f"_aside:={aside}"),
+            ],
+            env={**os.environ, "PYTHONPATH": path},
+        )
+
+    def _end_second(self):
+        if self._second is not None:
+            self._second.terminate()
+            self._second.wait()
+            self._second = None
+
     # -- output --------------------------------------------------------------------------------
 
     def _publish(self, seen):
-        measured = seen.measured
+        measured, map_frame = seen.measured, seen.frame or self._map
         stamp_ns = self._ns_of(measured.t)
         stamp = to_time(stamp_ns)
         imu = Imu()
@@ -207,25 +266,32 @@ class SimulatorNode:
         imu.angular_velocity.z = measured.r
         imu.linear_acceleration.x, imu.linear_acceleration.y = seen.acceleration
         pose = PoseStamped()
-        pose.header.stamp, pose.header.frame_id = stamp, self._map
-        set_plane_pose(pose.pose, *measured[1:4])
+        pose.header.stamp, pose.header.frame_id = stamp, map_frame
+        _set_pose(pose.pose, measured, seen.quaternion)
         # The odometry comes last, as controllers act on it.
         self._imu.publish(imu)
-        self._transforms.send(self._map, self._base, stamp_ns, *measured[1:4])
-        self._truth.publish(self._odometry(seen.true, stamp))
+        self._transforms.send(map_frame, self._base, stamp_ns, *measured[1:4])
+        self._truth.publish(self._odometry(seen.true, stamp, self._map))
         self._pose.publish(pose)
-        self._odom.publish(self._odometry(measured, stamp))
+        self._odom.publish(self._odometry(measured, stamp, map_frame, seen.quaternion))
 
-    def _odometry(self, state, stamp):
+    def _odometry(self, state, stamp, map_frame, quaternion=1.0):
         message = Odometry()
-        message.header.stamp, message.header.frame_id = stamp, self._map
+        message.header.stamp, message.header.frame_id = stamp, map_frame
         message.child_frame_id = self._base
-        set_plane_pose(message.pose.pose, *state[1:4])
+        _set_pose(message.pose.pose, state, quaternion)
         twist = message.twist.twist
         twist.linear.x, twist.angular.z = state.v_x, state.r
         # Like real odometry that does not measure it.
         twist.linear.y = 0.0 if math.isnan(state.v_y) else state.v_y
         return message
+
+
+def _set_pose(pose, state, quaternion):
+    set_plane_pose(pose, *state[1:4])
+    if quaternion != 1.0:
+        pose.orientation.z *= quaternion
+        pose.orientation.w *= quaternion
 
 
 def main():

@@ -24,12 +24,18 @@ class Observation(NamedTuple):
         Time of arrival [s].
     acceleration : (float, float)
         Longitudinal and lateral acceleration of the IMU [m/s^2].
+    frame : str
+        Frame of the pose; empty for the raceline's.
+    quaternion : float
+        Length of the quaternion that gives the heading.
     """
 
     true: tuple
     measured: tuple
     arrival: float
     acceleration: tuple
+    frame: str = ""
+    quaternion: float = 1.0
 
 
 class SimulatedCar:
@@ -45,6 +51,8 @@ class SimulatedCar:
         ``measured_state()``, at once.
     rate : float, optional
         Poses per second instead of the plant's ``localization_rate_hz``.
+    faults : Faults, optional
+        What goes wrong.
 
     Attributes
     ----------
@@ -52,8 +60,8 @@ class SimulatedCar:
         Time in steps of the plant; a reset of the car does not reset it.
     """
 
-    def __init__(self, plant, localization=None, rate=None):
-        self.plant = plant
+    def __init__(self, plant, localization=None, rate=None, faults=None):
+        self.plant, self.faults = plant, faults
         self._localization = localization
         self._rate = rate or plant.parameters.localization_rate_hz
         self._latency = 0.0
@@ -98,7 +106,7 @@ class SimulatedCar:
         taken = None
         if self._due < soon:
             taken = self._measure(now)
-            self._pending.append(taken)
+            self._pending.extend([taken] if self.faults is None else self.faults.measured(taken))
             self._poses += 1
             self._due = self._poses / self._rate
         arrived = []
@@ -120,7 +128,12 @@ class SimulatedCar:
 
     def advance(self, steering_angle, speed):
         """Drive for one tick under the given commands [rad, m/s]."""
-        self.plant.advance(steering_angle, speed)
+        faults = self.faults
+        if faults is None or not faults.active:
+            self.plant.advance(steering_angle, speed)
+        else:
+            self.plant.advance(*faults.commanded(steering_angle, speed))
+            faults.advanced()
         self.tick += 1
 
 
@@ -135,6 +148,8 @@ class DrivenCar:
     car : SimulatedCar
     raceline : Raceline
         Its widths give the walls.
+    on_faults : callable, optional
+        Called with the faults that have begun and those that have ended, where any has.
 
     Attributes
     ----------
@@ -142,8 +157,8 @@ class DrivenCar:
     crashed : bool
     """
 
-    def __init__(self, car, raceline):
-        self.car = car
+    def __init__(self, car, raceline, on_faults=None):
+        self.car, self._on_faults = car, on_faults
         self.crashed = False
         self._raceline = raceline
         self._tracker, self._grip = RacelineTracker(raceline), Grip(car.plant)
@@ -178,16 +193,25 @@ class DrivenCar:
         car = self.car
         while car.tick < tick:
             taken, arrived = car.observe()
-            if taken is not None and not self.crashed:
+            if taken is not None:
                 x, y, psi = taken.true[1:4]
                 s, d = self._tracker.update(x, y, psi)[:2]
                 self._grip.update(car.now, s)
+                self._update_faults(s)
+            if taken is not None and not self.crashed:
                 self.crashed = hits_wall(self._raceline, s, d, car.plant.vehicle.width)
                 if self.crashed:
                     car.put(x, y, psi)
             yield from arrived
             fresh = car.tick - self._commanded < self._timeout
             car.advance(self._steering_angle, self._speed if fresh and not self.crashed else 0.0)
+
+    def _update_faults(self, s):
+        faults = self.car.faults
+        if faults is not None:
+            begun, ended = faults.update(self.car.now, s)
+            if self._on_faults is not None and (begun or ended):
+                self._on_faults(begun, ended)
 
 
 def hits_wall(raceline, s, d, car_width):

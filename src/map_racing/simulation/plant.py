@@ -143,6 +143,7 @@ class ActuatedCar:
         self.vehicle = parameters.build_vehicle()
         lag = parameters.steering_time_constant_s
         self._servo_gain = 1.0 - math.exp(-self.time_step / lag) if lag else 1.0
+        self.set_drive(1.0, 1.0)
         # A lag shorter than the step would overshoot, and end a braking backwards.
         self._drive_lag = max(parameters.drive_time_constant_s, self.time_step)
         self.reset(0.0, 0.0, 0.0)
@@ -161,6 +162,11 @@ class ActuatedCar:
         """True state of the rear axle, which localization sees and which follows the raceline."""
         return moved(self.state, -self.vehicle.l_r)
 
+    def set_drive(self, acceleration, braking):
+        """Set the shares of acceleration and braking that the drive has from the next step on."""
+        vehicle = self.vehicle
+        self._drive_limits = vehicle.a_max * acceleration, -vehicle.a_brake_max * braking
+
     def _servo(self, angle, target, step):
         """Servo: first-order lag within rate and lock."""
         # Comparisons: calls of min and max would take three times as long.
@@ -173,7 +179,7 @@ class ActuatedCar:
     def _drive(self, target):
         """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
         vehicle = self.vehicle
-        most, least = vehicle.a_max, -vehicle.a_brake_max
+        most, least = self._drive_limits
         target = 0.0 if target < 0.0 else vehicle.v_max if target > vehicle.v_max else target
         wanted = (target - self.state.v_x) / self._drive_lag
         return most if wanted > most else least if wanted < least else wanted
@@ -198,6 +204,10 @@ class Plant(ActuatedCar):
             self._grip = factor
             vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
             self._derivatives = single_track_derivatives(vehicle, self._v_eps)
+
+    def hold(self, x, y, psi):
+        """Keep the rear axle in a place, at rest; time and actuators go on."""
+        self.state = moved(CarState(self.state.t, x, y, psi, 0.0, 0.0, 0.0), self.vehicle.l_r)
 
     def advance(self, steering_command, speed_command):
         """Integrate one time step under the given commands."""

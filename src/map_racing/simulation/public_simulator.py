@@ -86,11 +86,22 @@ class PublicSimulator:
                 f"public_simulator: expected a vehicle with linear tires, got {self.vehicle.name}"
             )
         self._grip = 1.0
+        self.set_drive(1.0, 1.0)
         self.reset(0.0, 0.0, 0.0)
 
     def set_grip(self, factor):
         """Multiply the friction of both axles by a factor from the next step on."""
         self._grip = factor
+
+    def set_drive(self, acceleration, braking):
+        """Set the shares of acceleration and braking that the drive has from the next step on."""
+        vehicle = self.vehicle
+        self._drive_limits = vehicle.a_max * acceleration, vehicle.a_brake_max * braking
+
+    def hold(self, x, y, psi):
+        """Keep the car in a place, at rest; time and steering go on."""
+        self.x, self.y, self.psi = x, y, psi
+        self.speed = self.slip_angle = self.yaw_rate = 0.0
 
     def reset(self, x, y, psi, speed=0.0):
         """Put the car somewhere, driving straight; time starts at 0."""
@@ -153,12 +164,12 @@ class PublicSimulator:
 
     def _acceleration(self, target):
         """Proportional when accelerating, full when braking."""
-        vehicle = self.vehicle
+        most, braking = self._drive_limits
         error = target - self.speed
         if error > 0.0 or self.speed <= 0.0:
-            proportional = 2.0 * vehicle.a_max / vehicle.v_max * error
-            return min(max(proportional, -vehicle.a_max), vehicle.a_max)
-        return -vehicle.a_brake_max
+            proportional = 2.0 * self.vehicle.a_max / self.vehicle.v_max * error
+            return min(max(proportional, -most), most)
+        return -braking
 
     def _is_dynamic(self, v):
         self._dynamic = v >= (self.kinematic_below if self._dynamic else self.dynamic_above)

@@ -9,9 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..control.safety import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from .car import SimulatedCar, hits_wall
+from .driver import DirectDriver, SupervisedDriver
+from .faults import Faults
 from .grip import Grip
 
 __all__ = ["Outcome", "RaceLog", "Sample", "race"]
@@ -66,12 +69,37 @@ class RaceLog:
     duration : float
         Simulated time [s].
     samples : list of Sample
+    commands : list of Command
+        Under supervision all commands with their reasons; else empty.
+    truth : list of CarState
+        Under supervision the true states at the times of measurement, also of poses that did not
+        arrive; else empty.
     """
 
     outcome: Outcome
     laps: int
     duration: float
     samples: list = field(repr=False)
+    commands: list = field(repr=False, default_factory=list)
+    truth: list = field(repr=False, default_factory=list)
+
+    def stops(self):
+        """Stops of a supervised race.
+
+        Returns
+        -------
+        list of (float, Reason, float)
+            Time of the first command that slowed the car down, its reason, and the time at which it
+            drove again; NaN if it did not [s].
+        """
+        found = []
+        for t, decision in self.commands:
+            stops = decision.mode in (Mode.STOPPING, Mode.STOPPED)
+            if stops and not (found and math.isnan(found[-1][2])):
+                found.append((t, decision.reason, math.nan))
+            elif decision.mode is Mode.DRIVING and found and math.isnan(found[-1][2]):
+                found[-1] = (*found[-1][:2], t)
+        return found
 
     def true_path(self):
         """True states of all control steps, shape (n, 7), columns as in CarState."""
@@ -88,6 +116,8 @@ def race(
     laps=5,
     time_limit=None,
     progress=None,
+    limits=None,
+    faults=(),
 ):
     """Race from a standing start just past the start line: an out-lap, then `laps` timed laps.
 
@@ -112,6 +142,11 @@ def race(
         no headway for 10 s has stalled, however slow a race is asked for.
     progress : callable, optional
         Called now and then with the laps driven so far, as a float.
+    limits : SafetyLimits, optional
+        Race under a supervisor with these limits, as the node drives. Also without them, with the
+        default ones, where there are faults.
+    faults : iterable of Fault, optional
+        What goes wrong.
 
     Returns
     -------
@@ -123,13 +158,16 @@ def race(
         time_limit = math.inf
 
     start = raceline.pose(START_S)
-    car = SimulatedCar(plant, localization, rate)
+    faults = Faults(faults, plant, "race") if faults else None
+    car = SimulatedCar(plant, localization, rate, faults)
     car.put(start.x, start.y, start.psi)
     controller.reset()
+    supervised = faults is not None or limits is not None
+    driver = SupervisedDriver(controller, limits) if supervised else DirectDriver(controller)
     tracker, grip = RacelineTracker(raceline), Grip(plant)
     learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
-    samples = []
+    samples, truth = [], []
     driven, last_s = START_S, None
     headway, headway_at = driven, 0.0
     poses = 0
@@ -141,6 +179,10 @@ def race(
             _, x, y, psi, _, _, _ = taken.true
             s, d = tracker.update(x, y, psi)[:2]
             grip.update(car.now, s)
+            if supervised:
+                truth.append(taken.true)
+            if faults is not None:
+                _take(driver, *faults.update(car.now, s))
             if last_s is not None:
                 driven += math.remainder(s - last_s, raceline.length)
             last_s = s
@@ -158,7 +200,7 @@ def race(
             outcome = Outcome.STALLED
             break
         for seen in arrived:
-            result = controller.step(seen.measured)
+            result = driver.step(seen)
             steering, speed = result.steering_angle, result.speed
             samples.append(
                 Sample(
@@ -168,8 +210,23 @@ def race(
                     None if learning is None else learning.belief,
                 )
             )
+        stop = car.tick + longest
+        if driver.deadline is not None:
+            if car.now >= driver.deadline - 1e-9:
+                decision = driver.watch(car.now)
+                if decision is not None:
+                    steering, speed = decision.steering_angle, decision.speed
+            stop = min(stop, math.ceil(driver.deadline / plant.time_step - 1e-6))
         # On to the next pose; time is looked at in between, should there be none.
-        stride = min(car.next_event, car.tick + longest) - car.tick
+        stride = min(car.next_event, stop) - car.tick
         for _ in range(max(stride, 1)):
             car.advance(steering, speed)
-    return RaceLog(outcome, max(int(driven / raceline.length) - 1, 0), car.now, samples)
+    laps_driven = max(int(driven / raceline.length) - 1, 0)
+    return RaceLog(outcome, laps_driven, car.now, samples, list(driver.commands), truth)
+
+
+def _take(driver, begun, ended):
+    for fault in begun:
+        driver.begin(fault)
+    for fault in ended:
+        driver.end(fault)

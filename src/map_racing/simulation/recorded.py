@@ -62,9 +62,12 @@ def write_race_bag(
             bag.transform(stamp, seen.x, seen.y, seen.psi, received=arrival)
             bag.imu(stamp, *sample.acceleration, seen.r, received=arrival)
             bag.odometry(stamp, *true[1:], topic=GROUND_TRUTH_TOPIC, received=arrival)
-            bag.drive(arrival, sample.result.steering_angle, sample.result.speed)
             if sample.belief is not None:
                 bag.belief(stamp, sample.belief, received=arrival)
+            if not log.commands:
+                bag.drive(arrival, sample.result.steering_angle, sample.result.speed)
+        for t, decision in log.commands:
+            bag.drive(EPOCH_NS + round(t * 1e9), decision.steering_angle, decision.speed)
 
 
 def write_ramp_bag(

@@ -150,9 +150,19 @@ def test_a_car_that_is_carried_away_is_no_longer_frozen():
     for k in range(20):
         motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
     for k in range(20, 400):
-        frozen = motion.frozen(0.025 * k, 1.9, 0.0, 0.0)
+        frozen = motion.frozen(0.025 * k, 1.9, 0.0, 4.0)
     assert frozen > 5.0
-    assert motion.frozen(10.0, 2.01, 0.0, 0.0) == 0.0
+    assert motion.frozen(10.0, 2.01, 0.0, 4.0) == 0.0
+
+
+def test_a_velocity_that_ended_with_the_poses_is_forgotten_after_a_while():
+    """The car may have come to a stand by itself, as at a wall: another try shows it."""
+    motion = PoseMotion()
+    for k in range(20):
+        motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
+    frozen = [motion.frozen(0.5 + 0.025 * k, 1.9, 0.0, 0.0) for k in range(200)]
+    assert max(frozen) == pytest.approx(3.0, abs=2 * PERIOD)
+    assert frozen[-40:] == [0.0] * 40
 
 
 # -- faster than told, or backwards --------------------------------------------------------------

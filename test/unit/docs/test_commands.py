@@ -28,6 +28,7 @@ from map_racing.control.parameters import STEERING_MAPS, ControllerParameters
 from map_racing.experiments import tuning
 from map_racing.identification.data import load_run
 from map_racing.resources import find_config
+from map_racing.simulation.faults import KINDS
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
@@ -35,6 +36,7 @@ from map_racing.track.raceline import Raceline
 READERS = {
     "README.md": ["map_racing_2025.bag"],
     "doc/race_day.md": ["map_racing_2025.bag"],
+    "doc/safety.md": ["FAULTS.yaml"],
     "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv", "ROSBAG2", "LONG_0.bag", "LONG_1.bag"],
     "doc/racelines.md": ["HALL.yaml", "BY_HAND.bag"],
     "doc/report.md": ["RUN.bag", "TRACK.csv"],
@@ -52,6 +54,7 @@ ON_A_SMALL_GRID = ["--grid", "grid.yaml", "--jobs", "1"]
 SHORTER = {
     "race": ["--laps", "1"],
     "season": ["--jobs", "1"],
+    "faults": ["--fault", "pose_nan"],
     "tune": [*ON_THE_RING, "--track", "ring.csv"],
     "tune --robust": ON_A_SMALL_GRID,
     "experiment tire-models": RACED_ON_THE_RING,
@@ -65,6 +68,7 @@ WHOLE = ("README.md",)
 PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
+    "./scripts/false_stops --laps 10000",
     "./scripts/test",
     "catkin build map_racing",
     "cd ..",
@@ -103,6 +107,12 @@ def wider(path):
 
 def centerline(path):
     save_raceline(ring(), path, "centerline")
+
+
+def faults(path):
+    """The schedule that the page shows."""
+    shown = re.search(r"```yaml\n(.*?)```", (REPO / "doc" / "safety.md").read_text("utf-8"), re.S)
+    path.write_text(shown.group(1))
 
 
 def bag(path):
@@ -190,6 +200,7 @@ MAKERS = {
     "Austin_raceline.csv": wider,
     "BY_HAND.bag": by_hand,
     "CIRCLES.csv": circles,
+    "FAULTS.yaml": faults,
     "HALL.yaml": hall,
     "LOG.csv.gz": log,
     "MY_BASE.yaml": vehicle,
@@ -258,7 +269,9 @@ def executed(line, folder, whole):
         assert words[1] == "--shell" and words[2] == "roslaunch"
     elif words[0] == "rosservice":
         node, _, service = words[2].lstrip("/").partition("/")
-        assert node == "controller" and f'"~{service}"' in nodes(), line
+        assert node in ("controller", "simulator") and f'"~{service}"' in nodes(), line
+        request = yaml.safe_load(shlex.split(line)[3]) if len(words) > 3 else {}
+        assert request.get("fault", "") in {"", *KINDS}, line
     elif words[:2] == ["rosrun", "dynamic_reconfigure"]:
         node, _, name = words[4].lstrip("/").partition("/")
         assert node == "controller" and f'namespace="{name}"' in nodes(), line

@@ -44,6 +44,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of the public stack"
     )
+    parser.add_argument(
+        "--faults",
+        metavar="YAML",
+        help="drive under the supervisor, as the node does, with the faults of this schedule; "
+        "map-racing faults --list names them",
+    )
     add_number(parser, "--laps", 5, "timed laps")
     parser.add_argument(
         "--speed-scale",

@@ -1,0 +1,27 @@
+"""``map-racing faults``: rehearse faults of a simulated car, print a table."""
+
+from ..errors import ParameterError
+from ..simulation.faults import KINDS, kinds_table
+from ..simulation.rehearsal import SCENARIOS, rehearse, table
+from .progress import progress_bar
+
+
+def run(arguments):
+    """Rehearse and print."""
+    if arguments.list:
+        print(kinds_table(), end="")
+        return
+    name = arguments.fault
+    if name is not None and name not in KINDS:
+        raise ParameterError(f"--fault: expected {', '.join(KINDS)}, got {name}")
+    chosen = [scenario for scenario in SCENARIOS if name in (None, scenario.fault)]
+    if not chosen:
+        raise ParameterError(
+            f"--fault: {name} cannot be rehearsed without messages: the simulator node injects it"
+        )
+    rehearsals = []
+    with progress_bar("faults", len(chosen), "faults") as show:
+        for scenario in chosen:
+            rehearsals.append(rehearse(scenario, arguments.plant, arguments.seed))
+            show(len(rehearsals))
+    print(table(rehearsals), end="")

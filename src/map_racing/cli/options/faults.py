@@ -1,0 +1,24 @@
+"""Options of ``map-racing faults``."""
+
+import argparse
+
+from ...resources import list_config
+from .shared import add_number
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Rehearse each fault once: a simulated car drives 4 m/s in a bend under the supervisor. "
+        "Prints what stops it, how soon that begins, when the car stands, how far it gets off the "
+        "line, and what lets it drive again."
+    )
+    parser.add_argument("--list", action="store_true", help="print the names of the faults instead")
+    parser.add_argument("--fault", metavar="NAME", help="only this one")
+    parser.add_argument(
+        "--plant",
+        default="nuc4",
+        help=f"YAML file, or shipped: {', '.join(list_config('plants'))} (default: %(default)s)",
+    )
+    add_number(parser, "--seed", 1, "seed of the noise")
+    parser.set_defaults(run="faults.run")

@@ -1,0 +1,123 @@
+"""What answers the poses of a simulated car: a controller alone, or supervised as on the car."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..control.controller import ControlResult, Status
+from ..control.safety import Decision, SafetyLimits
+from ..control.supervised import SupervisedController, build_supervisor
+from ..track.raceline import Raceline
+
+__all__ = ["Command", "DirectDriver", "SupervisedDriver", "reversed_raceline"]
+
+
+class Command(NamedTuple):
+    """A supervised command and its time [s]."""
+
+    t: float
+    decision: Decision
+
+
+class DirectDriver:
+    """A controller alone: each pose is answered, whatever it is."""
+
+    deadline = None
+    commands = ()
+
+    def __init__(self, controller):
+        self._controller = controller
+
+    def step(self, seen):
+        """Answer an `Observation` with a `ControlResult`."""
+        return self._controller.step(seen.measured)
+
+
+class SupervisedDriver:
+    """A controller under its supervisor, as the node drives, without ROS.
+
+    Parameters
+    ----------
+    controller : Controller
+    limits : SafetyLimits, optional
+
+    Attributes
+    ----------
+    supervisor : Supervisor
+    commands : list of Command
+        All of them, also those without a pose.
+    """
+
+    def __init__(self, controller, limits=None):
+        self.supervisor = build_supervisor(controller, limits or SafetyLimits())
+        self._driver = SupervisedController(controller, self.supervisor)
+        self._raceline, self._failing = controller.raceline, False
+        self.commands = []
+
+    @property
+    def deadline(self):
+        """Time at which `watch` has to be called unless a pose comes [s], or None."""
+        return self.supervisor.deadline
+
+    def step(self, seen):
+        """Answer an `Observation`.
+
+        Returns
+        -------
+        ControlResult
+            With the command as decided; invalid where the controller was not asked.
+        """
+        now, state = seen.arrival, seen.measured
+        if seen.frame:
+            result, decision = None, self.supervisor.refuse(now)
+        else:
+            result, decision = self._driver.step(now, state, self._failing)
+        self.commands.append(Command(now, decision))
+        if result is None:
+            result = ControlResult(0.0, 0.0, Status.INVALID_STATE, state, *(math.nan,) * 7)
+        return result._replace(steering_angle=decision.steering_angle, speed=decision.speed)
+
+    def watch(self, now):
+        """Notice a dropout of the poses; the command for it, or None."""
+        decision = self.supervisor.watch(now)
+        if decision is not None:
+            self.commands.append(Command(now, decision))
+        return decision
+
+    def begin(self, fault):
+        """Take a fault that is none of the car: what operators and neighbors do."""
+        supervisor, name = self.supervisor, fault.fault
+        if name == "stop_requested":
+            supervisor.request_stop("service")
+        elif name == "resumed":
+            self._failing = False
+            supervisor.resume()
+        elif name == "controller_failed":
+            self._failing = True
+            supervisor.fail()
+        elif name == "raceline_lost":
+            supervisor.raceline_changed(False)
+        elif name == "raceline_reversed":
+            self._follow(reversed_raceline(self._raceline))
+
+    def end(self, fault):
+        """Take the end of such a fault."""
+        if fault.fault == "raceline_lost":
+            self.supervisor.raceline_changed(True)
+        elif fault.fault == "raceline_reversed":
+            self._follow(self._raceline)
+
+    def _follow(self, raceline):
+        controller = self._driver.controller
+        self._driver.follow(raceline, None, controller.prepare(raceline=raceline, sectors=None))
+
+
+def reversed_raceline(raceline: Raceline) -> Raceline:
+    """The same line, driven the other way round."""
+    s = np.arange(0.0, raceline.length, 0.2)[::-1]
+    x, y = (np.array(values) for values in zip(*(raceline.position(at) for at in s.tolist())))
+    speed = None if raceline.speed is None else [raceline.speed_at(at) for at in s.tolist()]
+    return Raceline(x, y, vx_mps=speed, name=f"{raceline.name}, reversed")

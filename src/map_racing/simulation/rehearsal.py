@@ -1,0 +1,222 @@
+"""Every fault once, at 4 m/s in a bend: what the supervised car does.
+
+The table of the page on safety is made of these.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..control.controller import build_controller
+from ..control.parameters import load_controller_parameters
+from ..control.safety import Reason
+from ..track.raceline import Raceline
+from .faults import KINDS, Fault
+from .plants import build_plant, load_plant
+from .race import Outcome, RaceLog, race
+
+__all__ = ["SCENARIOS", "Rehearsal", "Scenario", "rehearsal_track", "rehearse", "table"]
+
+SPEED = 4.0  # m/s
+STRAIGHT, RADIUS, HALF_WIDTH = 12.0, 4.0, 2.0  # m
+# In the middle of the first bend, and until the end of the rehearsal [s].
+BEGIN, END = 4.5, 18.0
+# The driver calls ~resume this long after the end of the fault [s].
+RESUMES_AFTER = 4.0
+STANDSTILL = 0.05  # m/s
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One row: a fault, its size, and how long it lasts [s]."""
+
+    fault: str
+    size: float | None = None
+    for_s: float = 2.0
+
+    def schedule(self) -> list[Fault]:
+        """The fault, and the driver who resumes after it."""
+        resumed = Fault("resumed", BEGIN + self.for_s + RESUMES_AFTER, 1.0)
+        return [Fault(self.fault, BEGIN, self.for_s, size=self.size), resumed]
+
+    @property
+    def text(self) -> str:
+        """The fault in words."""
+        kind = KINDS[self.fault]
+        size = kind.default if self.size is None else self.size
+        return kind.text if size is None else f"{kind.text}: {size:g} {kind.unit}".rstrip()
+
+
+# The resume of the driver is part of each; what race cannot inject is tested on the nodes.
+SCENARIOS = (
+    Scenario("pose_dropout", for_s=0.15),
+    Scenario("pose_dropout"),
+    Scenario("pose_frozen"),
+    Scenario("pose_stuck"),
+    Scenario("pose_jitter"),
+    Scenario("pose_jump", 0.4),
+    Scenario("pose_jump", 1.0),
+    Scenario("pose_jump", 3.0),
+    Scenario("pose_turn", 0.5),
+    Scenario("pose_turn", 1.5),
+    Scenario("pose_turn", math.pi),
+    Scenario("pose_drift", 0.2),
+    Scenario("pose_drift", 2.0),
+    Scenario("pose_noise", 0.05),
+    Scenario("pose_noise", 0.5),
+    Scenario("pose_delay", 0.1),
+    Scenario("pose_delay", 0.3),
+    Scenario("pose_future", 0.3),
+    Scenario("pose_frame"),
+    Scenario("pose_nan"),
+    Scenario("velocity_missing"),
+    Scenario("velocity_absurd"),
+    Scenario("velocity_reversed"),
+    Scenario("wheel_slip", 1.3),
+    Scenario("yaw_rate_missing"),
+    Scenario("servo_stuck"),
+    Scenario("servo_slow", 0.5),
+    Scenario("servo_offset", 0.05),
+    Scenario("motor_weak"),
+    Scenario("motor_dead"),
+    Scenario("motor_runaway", 7.0, 1.0),
+    Scenario("brakes_weak"),
+    Scenario("battery_sag"),
+    Scenario("drive_loss", for_s=0.5),
+    Scenario("drive_loss"),
+    Scenario("drive_delay"),
+    Scenario("blocked"),
+    Scenario("grip_lost", 0.5),
+    Scenario("stop_requested"),
+    Scenario("raceline_lost"),
+    Scenario("raceline_reversed"),
+    Scenario("controller_failed"),
+)
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What came of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    log : RaceLog
+    reason : Reason
+        Of the first stop; NONE without one.
+    begins_s : float
+        Time from the fault to the first command that slows the car down; NaN without a stop.
+    stands_s : float
+        Time from the fault until the car stands; NaN if it does not.
+    aside_m : float
+        Largest lateral error from the fault on, and until the car stands if it does.
+    back_s : float
+        Time from the end of the fault until the car drives again; NaN if it does not.
+    resumed : bool
+        Whether that took the service ``~resume``.
+    """
+
+    scenario: Scenario
+    log: RaceLog
+    reason: Reason
+    begins_s: float
+    stands_s: float
+    aside_m: float
+    back_s: float
+    resumed: bool
+
+    def row(self) -> list[str]:
+        """Cells of the table."""
+        scenario = self.scenario
+        stops = self.reason is not Reason.NONE
+        crashed = self.log.outcome is Outcome.CRASHED
+        back = "drives on"
+        if crashed:
+            back = "hits a wall"
+        elif stops and math.isnan(self.back_s):
+            back = "stays"
+        elif stops and self.resumed:
+            back = "`~resume`"
+        elif stops and self.back_s < 0.0:
+            back = f"with it, {self.back_s + scenario.for_s:.1f} s after its begin"
+        elif stops:
+            back = f"{self.back_s:.1f} s after its end"
+        return [
+            f"`{scenario.fault}`",
+            f"{scenario.text}, for {scenario.for_s:g} s",
+            self.reason.value if stops else "no stop",
+            f"{self.begins_s:.2f}" if stops else "",
+            "" if math.isnan(self.stands_s) else f"{self.stands_s:.1f}",
+            f"{self.aside_m:.2f}",
+            back,
+        ]
+
+
+HEADER = (
+    *("fault", "what happens", "reason of the stop", "begins after [s]", "stands after [s]"),
+    *("off the line [m]", "way back"),
+)
+
+
+def rehearsal_track() -> Raceline:
+    """Two straights of 12 m and two bends of 4 m radius, 4 m wide, at 4 m/s."""
+    steps = np.arange(0.0, STRAIGHT, 0.2)
+    turn = np.arange(0.0, math.pi, 0.05)
+    x = np.r_[steps, STRAIGHT + RADIUS * np.sin(turn)]
+    y = np.r_[0.0 * steps, RADIUS * (1.0 - np.cos(turn))]
+    x, y = np.r_[x, STRAIGHT - x], np.r_[y, 2.0 * RADIUS - y]
+    width = np.full(x.size, HALF_WIDTH)
+    return Raceline(
+        x, y, vx_mps=np.full(x.size, SPEED), d_left_m=width, d_right_m=width, name="rehearsal"
+    )
+
+
+def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
+    """Drive one scenario with the shipped controller ``map``, supervised.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    car : str, optional
+        Shipped plant or plant file.
+    seed : int, optional
+        Of the noise.
+
+    Returns
+    -------
+    Rehearsal
+    """
+    track = rehearsal_track()
+    parameters = load_controller_parameters("map").with_(speed_scale=1.0)
+    plant_parameters = load_plant(car)
+    if plant_parameters.reference_point != "rear_axle":
+        parameters = parameters.with_(reference_point=plant_parameters.reference_point)
+    controller = build_controller(parameters, plant_parameters.vehicle, track)
+    plant, localization = build_plant(plant_parameters, seed)
+    log = race(
+        *(plant, controller, track, localization),
+        time_limit=END,
+        faults=scenario.schedule(),
+    )
+    end = BEGIN + scenario.for_s
+    stop = next((stop for stop in log.stops() if stop[0] >= BEGIN), None)
+    after = [state for state in log.truth if state.t >= BEGIN]
+    stands = math.nan
+    if stop is not None:
+        stands = next((s.t for s in after if abs(s.v_x) < STANDSTILL), math.nan)
+    until = END if math.isnan(stands) else stands
+    aside = max(abs(track.project(s.x, s.y).d) for s in after if s.t <= until)
+    begins, reason, back = (math.nan, Reason.NONE, math.nan) if stop is None else stop
+    return Rehearsal(
+        *(scenario, log, reason, begins - BEGIN, stands - BEGIN, aside, back - end),
+        resumed=back >= end + RESUMES_AFTER,
+    )
+
+
+def table(rehearsals: list[Rehearsal]) -> str:
+    """Markdown table of rehearsals."""
+    rows = [HEADER, ("---",) * len(HEADER), *(rehearsal.row() for rehearsal in rehearsals)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

@@ -1,0 +1,133 @@
+"""Every fault once: what the car does, and that the table in the documentation says so."""
+
+import math
+import re
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+
+from map_racing.control.controller import build_steering_map
+from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.simulation.faults import KINDS, kinds_table
+from map_racing.simulation.rehearsal import BEGIN, HEADER, SCENARIOS, rehearse
+from map_racing.vehicle.parameters import load_vehicle
+
+PAGE = Path(__file__).resolve().parents[3] / "doc" / "safety.md"
+POSE_S = 1 / 40
+# A pose arrives 20 ms after it was measured.
+LATENCY_S = 0.02
+VEHICLE = load_vehicle("nuc4")
+TABLE = build_steering_map("table", VEHICLE, 12.0)
+
+rehearsed = lru_cache(maxsize=None)(rehearse)
+
+
+def names(scenario):
+    return f"{scenario.fault}-{scenario.size}-{scenario.for_s}"
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=names)
+def test_no_command_is_beyond_limit_lock_or_grip(scenario):
+    """At the measured speed, in every sample, whatever goes wrong."""
+    log = rehearsed(scenario).log
+    measured = {sample.arrival: sample.measured.v_x for sample in log.samples}
+    v_x = 0.0
+    for t, decision in log.commands:
+        seen = measured.get(t, math.nan)
+        if abs(seen) < 50.0:
+            v_x = seen
+        assert 0.0 <= decision.speed <= 12.0
+        assert abs(decision.steering_angle) <= VEHICLE.delta_max
+        # An angle that is held holds for the speed of the last pose that could be trusted.
+        held = 0.01 if decision.mode is not Mode.DRIVING else 1e-9
+        assert abs(decision.steering_angle) <= TABLE.steering(v_x, 20.0)[0] + held
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=names)
+def test_a_stop_is_a_ramp(scenario):
+    commands = [c for c in rehearsed(scenario).log.commands if c.t >= BEGIN]
+    for before, after in zip(commands, commands[1:]):
+        if before.decision.mode is after.decision.mode is Mode.STOPPING:
+            fell = before.decision.speed - after.decision.speed
+            # 4 m/s^2, or what the raceline demands, which is at most 6 m/s^2.
+            assert fell <= 6.0 * (after.t - before.t) + 1e-9
+
+
+# What the supervisor has to notice, and by when [s], besides the latency of the pose.
+NOTICED = {
+    "pose_dropout": ("pose too old", 0.2),
+    "pose_frozen": ("pose too old", 0.2),
+    "pose_stuck": ("pose frozen while moving", 0.2),
+    "pose_jitter": ("pose frozen while moving", 0.2),
+    "pose_future": ("pose too old", POSE_S),
+    "pose_frame": ("pose in another frame", POSE_S),
+    "pose_nan": ("pose not finite or absurd", POSE_S),
+    "velocity_absurd": ("pose not finite or absurd", POSE_S),
+    "velocity_reversed": ("rolling backwards", 0.5 + 2 * POSE_S),
+    "blocked": ("no motion although commanded", 0.3),
+    "stop_requested": ("stop requested", POSE_S),
+    "raceline_lost": ("raceline not drivable", POSE_S),
+    "raceline_reversed": ("raceline against the motion", POSE_S),
+    "controller_failed": ("controller failed", POSE_S),
+}
+
+
+@pytest.mark.parametrize(
+    "scenario", [s for s in SCENARIOS if s.fault in NOTICED and s.for_s > 0.2], ids=names
+)
+def test_a_fault_is_noticed_in_time(scenario):
+    reason, after = NOTICED[scenario.fault]
+    found = rehearsed(scenario)
+    assert found.reason.value == reason
+    assert 0.0 <= found.begins_s <= after + LATENCY_S + 0.01
+    if scenario.fault != "blocked":
+        assert found.stands_s < found.begins_s + 1.5
+
+
+def test_a_dropout_within_the_limit_is_none():
+    assert rehearsed(SCENARIOS[0]).reason is Reason.NONE
+    assert SCENARIOS[0].for_s < SafetyLimits().max_pose_age_s
+
+
+def test_a_car_that_stood_drives_again():
+    for scenario in SCENARIOS:
+        found = rehearsed(scenario)
+        if found.reason is not Reason.NONE and "wall" not in found.row()[-1]:
+            assert not math.isnan(found.back_s), scenario
+
+
+# -- the page ------------------------------------------------------------------------------------
+
+
+def cells(table):
+    lines = [line for line in table.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines]
+
+
+def on_page(title):
+    text = PAGE.read_text(encoding="utf-8")
+    return re.search(rf"<!-- {title} -->\n(.*?)<!-- end -->", text, re.DOTALL).group(1)
+
+
+def test_the_table_of_the_page_is_what_comes_of_the_rehearsal():
+    """Numbers to a pose and a few centimeters; ``map-racing faults`` prints it anew."""
+    rows = [line.split("|")[1:-1] for line in on_page("rehearsal").splitlines() if "|" in line]
+    rows = [[cell.strip() for cell in row] for row in rows]
+    assert tuple(rows[0]) == HEADER
+    assert len(rows) == 2 + len(SCENARIOS) >= 32
+    for written, scenario in zip(rows[2:], SCENARIOS):
+        now = rehearsed(scenario).row()
+        for title, old, new in zip(HEADER, written, now):
+            if re.fullmatch(r"\d+\.\d+", old):
+                assert float(new) == pytest.approx(float(old), abs=0.11), (scenario, title)
+            else:
+                number = r"\d+\.\d+ s"
+                assert re.sub(number, "", new) == re.sub(number, "", old), (scenario, title)
+
+
+def test_the_names_of_the_page_are_the_names():
+    assert on_page("names").strip() == kinds_table().strip()
+    assert {scenario.fault for scenario in SCENARIOS} == {
+        name for name, kind in KINDS.items() if "race" in kind.where and name != "resumed"
+    }
