@@ -12,12 +12,11 @@ __all__ = ["config_directory", "find_config", "list_config"]
 def config_directory() -> Path:
     """Directory of the shipped data files.
 
-    It is ``config/`` of the source tree, or ``share/map_racing/config`` where pip or catkin
-    installed the package.
-
     Returns
     -------
     pathlib.Path
+        ``config/`` of the source tree, or ``share/map_racing/config`` where pip or catkin installed
+        the package.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 from pathlib import Path
 
@@ -22,7 +23,6 @@ from ..experiments.paper import (
     race_frame,
     scaling_plan,
     scaling_table,
-    single_plan,
     tire_table,
 )
 from ..experiments.robustness import grid_table
@@ -73,7 +73,8 @@ def run_tires(arguments: argparse.Namespace) -> None:
     """Run the experiment on tire models."""
     check_laps(arguments.laps)
     session = open_session(arguments, "tire-models")
-    races = session.race(single_plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
+    plan = functools.partial(scaling_plan, until_failure=False)
+    races = session.race(plan, arguments.laps, TIRE_SCALES, path=True, bags=arguments.bags)
     per_race = race_frame(races)
     table = tire_table(per_race)
     against = pairs_frame(per_race)

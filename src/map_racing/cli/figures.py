@@ -152,12 +152,12 @@ def draw_check(folder: str, key: str, table, raceline, findings) -> Path:
     return _save(folder, [(f"{name}_check.png", plot_raceline, (table, raceline, findings, name))])
 
 
-def draw_optimized(folder: str, optimized, middle, walls) -> Path:
-    """Draw an optimized raceline; returns the path of the figure."""
+def draw_optimized(folder: str, optimized, middle, walls, image=None) -> Path:
+    """Draw an optimized raceline, over its map if there is one; returns the path of the figure."""
     from ..plots.optimization import plot_optimized
 
     name = f"{optimized.name or 'track'}_optimized.png"
-    return _save(folder, [(name, plot_optimized, (optimized, middle, walls))])
+    return _save(folder, [(name, plot_optimized, (optimized, middle, walls, None, image))])
 
 
 def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) -> None:

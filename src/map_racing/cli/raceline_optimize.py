@@ -54,7 +54,7 @@ def run_optimize(arguments):
         v_max=arguments.v_max,
         power=arguments.power,
     )
-    track = load(arguments, vehicle)
+    track, image = load(arguments, vehicle)
     lines = [(label(track.name, "input", ()), track)]
     clearance = 0.5 * vehicle.width + arguments.margin
     if arguments.compare:
@@ -92,7 +92,8 @@ def run_optimize(arguments):
         save_speed_sectors(arguments.sectors, sectors)
         print(f"{arguments.sectors}: {len(sectors)} sectors")
     if arguments.plots:
-        print(f"  figure: {draw_optimized(arguments.plots, optimized, middle, found.walls)}")
+        path = draw_optimized(arguments.plots, optimized, middle, found.walls, image)
+        print(f"  figure: {path}")
 
 
 def label(name, other, taken):
@@ -156,10 +157,10 @@ def check_numbers(arguments):
 
 
 def load(arguments, vehicle):
-    """Track of a file or a map, with walls that can be used."""
-    source = arguments.source
+    """Track of a file or a map, with walls that can be used, and the map or None."""
+    source, image = arguments.source, None
     if Path(source).suffix.lower() in MAPS:
-        track = load_map(arguments, vehicle)
+        track, image = load_map(arguments, vehicle)
         findings = track.findings
     else:
         for option in ("start", "passage", "speckle"):
@@ -186,11 +187,11 @@ def load(arguments, vehicle):
             )
     for finding in findings:
         print(f"  {finding}")
-    return track
+    return track, image
 
 
 def load_map(arguments, vehicle):
-    """Centerline of a map, from the start given."""
+    """Centerline of a map, from the start given, and the map."""
     if arguments.start is None:
         raise ParameterError(f"{arguments.source}: expected --start X,Y[,PSI] for a map")
     passage = arguments.passage
@@ -198,7 +199,8 @@ def load_map(arguments, vehicle):
         passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
     start, psi = start_of(arguments.start)
     image = read_map_image(arguments.source)
-    return track_from_map(image, start, psi, passage=passage, speckle=arguments.speckle)
+    track = track_from_map(image, start, psi, passage=passage, speckle=arguments.speckle)
+    return track, image
 
 
 def start_of(words):

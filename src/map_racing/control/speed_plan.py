@@ -65,22 +65,7 @@ def scaled_speed(
 def requested_speed(raceline, parameters, sectors=None):
     """Speed that is asked for along a raceline, whatever the grip.
 
-    Parameters
-    ----------
-    raceline : Raceline
-    parameters : ControllerParameters
-        Their scale and largest speed.
-    sectors : SpeedSectors, optional
-
-    Returns
-    -------
-    callable
-        Speeds [m/s] at an array of arc lengths [m].
-
-    Raises
-    ------
-    ParameterError
-        If the raceline has no speeds.
+    It is `scaled_speed` by the scale of the `ControllerParameters`, up to their largest speed.
     """
     speed = scaled_speed(raceline, parameters.speed_scale, sectors)
     return lambda s: np.minimum(speed(s), parameters.v_max_mps)

@@ -344,6 +344,7 @@ class LapEvaluator:
         if complete:
             reasons += self._stops(t, x, y, progress)
         duration = float(t[-1] - t[0])
+        trace = LapTrace(t, x, y, progress - begin, d, v, command) if self._keep_traces else None
         return Lap(
             lap=self._number,
             lap_time_s=duration if complete else _NAN,
@@ -363,7 +364,7 @@ class LapEvaluator:
             start_time_s=float(t[0]),
             end_time_s=float(t[-1]),
             sector_times_s=self._sector_times(t, progress - begin, complete),
-            trace=LapTrace(t, x, y, progress - begin, d, v) if self._keep_traces else None,
+            trace=trace,
         )
 
     def _reasons(self, reason, clearance, largest):

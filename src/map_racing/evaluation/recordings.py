@@ -111,7 +111,6 @@ def recorded_raceline(recording: Recording) -> Raceline:
     Returns
     -------
     Raceline
-        With `findings`.
 
     Raises
     ------

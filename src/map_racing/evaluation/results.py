@@ -18,7 +18,7 @@ class LapTrace(NamedTuple):
 
     Time ``t`` [s] on the recording's clock, position ``x, y`` [m], distance ``s`` along the track
     [m] from the start line, in an out-lap from its first sample, deviation ``d`` [m] left positive,
-    speed ``v`` [m/s].
+    speed ``v`` [m/s], speed ``command`` in force [m/s], NaN without one.
     """
 
     t: np.ndarray
@@ -27,6 +27,7 @@ class LapTrace(NamedTuple):
     s: np.ndarray
     d: np.ndarray
     v: np.ndarray
+    command: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ __all__ = [
     "race_frame",
     "scaling_plan",
     "scaling_table",
-    "single_plan",
     "tire_table",
     "tuning_plan",
 ]
@@ -124,41 +123,25 @@ def scaling_plan(
     seed: int,
     laps: int,
     scales: Sequence[float],
+    until_failure: bool = True,
 ) -> Plan:
-    """Plan that races on one day at rising scales until a race is not completed."""
+    """Plan that races on one day at each scale, in their order until a race is not completed.
+
+    With ``until_failure`` False at all of them, at the same time. Its result is a list of `Race`.
+    """
 
     def steps():
         day, races = setting.day(seed), []
-        for scale in scales:
-            job = setting.job(label, controller.with_(speed_scale=scale), day, laps)
-            (result,) = yield [job]
-            races.append(Race(label, scale, seed, job, result))
-            if not result.completed:
+        for group in [[scale] for scale in scales] if until_failure else [scales]:
+            controllers = [controller.with_(speed_scale=scale) for scale in group]
+            jobs = [setting.job(label, scaled, day, laps) for scaled in controllers]
+            results = yield jobs
+            races += [Race(label, job.scale, seed, job, r) for job, r in zip(jobs, results)]
+            if not results[-1].completed:
                 break
         return races
 
     return Plan(steps(), min(len(scales), 12))
-
-
-def single_plan(
-    setting: Setting,
-    label: str,
-    controller: ControllerParameters,
-    seed: int,
-    laps: int,
-    scales: Sequence[float],
-) -> Plan:
-    """Plan that races on one day at each scale; its result is a list of `Race`."""
-
-    def steps():
-        day = setting.day(seed)
-        jobs = [
-            setting.job(label, controller.with_(speed_scale=scale), day, laps) for scale in scales
-        ]
-        results = yield jobs
-        return [Race(label, job.scale, seed, job, result) for job, result in zip(jobs, results)]
-
-    return Plan(steps(), len(scales))
 
 
 # -- tables ----------------------------------------------------------------------------------------

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib import cm
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
-from .runs import draw_track
-from .style import COLORS, finished, new_figure
+from .style import COLORS, finished, legend_above, new_figure
+from .track import draw_track
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,6 +39,7 @@ AXES = {
     "m_m": "m [m]",
     "q_s": "q [s]",
 }
+WHOLE = ("days_completed",)  # of these there are no parts
 
 
 def plot_tuning(m, q, error, best: tuple[float, float], title: str) -> Figure:
@@ -97,9 +98,8 @@ def plot_tuning(m, q, error, best: tuple[float, float], title: str) -> Figure:
         limit(float(values.min()) - margin, float(values.max()) + margin)
     axes.set_xlabel("m, offset of the lookahead [m]")
     axes.set_ylabel("q, gain of the lookahead [s]")
-    axes.set_title(title)
     axes.grid(alpha=0.25)
-    axes.legend(loc="upper right", fontsize="small")
+    legend_above(axes, title)
     bar = figure.colorbar(dots, ax=axes, pad=0.02)
     ticks = _ticks(norm.vmin, norm.vmax)
     bar.ax.minorticks_off()
@@ -231,12 +231,12 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
     for i, row in enumerate(rows):
         for j, (name, path, crashed) in enumerate(row):
             axes = figure.add_subplot(len(rows), columns, i * columns + j + 1)
-            draw_track(axes, raceline)
-            axes.plot(path[:, 0], path[:, 1], color=COLORS[0], lw=1.0, alpha=0.8, label="driven")
+            draw_track(axes, raceline, most_marks=5)
+            driven = {"color": COLORS[0], "lw": 1.2, "zorder": 3, "label": "driven"}
+            axes.plot(path[:, 0], path[:, 1], **driven)
             if crashed:
                 end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
                 axes.plot(*path[-1], "x", label="crash", **end)
-            _draw_direction(axes, raceline, 0.12 * wide)
             axes.set_title(name, fontsize="medium")
             if j:
                 axes.set_ylabel("")
@@ -252,22 +252,6 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
         list(handles.values()), list(handles), loc="lower center", ncol=columns, fontsize="small"
     )
     return figure
-
-
-def _draw_direction(axes, raceline, length):
-    """An arrow in the direction of travel, on the inner side of the track at the start line."""
-    left = float(np.sum(raceline.kappa)) > 0.0
-    beyond = 0.6
-    if raceline.d_left is not None:
-        beyond += raceline.widths_at(0.0)[0 if left else 1]
-    x, y = raceline.to_cartesian(np.zeros(1), np.full(1, beyond if left else -beyond))
-    x, y, psi = float(x[0]), float(y[0]), float(raceline.psi[0])
-    axes.annotate(
-        "",
-        xy=(x + length * math.cos(psi), y + length * math.sin(psi)),
-        xytext=(x, y),
-        arrowprops={"arrowstyle": "-|>", "color": COLORS[2], "lw": 1.8},
-    )
 
 
 def plot_comparison(
@@ -311,6 +295,8 @@ def plot_comparison(
             handles, texts = axes.get_legend_handles_labels()
             axes.set_title(title)
         axes.set_ylabel(AXES.get(value, value))
+        if value in WHOLE:
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(alpha=0.25)
     axes.set_xlabel("scale of the raceline's speeds [%]")
     figure.tight_layout(rect=(0.0, 0.6 / figure.get_size_inches()[1], 1.0, 1.0))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from .style import COLORS, finished, new_figure
+from .style import COLORS, finished, legend_above, new_figure
 
 __all__ = [
     "AxleFigure",
@@ -107,9 +107,8 @@ def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
         axes.axvline(0.0, color="0.8", lw=0.8, zorder=0)
         axes.set_xlabel("slip angle [rad], positive in left turns")
         axes.set_ylabel("lateral force [N]")
-        axes.set_title(f"{axle.name} axle, static load {axle.load:.1f} N")
         axes.grid(alpha=0.25)
-        axes.legend(loc="upper left", fontsize="small")
+        legend_above(axes, f"{axle.name} axle, static load {axle.load:.1f} N", columns=5)
     return finished(figure)
 
 
@@ -144,11 +143,10 @@ def plot_coverage(v: np.ndarray, delta: np.ndarray, a_y: np.ndarray, largest: fl
     axes.hist(a_y, bins=edges, color=COLORS[0])
     axes.axvline(-largest, color=COLORS[1], lw=1.4, ls="--")
     axes.axvline(largest, color=COLORS[1], lw=1.4, ls="--", label=f"held: {largest:.2f} m/s²")
-    axes.legend(loc="upper center", fontsize="small")
     axes.set_xlabel("lateral acceleration [m/s²], left positive")
     axes.set_ylabel("points")
-    axes.set_title("how near the limit")
     axes.grid(alpha=0.25)
+    legend_above(axes, "how near the limit")
     return finished(figure)
 
 
@@ -197,10 +195,14 @@ def plot_prediction(
         axes.set_xlabel(f"measured {quantity}")
         axes.set_ylabel(f"predicted {quantity}")
         axes.grid(alpha=0.25)
-        if column == 0:
-            axes.legend(loc="upper left", fontsize="x-small")
+        handles, labels = axes.get_legend_handles_labels()
     figure.suptitle(title)
-    return finished(figure, top=0.98)
+    # Runs may be many, with long names: one legend for both, beneath.
+    rows = -(-len(labels) // 4)
+    height = figure.get_figheight() + 0.2 * rows + 0.1
+    figure.set_figheight(height)
+    figure.legend(handles, labels, loc="lower center", ncol=4, fontsize="small", frameon=False)
+    return finished(figure, top=1.0 - 0.1 / height, bottom=(0.2 * rows + 0.1) / height)
 
 
 def plot_drive(drive: DriveFigure) -> Figure:
@@ -227,15 +229,17 @@ def plot_drive(drive: DriveFigure) -> Figure:
         first = first or axes
         for cut in drive.segments:
             axes.axvspan(drive.t[cut][0], drive.t[cut][-1], color=COLORS[5], alpha=0.25, lw=0.0)
-        axes.plot(drive.t, values, color=COLORS[0], lw=1.3)
-        if number == 3:
-            axes.plot(drive.t, drive.v * drive.r, color=COLORS[1], lw=1.0, ls="--")
-            axes.plot([], [], color=COLORS[0], label="measured")
-            axes.plot([], [], color=COLORS[1], ls="--", label="speed × yaw rate")
-            axes.legend(loc="best", fontsize="x-small", ncol=2)
+        last = number == len(rows) - 1
+        # Broad beneath the other line, so that both are visible where they coincide.
+        style = {"lw": 2.4, "alpha": 0.6, "label": "measured"} if last else {"lw": 1.3}
+        axes.plot(drive.t, values, color=COLORS[0], **style)
+        if last:
+            style = {"color": COLORS[1], "lw": 0.9, "label": "speed × yaw rate"}
+            axes.plot(drive.t, drive.v * drive.r, **style)
+            legend_above(axes)
         axes.set_ylabel(label)
         axes.grid(alpha=0.25)
-        if number < 3:
+        if not last:
             for text in axes.get_xticklabels():
                 text.set_visible(False)
     axes.set_xlabel("time [s]")

@@ -107,7 +107,7 @@ def plot_lookup_curves(
     axes.set_ylabel("steering angle [rad]")
     axes.set_title(title)
     axes.grid(alpha=0.25)
-    axes.legend(loc="best", fontsize="small", title="speed")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     return finished(figure)
 
 

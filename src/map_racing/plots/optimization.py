@@ -6,26 +6,34 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from ..track.map_image import MapImage
 from ..track.raceline import Raceline
 from ..track.walls import Walls
-from .style import COLORS, WALL, finished, new_figure, size_for
+from .style import COLORS, WALL, finished, legend_above, new_figure, size_for
+from .track import draw_distances, draw_map
 
 __all__ = ["plot_optimized"]
 
 
 def plot_optimized(
-    line: Raceline, reference: Raceline, walls: Walls, title: str | None = None
+    line: Raceline,
+    reference: Raceline,
+    walls: Walls,
+    title: str | None = None,
+    image: MapImage | None = None,
 ) -> Figure:
     """An optimized line colored by speed between the walls; curvature and speed along the lap.
 
     Parameters
     ----------
     line : Raceline
-        With speeds.
+        With speeds and distances to the walls.
     reference : Raceline
-        Compared with the line at the same share of the lap; with or without speeds.
+        Compared with the line where it is beside it; with or without speeds.
     walls : Walls
     title : str, optional
+    image : MapImage, optional
+        Map from which the walls were taken, drawn beneath.
 
     Returns
     -------
@@ -43,13 +51,18 @@ def plot_optimized(
     layout = figure.add_gridspec(*shape, **ratios)
     track, top, bottom = (figure.add_subplot(layout[place]) for place in places)
     path = _draw_lines(track, line, reference, walls)
-    track.set_title(title or line.name or "optimized line")
+    legend_above(track, title or line.name or "optimized line")
+    if image is not None:
+        draw_map(track, image)
     figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
-    _draw_profile(top, line, reference, "kappa", "curvature [1/m]")
-    _draw_profile(bottom, line, reference, "speed", "speed [m/s]")
+    # Where the middle line is beside the line: the two differ in length.
+    feet = zip(reference.x.tolist(), reference.y.tolist(), reference.psi.tolist())
+    beside = np.array([line.project(*place).s for place in feet])
+    _draw_profile(top, line, reference, beside, "kappa", "curvature [1/m]")
+    _draw_profile(bottom, line, reference, beside, "speed", "speed [m/s]")
     top.axhline(0.0, color="0.6", lw=0.6)
-    top.legend(loc="best", fontsize="small")
-    bottom.set_xlabel("share of the lap [%]")
+    legend_above(top)
+    bottom.set_xlabel("distance along the optimized line [m]")
     return finished(figure)
 
 
@@ -65,35 +78,24 @@ def _draw_lines(track, line, reference, walls):
     )
     path.set_array(line.speed)
     track.add_collection(path)
-    track.plot(*points[0], "o", ms=8, mfc="none", mec=COLORS[1], mew=1.8, zorder=5, label="start")
-    head = line.position(0.02 * line.length)
-    track.annotate(
-        "",
-        xy=head,
-        xytext=points[0],
-        arrowprops={"arrowstyle": "-|>", "color": COLORS[1], "lw": 1.8, "shrinkA": 0},
-        zorder=6,
-    )
+    draw_distances(track, line)
     track.set_aspect("equal")
     track.autoscale_view()
-    track.margins(0.04)
+    track.margins(0.08)
     track.set_xlabel("x [m]")
     track.set_ylabel("y [m]")
     track.grid(alpha=0.25)
-    track.legend(loc="best", fontsize="small")
     return path
 
 
-def _draw_profile(axes, line, reference, column, label):
-    """A column of both lines over the share of the lap, since they differ in length."""
-    for profile_line, name, style in (
-        (reference, "middle line", {"color": "0.45", "lw": 1.0, "ls": "--"}),
-        (line, "optimized", {"color": COLORS[0], "lw": 1.5}),
-    ):
-        values = getattr(profile_line, column)
-        if values is not None:
-            share = 100.0 * profile_line.s / profile_line.length
-            axes.plot(share, values, label=name, **style)
-    axes.set_xlim(0.0, 100.0)
+def _draw_profile(axes, line, reference, beside, column, label):
+    """A column of both lines over the distance along the first."""
+    middle, optimized = getattr(reference, column), getattr(line, column)
+    if middle is not None:
+        order = np.argsort(beside, kind="mergesort")
+        style = {"color": "0.45", "lw": 1.0, "ls": "--"}
+        axes.plot(beside[order], middle[order], label="middle line", **style)
+    axes.plot(line.s, optimized, label="optimized", color=COLORS[0], lw=1.5)
+    axes.set_xlim(0.0, line.length)
     axes.set_ylabel(label)
     axes.grid(alpha=0.25)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 
 import numpy as np
@@ -11,7 +10,8 @@ from matplotlib.figure import Figure
 
 from ..track.findings import ERROR, WARNING, worst_first
 from ..track.raceline import Raceline
-from .style import COLORS, RACELINE, WALL, new_figure, size_for
+from .style import COLORS, RACELINE, legend_above, new_figure, size_for
+from .track import draw_distances, draw_walls
 
 __all__ = ["plot_raceline"]
 
@@ -43,38 +43,36 @@ def plot_raceline(table, raceline: Raceline | None, findings, title: str | None 
     listed = worst_first(findings)[:_MOST_LISTED]
     # Track, colorbar and list side by side; lengths in inches.
     between = 0.2 if raceline is None or raceline.speed is None else _BAR
-    total, height = width + between + _LIST, max(height, 4.5)
+    height = max(height + 0.4, 4.5)
+    if x.size:  # no wider than the shape of the track
+        shape = (np.ptp(x) + 1.0) / (np.ptp(y) + 1.0)
+        width = min(width, max(1.1 * shape * (height - 1.35), 3.5) + 0.9)
+    total = width + between + _LIST
     figure = new_figure(total, height)
-    low, tall = 0.65 / height, 1.0 - 1.15 / height
+    low, tall = 0.65 / height, 1.0 - 1.35 / height
     axes = figure.add_axes([0.8 / total, low, (width - 0.9) / total, tall])
     bar = [(width + 0.1) / total, low, 0.18 / total, tall]
     if raceline is None:
         axes.plot(x, y, ".-", color=RACELINE, ms=3, lw=0.8, label="points")
+        first = {"ms": 9, "mfc": "none", "mec": COLORS[2], "mew": 2, "zorder": 4}
+        axes.plot(x[:1], y[:1], "s", label="first point", **first)
     else:
         _draw_line(figure, axes, bar, raceline)
-    if x.size:
-        axes.plot(
-            x[0], y[0], "s", ms=9, mfc="none", mec=COLORS[2], mew=2, label="first point", zorder=4
-        )
     for number, finding in enumerate(listed, 1):
         _mark(axes, number, finding)
     axes.set_aspect("equal", anchor="E")
-    axes.margins(0.06)
+    axes.margins(0.08)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    axes.set_title(title or table.name or "track")
     axes.grid(alpha=0.25)
-    axes.legend(loc="best", fontsize="small")
+    legend_above(axes, title or table.name or "track")
     _list(figure, listed, (width + between) / total, low + tall)
     return figure
 
 
 def _draw_line(figure, axes, bar, line):
-    s = np.append(line.s, line.length)
-    curve = line.sample(s)
-    if line.d_left is not None:
-        axes.plot(*line.to_cartesian(s, curve.d_left), color=WALL, lw=1.0, label="walls")
-        axes.plot(*line.to_cartesian(s, -curve.d_right), color=WALL, lw=1.0)
+    draw_walls(axes, line)
+    curve = line.sample(np.append(line.s, line.length))
     if curve.speed is None:
         axes.plot(curve.x, curve.y, color=RACELINE, lw=1.4, label="track")
     else:
@@ -85,18 +83,7 @@ def _draw_line(figure, axes, bar, line):
         pieces.set_array(0.5 * (curve.speed[1:] + curve.speed[:-1]))
         axes.add_collection(pieces)
         figure.colorbar(pieces, cax=figure.add_axes(bar), label="speed [m/s]")
-    # The direction of travel, at the start and three more places.
-    for at in np.arange(4) * 0.25 * line.length:
-        tail = line.pose(at)
-        reach = 0.02 * line.length
-        head = tail.x + reach * math.cos(tail.psi), tail.y + reach * math.sin(tail.psi)
-        axes.annotate(
-            "",
-            xy=head,
-            xytext=tail[:2],
-            arrowprops={"arrowstyle": "-|>", "color": "k", "lw": 1.4, "shrinkA": 0},
-            zorder=4,
-        )
+    draw_distances(axes, line)
 
 
 def _mark(axes, number, finding):

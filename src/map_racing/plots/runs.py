@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ..errors import EvaluationError, ParameterError
-from .style import COLORS, DEVIATION, RACELINE, WALL, finished, new_figure, size_for
+from .style import COLORS, DEVIATION, RACELINE, finished, legend_above, new_figure, size_for
+from .track import draw_track
 
-__all__ = ["draw_track", "plot_boxes", "plot_differences", "plot_laps", "plot_path"]
+__all__ = ["plot_boxes", "plot_differences", "plot_laps", "plot_path"]
 
 
 def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figure:
@@ -34,6 +36,8 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
     ------
     EvaluationError
         If the result has no traces.
+    ParameterError
+        If the color is another.
     """
     if color_by not in ("speed", "error"):
         raise ParameterError(f"color_by: expected speed or error, got {color_by!r}")
@@ -55,14 +59,13 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
     axes = figure.add_subplot(1, 1, 1)
     draw_track(axes, line, result.start_s)
     path = LineCollection(
-        np.concatenate(pieces).reshape(-1, 2, 2), cmap=colors, linewidths=1.6, zorder=3
+        np.concatenate(pieces).reshape(-1, 2, 2), cmap=colors, linewidths=2.2, zorder=3
     )
     path.set_array(values)
     path.set_clim(low, high if high > low else low + 1.0)
     axes.add_collection(path)
     axes.autoscale_view()
-    axes.set_title(title or _name(result))
-    axes.legend(loc="best", fontsize="small")
+    legend_above(axes, title or _name(result))
     figure.colorbar(path, ax=axes, label=label, fraction=0.04, pad=0.03)
     return finished(figure)
 
@@ -70,58 +73,57 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
 def plot_laps(result, title: str | None = None) -> Figure:
     """Lateral deviation and speed of each lap over the distance from the start line.
 
-    Stretches that do not count are drawn only if no lap counts.
+    Beside the speed stands the one commanded in the best lap or, where no commands were recorded,
+    the raceline's. Stretches that do not count are drawn only if no lap counts.
 
     Parameters
     ----------
-    result : RunResult
-        With traces.
-    title : str, optional
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    EvaluationError
-        If the result has no traces.
+    result, title
+        As for `plot_path`.
     """
     laps = _traced(result)
     laps = [lap for lap in laps if lap.valid] or laps
     line = result.raceline
-    figure = new_figure(9.5, 6.0)
+    figure = new_figure(9.5, 6.5)
     top = figure.add_subplot(2, 1, 1)
     bottom = figure.add_subplot(2, 1, 2, sharex=top)
-    for lap in laps:
-        trace = lap.trace
-        # With many laps only their bundle matters; the best one stands out.
-        style = {"color": COLORS[5], "lw": 0.9, "alpha": max(0.25, 1.0 / len(laps) ** 0.5)}
-        top.plot(trace.s, trace.d, **style)
-        bottom.plot(trace.s, trace.v, **style)
     complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
-    if complete:
-        best = min(complete, key=lambda lap: lap.lap_time_s)
+    best = min(complete, key=lambda lap: lap.lap_time_s) if complete else None
+    label = "other laps" if best else "driven"
+    for lap in laps:
+        if lap is not best:
+            # With many laps only their bundle matters; the best one stands out.
+            style = {"color": COLORS[5], "lw": 0.9, "alpha": max(0.25, 1.0 / len(laps) ** 0.5)}
+            _draw_lap(top, bottom, lap.trace, label=label, **style)
+            label = None
+    shown = best or laps[0]
+    if best:
         label = f"best lap, {best.lap_time_s:.3f} s"
-        top.plot(best.trace.s, best.trace.d, color=COLORS[0], lw=1.5, label=label)
-        bottom.plot(best.trace.s, best.trace.v, color=COLORS[0], lw=1.5, label=label)
-    top.axhline(0.0, color=RACELINE, lw=0.8)
-    if line.speed is not None:
+        _draw_lap(top, bottom, best.trace, label=label, color=COLORS[0], lw=1.5)
+    reference = {"color": COLORS[1], "lw": 1.2, "ls": "--"}
+    if np.isfinite(shown.trace.command).any():
+        bottom.plot(shown.trace.s, shown.trace.command, label="commanded in it", **reference)
+    elif line.speed is not None:
         s = np.linspace(0.0, line.length, 2 * line.n)
-        reference = line.sample(s + result.start_s).speed
-        bottom.plot(s, reference, color=COLORS[1], lw=1.2, ls="--", label="raceline")
+        label = "raceline, unscaled (no commands recorded)"
+        bottom.plot(s, line.sample(s + result.start_s).speed, label=label, **reference)
+    top.axhline(0.0, color=RACELINE, lw=0.8)
     top.set_ylabel("lateral deviation,\nleft positive [m]")
     bottom.set_ylabel("speed [m/s]")
     bottom.set_xlabel("distance from the start line [m]")
     bottom.set_xlim(0.0, line.length)
-    bottom.set_ylim(bottom=0.0)
     for axes in (top, bottom):
         axes.grid(alpha=0.25)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="best", fontsize="small")
     counted = f"{len(laps)} lap" + ("s" if len(laps) != 1 else "")
-    top.set_title(title or f"{_name(result)}: {counted}")
+    legend_above(top, title or f"{_name(result)}: {counted}")
+    legend_above(bottom)
     return finished(figure)
+
+
+def _draw_lap(top, bottom, trace, **style):
+    """Deviation and speed of a lap."""
+    top.plot(trace.s, trace.d, **style)
+    bottom.plot(trace.s, trace.v, **style)
 
 
 def plot_boxes(named_results, title: str | None = None) -> Figure:
@@ -173,11 +175,12 @@ def plot_boxes(named_results, title: str | None = None) -> Figure:
 
 
 def plot_differences(named_results, title: str | None = None) -> Figure:
-    """Lateral deviation of several runs over the distance, and the difference of their errors.
+    """Runs over the distance: lateral deviation, difference of errors, difference of time.
 
-    The error of a run at a place is the RMS of the deviation of its valid laps. The upper plot has
-    the mean deviation of each run and the band of its laps, the lower the errors of the other runs
-    minus the error of the first: above zero a run is worse there.
+    The upper plot has the mean deviation of each run and the band of its valid laps. The others
+    compare each further run with the first: the RMS of the deviation of its laps at a place, and
+    the time from the start line to there, on average over its laps. Above zero a run is worse, and
+    where the difference of time rises it is slower.
 
     Parameters
     ----------
@@ -198,45 +201,62 @@ def plot_differences(named_results, title: str | None = None) -> Figure:
     named = [entry for entry in named if entry[2] is not None]
     if len(named) < 2:
         raise EvaluationError("expected at least two runs with valid laps to compare over distance")
-    first_name, first, (s, _, first_error) = named[0]
+    first_name, first, reference = named[0]
     for name, result, _ in named[1:]:
         if not _same_raceline(first, result):
             raise EvaluationError(f"{name}: expected the raceline and start line of {first_name}")
-    figure = new_figure(10.0, 6.5)
-    top = figure.add_subplot(2, 1, 1)
-    bottom = figure.add_subplot(2, 1, 2, sharex=top)
-    for place, (name, _, (_, deviation, error)) in enumerate(named):
+    figure = new_figure(10.0, 9.0)
+    top, middle, bottom = (figure.add_subplot(3, 1, 1 + row) for row in range(3))
+    s = reference.s
+    for place, (name, _, run) in enumerate(named):
         color = COLORS[place % len(COLORS)]
-        top.fill_between(s, deviation.min(axis=0), deviation.max(axis=0), color=color, alpha=0.2)
-        rms = math.sqrt(float(np.mean(error**2)))
-        label = f"{name}: {len(deviation)} laps, RMS over distance {rms:.3f} m"
-        top.plot(s, deviation.mean(axis=0), color=color, lw=1.3, label=label)
-        if place:
-            bottom.plot(s, error - first_error, color=color, lw=1.3, label=f"{name} − {first_name}")
-            if len(named) == 2:
-                bottom.fill_between(s, 0.0, error - first_error, color=color, alpha=0.2)
-    for axes in (top, bottom):
+        low, high = run.deviation.min(axis=0), run.deviation.max(axis=0)
+        top.fill_between(s, low, high, color=color, alpha=0.2)
+        rms = math.sqrt(float(np.mean(run.error**2)))
+        label = f"{name}: {len(run.deviation)} laps, RMS over distance {rms:.3f} m"
+        top.plot(s, run.deviation.mean(axis=0), color=color, lw=1.3, label=label)
+        if not place:
+            continue
+        error, time = run.error - reference.error, run.time - reference.time
+        middle.plot(s, error, color=color, lw=1.3, label=f"{name} − {first_name}")
+        label = f"{name} − {first_name}: {time[-1]:+.3f} s per lap"
+        bottom.plot(s, time, color=color, lw=1.3, label=label)
+        if len(named) == 2:
+            middle.fill_between(s, 0.0, error, color=color, alpha=0.2)
+            bottom.fill_between(s, 0.0, time, color=color, alpha=0.2)
+    for axes in (top, middle, bottom):
         axes.axhline(0.0, color=RACELINE, lw=0.8)
         axes.grid(alpha=0.25)
-        axes.legend(loc="best", fontsize="small")
+        axes.set_xlim(0.0, first.raceline.length)
+    heading = title or "Deviation over the distance, differences of error and time"
+    for axes, text in ((top, heading), (middle, ""), (bottom, "")):
+        legend_above(axes, text, columns=2)
     top.set_ylabel("lateral deviation,\nleft positive [m]")
-    bottom.set_ylabel("difference of\nRMS error [m]")
+    middle.set_ylabel("difference of\nRMS error [m]")
+    bottom.set_ylabel("cumulative difference\nof time [s]")
     bottom.set_xlabel("distance from the start line [m]")
-    bottom.set_xlim(0.0, first.raceline.length)
-    top.set_title(title or "Deviation over the distance, and difference of errors")
     return finished(figure)
 
 
+class _OverDistance(NamedTuple):
+    """Distances [m], deviation of each valid lap there, its RMS, and mean time to there [s]."""
+
+    s: np.ndarray
+    deviation: np.ndarray
+    error: np.ndarray
+    time: np.ndarray
+
+
 def _over_distance(result):
-    """Distances [m], the deviation of each valid lap there, and their RMS; None without laps."""
-    laps = [lap for lap in result.laps if lap.valid and lap.trace is not None]
+    """The valid laps of a run over the distance; None without any."""
+    laps = [lap.trace for lap in result.laps if lap.valid and lap.trace is not None]
     if not laps:
         return None
     s = np.linspace(0.0, result.raceline.length, 2 * result.raceline.n)
-    deviation = np.array(
-        [np.interp(s, np.maximum.accumulate(lap.trace.s), lap.trace.d) for lap in laps]
-    )
-    return s, deviation, np.sqrt(np.mean(deviation**2, axis=0))
+    driven = [np.maximum.accumulate(trace.s) for trace in laps]
+    deviation = np.array([np.interp(s, at, trace.d) for at, trace in zip(driven, laps)])
+    time = np.array([np.interp(s, at, trace.t - trace.t[0]) for at, trace in zip(driven, laps)])
+    return _OverDistance(s, deviation, np.sqrt(np.mean(deviation**2, axis=0)), time.mean(axis=0))
 
 
 def _same_raceline(a, b):
@@ -247,37 +267,6 @@ def _same_raceline(a, b):
     s = np.linspace(0.0, one.length, 200)
     (x1, y1), (x2, y2) = (line.to_cartesian(s, np.zeros_like(s)) for line in (one, other))
     return float(np.max(np.hypot(x1 - x2, y1 - y2))) < 0.01
-
-
-def draw_track(axes, line, start_s=0.0):
-    """Walls, raceline and start line of a track, to scale.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-    line : Raceline
-    start_s : float
-        Arc length of the start line [m].
-    """
-    every = np.append(line.s, line.length)
-    curve = line.sample(every)
-    if curve.d_left is not None:
-        axes.plot(*line.to_cartesian(every, curve.d_left), color=WALL, lw=1.0, label="walls")
-        axes.plot(*line.to_cartesian(every, -curve.d_right), color=WALL, lw=1.0)
-    axes.plot(curve.x, curve.y, color=RACELINE, lw=0.8, ls="--", label="raceline", zorder=4)
-    reach = (0.5, 0.5) if curve.d_left is None else line.widths_at(start_s)
-    axes.plot(
-        *line.to_cartesian(np.full(2, start_s), np.array([reach[0], -reach[1]])),
-        color=COLORS[1],
-        lw=2.5,
-        label="start line",
-        zorder=5,
-    )
-    axes.set_aspect("equal")
-    axes.margins(0.04)
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-    axes.grid(alpha=0.25)
 
 
 def _traced(result):

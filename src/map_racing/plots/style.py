@@ -14,6 +14,7 @@ from typing import Iterator
 
 import numpy as np
 from matplotlib import style
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -26,6 +27,7 @@ __all__ = [
     "RACELINE",
     "WALL",
     "finished",
+    "legend_above",
     "new_figure",
     "own_settings",
     "save",
@@ -69,14 +71,32 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def finished(figure: Figure, top: float = 1.0) -> Figure:
-    """The figure with its layout; a title may stand above the share `top` of the height."""
+def finished(figure: Figure, top: float = 1.0, bottom: float = 0.0) -> Figure:
+    """The figure with its layout between two shares of the height, for a title and a legend."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")
         # Twice: new sizes of axes change their ticks, whose labels may need more room.
         for _ in range(2):
-            figure.tight_layout(rect=(0.0, 0.0, 1.0, top))
+            figure.tight_layout(rect=(0.0, bottom, 1.0, top))
     return figure
+
+
+def legend_above(axes: Axes, title: str = "", columns: int = 4) -> None:
+    """Title, and the legend in rows between it and the axes, where it hides no data."""
+    handles, labels = axes.get_legend_handles_labels()
+    rows = -(-len(handles) // columns)
+    axes.set_title(title, pad=6.0 + 15.0 * rows)
+    if handles:
+        axes.legend(
+            handles,
+            labels,
+            loc="lower center",
+            bbox_to_anchor=(0.5, 1.0),
+            borderaxespad=0.2,
+            ncol=columns,
+            fontsize="small",
+            frameon=False,
+        )
 
 
 def size_for(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:

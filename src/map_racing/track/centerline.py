@@ -60,7 +60,6 @@ def track_from_map(
     Returns
     -------
     Raceline
-        With `findings`.
 
     Raises
     ------

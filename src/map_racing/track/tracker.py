@@ -58,11 +58,9 @@ class RacelineTracker:
 
         Parameters
         ----------
-        x, y : float
-            Position [m].
-        psi : float, optional
-            Heading of the car [rad]. When the whole track is searched, a branch within 90 degrees
-            of it is preferred, if one is close enough.
+        x, y, psi
+            As for `Raceline.project`. Where the whole track is searched, a branch within 90
+            degrees of the heading is preferred, if one is close enough.
 
         Returns
         -------

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from moments import T0, TIMES, write
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -16,17 +17,6 @@ from map_racing.errors import BagError, RacelineError
 from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
-
-T0 = 1600000000.0
-TIMES = [T0 + 0.02 * i for i in range(50)]
-
-
-def write(path, fill):
-    with BagWriter(path) as bag:
-        for i, t in enumerate(TIMES):
-            fill(bag, i, t)
-    return path
-
 
 # -- choice of the pose --------------------------------------------------------------------------
 

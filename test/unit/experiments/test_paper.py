@@ -8,22 +8,9 @@ import pytest
 
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.results import Lap
+from map_racing.experiments import paper
 from map_racing.experiments.conditions import load_conditions
 from map_racing.experiments.jobs import RaceResult
-from map_racing.experiments.paper import (
-    CONTENDERS,
-    Race,
-    Setting,
-    highest_scales,
-    lap_frame,
-    on_common_days,
-    race_frame,
-    scaling_plan,
-    scaling_table,
-    single_plan,
-    tire_table,
-    tuning_plan,
-)
 from map_racing.simulation.plants import load_plant
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import linearized
@@ -42,7 +29,7 @@ def setting_of(conditions):
     plant = load_plant(conditions.plant)
     vehicle = plant.build_vehicle()
     raceline = load_raceline(conditions.track)
-    return Setting(conditions, raceline, plant, vehicle, linearized(vehicle))
+    return paper.Setting(conditions, raceline, plant, vehicle, linearized(vehicle))
 
 
 def stretch(number, time, rms, mean, largest, valid=True, duration=None):
@@ -70,7 +57,7 @@ def race(job_of, label, scale, seed, laps, last=None):
         stretches.append(stretch(len(laps) + 1, NAN, *last[1:], False, last[0]))
     outcome = "crashed" if last else "completed"
     result = RaceResult(outcome, tuple(stretches), 50.0)
-    return Race(label, scale, seed, job_of(seed=seed), result)
+    return paper.Race(label, scale, seed, job_of(seed=seed), result)
 
 
 @pytest.fixture
@@ -108,7 +95,7 @@ def carry_out(plan, answer):
 
 def test_speeds_rise_until_a_race_is_not_completed(setting):
     controller = load_controller_parameters("map_paper")
-    plan = scaling_plan(setting, MAP, controller, 4, 10, [0.6, 0.625, 0.65, 0.675, 0.7])
+    plan = paper.scaling_plan(setting, MAP, controller, 4, 10, [0.6, 0.625, 0.65, 0.675, 0.7])
     races, batches = carry_out(plan, ended_at(0.65))
     assert [job.scale for (job,) in batches] == [0.6, 0.625, 0.65]
     assert [race.result.completed for race in races] == [True, True, False]
@@ -119,13 +106,14 @@ def test_speeds_rise_until_a_race_is_not_completed(setting):
 
 def test_without_a_crash_the_last_scale_ends_it(setting):
     controller = load_controller_parameters("map_paper")
-    races, _ = carry_out(scaling_plan(setting, MAP, controller, 1, 1, [0.6, 0.7]), ended_at(2.0))
+    plan = paper.scaling_plan(setting, MAP, controller, 1, 1, [0.6, 0.7])
+    races, _ = carry_out(plan, ended_at(2.0))
     assert [race.scale for race in races] == [0.6, 0.7]
 
 
 def test_tire_models_are_raced_at_each_speed_whatever_happens(setting):
     controller = load_controller_parameters("map_linear_paper")
-    plan = single_plan(setting, "MAP linear", controller, 2, 5, (0.7, 0.8))
+    plan = paper.scaling_plan(setting, "MAP linear", controller, 2, 5, (0.7, 0.8), False)
     races, ((first, second),) = carry_out(plan, ended_at(0.5))
     assert [race.scale for race in races] == [0.7, 0.8] == [first.scale, second.scale]
     assert first.vehicle == setting.linear_vehicle != setting.vehicle
@@ -133,7 +121,7 @@ def test_tire_models_are_raced_at_each_speed_whatever_happens(setting):
 
 def test_tuning_races_on_practice_days_at_its_own_speed(setting):
     controller = load_controller_parameters("map_paper")
-    plan = tuning_plan(setting, MAP, controller)
+    plan = paper.tuning_plan(setting, MAP, controller)
     jobs = next(plan.steps)
     conditions, driven = setting.conditions, []
     laps = (stretch(1, 8.0, 0.1, 0.1, 0.1),)
@@ -165,12 +153,12 @@ def test_the_public_simulator_is_driven_at_the_center_of_gravity(setting):
 
 
 def test_contenders_are_those_of_the_paper_and_the_default():
-    assert [c.controller for c in CONTENDERS if c.tuned] == [
+    assert [c.controller for c in paper.CONTENDERS if c.tuned] == [
         "pure_pursuit_paper",
         "map_linear_paper",
         "map_paper",
     ]
-    for contender in CONTENDERS:
+    for contender in paper.CONTENDERS:
         parameters = load_controller_parameters(contender.controller)
         as_published = parameters.delay_s == 0.0 and parameters.speed_source == "command"
         assert as_published == contender.tuned
@@ -180,7 +168,7 @@ def test_contenders_are_those_of_the_paper_and_the_default():
 
 
 def test_rows_of_races(races):
-    frame = race_frame(races)
+    frame = paper.race_frame(races)
     keys = list(zip(frame.speed_scale, frame.controller, frame.seed))
     assert keys == [
         (0.7, PURE_PURSUIT, 1),
@@ -203,7 +191,7 @@ def test_rows_of_races(races):
 
 
 def test_scaling_table(races):
-    table = scaling_table(race_frame(races), lap_frame(races))
+    table = paper.scaling_table(paper.race_frame(races), paper.lap_frame(races))
     assert list(zip(table.speed_scale, table.controller)) == [
         (0.7, PURE_PURSUIT),
         (0.7, MAP),
@@ -224,27 +212,27 @@ def test_scaling_table(races):
 
 
 def test_a_scale_that_nobody_completed_is_a_row_without_values(races):
-    table = scaling_table(race_frame(races[2:3]), lap_frame(races[2:3]))
+    table = paper.scaling_table(paper.race_frame(races[2:3]), paper.lap_frame(races[2:3]))
     (row,) = table.itertuples()
     assert (row.days_completed, row.laps) == (0, 0)
     assert math.isnan(row.median_rms_lateral_error_m) and math.isnan(row.mean_lap_time_s)
 
 
 def test_tire_table(races):
-    table = tire_table(race_frame(races))
+    table = paper.tire_table(paper.race_frame(races))
     first, second, third = table.itertuples()
     assert first.mean_lap_time_s == pytest.approx(9.2)  # the crashed day does not count
     assert second.mean_lap_time_s == pytest.approx(8.3)
     assert second.mean_abs_lateral_error_m == pytest.approx((0.01498 + 0.03012) / 2, abs=2e-4)
     assert second.max_abs_lateral_error_m == 0.12
     assert third.days_completed == 1
-    until_the_crash = tire_table(race_frame(races[2:3])).iloc[0]
+    until_the_crash = paper.tire_table(paper.race_frame(races[2:3])).iloc[0]
     assert until_the_crash.days_completed == 0
     assert until_the_crash.mean_abs_lateral_error_m == pytest.approx(0.2)
 
 
 def test_highest_scales(races):
-    highest = highest_scales(race_frame(races))
+    highest = paper.highest_scales(paper.race_frame(races))
     assert list(highest.columns) == ["seed", PURE_PURSUIT, MAP]
     assert highest.seed.tolist() == [1, 2]
     assert math.isnan(highest[PURE_PURSUIT][0]) and highest[PURE_PURSUIT][1] == 0.7
@@ -252,7 +240,7 @@ def test_highest_scales(races):
 
 
 def test_two_controllers_on_days_that_both_completed(races):
-    against = on_common_days(race_frame(races), MAP, PURE_PURSUIT)
+    against = paper.on_common_days(paper.race_frame(races), MAP, PURE_PURSUIT)
     (row,) = against.itertuples()
     assert (row.speed_scale, row.days, row.days_closer) == (0.7, 1, 1)
     assert row.gain_s == pytest.approx(9.2 - 8.1)

@@ -116,10 +116,9 @@ def test_trajectories_end_where_they_crash(tmp_path, track):
     for axes in figure.axes:
         dashed = [ln for ln in axes.get_lines() if ln.get_label() == "raceline"]
         assert [ln.get_linestyle() for ln in dashed] == ["--"]
-        (arrow,) = axes.texts
-        begin, end = np.array(arrow.xyann), np.array(arrow.xy)
-        ahead = np.array([math.cos(line.psi[0]), math.sin(line.psi[0])])
-        assert np.dot(end - begin, ahead) == pytest.approx(np.linalg.norm(end - begin), rel=1e-6)
+        assert {"0 m", "10 m"} <= {text.get_text() for text in axes.texts}
+        (driven,) = [ln for ln in axes.get_lines() if ln.get_label() == "driven"]
+        assert driven.get_zorder() > dashed[0].get_zorder()
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert {"driven", "crash", "raceline", "walls"} <= set(names)
     save(figure, tmp_path / "trajectories.png")
@@ -156,6 +155,16 @@ def test_comparison(tmp_path):
     assert is_png(tmp_path / "comparison.png")
 
 
+def test_days_are_whole(tmp_path):
+    """Where all days but one were completed, the axis has no ticks in between."""
+    table = pd.DataFrame({"speed_scale": [0.7, 0.8], "controller": ["MAP"] * 2})
+    table["days_completed_a"], table["days_completed_b"] = [1, 1], [1, 2]
+    figure = plot_comparison(table, ["days_completed"], ("first", "second"), "title")
+    figure.canvas.draw()
+    ticks = figure.axes[0].get_yticks()
+    assert all(float(tick).is_integer() for tick in ticks)
+
+
 def test_difference_of_known_errors(tmp_path, track):
     """One car 0.1 m to the left, the other 0.3 m to the right in half of the track."""
     line = track.raceline(speed=6.0, walls=1.0)
@@ -166,7 +175,7 @@ def test_difference_of_known_errors(tmp_path, track):
     )
     a, b = (evaluate(recording(track, d), line) for d in offsets)
     figure = plot_differences([("a", a), ("b", b)])
-    top, bottom = figure.axes
+    top, bottom, _ = figure.axes
     s, difference = bottom.get_lines()[0].get_data()
     inner = (s > 1.0) & (s < half - 1.0)
     outer = (s > half + 1.0) & (s < track.length - 1.0)
@@ -178,6 +187,29 @@ def test_difference_of_known_errors(tmp_path, track):
     assert labels[0] == "a: 2 laps, RMS over distance 0.100 m"
     save(figure, tmp_path / "difference.png")
     assert is_png(tmp_path / "difference.png")
+
+
+def test_the_difference_of_time_grows_where_a_car_is_slower(track):
+    """5 m/s everywhere, against 4 m/s in the first half and 5 m/s in the second."""
+    line = track.raceline(speed=6.0)
+    half = 0.5 * track.length
+    runs = []
+    for slow in (5.0, 4.0):
+        lap = half / slow + half / 5.0
+        t = np.arange(0.0, 2.5 * lap, 0.02)
+        laps, within = np.divmod(t, lap)
+        s = np.interp(within, [0.0, half / slow, lap], [0.0, half, track.length])
+        x, y, psi = track.place(s)
+        nan = np.full(t.size, math.nan)
+        runs.append(evaluate(Recording(t - 0.5, x, y, psi, nan, nan, nan), line))
+    figure = plot_differences([("fast", runs[0]), ("slow", runs[1])])
+    *_, bottom = figure.axes
+    s, difference = bottom.get_lines()[0].get_data()
+    expected = np.minimum(s, half) * (1.0 / 4.0 - 1.0 / 5.0)
+    np.testing.assert_allclose(difference, expected, atol=5e-3)
+    (label,) = [text.get_text() for text in bottom.get_legend().get_texts()]
+    assert label.startswith("slow − fast: +") and label.endswith(" s per lap")
+    assert float(label.split()[-4]) == pytest.approx(half / 20.0, abs=2e-3)
 
 
 def test_differences_need_one_track_and_laps(track):

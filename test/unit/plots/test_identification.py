@@ -58,9 +58,11 @@ def test_prediction(runs):
     measured = np.column_stack((np.linspace(-2.0, 2.0, 36), np.linspace(-5.0, 5.0, 36)))
     predicted = 1.03 * measured
     predicted[3] = np.nan
-    yaw, lateral = plot_prediction(names, measured, predicted).axes
+    figure = plot_prediction(names, measured, predicted)
+    yaw, lateral = figure.axes
     assert "yaw rate" in yaw.get_xlabel() and "m/s²" in lateral.get_ylabel()
-    labels = [text.get_text() for text in yaw.get_legend().get_texts()]
+    (legend,) = figure.legends  # one for both, beneath them
+    labels = [text.get_text() for text in legend.get_texts()]
     assert {"±5 %", "±10 %"} < set(labels) and len(labels) == runs + 2
     styles = {
         (line.get_marker(), line.get_color()) for line in yaw.lines if line.get_ls() == "None"

@@ -6,6 +6,7 @@ import pytest
 from map_racing.plots.optimization import plot_optimized
 from map_racing.plots.style import save
 from map_racing.track.files.load import load_raceline
+from map_racing.track.map_image import MapImage
 from map_racing.track.raceline import Raceline
 from map_racing.track.walls import Walls
 
@@ -25,8 +26,11 @@ def test_line_walls_curvature_and_speed(tmp_path, track, wide):
     path = track.collections[-1]
     np.testing.assert_allclose(path.get_array(), line.speed)
     assert [len(axes.lines) for axes in (bends, speeds)] == [3, 1]
-    np.testing.assert_allclose(bends.lines[1].get_ydata(), line.kappa)
-    np.testing.assert_allclose(speeds.lines[0].get_ydata(), line.speed)
+    for axes, values in ((bends, line.kappa), (speeds, line.speed)):
+        drawn = axes.lines[-2 if axes is bends else -1]
+        np.testing.assert_allclose(drawn.get_xdata(), line.s)
+        np.testing.assert_allclose(drawn.get_ydata(), values)
+    assert speeds.get_xlabel() == "distance along the optimized line [m]"
     save(figure, tmp_path / "figure.png")
     renderer = figure.canvas.get_renderer()
     for axes in figure.axes:  # nothing is cut off
@@ -34,3 +38,27 @@ def test_line_walls_curvature_and_speed(tmp_path, track, wide):
         assert box.x0 >= 0.0 and box.y0 >= 0.0
         assert box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
     assert (tmp_path / "figure.png").stat().st_size > 20000
+
+
+def test_the_middle_line_stands_where_it_is_beside_the_line():
+    """The middle of a bend is there in both, though the middle line is longer."""
+    line = load_raceline("club")
+    wide = Raceline(*line.to_cartesian(line.s, np.full(line.n, -1.2)))
+    figure = plot_optimized(line, wide, Walls(line))
+    middle, optimized = figure.axes[1].lines[:2]
+    bend = np.argmax(line.kappa)
+    assert optimized.get_xdata()[bend] == line.s[bend]
+    at = middle.get_xdata()
+    assert np.all(np.diff(at) >= 0.0) and at[0] >= 0.0 and at[-1] <= line.length
+    # A curve 1.2 m further out turns as much over the same stretch of the line.
+    expected = line.sample(at).kappa / (1.0 + 1.2 * line.sample(at).kappa)
+    np.testing.assert_allclose(middle.get_ydata(), expected, atol=0.01)
+
+
+def test_the_map_lies_beneath():
+    line = load_raceline("reference")
+    image = MapImage(np.ones((400, 500), dtype=bool), 0.05, (-8.0, -5.0, 0.1), "hall.yaml", ())
+    with_map, without = (plot_optimized(line, line, Walls(line), image=i) for i in (image, None))
+    assert len(with_map.axes[0].images) == 1 and not without.axes[0].images
+    assert with_map.axes[0].images[0].get_zorder() == 0
+    assert with_map.axes[0].get_xlim() == without.axes[0].get_xlim()

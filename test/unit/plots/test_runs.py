@@ -1,10 +1,11 @@
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from matplotlib import pyplot
 
-from map_racing.bags.samples import Recording
+from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, MapRacingError, ParameterError
 from map_racing.evaluation.laps import LapEvaluator, evaluate
 from map_racing.plots.runs import plot_boxes, plot_laps, plot_path
@@ -54,11 +55,46 @@ def test_path_begins_at_the_moved_start_line(driven, track):
     assert middle == pytest.approx(line.position(7.0), abs=1e-6)
 
 
+def test_the_path_is_drawn_over_the_raceline(result):
+    axes = plot_path(result, "error").axes[0]
+    (raceline,) = [ln for ln in axes.get_lines() if ln.get_label() == "raceline"]
+    assert axes.collections[0].get_zorder() > raceline.get_zorder()
+
+
+@pytest.mark.parametrize("plot", [plot_laps, plot_path])
+def test_legends_are_off_the_data(result, plot):
+    figure = plot(result)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        if legend:
+            inside = axes.get_window_extent()
+            assert not inside.overlaps(legend.get_window_extent())
+
+
+def test_the_speed_stands_beside_its_command(driven, track):
+    """Not the raceline's 6 m/s: the controller commanded 4 m/s; and the axis shows 3 to 6 m/s."""
+    count = driven.t.size
+    commands = Commands(driven.t, np.zeros(count), np.full(count, 4.0))
+    slow = dataclasses.replace(driven, v_x=4.0 + np.sin(driven.t), commands=commands)
+    bottom = plot_laps(evaluate(slow, track.raceline(speed=6.0))).axes[1]
+    labels = [text.get_text() for text in bottom.get_legend().get_texts()]
+    assert labels[-1] == "commanded in it" and "best lap" in labels[-2]
+    np.testing.assert_allclose(bottom.get_lines()[-1].get_ydata(), 4.0)
+    low, high = bottom.get_ylim()
+    assert 2.7 < low < 3.1 and 4.9 < high < 5.3
+
+
+def test_without_commands_the_raceline_is_named_as_that(result):
+    labels = [text.get_text() for text in plot_laps(result).axes[1].get_legend().get_texts()]
+    assert labels[-1] == "raceline, unscaled (no commands recorded)"
+
+
 def test_laps(tmp_path, result):
     figure = plot_laps(result)
     top, bottom = figure.axes
-    # One line per valid lap, the best one again on top, and the axis or the raceline.
-    assert len(top.get_lines()) == 2 + 1 + 1
+    # One line per valid lap, the best one on top, and the axis or the raceline.
+    assert len(top.get_lines()) == 2 + 1
     assert bottom.get_xlabel() == "distance from the start line [m]"
     save(figure, tmp_path / "laps.png")
     assert is_png(tmp_path / "laps.png")

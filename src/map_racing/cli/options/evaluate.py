@@ -2,6 +2,8 @@
 
 import argparse
 
+from .shared import add_number
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
@@ -35,20 +37,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="arc length of the start line on the raceline [m] (default: its first point)",
     )
-    parser.add_argument(
-        "--car-width",
-        type=float,
-        default=0.3,
-        metavar="M",
-        help="car width, for the clearance to the walls [m] (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--sectors",
-        type=int,
-        default=3,
-        metavar="N",
-        help="number of timed sectors in CSV and JSON (default: %(default)s)",
-    )
+    width = "car width, for the clearance to the walls [m]"
+    add_number(parser, "--car-width", 0.3, width, metavar="M")
+    add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     parser.add_argument(
         "--max-deviation",
         type=float,

@@ -2,7 +2,7 @@
 
 import argparse
 
-from .shared import add_effort_options, add_grid_options, add_shared_options
+from .shared import add_effort_options, add_grid_options, add_number, add_shared_options
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -21,16 +21,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "race day until they are not completed.",
     )
     add_race_options(scaling)
-    scaling.add_argument(
-        "--laps", type=int, default=10, help="timed laps of a race (default: %(default)s)"
-    )
-    scaling.add_argument(
-        "--to",
-        type=float,
-        default=1.5,
-        metavar="SCALE",
-        help="last scale, unless all crash before (default: %(default)s)",
-    )
+    add_number(scaling, "--laps", 10, "timed laps of a race")
+    add_number(scaling, "--to", 1.5, "last scale, unless all crash before", metavar="SCALE")
     scaling.set_defaults(run="experiment.run_scaling")
 
     tires = kinds.add_parser(
@@ -40,9 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "80 % of the raceline's speeds.",
     )
     add_race_options(tires)
-    tires.add_argument(
-        "--laps", type=int, default=5, help="timed laps of a race (default: %(default)s)"
-    )
+    add_number(tires, "--laps", 5, "timed laps of a race")
     tires.set_defaults(run="experiment.run_tires")
 
     robustness = kinds.add_parser(

@@ -4,6 +4,7 @@ import argparse
 
 from ...identification.limits import SteadyLimits
 from ...resources import list_config
+from .shared import add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -44,19 +45,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="take the steering angle from the servo position (std_msgs/Float64) instead of the "
         "drive command",
     )
-    parser.add_argument(
-        "--servo-gain",
-        type=float,
-        default=-1.2135,
-        help="position = gain * angle + offset, as in the configuration of the VESC (default: "
-        "%(default)s)",
-    )
-    parser.add_argument(
-        "--servo-offset",
-        type=float,
-        default=0.5304,
-        help="offset of the same (default: %(default)s)",
-    )
+    servo = "position = gain * angle + offset, as in the configuration of the VESC"
+    add_number(parser, "--servo-gain", -1.2135, servo)
+    add_number(parser, "--servo-offset", 0.5304, "offset of the same")
     parser.add_argument(
         "--steering-delay",
         type=float,
@@ -88,21 +79,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "angle as in the paper (default: %(default)s)",
     )
     limits = SteadyLimits()
-    for option, name, what in (
+    for option, name, meaning in (
         ("--cutoff", "cutoff_hz", "cutoff frequency of the low-pass [Hz]"),
         ("--steady-dv", "dv_mps2", "largest steady rate of speed [m/s^2]"),
         ("--steady-dr", "dr_radps2", "largest steady rate of yaw rate [rad/s^2]"),
         ("--steady-ddelta", "ddelta_radps", "largest steady rate of steering angle [rad/s]"),
         ("--steady-time", "shortest_s", "shortest steady segment [s]"),
     ):
-        parser.add_argument(
-            option,
-            dest=name,
-            type=float,
-            default=getattr(limits, name),
-            metavar="X",
-            help=f"{what} (default: %(default)s)",
-        )
+        add_number(parser, option, getattr(limits, name), meaning, dest=name, metavar="X")
     parser.add_argument("--json", metavar="FILE", help="write the report as JSON")
     parser.add_argument("--plots", metavar="DIR", help="write figures")
     parser.set_defaults(run="identify.run")

@@ -3,6 +3,7 @@
 import argparse
 
 from ...resources import list_config
+from .shared import add_number
 
 KINDS = ("tracks", "controllers", "plants", "vehicles")
 
@@ -43,15 +44,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of the public stack"
     )
-    parser.add_argument("--laps", type=int, default=5, help="timed laps (default: %(default)s)")
+    add_number(parser, "--laps", 5, "timed laps")
     parser.add_argument(
         "--speed-scale",
         type=float,
         help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); its "
         "grip_use bounds them further",
     )
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"
-    )
+    add_number(parser, "--seed", 1, "seed of the noise")
     parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
     parser.set_defaults(run="race.run")

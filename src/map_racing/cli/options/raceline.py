@@ -4,6 +4,7 @@ import argparse
 import re
 
 from ...track.files.formats import FORMATS
+from .shared import add_number
 
 SOURCE = (
     "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
@@ -111,13 +112,7 @@ def add_optimize(actions):
     line.add_argument(
         "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
     )
-    line.add_argument(
-        "--margin",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="between the car's side and the walls [m] (default: %(default)s)",
-    )
+    add_number(line, "--margin", 0.1, "between the car's side and the walls [m]", metavar="M")
     line.add_argument(
         "--compare",
         metavar="FILE",
@@ -129,39 +124,18 @@ def add_optimize(actions):
         action="store_true",
         help="least squared curvature, even where a shorter line is faster",
     )
-    line.add_argument(
-        "--step",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="distance of the points that are moved [m] (default: %(default)s)",
-    )
+    add_number(line, "--step", 0.1, "distance of the points that are moved [m]", metavar="M")
 
     speed = parser.add_argument_group("speed")
     speed.add_argument(
         "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
     )
-    speed.add_argument(
-        "--lateral-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of the lateral acceleration to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--longitudinal-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="share of driving and braking to use (default: %(default)s)",
-    )
-    speed.add_argument(
-        "--speed-scale",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="scale of the speeds that result (default: %(default)s)",
-    )
+    for option, meaning in (
+        ("--lateral-scale", "share of the lateral acceleration to use"),
+        ("--longitudinal-scale", "share of driving and braking to use"),
+        ("--speed-scale", "scale of the speeds that result"),
+    ):
+        add_number(speed, option, 1.0, meaning, metavar="S")
     speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
     speed.add_argument(
         "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"

@@ -4,6 +4,7 @@ import argparse
 
 from ...control.steering_ramp import RampParameters
 from ...resources import list_config
+from .shared import add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -27,23 +28,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="V",
         help="speeds [m/s], one ramp after the other (default: 2)",
     )
-    for option, name, what in (
+    for option, name, meaning in (
         ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
         ("--start", "start_rad", "steering angle at the beginning [rad]"),
         ("--limit", "limit_rad", "steering angle at the end [rad]"),
     ):
-        parser.add_argument(
-            option,
-            dest=name,
-            type=float,
-            default=getattr(defaults, name),
-            metavar="X",
-            help=f"{what} (default: %(default)s)",
-        )
+        add_number(parser, option, getattr(defaults, name), meaning, dest=name, metavar="X")
     parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"
-    )
+    add_number(parser, "--seed", 1, "seed of the noise")
     parser.add_argument(
         "--compression",
         choices=("lz4", "bz2", "none"),

@@ -1,10 +1,16 @@
-"""Options of all commands that run many races."""
+"""Options that several commands have."""
 
 import argparse
 
 from ...resources import list_config
 
-__all__ = ["add_effort_options", "add_grid_options", "add_shared_options"]
+__all__ = ["add_effort_options", "add_grid_options", "add_number", "add_shared_options"]
+
+
+def add_number(parser, option: str, default: float, meaning: str, **settings) -> None:
+    """Add an option that takes a number of the type of its default, which the help names."""
+    text = f"{meaning} (default: %(default)s)"
+    parser.add_argument(option, type=type(default), default=default, help=text, **settings)
 
 
 def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> None:

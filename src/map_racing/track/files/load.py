@@ -30,7 +30,6 @@ def load_raceline(source: str | Path) -> Raceline:
     Returns
     -------
     Raceline
-        With `findings`.
 
     Raises
     ------

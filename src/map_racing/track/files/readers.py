@@ -122,7 +122,6 @@ def raceline_from_columns(
     Returns
     -------
     Raceline
-        With `findings`.
 
     Raises
     ------

@@ -92,14 +92,12 @@ def write_raceline_file(path: str | Path, line: RacelineColumns, form: str) -> N
         Replaced in one step if it exists.
     line : RacelineColumns
     form : str
-        One of `FORMATS`, except bag, which `map_racing.track.files.load.save_raceline` writes.
+        One of `FORMATS`, except bag.
 
     Raises
     ------
-    RacelineError
-        If the raceline lacks what the format needs.
-    MapRacingError
-        If the file cannot be written.
+    RacelineError, MapRacingError
+        As by `map_racing.track.files.load.save_raceline`, which also writes bags.
     """
     text = _WRITERS[form](line, str(path))
     with replacing(path) as file:

@@ -1,0 +1,139 @@
+"""Tracks to scale: walls, raceline, start line, direction and distances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.transforms import Affine2D
+
+from ..track.map_image import MapImage
+from ..track.raceline import Raceline
+from .style import RACELINE, WALL
+
+__all__ = ["draw_distances", "draw_map", "draw_track", "draw_walls"]
+
+START = "k"
+_NOT_FREE = 0.82  # gray of what a map has as wall or unknown
+_MOST_CELLS = 2000  # of a map in each direction; more cannot be seen
+
+
+def draw_track(axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12) -> None:
+    """Walls, raceline, start line, direction and distances, to scale.
+
+    Paths drawn over it with a ``zorder`` of 3 or more hide the raceline, never the other way round.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    line : Raceline
+    start_s : float, optional
+        Arc length of the start line [m].
+    most_marks : int, optional
+        Largest number of marks of the distance.
+    """
+    draw_walls(axes, line)
+    every = line.sample(np.append(line.s, line.length))
+    axes.plot(every.x, every.y, color=RACELINE, lw=0.8, ls="--", label="raceline", zorder=2)
+    draw_distances(axes, line, start_s, most_marks)
+
+
+def draw_walls(axes: Axes, line: Raceline) -> None:
+    """Both walls, where the raceline has them, with axes to scale."""
+    s = np.append(line.s, line.length)
+    if line.d_left is not None:
+        curve = line.sample(s)
+        axes.plot(*line.to_cartesian(s, curve.d_left), color=WALL, lw=1.0, label="walls")
+        axes.plot(*line.to_cartesian(s, -curve.d_right), color=WALL, lw=1.0)
+    axes.set_aspect("equal")
+    axes.margins(0.08)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.25)
+
+
+def draw_distances(axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12) -> None:
+    """Start line, and outside of the track the distance from it and arrows in driving direction.
+
+    Parameters
+    ----------
+    axes, line, start_s, most_marks
+        See `draw_track`.
+    """
+    size = max(float(np.ptp(line.x)), float(np.ptp(line.y)))
+    left, right = (0.02 * size,) * 2 if line.d_left is None else line.widths_at(start_s)
+    ends = line.to_cartesian(np.full(2, start_s), np.array([left, -right]))
+    axes.plot(*ends, color=START, lw=2.5, solid_capstyle="butt", label="start line", zorder=5)
+
+    # Outside: to the right of a lap that is driven counter-clockwise.
+    side = -1.0 if float(np.sum(line.kappa)) > 0.0 else 1.0
+    step = _round_step(line.length / most_marks)
+    marks = np.arange(0.0, line.length - 0.2 * step, step)
+    for distance in marks:
+        x, y = _beside(line, start_s + distance, side, 0.012 * size)
+        axes.plot(x, y, color=START, lw=1.0, zorder=4)
+        x, y = _beside(line, start_s + distance, side, 0.035 * size)
+        text = {"ha": "center", "va": "center", "fontsize": "x-small", "color": "0.25"}
+        axes.text(x[1], y[1], f"{distance:g} m", clip_on=True, zorder=4, **text)
+    for distance in marks[:: max(1, math.ceil(marks.size / 4))] + 0.5 * step:
+        x, y = _beside(line, start_s + distance, side, 0.03 * size)
+        psi, reach = line.pose(start_s + distance).psi, 0.025 * size
+        along = reach * math.cos(psi), reach * math.sin(psi)
+        axes.annotate(
+            "",
+            xy=(x[1] + along[0], y[1] + along[1]),
+            xytext=(x[1] - along[0], y[1] - along[1]),
+            arrowprops={"arrowstyle": "-|>", "color": START, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
+            zorder=4,
+        )
+
+
+def _round_step(least):
+    """The smallest 1, 2 or 5 times a power of ten that is at least so large."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= least)
+
+
+def _beside(line, s, side, beyond):
+    """From the wall of a side, or the raceline, outward by a distance [m]."""
+    wall = 0.0 if line.d_left is None else line.widths_at(s)[0 if side > 0.0 else 1]
+    return line.to_cartesian(np.full(2, s), side * np.array([wall, wall + beyond]))
+
+
+def draw_map(axes: Axes, image: MapImage) -> None:
+    """Draw a map beneath what is in the axes, without changing what they show.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    image : MapImage
+        What is not free is gray.
+    """
+    limits = axes.get_xlim(), axes.get_ylim()
+    axes.set_facecolor(str(_NOT_FREE))  # beyond the image all is unknown
+    corners = image.to_cells([(x, y) for x in limits[0] for y in limits[1]])
+    rows, columns = image.free.shape
+    left, low = (max(0, int(math.floor(value)) - 1) for value in corners.min(axis=0))
+    right, high = (int(math.ceil(value)) + 2 for value in corners.max(axis=0))
+    right, high = min(right, columns), min(high, rows)
+    if right > left and high > low:
+        stride = max(1, -(-max(right - left, high - low) // _MOST_CELLS))
+        shown = image.free[low:high:stride, left:right:stride]
+        cell = image.resolution
+        x0, y0, yaw = image.origin
+        width, height = (stride * cell * count for count in shown.shape[::-1])
+        axes.imshow(
+            np.where(shown, 1.0, _NOT_FREE),
+            cmap="gray",
+            vmin=0.0,
+            vmax=1.0,
+            origin="lower",
+            interpolation="nearest",
+            extent=(left * cell, left * cell + width, low * cell, low * cell + height),
+            transform=Affine2D().rotate(yaw).translate(x0, y0) + axes.transData,
+            zorder=0,
+        )
+    axes.set_xlim(*limits[0])
+    axes.set_ylim(*limits[1])
+    axes.set_aspect("equal")
