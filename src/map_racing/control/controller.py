@@ -26,6 +26,7 @@ from .steering import AckermannSteering
 __all__ = [
     "ControlResult",
     "Controller",
+    "SideslipEstimate",
     "Status",
     "build_controller",
     "build_steering_map",
@@ -127,7 +128,7 @@ class Controller:
 
     def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None, grip=None):
         self.vehicle = vehicle
-        self._estimate_v_y = _SideslipEstimate(
+        self._estimate_v_y = SideslipEstimate(
             vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         )
         self._setup = self._guard = None
@@ -414,7 +415,7 @@ def _plan_key(setup):
     )
 
 
-class _SideslipEstimate:
+class SideslipEstimate:
     """Steady-state lateral velocity of a point of the car from speed and yaw rate.
 
     The slip angle of the rear axle follows from its share of ``a = v r``; axle loads cancel,
