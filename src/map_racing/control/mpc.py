@@ -11,32 +11,26 @@ controller's `SpeedPlan`; states are relative to the raceline::
     r'   = (l_f F_yf - l_r F_yr) / I_z
     delta' = u                         the input, up to the servo's rate
 
-The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost of a
-stage is ``d^2 + (w_h d' / v)^2 + (w_u u)^2``: lateral error, direction of motion, and steering rate,
-all in meters. The program has the rates alone as its variables and is solved by OSQP.
+The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost
+of a stage is ``d^2 + (w_h d' / v)^2 + (w_u u)^2``: lateral error, direction of motion, and steering
+rate, all in meters. The program has the rates alone as its variables and is solved by OSQP.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, fields, replace
-from time import thread_time
 
 import numpy as np
 
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
-from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.single_track import V_EPS, axle_loads, single_track_derivatives
 from .controller import ControlResult, SideslipEstimate, Status, build_steering_map
-from .parameters import ControllerParameters
 from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, moved, predicted
 
-__all__ = ["ModelPredictiveController", "MpcParameters"]
-
-MODELS = ("single_track", "kinematic")
+__all__ = ["ModelPredictiveController"]
 
 # Slowest speed of the prediction [m/s]: at standstill nothing can be steered.
 SLOWEST = 1.0
@@ -49,58 +43,10 @@ PREDICTION_STEP = 0.005
 FARTHEST_ERROR, LARGEST_TURN = 3.0, 1.2
 
 
-def _as_in_map(name):
-    """The field of `ControllerParameters` of this name: the same meaning, range and default."""
-    known = {f.name: f for f in fields(ControllerParameters)}[name]
-    return field(default=known.default, metadata=known.metadata)
-
-
-@documented
-@dataclass(frozen=True)
-class MpcParameters:
-    """All that tunes a model predictive controller; a file in ``config/controllers`` with
-    ``law: mpc`` holds the same names.
-    """
-
-    model: str = parameter(
-        "Model of the prediction: tires of the vehicle, or kinematics", choices=MODELS
-    )
-    heading_weight_m: float = parameter(
-        "Lateral error [m] that costs as much as a direction of motion 1 rad off the raceline's",
-        "m",
-        low=0.0,
-        high=10.0,
-    )
-    steering_rate_weight_ms: float = parameter(
-        "Lateral error [m] that costs as much as a steering rate of 1 rad/s", "m s", low=POSITIVE, high=10.0
-    )
-    stages: int = parameter("Stages of the horizon", low=5, high=100, default=20)
-    stage_s: float = parameter("Length of a stage", "s", low=0.01, high=0.2, default=0.05)
-    iterations: int = parameter(
-        "Most iterations of the solver in a step", low=10, high=10000, default=100
-    )
-    delay_s: float = _as_in_map("delay_s")
-    speed_lookahead_s: float = _as_in_map("speed_lookahead_s")
-    speed_scale: float = _as_in_map("speed_scale")
-    v_max_mps: float = _as_in_map("v_max_mps")
-    grip_use: float = _as_in_map("grip_use")
-    a_drive_max_mps2: float = _as_in_map("a_drive_max_mps2")
-    a_brake_max_mps2: float = _as_in_map("a_brake_max_mps2")
-    reference_point: str = _as_in_map("reference_point")
-
-    def __post_init__(self):
-        check(self)
-
-    def with_(self, **changes) -> MpcParameters:
-        """A checked copy with some values changed."""
-        return replace(self, **changes)
-
-
 class ModelPredictiveController:
     """Steers by a quadratic program over the next second; its speeds are those of the plan.
 
-    It has the interface of `controller.Controller` as far as races need it. What it measures of
-    itself is in `work`.
+    It has the interface of `controller.Controller` as far as races need it.
 
     Parameters
     ----------
@@ -113,8 +59,8 @@ class ModelPredictiveController:
 
     Attributes
     ----------
-    work : Work
-        Processor time and outcome of the steps since the beginning.
+    failures : int
+        Steps whose program was not solved; they followed the last plan.
 
     Raises
     ------
@@ -125,7 +71,9 @@ class ModelPredictiveController:
     def __init__(self, parameters, vehicle, raceline, sectors=None):
         self.parameters, self.vehicle, self.raceline = parameters, vehicle, raceline
         self.plan = None
-        self._speed = requested_speed(raceline, parameters, sectors) if raceline.speed is not None else None
+        self._speed = (
+            requested_speed(raceline, parameters, sectors) if raceline.speed is not None else None
+        )
         if parameters.grip_use:
             grip = build_steering_map("table", vehicle, parameters.v_max_mps)
             self.plan = SpeedPlan(raceline, parameters, grip, sectors)
@@ -144,7 +92,7 @@ class ModelPredictiveController:
         kind = _SingleTrack if parameters.model == "single_track" else _Kinematic
         self._model = kind(vehicle, self._ahead)
         self._program = _Program(parameters, vehicle, self._model.size)
-        self.work = Work()
+        self.failures = 0
         self.reset()
 
     def planned_speed(self, s):
@@ -158,16 +106,10 @@ class ModelPredictiveController:
         self._tracker.reset()
         self._program.reset()
         self._commands = deque(maxlen=64)  # (time at which it acts, angle)
-        self._last_t, self._angle, self._failures = None, 0.0, 0
+        self._last_t, self._angle = None, 0.0
 
     def step(self, state):
         """Compute one command; see `controller.Controller.step`."""
-        began = thread_time()
-        result = self._step(state)
-        self.work.times.append(thread_time() - began)
-        return result
-
-    def _step(self, state):
         parameters, vehicle = self.parameters, self.vehicle
         t, x, y, psi, v_x, v_y, r = state
         if not all(map(math.isfinite, (t, x, y, psi, v_x, r))):
@@ -189,8 +131,7 @@ class ModelPredictiveController:
         rates, solved = self._program.solve(
             self._model, self._model.state(d, turned, center, angle), *self._stages(s, state.v_x)
         )
-        self.work.steps += 1
-        self.work.failed += not solved
+        self.failures += not solved
         period = 0.025 if self._last_t is None else min(max(t - self._last_t, 0.005), 0.05)
         self._last_t = t
         limit = vehicle.delta_max
@@ -198,9 +139,7 @@ class ModelPredictiveController:
         self._commands.append((t + parameters.delay_s, self._angle))
         nothing = (math.nan,) * 3
         a_lat = state.v_x * state.r
-        return ControlResult(
-            self._angle, speed, status, state, s, d, *nothing, math.nan, a_lat
-        )
+        return ControlResult(self._angle, speed, status, state, s, d, *nothing, math.nan, a_lat)
 
     def _read(self, profile, s):
         """A profile at arc lengths [m]."""
@@ -253,23 +192,6 @@ class ModelPredictiveController:
                 y += half * (v_x * math.sin(psi) + v_y * math.cos(psi))
             t += dt
         return moved(CarState(t, x, y, psi, v_x, v_y, r), self._ahead), last
-
-
-@dataclass
-class Work:
-    """What the steps of a controller cost.
-
-    Parameters
-    ----------
-    steps, failed : int
-        Programs, and those that were not solved: the last plan was followed.
-    times : list of float
-        Processor time of each step [s].
-    """
-
-    steps: int = 0
-    failed: int = 0
-    times: list = field(default_factory=list)
 
 
 class _SingleTrack:
@@ -356,9 +278,7 @@ class _Program:
         try:
             import osqp
         except ImportError:
-            raise ParameterError(
-                "law mpc: needs OSQP; pip install 'map_racing[rivals]'"
-            ) from None
+            raise ParameterError("law mpc: needs OSQP; pip install 'map_racing[rivals]'") from None
         from scipy import sparse
 
         self._parameters, self._vehicle, self._size = parameters, vehicle, size

@@ -207,7 +207,8 @@ class Session(Races):
         scale = self.setting.conditions.tuning_scale
         for label, (stem, _) in controllers.items():
             found = tuned[label]
-            pair = found.controller.m_m, found.controller.q_s
+            names = found.controller.TUNED
+            pair = tuple(getattr(found.controller, name) for name in names)
             save_controller_parameters(found.controller, folder / f"{stem}.yaml")
             frame = frame_of(found)
             with replacing(folder / f"{stem}.csv") as file:
@@ -215,11 +216,11 @@ class Session(Races):
             title = f"Tuning {label}: {self.where}, {scale:.0%} speed"
             error = [pair.error for pair in found.pairs]
             with own_settings():
-                figure = plot_tuning(frame.m_m, frame.q_s, error, pair, title)
+                figure = plot_tuning(*(frame[n] for n in names), error, pair, title, names)
                 save(figure, self.figures / f"tuning_{stem}.png")
             infeasible = sum(map(math.isinf, error))
             print(
-                f"tuned {label}: L_d = {pair[0]:g} m + {pair[1]:g} s v, RMS error "
+                f"tuned {label}: {names[0]} {pair[0]:g}, {names[1]} {pair[1]:g}, RMS error "
                 f"{found.error:.4f} m at {scale:.0%} speed; {len(error)} pairs, {infeasible} of "
                 "them not completed"
             )

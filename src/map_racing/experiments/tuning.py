@@ -3,8 +3,8 @@
 The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
 races that are driven with a candidate. One with which any of them is not completed is infeasible.
 
-`tune` finds the lookahead ``L_d = m + q v`` for one track, with a race on each of several days. A
-coarse grid finds the valley, a pattern search (Hooke and Jeeves, with all eight neighbors) its
+`tune` finds the lookahead ``L_d = m + q v``, or the two weights of a rival's cost, for one track, with
+a race on each of several days. A coarse grid finds the valley, a pattern search (Hooke and Jeeves, with all eight neighbors) its
 lowest point to 0.025 m and 0.006 s. The gain q is not negative: a lookahead that shortens as the
 car gets faster would follow well at the speed it was tuned at, and swing beyond. `tune_robust`
 searches around given values, also of the other parameters of guidance, for many tracks and cars.
@@ -106,7 +106,7 @@ def lap_error(results):
 
 
 def frame_of(tuned):
-    """All pairs as a table: ``m_m q_s rms_lateral_error_m completed``.
+    """All pairs as a table: the two parameters and ``rms_lateral_error_m completed given_up``.
 
     Parameters
     ----------
@@ -119,8 +119,7 @@ def frame_of(tuned):
     """
     rows = [
         {
-            "m_m": pair.m,
-            "q_s": pair.q,
+            **dict(zip(tuned.controller.TUNED, (pair.m, pair.q))),
             "rms_lateral_error_m": pair.error if math.isfinite(pair.error) else math.nan,
             "completed": math.isfinite(pair.error) and not pair.given_up,
             "given_up": pair.given_up,
@@ -151,8 +150,10 @@ def tune(jobs_for, controller):
     """
     errors, given_up = {}, set()
 
+    first, second = controller.TUNED
+
     def with_pair(i, j):
-        return controller.with_(m_m=round(i * STEP_M, 6), q_s=round(j * STEP_Q, 6))
+        return controller.with_(**{first: round(i * STEP_M, 6), second: round(j * STEP_Q, 6)})
 
     def measure(cells):
         new = [cell for cell in cells if cell not in errors]
@@ -181,7 +182,7 @@ def tune(jobs_for, controller):
                 (best[0] + i, best[1] + j)
                 for i in (-width, 0, width)
                 for j in (-width, 0, width)
-                if best[1] + j >= 0
+                if best[1] + j >= 0 and (best[0] + i >= 0 or first == "m_m")
             ]
             yield from measure(around)
             lowest = min(
@@ -194,7 +195,7 @@ def tune(jobs_for, controller):
         width //= 2
     pairs = [
         Pair(
-            *(with_pair(*cell).m_m, with_pair(*cell).q_s),
+            *(getattr(with_pair(*cell), name) for name in (first, second)),
             *(errors[cell], cell in given_up and math.isfinite(errors[cell])),
         )
         for cell in sorted(errors)

@@ -1,8 +1,11 @@
 """The closed loop: a controller drives a plant around a raceline, lap after lap."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +15,7 @@ from ..track.tracker import RacelineTracker
 from .car import SimulatedCar, hits_wall
 from .grip import Grip
 
-__all__ = ["Outcome", "RaceLog", "Sample", "race"]
+__all__ = ["Outcome", "RaceLog", "Sample", "Work", "race"]
 
 
 # The race begins and ends so far past the line [m] that noise does not take the car back over it.
@@ -50,6 +53,27 @@ class Sample(NamedTuple):
     result: tuple
 
 
+class Work(NamedTuple):
+    """What the steps of a controller cost.
+
+    Parameters
+    ----------
+    steps : int
+    median_s, p99_s : float
+        Processor time of a step: median and 99th percentile [s].
+    failed : int
+        Steps that followed an earlier plan, because none was found.
+    late : int
+        Steps during which another pose arrived.
+    """
+
+    steps: int
+    median_s: float
+    p99_s: float
+    failed: int
+    late: int
+
+
 @dataclass
 class RaceLog:
     """A race as it happened.
@@ -62,12 +86,15 @@ class RaceLog:
     duration : float
         Simulated time [s].
     samples : list of Sample
+    work : Work or None
+        What the controller's steps cost, if that was to be measured.
     """
 
     outcome: Outcome
     laps: int
     duration: float
     samples: list = field(repr=False)
+    work: Work | None = None
 
     def true_path(self):
         """True states of all control steps, shape (n, 7), columns as in CarState."""
@@ -84,6 +111,7 @@ def race(
     laps=5,
     time_limit=None,
     progress=None,
+    slowdown=None,
 ):
     """Race from a standing start just past the start line: an out-lap, then `laps` timed laps.
 
@@ -108,6 +136,10 @@ def race(
         no headway for 10 s has stalled, however slow a race is asked for.
     progress : callable, optional
         Called now and then with the laps driven so far, as a float.
+    slowdown : float, optional
+        Let a command act only after the processor time of its step, times this; of the poses that
+        arrive meanwhile the last is used. Such races depend on the computer. Without it a step
+        takes no time.
 
     Returns
     -------
@@ -124,6 +156,7 @@ def race(
     controller.reset()
     tracker, grip = RacelineTracker(raceline), Grip(plant)
     steering, speed = 0.0, 0.0
+    processor = _Processor(controller, slowdown)
     samples = []
     driven, last_s = START_S, None
     headway, headway_at = driven, 0.0
@@ -152,8 +185,7 @@ def race(
         if car.now > time_limit or car.now > headway_at + PATIENCE:
             outcome = Outcome.STALLED
             break
-        for seen in arrived:
-            result = controller.step(seen.measured)
+        for seen, result in processor.take(car.now, arrived):
             steering, speed = result.steering_angle, result.speed
             samples.append(
                 Sample(
@@ -163,7 +195,52 @@ def race(
                 )
             )
         # On to the next pose; time is looked at in between, should there be none.
-        stride = min(car.next_event, car.tick + longest) - car.tick
+        stride = min(car.next_event, car.tick + longest)
+        if processor.due is not None:
+            stride = min(stride, math.ceil(processor.due / plant.time_step - 1e-9))
+        stride -= car.tick
         for _ in range(max(stride, 1)):
             car.advance(steering, speed)
-    return RaceLog(outcome, max(int(driven / raceline.length) - 1, 0), car.now, samples)
+    laps = max(int(driven / raceline.length) - 1, 0)
+    work = None if slowdown is None else processor.work(controller)
+    return RaceLog(outcome, laps, car.now, samples, work)
+
+
+class _Processor:
+    """Computes the steps of a controller, at once or in the time that they take."""
+
+    def __init__(self, controller, slowdown):
+        self._step, self._slowdown = controller.step, slowdown
+        self._times, self._late = [], 0
+        self._done = self._waiting = self.due = None
+
+    def take(self, now, arrived):
+        """Observations and results whose commands act now."""
+        if self._slowdown is None:
+            return [(seen, self._step(seen.measured)) for seen in arrived]
+        finished = []
+        if self.due is not None and now >= self.due - 1e-9:
+            finished.append(self._done)
+            self.due = None
+        for seen in arrived:
+            if self.due is not None and self._waiting is None:
+                self._late += 1
+            self._waiting = seen
+        if self.due is None and self._waiting is not None:
+            seen, self._waiting = self._waiting, None
+            began = thread_time()
+            self._done = seen, self._step(seen.measured)
+            self._times.append(thread_time() - began)
+            self.due = now + self._slowdown * self._times[-1]
+        return finished
+
+    def work(self, controller):
+        """What it was, as a `Work`."""
+        times = self._times or [0.0]
+        return Work(
+            len(self._times),
+            float(np.median(times)),
+            float(np.percentile(times, 99.0)),
+            getattr(controller, "failures", 0),
+            self._late,
+        )
