@@ -179,7 +179,8 @@ def test_speed_sectors(rig, listen, tmp_path):
         f"Sector0: {{start: 0, end: {half - 1}, scaling: 0.25}}\n"
         f"Sector1: {{start: {half}, end: {len(raceline.s_points)}, scaling: 1.0}}\n"
     )
-    rig = rig({**AS_ASKED, "sectors": str(path), "grip_use": 0.0})
+    # The car of this test drives faster than it is told.
+    rig = rig({**AS_ASKED, "sectors": str(path), "grip_use": 0.0, "max_overspeed_mps": 10.0})
     guidance = listen("/guidance", Guidance)
     rig.driving()
     wait_for(lambda: guidance and guidance[-1].s > raceline.s_points[half] + 2.0, what="half a lap")
@@ -321,7 +322,7 @@ def test_nan_in_a_pose(rig):
         return message
 
     rig.car.change = broken
-    rig.wait_mode("stopped", "pose not finite")
+    rig.wait_mode("stopped", "pose not finite or absurd")
     assert all(math.isfinite(m.drive.steering_angle + m.drive.speed) for m in rig.drive)
     rig.car.change = lambda message: message
     rig.driving()

@@ -43,6 +43,14 @@ def joy(button, count=8):
     return Joy(buttons=[int(index == button) for index in range(count)])
 
 
+def odometry_at(ros, x, speed=0.0, frame="odom"):
+    message = Odometry()
+    message.header.stamp, message.header.frame_id = ros.Time.now(), frame
+    message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+    message.twist.twist.linear.x = speed
+    return message
+
+
 def test_both_sides_then_the_end(field, start, hold, listen):
     commands = listen("/drive", AckermannDriveStamped)
     node = start("steering_ramp", {**FAST, "radius": 20.0})
@@ -105,10 +113,8 @@ def test_a_stop_where_poses_stop_coming(start, advertise, hold, listen, ros):
     hold("/enable", Bool, Bool(True))
     publisher = advertise("/odom", Odometry)
     rate = ros.Rate(40.0)
-    for _ in range(60):
-        message = Odometry()
-        message.header.stamp = ros.Time.now()
-        publisher.publish(message)
+    for k in range(60):
+        publisher.publish(odometry_at(ros, 0.05 * max(k - 20, 0), 2.0 * (k > 20)))
         rate.sleep()
     assert commands[-1].drive.speed > 1.0
     silent = len(commands)
@@ -120,12 +126,10 @@ def test_the_area_is_around_the_first_pose_that_is_one(start, advertise, hold, l
     node = start("steering_ramp", FAST)
     hold("/enable", Bool, Bool(True))
     publisher = advertise("/odom", Odometry)
-    message = Odometry()
     for k in range(60):
-        message.header.stamp = ros.Time.now()
+        message = odometry_at(ros, {0: 90.0, 1: math.nan, 2: 1e300}.get(k, 0.01 * k))
         if k == 0:
             message.header.stamp -= ros.Duration(100.0)
-        message.pose.pose.position.x = {0: 90.0, 1: math.nan, 2: 1e300}.get(k, 0.0)
         publisher.publish(message)
         ros.sleep(0.025)
     assert commands[-1].drive.speed > 1.0
@@ -138,11 +142,8 @@ def test_a_pose_that_stays_while_the_car_moves_stops_it(start, advertise, hold, 
     node = start("steering_ramp", FAST)
     hold("/enable", Bool, Bool(True))
     publisher = advertise("/odom", Odometry)
-    message = Odometry()
     for k in range(100):
-        message.header.stamp = ros.Time.now()
-        message.twist.twist.linear.x = 0.0 if k < 40 else 2.0
-        publisher.publish(message)
+        publisher.publish(odometry_at(ros, 0.0, 0.0 if k < 30 else 2.0))
         ros.sleep(0.025)
     assert max(m.drive.speed for m in commands) > 1.0
     commands.wait(lambda _: commands[-1].drive.speed == 0.0)
@@ -154,12 +155,50 @@ def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
     start("steering_ramp", FAST)
     hold("/enable", Bool, Bool(True))
     publisher = advertise("/odom", Odometry)
-    message = Odometry()
-    message.header.stamp = ros.Time.now() - ros.Duration(1.0)
+    message = odometry_at(ros, 0.0)
+    message.header.stamp -= ros.Duration(1.0)
     for _ in range(40):
         publisher.publish(message)
         ros.sleep(0.025)
     assert len(commands) > 20 and {m.drive.speed for m in commands} == {0.0}
+
+
+def another_frame(message):
+    message.header.frame_id = "map"
+
+
+def elsewhere(message):
+    message.pose.pose.position.x += 3.0
+
+
+def absurdly_fast(message):
+    message.twist.twist.linear.x = 1e9
+
+
+def test_poses_are_refused_as_by_the_controller(start, advertise, hold, listen, ros):
+    commands = listen("/drive", AckermannDriveStamped)
+    node = start("steering_ramp", FAST)
+    hold("/enable", Bool, Bool(True))
+    publisher = advertise("/odom", Odometry)
+    x = 0.0
+    for fault in (another_frame, elsewhere, absurdly_fast):
+        mark = len(commands)
+
+        def drive(poses, change=lambda message: None):
+            nonlocal x
+            for _ in range(poses):
+                x += 0.02
+                message = odometry_at(ros, x, 0.05)
+                change(message)
+                publisher.publish(message)
+                ros.sleep(0.025)
+
+        drive(50)
+        assert max(m.drive.speed for m in commands[mark:]) > 0.5, fault
+        drive(8, fault)
+    commands.wait(lambda _: commands[-1].drive.speed == 0.0)
+    for reason in ("pose in another frame", "pose jumped", "pose not finite or absurd"):
+        assert reason in node.output
 
 
 @pytest.mark.parametrize(
@@ -167,6 +206,8 @@ def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
     [
         ({"speed_mps": -1.0}, "speed_mps: expected a positive number, got -1"),
         ({"box": [0, 1, 2]}, "~box: expected x_min"),
+        ({"limit_rad": 0.6}, "limit_rad: expected at most what NUC4 can, 0.4189, got 0.6"),
+        ({"speed_mps": 50.0}, "speed_mps: expected at most what NUC4 can, 15, got 50"),
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
     ],
 )

@@ -2,9 +2,10 @@
 
 Every pose passes the supervisor on its way to the controller, and every command on its way to the
 car. To stop, the speed ramps down; meanwhile the car steers along the raceline if its pose can be
-trusted, else it keeps the steering angle. After a temporary cause (a late pose, a jump, a missing
-raceline) the car drives again by itself. A requested stop, grip exceeded for long and a failure of
-the controller wait for `Supervisor.resume`.
+trusted, else it keeps the steering angle, both within the grip that braking leaves at the measured
+speed. After a temporary cause (a late pose, a jump, a missing raceline) the car drives again by
+itself. A requested stop, grip exceeded for long, a car faster than commanded and a failure of the
+controller wait for `Supervisor.resume`.
 """
 
 from __future__ import annotations
@@ -12,19 +13,34 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..validation import POSITIVE, check, documented, parameter
 from .controller import ControlResult, Status
+from .obedience import MOVING, ROLLING, SETTLING, Obedience, PoseMotion
+from .slowing import Slowing
+from .speed_plan import WALKING_PACE
 from .state import CarState
 
-__all__ = ["Decision", "Mode", "PoseMotion", "Reason", "SafetyLimits", "Supervisor"]
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
 
-# Above this speed [m/s] grip, not the steering lock, limits the turn, and the pose must change.
-MOVING = 1.0
+__all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
 
-# Pose-derived velocities are contaminated for this long after a jump [s].
-SETTLING = 0.15
+# A car that did not move as commanded rests for this long [s] before it tries again.
+REST = 3.0
+
+# A command this far below the measured speed [m/s] is more than a raceline's braking.
+SUDDEN = 2.0
+
+# No car of this size drives or turns faster [m/s, rad/s].
+FASTEST, FASTEST_TURN = 50.0, 100.0
+
+# Slower than this a car stands, but for noise [m/s].
+STANDSTILL = 0.3
+
+# Commands without poses: one per this time [s].
+PERIOD = 0.02
 
 # A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
@@ -47,13 +63,17 @@ class Reason(Enum):
     FAILURE = "controller failed"
     NO_POSE = "no pose yet"
     FRAME = "pose in another frame"
-    INVALID_POSE = "pose not finite"
+    INVALID_POSE = "pose not finite or absurd"
     STALE_POSE = "pose too old"
     FROZEN_POSE = "pose frozen while moving"
     JUMP = "pose jumped"
+    BACKWARDS = "rolling backwards"
+    BLOCKED = "no motion although commanded"
     INVALID_RACELINE = "raceline not drivable"
+    OPPOSED_RACELINE = "raceline against the motion"
     NO_RACELINE = "no raceline"
     DEVIATION = "too far from the raceline"
+    OVERSPEED = "faster than commanded for long"
     GRIP = "grip exceeded for long"
 
 
@@ -95,8 +115,27 @@ class SafetyLimits:
         tuning=(0.1, 60.0),
         default=1.5,
     )
+    max_overspeed_mps: float = parameter(
+        "Largest measured speed above the commanded one for more than 0.5 s",
+        "m/s",
+        low=POSITIVE,
+        tuning=(0.5, 10.0),
+        default=2.0,
+    )
+    max_blocked_m: float = parameter(
+        "Distance that the car should have driven by its commands while its pose stays. Any car "
+        "reaches 1.5 m/s^2",
+        "m",
+        low=POSITIVE,
+        tuning=(0.2, 100.0),
+        default=1.0,
+    )
     stop_deceleration_mps2: float = parameter(
-        "Deceleration of a stop", "m/s^2", low=POSITIVE, tuning=(0.5, 15.0), default=4.0
+        "Deceleration of a stop, as far as the grip allows beside the steering",
+        "m/s^2",
+        low=POSITIVE,
+        tuning=(0.5, 15.0),
+        default=4.0,
     )
     recovery_s: float = parameter(
         "Time from the end of a temporary cause until the car drives again",
@@ -117,45 +156,6 @@ class SafetyLimits:
         check(self)
 
 
-class PoseMotion:
-    """Detects a frozen pose: the car moves while its pose stays the same.
-
-    The car moves if its velocity says so, or if it did when the pose last changed, as a
-    pose-derived velocity ends with the poses. A single jump, as when somebody corrects the
-    localization of a parked car, is no motion.
-    """
-
-    def __init__(self):
-        self._pose = self._changed = self._moving_since = None
-        self._moving = False
-
-    def frozen(self, now: float, pose: tuple, v_x: float, jumped: bool = False) -> float:
-        """Time for which the car has been moving with the same pose [s].
-
-        Parameters
-        ----------
-        now : float
-            Time [s].
-        pose : tuple of float
-        v_x : float
-            Speed [m/s].
-        jumped : bool, optional
-            Whether the pose jumped.
-        """
-        fast = abs(v_x) >= MOVING
-        if pose != self._pose:
-            if jumped or not fast:
-                self._moving_since = None
-            elif self._moving_since is None:
-                self._moving_since = now
-            since = self._moving_since
-            self._moving = since is not None and now - since > SETTLING
-            self._pose, self._changed = pose, now
-        elif not (fast or self._moving):
-            self._changed = now
-        return now - self._changed
-
-
 class Decision(NamedTuple):
     """Command to the car, and why."""
 
@@ -169,14 +169,16 @@ class Supervisor:
     """State machine between poses, controller and drive.
 
     For each pose: `observe` it, let the controller step if it is trusted, and `decide` on the
-    result. A timer calls `watch`, which notices a dropout of the poses. All times [s] are on the
-    clock of the poses' stamps.
+    result. At `deadline`, `watch` notices a dropout of the poses. All times [s] are on the clock of
+    the poses' stamps.
 
     Parameters
     ----------
     limits : SafetyLimits
     max_speed : float
         Largest speed ever commanded [m/s].
+    slowing : Slowing, optional
+        Grip of the car. Without it stops neither lower nor delay a steering angle.
 
     Attributes
     ----------
@@ -192,12 +194,12 @@ class Supervisor:
         Age of the last pose when it was observed [s].
     """
 
-    def __init__(self, limits: SafetyLimits, max_speed: float):
+    def __init__(self, limits: SafetyLimits, max_speed: float, slowing: Slowing | None = None):
         self.limits = limits
-        self._max_speed = max_speed
+        self._max_speed, self._slowing = max_speed, slowing
         self._requests = set()
-        self._failed = self._lost_grip = False
-        self._raceline_valid = True
+        self._failed = self._lost_grip = self._overspeed = False
+        self._raceline_valid, self._opposed = True, False
         self._forget()
 
     def _forget(self):
@@ -208,7 +210,8 @@ class Supervisor:
         self._pose = None
         self._speed = 0.0
         self._now = self._arrival = None
-        self._motion = PoseMotion()
+        self._motion, self._obedience = PoseMotion(), Obedience()
+        self._blocked = self._slows = False
         self._saturated_since = self._stopped_since = None
         self._command = (0.0, 0.0)  # steering angle, speed
         self._commanded = None
@@ -228,14 +231,28 @@ class Supervisor:
         self._failed = True
 
     def resume(self) -> None:
-        """Drive again after a requested stop, grip exceeded for long or a failure."""
+        """Drive again after a stop that waits for it; do not wait for one that rests."""
         self._requests.clear()
-        self._failed = self._lost_grip = False
+        self._failed = self._lost_grip = self._overspeed = False
+        self._seen.pop(Reason.BLOCKED, None)
         self._saturated_since = None
 
-    def raceline_changed(self, valid: bool) -> None:
-        """Note whether the latest raceline can be driven."""
-        self._raceline_valid = valid
+    def raceline_changed(self, valid: bool, opposed: bool = False) -> None:
+        """Note whether the latest raceline can be driven, and whether it is `opposed`."""
+        self._raceline_valid, self._opposed = valid, opposed
+
+    def opposes(self, raceline: Raceline) -> bool:
+        """Whether a raceline runs against the motion of the car, which then has to stand first."""
+        if self._pose is None or self.stands:
+            return False
+        psi = self._pose.psi if self._speed >= 0.0 else self._pose.psi + math.pi
+        beside = raceline.project(self._pose.x, self._pose.y)
+        return math.cos(raceline.pose(beside.s).psi - psi) < 0.0
+
+    @property
+    def stands(self) -> bool:
+        """Whether the car stands, and is not told to drive."""
+        return self._command[1] == 0.0 and abs(self._speed) < STANDSTILL
 
     # -- poses and commands ------------------------------------------------------------------
 
@@ -262,7 +279,9 @@ class Supervisor:
         self._seen.pop(Reason.NO_POSE, None)
         self.pose_age = now - state.t
         t, x, y, psi, v_x, _, r = state
-        if not math.isfinite(t + x + y + psi + v_x + r):
+        # A NaN fails every comparison.
+        finite = math.isfinite(t + x + y + psi)
+        if not (finite and abs(v_x) <= FASTEST and abs(r) <= FASTEST_TURN):
             self._seen[Reason.INVALID_POSE] = now
             return False
         last = self._pose
@@ -274,14 +293,16 @@ class Supervisor:
         if last is not None and self._is_jump(last, state):
             self._seen[Reason.JUMP] = now
             self.jumped = True
-        frozen = self._motion.frozen(now, (x, y, psi), v_x, self.jumped)
+        frozen = self._motion.frozen(now, x, y, v_x, self.jumped)
         if frozen > limits.max_pose_age_s:
             self._seen[Reason.FROZEN_POSE] = now
             trusted = False
         if now - self._seen.get(Reason.JUMP, -math.inf) <= SETTLING:
             trusted = False
-        if trusted and not frozen:
-            self._speed = v_x
+        if trusted:
+            if not frozen:
+                self._speed = v_x
+            self._obeys(now, state)
         return trusted
 
     def refuse(self, now: float) -> Decision:
@@ -314,6 +335,8 @@ class Supervisor:
         wanted = None
         if not self._raceline_valid:
             self._seen[Reason.INVALID_RACELINE] = now
+        if self._opposed:
+            self._seen[Reason.OPPOSED_RACELINE] = now
         if result is not None:
             self._judge(now, result)
             if result.status not in (Status.INVALID_STATE, Status.NO_RACELINE):
@@ -324,12 +347,12 @@ class Supervisor:
         else:
             self._saturated_since = None
         self.reason = self._cause(now)
-        if self.reason is Reason.NONE and wanted is not None:
-            self.mode, self._stopped_since, speed = Mode.DRIVING, None, wanted
-        else:
-            # The raceline may demand harder braking; walking pace off the track does not.
-            follows = result is not None and result.status in (Status.OK, Status.SATURATED)
-            speed = self._stop(now, wanted if follows else None)
+        drives = self.reason is Reason.NONE and wanted is not None
+        if drives and self._blocked:
+            wanted = min(wanted, WALKING_PACE)
+        # The raceline may demand harder braking than a stop; walking pace off the track does not.
+        follows = wanted is not None and result.status in (Status.OK, Status.SATURATED)
+        angle, speed = self._ramped(now, angle, wanted, drives, follows)
         speed = min(max(speed, 0.0), self._max_speed)
         self._command, self._commanded = (angle, speed), now
         return Decision(self.mode, self.reason, angle, speed)
@@ -348,7 +371,7 @@ class Supervisor:
             self._seen[Reason.NO_POSE] = now
             self.reason = self._cause(now)
             return None
-        if now - self._arrival <= self.limits.max_pose_age_s:
+        if now - self._arrival < self.limits.max_pose_age_s:
             return None
         self._seen[Reason.STALE_POSE] = now
         self.pose_age = now - (self._arrival if self._pose is None else self._pose.t)
@@ -365,6 +388,15 @@ class Supervisor:
             self._forget()
             self.restarted = True
         self._now = now
+
+    @property
+    def deadline(self) -> float | None:
+        """Time at which `watch` has to be called unless another pose comes [s]; None: none."""
+        if self._arrival is None:
+            return None
+        if self._now - self._arrival < self.limits.max_pose_age_s:
+            return self._arrival + self.limits.max_pose_age_s
+        return self._now + PERIOD
 
     def _is_jump(self, last, state):
         elapsed = max(state.t - last.t, 0.0)
@@ -391,37 +423,82 @@ class Supervisor:
         elif now - self._saturated_since > self.limits.max_saturated_s:
             self._lost_grip = True
 
-    def _cause(self, now):
-        """The first of all present and recent causes."""
+    def _obeys(self, now, pose):
+        """Note the causes to stop in what the car does after it was told."""
+        obedience, driving = self._obedience, self.mode is Mode.DRIVING
+        onwards = driving and pose.v_x > -ROLLING
+        obedience.update(now, pose.x, pose.y, self._command[1] if onwards else 0.0)
+        if obedience.blocked(now, self.limits.max_blocked_m, self.limits.max_pose_age_s):
+            self._seen[Reason.BLOCKED] = now
+            self._blocked = True
+            obedience.restart()
+        elif obedience.moves:
+            self._blocked = False
+        excess = pose.v_x - self._command[1] if driving else 0.0
+        if obedience.too_fast(now, excess, self.limits.max_overspeed_mps):
+            self._overspeed = True
+        if self.mode is not Mode.WAITING and obedience.backwards(now, pose.v_x):
+            self._seen[Reason.BACKWARDS] = now
+
+    def trouble(self, now: float) -> Reason:
+        """The first of all present and recent causes, but for requests."""
+        limit = self.limits.recovery_s
         recent = [
-            reason for reason, seen in self._seen.items() if now - seen <= self.limits.recovery_s
+            reason
+            for reason, seen in self._seen.items()
+            if now - seen <= (max(REST, limit) if reason is Reason.BLOCKED else limit)
         ]
         self._seen = {reason: self._seen[reason] for reason in recent}
-        if self._requests:
-            return Reason.STOP_REQUESTED
         if self._failed:
             return Reason.FAILURE
         if recent:
             return min(recent, key=_ORDER.__getitem__)
+        if self._overspeed:
+            return Reason.OVERSPEED
         return Reason.GRIP if self._lost_grip else Reason.NONE
 
-    def _stop(self, now, wanted):
-        """Speed of a stop; sets its mode."""
-        if self.mode is Mode.WAITING:
-            return 0.0
-        speed = self._command[1]
-        if self.mode is Mode.DRIVING:
+    def _cause(self, now):
+        return Reason.STOP_REQUESTED if self._requests else self.trouble(now)
+
+    def _ramped(self, now, angle, wanted, drives, follows):
+        """Steering angle and speed to command; sets the mode.
+
+        Where the car stops, is off course, or is suddenly told to be much slower, braking and
+        steering stay within the friction ellipse at the measured speed, until neither is limited
+        any more.
+        """
+        if self.mode is Mode.WAITING and not drives:
+            return angle, 0.0
+        last_angle, speed = self._command
+        elapsed = 0.0 if self._commanded is None else now - self._commanded
+        v, deceleration = abs(self._speed), self.limits.stop_deceleration_mps2
+        slows = not (drives and follows) or v - wanted > SUDDEN
+        if (slows and not self._slows) or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
             speed = min(speed, max(self._speed, 0.0))
+        asked, slowest = angle, -math.inf
+        if self._slowing is not None and (slows or self._slows):
+            deceleration = self._slowing.bounded(deceleration)
+            angle = self._slowing.steering(v, angle, last_angle, deceleration, elapsed)
+            braking = self._slowing.braking(v, angle)
+            slowest = speed - elapsed * (braking if follows else min(braking, deceleration))
+        if drives:
+            self.mode, self._stopped_since = Mode.DRIVING, None
+            speed = max(wanted, slowest)
+            self._slows = slows or angle != asked or speed != wanted
+            return angle, speed
+        self._slows = True
+        if self.mode is Mode.DRIVING:
             self.mode = Mode.STOPPING
-        speed -= self.limits.stop_deceleration_mps2 * (now - self._commanded)
-        if wanted is not None:
+        speed -= deceleration * elapsed
+        if follows:
             speed = min(speed, wanted)
+        speed = max(speed, slowest)
         if speed > 0.0:
-            return speed
+            return angle, speed
         if self.mode is Mode.STOPPING:
             self.mode, self._stopped_since = Mode.STOPPED, now
-        return 0.0
+        return angle, 0.0
 
 
 _ORDER = {reason: number for number, reason in enumerate(Reason)}

@@ -10,10 +10,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
+
+if TYPE_CHECKING:
+    from ..vehicle.parameters import Vehicle
 
 __all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
 
@@ -37,7 +40,7 @@ class RampParameters:
         "Time at constant speed and first angle before the ramp", "s", low=0.0, default=1.0
     )
     acceleration_mps2: float = parameter(
-        "Acceleration to that speed. To stop, the commanded speed drops at once",
+        "Acceleration to that speed",
         "m/s^2",
         low=POSITIVE,
         default=2.0,
@@ -55,6 +58,21 @@ class RampParameters:
                 f"start_rad: expected less than limit_rad, {self.limit_rad:g}, "
                 f"got {self.start_rad:g}"
             )
+
+    def check_vehicle(self, vehicle: Vehicle) -> None:
+        """Refuse what a car cannot do.
+
+        Raises
+        ------
+        ParameterError
+            For a speed or steering angle beyond the car's.
+        """
+        for name, most in (("speed_mps", vehicle.v_max), ("limit_rad", vehicle.delta_max)):
+            value = getattr(self, name)
+            if value > most:
+                raise ParameterError(
+                    f"{name}: expected at most what {vehicle.name} can, {most:g}, got {value:g}"
+                )
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Node ``controller``: poses in, drive commands out, under supervision.
 
-Each pose triggers one control step, in its callback; a timer notices a dropout of the poses.
+Each pose triggers one control step, in its callback; a watchdog notices a dropout of the poses.
 Controller and supervisor are in `map_racing.control`; the node converts messages.
 """
 
@@ -27,8 +27,9 @@ from ..control.parameters import (
     load_safety_limits,
     save_controller_parameters,
 )
-from ..control.safety import Mode, Supervisor
+from ..control.safety import Mode
 from ..control.speed_sectors import load_speed_sectors
+from ..control.supervised import SupervisedController, build_supervisor
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
 from ..track.files.load import load_raceline
@@ -40,11 +41,11 @@ from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, run
 from .transforms import TransformListener
 from .tuning import TuningServer
+from .watchdog import Watchdog
 from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messages
 
 __all__ = ["ControllerNode", "main"]
 
-WATCHDOG_HZ = 20.0
 SWITCH_S = 0.0005
 # Do not log the same failure again within this time [s].
 QUIET_S = 1.0
@@ -62,14 +63,14 @@ def _build():
         rospy.logwarn("~vehicle: %s", note)
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
     parameters = overridden(load_controller_parameters(source))
-    kind, v_max = parameters.steering_map, parameters.v_max_mps
-    if table and kind == "ackermann":
+    if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     limits = overridden(load_safety_limits(source))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
         steering_map = grip = load_table(table)
-    return Controller(parameters, steering_map, vehicle, grip=grip), Supervisor(limits, v_max)
+    controller = Controller(parameters, steering_map, vehicle, grip=grip)
+    return controller, build_supervisor(controller, limits, grip)
 
 
 def _publisher(topic, kind, queue_size=10):
@@ -96,6 +97,9 @@ class ControllerNode:
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
         self._controller, self._supervisor = _build()
+        self._driver = SupervisedController(
+            self._controller, self._supervisor, self._announce_speeds
+        )
         self._start(source, pose_source)
 
     def _start(self, source, pose_source):
@@ -141,8 +145,7 @@ class ControllerNode:
             self._controller, self._supervisor, self._lock, self._changing, self._announce_speeds
         )
         self._subscribe_poses(pose_source)
-        period = rospy.Duration.from_sec(1.0 / WATCHDOG_HZ)
-        self._timer = rospy.Timer(period, self._watch, reset=True)
+        self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)
         # The garbage collector need not look through what exists now while the car drives.
         gc.collect()
         gc.freeze()
@@ -196,13 +199,11 @@ class ControllerNode:
     def _step(self, begin, now, header, read):
         stamp = stamp_ns(header, 0)
         state = read(1e-9 * stamp - self._clock.steps if stamp else now)
-        trusted = self._supervisor.observe(now, state)
+        result, decision = self._driver.step(now, state, self._failing)
         if self._supervisor.restarted:
             self._restart()
         if self._supervisor.jumped:
             self._reader.reset()
-        result = self._controller.step(state) if trusted and not self._failing else None
-        decision = self._supervisor.decide(now, result)
         self._command(header, decision)
         latency = time.perf_counter() - begin
         self._diagnosis.add(latency, result)
@@ -219,25 +220,24 @@ class ControllerNode:
     def _restart(self):
         """Time was set back: forget the past."""
         rospy.loginfo("time was set back: starting over")
-        self._controller.reset()
         self._reader.reset()
         self._diagnosis.restart()
 
-    def _watch(self, _):
+    def _watch(self, now):
         """Notice a dropout of the poses."""
-        with self._lock:
-            header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
-            try:
-                decision = self._supervisor.watch(self._clock.now())
-                if self._supervisor.restarted:
-                    self._restart()
-                if decision is not None:
-                    self._command(header, decision)
-                else:
-                    self._diagnosis.report()
-            except Exception:
-                rospy.logerr_throttle(QUIET_S, _trace("the watchdog failed"))
-                self._send(header, self._last_angle, 0.0)
+        header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
+        try:
+            decision = self._supervisor.watch(now)
+            if self._supervisor.restarted:
+                self._controller.reset()
+                self._restart()
+            if decision is not None:
+                self._command(header, decision)
+            else:
+                self._diagnosis.report()
+        except Exception:
+            rospy.logerr_throttle(QUIET_S, _trace("the watchdog failed"))
+            self._send(header, self._last_angle, 0.0)
 
     # -- commands ----------------------------------------------------------------------------
 
@@ -320,11 +320,14 @@ class ControllerNode:
         with self._changing:
             setup = self._controller.prepare(raceline=raceline, sectors=sectors)
             with self._lock:
-                self._controller.apply(setup)
-                self._supervisor.raceline_changed(True)
+                driven = self._driver.follow(raceline, sectors, setup)
                 self._diagnosis.refused = ""
-            rospy.loginfo("raceline of %s: %.2f m", raceline.source, raceline.length)
-            self._announce_speeds()
+            text = "raceline of %s: %.2f m"
+            if not driven:
+                text += ", which runs against the motion of the car: it has to stand first"
+            rospy.loginfo(text, raceline.source, raceline.length)
+            if driven:
+                self._announce_speeds()
 
     def _announce_speeds(self):
         """Log where the car drives slower than the raceline, and publish the speeds driven."""

@@ -10,24 +10,33 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
-from ..control.safety import PoseMotion
+from ..control.controller import ControlResult, Status, build_controller
+from ..control.parameters import load_controller_parameters
+from ..control.safety import Reason, SafetyLimits
+from ..control.state import CarState
 from ..control.steering_ramp import Box, Circle, Phase, RampParameters, SteeringRamp
+from ..control.supervised import build_supervisor
 from ..errors import ParameterError
-from .conversions import plane_pose, stamp_ns
-from .node import FirstSender, get_parameter, overridden, run, sleep
+from ..vehicle.parameters import load_vehicle
+from .conversions import frame, plane_pose, stamp_ns
+from .node import FirstSender, SteadyClock, get_parameter, overridden, run, sleep
+from .watchdog import Watchdog
 
 __all__ = ["SteeringRampNode", "main"]
 
-MAX_POSE_AGE_S = 0.2
-WATCHDOG_S = 0.05
+# What the supervisor may say while nothing is wrong.
+READY = (Reason.NONE, Reason.NO_POSE, Reason.STOP_REQUESTED)
+LOOK_S = 0.05
 LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
 
 
 class SteeringRampNode:
-    """Answers each pose with a command, and stops without poses."""
+    """Answers each pose with a command, under the supervisor that the controller has."""
 
     def __init__(self):
         self._parameters = overridden(RampParameters())
+        vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "its lock, speed and grip"))
+        self._parameters.check_vehicle(vehicle)
         self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
         self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
@@ -46,31 +55,37 @@ class SteeringRampNode:
                 "driving without a dead-man button: only the area and Ctrl-C stop the car"
             )
 
-        self._lock = threading.RLock()
+        map_controller = load_controller_parameters("map").with_(
+            v_max_mps=self._parameters.speed_mps
+        )
+        self._supervisor = build_supervisor(
+            build_controller(map_controller, vehicle), overridden(SafetyLimits())
+        )
+        self._lock, self._clock = threading.RLock(), SteadyClock()
         self._held_until = -math.inf
-        self._last_pose = None
-        self._angle, self._phase = 0.0, None
+        self._frame = self._phase = self._reason = None
+        self._angle = 0.0
         self._ended = False
         self._sender = FirstSender(rospy.resolve_name("odom"))
-        self._motion = PoseMotion()
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
         rospy.on_shutdown(self._end)
         if self._dead_man:
             rospy.Subscriber("joy", Joy, self._on_joy, queue_size=1)
             rospy.Subscriber("enable", Bool, self._on_enable, queue_size=1)
         rospy.Subscriber("odom", Odometry, self._on_odometry, queue_size=1, tcp_nodelay=True)
+        self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)
 
     def run(self):
-        """Watch the poses until the maneuver is done."""
-        while sleep(WATCHDOG_S):
-            with self._lock:
-                last = self._last_pose
-                if last is not None and time.monotonic() - last > MAX_POSE_AGE_S:
-                    rospy.logwarn_throttle(1.0, "no poses: standing still")
-                    self._send(Header(stamp=rospy.Time.now()), self._angle, 0.0)
+        """Wait until the maneuver is done."""
+        while sleep(LOOK_S):
             if self._phase is Phase.DONE:
                 rospy.loginfo("done: %d ramps", self._ramp.completed)
                 rospy.signal_shutdown("done")
+
+    def _watch(self, now):
+        decision = self._supervisor.watch(now)
+        if decision is not None:
+            self._command(Header(stamp=rospy.Time.now()), decision)
 
     def _on_joy(self, message):
         self._hold(len(message.buttons) > self._button and message.buttons[self._button] == 1)
@@ -83,42 +98,57 @@ class SteeringRampNode:
         self._held_until = time.monotonic() + self._patience if held else -math.inf
 
     def _on_odometry(self, message):
-        x, y, _ = plane_pose(message.pose.pose)
-        now = rospy.Time.now().to_nsec()
-        stamp = stamp_ns(message.header, now)
+        header, twist = message.header, message.twist.twist
+        stamp = stamp_ns(header, 0)
         with self._lock:
             if self._ended or not self._sender.sent(message):
                 return
-            enabled = not self._dead_man or time.monotonic() < self._held_until
-            # The car is not where an old pose says.
-            if not math.isfinite(x + y):
-                rospy.logwarn_throttle(1.0, "pose not finite")
-                enabled = False
-            elif abs(now - stamp) > MAX_POSE_AGE_S * 1e9:
-                rospy.logwarn_throttle(1.0, f"pose too old ({1e-9 * (now - stamp):.2f} s)")
-                enabled = False
-            else:
-                self._last_pose = time.monotonic()
-                if self._ramp is None:
-                    self._ramp = SteeringRamp(self._parameters, Circle(x, y, self._radius))
-            if self._ramp is None:
-                self._send(message.header, 0.0, 0.0)
-                return
-            speed = message.twist.twist.linear.x
-            if self._motion.frozen(1e-9 * now, (x, y), speed) > MAX_POSE_AGE_S:
-                rospy.logwarn_throttle(1.0, "pose frozen while moving")
-                enabled = False
-            command = self._ramp.update(1e-9 * stamp, x, y, speed, enabled)
-            if command.phase is not self._phase:
-                self._phase = command.phase
-                rospy.loginfo("%s", command.phase.value)
-            if command.phase is Phase.OUTSIDE:
-                rospy.logwarn_throttle(
-                    5.0,
-                    f"({x:.2f}, {y:.2f}) is outside of the area, {self._ramp.area}: drive the car "
-                    "back into it, or set a larger ~radius or ~box",
+            now = self._clock.now()
+            t = 1e-9 * stamp - self._clock.steps if stamp else now
+            name = frame(header.frame_id)
+            if self._frame not in (None, name):
+                rospy.logerr_throttle(
+                    10.0, f"expected poses in the frame {self._frame}, got one in {name}"
                 )
-            self._send(message.header, command.steering_angle, command.speed)
+                self._command(header, self._supervisor.refuse(now))
+                return
+            pose = plane_pose(message.pose.pose)
+            state = CarState(t, *pose, twist.linear.x, twist.linear.y, twist.angular.z)
+            trusted = self._supervisor.observe(now, state)
+            if trusted and self._frame is None:
+                self._frame = name
+                if self._ramp is None:
+                    self._ramp = SteeringRamp(self._parameters, Circle(*pose[:2], self._radius))
+            result = self._maneuver(now, state) if trusted else None
+            self._command(header, self._supervisor.decide(now, result))
+
+    def _maneuver(self, now, state):
+        """What the maneuver asks for at a pose that can be trusted, as from a controller."""
+        held = not self._dead_man or time.monotonic() < self._held_until
+        enabled = held and self._supervisor.trouble(now) is Reason.NONE
+        command = self._ramp.update(state.t, state.x, state.y, state.v_x, enabled)
+        if command.phase is not self._phase:
+            self._phase = command.phase
+            rospy.loginfo("%s", command.phase.value)
+        if command.phase is Phase.OUTSIDE:
+            rospy.logwarn_throttle(
+                5.0,
+                f"({state.x:.2f}, {state.y:.2f}) is outside of the area, {self._ramp.area}: drive "
+                "the car back into it, or set a larger ~radius or ~box",
+            )
+        # A stop is the supervisor's: within the grip at the speed that the car has.
+        if command.speed > 0.0:
+            self._supervisor.withdraw("maneuver")
+        else:
+            self._supervisor.request_stop("maneuver")
+        return ControlResult(command.steering_angle, command.speed, Status.OK, state, *(0.0,) * 7)
+
+    def _command(self, header, decision):
+        if decision.reason is not self._reason:
+            self._reason = decision.reason
+            if decision.reason not in READY:
+                rospy.logwarn("%s: %s", decision.mode.value, decision.reason.value)
+        self._send(header, decision.steering_angle, decision.speed)
 
     def _send(self, header, steering_angle, speed):
         self._angle = steering_angle

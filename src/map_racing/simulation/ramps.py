@@ -48,13 +48,14 @@ def drive_ramps(
     Raises
     ------
     ParameterError
-        If the car leaves the area of 50 m, or does not reach its speed.
+        If the car cannot do what is asked, leaves the area of 50 m, or does not reach its speed.
     """
     ramps = tuple(ramps) if ramps is not None else (RampParameters(),)
     car = SimulatedCar(*build_plant(plant_parameters, seed))
     samples = []
     command = None
     for parameters in ramps:
+        parameters.check_vehicle(car.plant.vehicle)
         ramp = SteeringRamp(parameters, Circle(0.0, 0.0, AREA_M))
         sides = 2 if parameters.sides == "both" else 1
         rising = (parameters.limit_rad - parameters.start_rad) / parameters.rate_radps

@@ -290,6 +290,30 @@ def test_poses_that_stop_coming():
     assert car.drive(0.1)[-1].mode is Mode.DRIVING
 
 
+def test_the_deadline_is_the_limit_after_the_last_pose():
+    """Whoever calls `watch` there begins the stop there, whatever the rate of the calls."""
+    car = Car(max_pose_age_s=0.2)
+    assert car.supervisor.deadline is None
+    car.drive()
+    supervisor, last = car.supervisor, car.now - PERIOD
+    assert supervisor.deadline == last + 0.2
+    assert supervisor.watch(last + 0.1) is None
+    assert supervisor.deadline == last + 0.2
+    assert supervisor.watch(supervisor.deadline).mode is Mode.STOPPING
+    # Then commands keep coming.
+    assert last + 0.2 < supervisor.deadline <= last + 0.23
+    car.step()
+    assert supervisor.deadline == car.now - PERIOD + 0.2
+
+
+@pytest.mark.parametrize("field", ["v_x", "r"])
+@pytest.mark.parametrize("value", [1e9, -1e9, 200.0])
+def test_an_absurd_velocity_is_no_pose_to_trust(field, value):
+    car = Car()
+    car.drive()
+    assert car.step(car.pose(**{field: value}))[:2] == (Mode.STOPPING, Reason.INVALID_POSE)
+
+
 def test_before_the_first_pose_nothing_is_commanded():
     supervisor = Supervisor(SafetyLimits(), 12.0)
     assert supervisor.watch(5.0) is None

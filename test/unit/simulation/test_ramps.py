@@ -52,8 +52,14 @@ def test_one_side(ramps):
 
 
 def test_refuses_what_cannot_be_driven(ramps):
-    with pytest.raises(ParameterError, match="ramp at 40 m/s: the car is"):
-        drive_ramps(ramps.parameters, [RampParameters(speed_mps=40.0)])
+    with pytest.raises(ParameterError, match="ramp at 14 m/s: the car is"):
+        drive_ramps(ramps.parameters, [RampParameters(speed_mps=14.0)])
+
+
+@pytest.mark.parametrize("beyond", [{"speed_mps": 40.0}, {"limit_rad": 0.5}])
+def test_refuses_what_the_car_cannot_do(ramps, beyond):
+    with pytest.raises(ParameterError, match=f"{next(iter(beyond))}: expected at most what NUC4"):
+        drive_ramps(ramps.parameters, [RampParameters(**beyond)])
 
 
 def test_progress_is_told(ramps):

@@ -1,0 +1,110 @@
+"""A controller and its supervisor together: pose in, supervised command out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Callable, NamedTuple
+
+from .controller import Controller, ControlResult, build_steering_maps
+from .safety import Decision, SafetyLimits, Supervisor
+from .slowing import Slowing
+
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
+    from .state import CarState
+
+__all__ = ["SupervisedController", "SupervisedStep", "build_supervisor"]
+
+
+class SupervisedStep(NamedTuple):
+    """What one pose led to; `result` is None if the controller may not use it."""
+
+    result: ControlResult | None
+    decision: Decision
+
+
+class SupervisedController:
+    """What drives the car, in the node as in simulation.
+
+    Parameters
+    ----------
+    controller : Controller
+    supervisor : Supervisor
+    on_raceline : callable, optional
+        Called when a raceline is driven that had to wait for the car to stand.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        supervisor: Supervisor,
+        on_raceline: Callable[[], None] | None = None,
+    ):
+        self.controller, self.supervisor = controller, supervisor
+        self._on_raceline, self._waiting = on_raceline, None
+
+    def step(self, now: float, state: CarState, failed: bool = False) -> SupervisedStep:
+        """Answer a pose.
+
+        Parameters
+        ----------
+        now : float
+            Time of its arrival [s].
+        state : CarState
+        failed : bool, optional
+            Whether the controller is not to be asked.
+        """
+        controller, supervisor = self.controller, self.supervisor
+        trusted = supervisor.observe(now, state)
+        if supervisor.restarted:
+            controller.reset()
+        if self._waiting is not None and supervisor.stands:
+            waiting, self._waiting = self._waiting, None
+            controller.apply(controller.prepare(**waiting))
+            supervisor.raceline_changed(True)
+            if self._on_raceline is not None:
+                self._on_raceline()
+        result = controller.step(state) if trusted and not failed else None
+        return SupervisedStep(result, supervisor.decide(now, result))
+
+    def follow(self, raceline: Raceline, sectors, setup: object) -> bool:
+        """Drive along another raceline from the next step on.
+
+        A raceline that runs against the motion of the car, as when somebody publishes it turned
+        around, has to wait until the car has come to a stop along the old one.
+
+        Parameters
+        ----------
+        raceline : Raceline
+        sectors : SpeedSectors or None
+        setup : object
+            What `Controller.prepare` made of them.
+
+        Returns
+        -------
+        bool
+            Whether it is driven now.
+        """
+        opposed = self.controller.raceline is not None and self.supervisor.opposes(raceline)
+        self._waiting = {"raceline": raceline, "sectors": sectors} if opposed else None
+        if not opposed:
+            self.controller.apply(setup)
+        self.supervisor.raceline_changed(True, opposed)
+        return not opposed
+
+
+def build_supervisor(controller: Controller, limits: SafetyLimits, grip=None) -> Supervisor:
+    """Supervisor of a controller, with the grip of the car's own tires.
+
+    Parameters
+    ----------
+    controller : Controller
+        Its parameters give the largest speed and the braking on a straight.
+    limits : SafetyLimits
+    grip : LookupTable, optional
+        By default the table of the vehicle.
+    """
+    parameters, vehicle = controller.parameters, controller.vehicle
+    if grip is None:
+        grip = build_steering_maps(parameters, vehicle)[1]
+    slowing = Slowing(grip, parameters.a_brake_max_mps2, vehicle.delta_max)
+    return Supervisor(limits, parameters.v_max_mps, slowing)

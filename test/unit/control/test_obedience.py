@@ -1,0 +1,212 @@
+"""Commands and poses against the motion of the car."""
+
+import math
+import random
+
+import pytest
+
+from map_racing.control.controller import ControlResult, Status
+from map_racing.control.obedience import PATIENCE, Obedience, PoseMotion
+from map_racing.control.safety import REST, Mode, Reason, SafetyLimits, Supervisor
+from map_racing.control.state import CarState
+
+PERIOD = 1 / 40
+
+
+class Car:
+    """A car on a straight, told to drive at `wanted`; a test says what it really does."""
+
+    def __init__(self, wanted=4.0, **limits):
+        self.supervisor = Supervisor(SafetyLimits(**limits), 12.0)
+        self.now, self.x, self.speed, self.wanted = 100.0, 0.0, 0.0, wanted
+
+    def step(self, x=None, v_x=None):
+        x, v_x = self.x if x is None else x, self.speed if v_x is None else v_x
+        state = CarState(self.now, x, 0.0, 0.0, v_x, 0.0, 0.0)
+        trusted = self.supervisor.observe(self.now, state)
+        result = ControlResult(
+            0.0, self.wanted, Status.OK, state, x, 0.0, x + 1.0, 0.0, 1.0, 0.0, 0.0
+        )
+        decision = self.supervisor.decide(self.now, result if trusted else None)
+        self.now += PERIOD
+        self.x += self.speed * PERIOD
+        return decision
+
+    def drive(self, seconds, speed=None, **measured):
+        if speed is not None:
+            self.speed = speed
+        return [self.step(**measured) for _ in range(round(seconds / PERIOD))]
+
+
+def first_stop(decisions):
+    """Time from the first decision to the first that does not drive [s], and its reason."""
+    for k, decision in enumerate(decisions):
+        if decision.mode is not Mode.DRIVING:
+            return k * PERIOD, decision.reason
+    return None
+
+
+# -- commanded, but it stands --------------------------------------------------------------------
+
+
+def test_a_car_at_a_wall_stops_being_told_to_drive():
+    """From rest at 1.5 m/s^2, 1 m takes 1.15 s: a car that stands for longer is blocked."""
+    t, reason = first_stop(Car().drive(3.0))
+    assert reason is Reason.BLOCKED
+    assert t == pytest.approx(math.sqrt(2.0 / 1.5), abs=2 * PERIOD)
+
+
+def test_it_rests_and_then_tries_again_at_walking_pace():
+    car = Car()
+    decisions = car.drive(1.5 + REST)
+    begin = next(k for k, d in enumerate(decisions) if d.reason is Reason.BLOCKED)
+    again = next(k for k, d in enumerate(decisions) if k > begin and d.mode is Mode.DRIVING)
+    assert (again - begin) * PERIOD == pytest.approx(REST, abs=2 * PERIOD)
+    assert decisions[again].speed == 1.0
+    assert first_stop(car.drive(3.0))[1] is Reason.BLOCKED  # and so on, while nothing moves
+
+
+def test_once_it_moves_it_drives_on():
+    car = Car()
+    car.drive(1.5 + REST)
+    assert car.drive(0.3, speed=1.0)[-1][1:] == (Reason.NONE, 0.0, 4.0)
+
+
+def test_resume_does_not_wait():
+    car = Car()
+    assert car.drive(1.5)[-1].reason is Reason.BLOCKED
+    car.supervisor.resume()
+    assert car.step()[::3] == (Mode.DRIVING, 1.0)
+
+
+@pytest.mark.parametrize("acceleration", [0.5, 2.0, 8.0])
+def test_a_car_that_drives_off_is_not_blocked(acceleration):
+    """Also a weak one, with 0.2 s of dead time."""
+    car = Car()
+    car.drive(0.2)
+    for _ in range(200):
+        car.speed = min(car.speed + acceleration * PERIOD, 4.0)
+        assert car.step().mode is Mode.DRIVING
+
+
+def test_a_car_that_is_told_to_stand_may():
+    assert first_stop(Car(wanted=0.0).drive(10.0)) is None
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.5, 1.0])
+def test_a_car_that_creeps_as_told_is_not_blocked(speed):
+    assert first_stop(Car(wanted=speed).drive(10.0, speed=speed)) is None
+
+
+def test_a_car_that_is_much_slower_than_told_is_not_blocked():
+    """A speed controller that is off by far, on a flat battery."""
+    assert first_stop(Car(wanted=6.0).drive(10.0, speed=1.5)) is None
+
+
+# -- the pose stays, but for jitter --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0, 4.0, 8.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.001])
+def test_a_frozen_pose_shows_by_the_velocity(speed, jitter):
+    car, noise = Car(wanted=speed), random.Random(1)
+    car.drive(1.0, speed=speed)
+    at = car.x
+    decisions = [car.step(x=at + noise.uniform(-jitter, jitter)) for _ in range(20)]
+    t, reason = first_stop(decisions)
+    assert reason is Reason.FROZEN_POSE
+    assert 0.2 <= t <= 0.2 + 2 * PERIOD
+
+
+@pytest.mark.parametrize("jitter", [0.001, 0.01])
+def test_without_a_velocity_it_shows_by_the_way_that_should_have_been_driven(jitter):
+    car, noise = Car(), random.Random(1)
+    car.drive(1.0, speed=4.0)
+    at = car.x
+    decisions = [car.step(x=at + noise.gauss(0.0, jitter), v_x=0.0) for _ in range(40)]
+    t, reason = first_stop(decisions)
+    assert reason in (Reason.FROZEN_POSE, Reason.BLOCKED)
+    assert t <= 0.5
+
+
+def test_noise_of_a_centimeter_does_not_freeze_a_moving_car():
+    car, noise = Car(wanted=1.0), random.Random(2)
+    car.speed = 1.0
+    for _ in range(4000):
+        assert car.step(x=car.x + noise.gauss(0.0, 0.01)).mode is Mode.DRIVING
+
+
+def test_repeated_poses_of_a_slow_localization_do_not_freeze():
+    """Odometry at 40 Hz with the pose of a filter at 10 Hz."""
+    car = Car()
+    car.speed = 4.0
+    for k in range(400):
+        at = car.x - (k % 4) * 4.0 * PERIOD
+        assert car.step(x=at).mode is Mode.DRIVING
+
+
+def test_a_car_that_is_carried_away_is_no_longer_frozen():
+    motion = PoseMotion()
+    for k in range(20):
+        motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
+    for k in range(20, 400):
+        frozen = motion.frozen(0.025 * k, 1.9, 0.0, 0.0)
+    assert frozen > 5.0
+    assert motion.frozen(10.0, 2.01, 0.0, 0.0) == 0.0
+
+
+# -- faster than told, or backwards --------------------------------------------------------------
+
+
+def test_a_motor_that_runs_away_stops_the_car_until_resumed():
+    car = Car(wanted=2.0)
+    car.drive(1.0, speed=2.0)
+    t, reason = first_stop(car.drive(1.0, speed=4.5))
+    assert reason is Reason.OVERSPEED
+    assert PATIENCE <= t <= PATIENCE + 2 * PERIOD
+    car.drive(2.0, speed=0.0)
+    assert car.step()[:2] == (Mode.STOPPED, Reason.OVERSPEED)
+    car.supervisor.resume()
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_within_the_limit_it_may_be_faster():
+    car = Car(wanted=2.0)
+    assert first_stop(car.drive(5.0, speed=3.99)) is None
+
+
+def test_a_short_excess_is_none():
+    car = Car(wanted=2.0)
+    for _ in range(5):
+        assert first_stop(car.drive(PATIENCE - PERIOD, speed=4.5)) is None
+        assert first_stop(car.drive(0.1, speed=2.0)) is None
+
+
+def test_rolling_backwards_stops_until_it_ends():
+    car = Car()
+    car.drive(1.0, speed=2.0)
+    t, reason = first_stop(car.drive(1.0, speed=-0.6))
+    assert reason is Reason.BACKWARDS
+    assert PATIENCE <= t <= PATIENCE + 2 * PERIOD
+    assert car.drive(1.0, speed=0.0)[-1].mode is Mode.DRIVING
+
+
+def test_a_car_that_waits_may_be_pushed():
+    car = Car()
+    car.supervisor.request_stop("topic")
+    for _ in range(200):
+        car.speed = -3.0
+        assert car.step()[:2] == (Mode.WAITING, Reason.STOP_REQUESTED)
+    car.supervisor.resume()
+    car.speed = 0.0
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_the_distance_that_should_have_been_driven():
+    """From rest with 1.5 m/s^2 up to the command: after 2 s at 1 m/s 1/3 m less than 2 m."""
+    obedience = Obedience()
+    for k in range(2001):
+        obedience.update(0.001 * k, 0.0, 0.0, 1.0)
+    assert obedience.undriven == pytest.approx(2.0 - 1.0 / 3.0, abs=2e-3)
+    obedience.update(2.0, 0.5, 0.0, 1.0)
+    assert obedience.undriven == 0.0 and obedience.moves

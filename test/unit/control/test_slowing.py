@@ -1,0 +1,210 @@
+"""Steering and braking within the friction ellipse while the car is too fast."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_racing.control.controller import ControlResult, Status, build_steering_map
+from map_racing.control.safety import Mode, Reason, SafetyLimits, Supervisor
+from map_racing.control.slowing import MOST_BRAKING, STEERING_RATE, Slowing
+from map_racing.control.state import CarState
+from map_racing.vehicle.parameters import load_vehicle
+
+PERIOD = 1 / 40
+BRAKE = 6.0
+VEHICLE = load_vehicle("nuc4")
+TABLE = build_steering_map("table", VEHICLE, 12.0)
+SLOWING = Slowing(TABLE, BRAKE, VEHICLE.delta_max)
+PEAK = TABLE.max_lateral_acceleration(12.0)
+
+
+def held_angle(v, share=1.0):
+    return TABLE.steering(v, share * PEAK)[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(v=st.floats(0.0, 15.0), angle=st.floats(-0.5, 0.5), braking=st.floats(0.0, 4.8))
+def test_steering_stays_within_the_grip_that_braking_leaves(v, angle, braking):
+    found = SLOWING.steering(v, angle, 0.0, braking, 1.0)
+    share = math.sqrt(1.0 - (braking / BRAKE) ** 2)
+    assert abs(found) <= min(held_angle(v, 1.001 * share) + 1e-6, VEHICLE.delta_max)
+    assert found == angle or abs(found) == pytest.approx(held_angle(v, share), rel=5e-3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(v=st.floats(1.0, 12.0), share=st.floats(0.05, 0.999))
+def test_braking_and_steering_are_on_the_ellipse(v, share):
+    braking = SLOWING.braking(v, held_angle(v, share))
+    reachable = min(share, TABLE.max_lateral_acceleration(v) / PEAK)
+    assert braking == pytest.approx(BRAKE * math.sqrt(1.0 - reachable**2), abs=0.03)
+
+
+def test_beyond_the_grip_nothing_is_left_for_braking():
+    assert SLOWING.braking(6.0, 0.4) == 0.0
+
+
+def test_straight_ahead_all_of_it_is():
+    assert SLOWING.braking(6.0, 0.0) == pytest.approx(BRAKE, abs=1e-3)
+
+
+def test_at_walking_pace_the_lock_and_the_whole_braking_are_free():
+    assert SLOWING.steering(0.5, 0.4, 0.4, 4.0, PERIOD) == 0.4
+    assert SLOWING.braking(0.5, 0.4) > 0.99 * BRAKE
+
+
+def test_a_stop_leaves_grip_for_steering():
+    assert SLOWING.bounded(4.0) == 4.0
+    assert SLOWING.bounded(15.0) == MOST_BRAKING * BRAKE
+
+
+def test_the_rate_is_limited_from_the_last_command():
+    assert SLOWING.steering(1.0, 0.4, -0.1, 0.0, 0.1) == pytest.approx(-0.1 + 0.1 * STEERING_RATE)
+    assert SLOWING.steering(1.0, -0.4, 0.1, 0.0, 0.1) == pytest.approx(0.1 - 0.1 * STEERING_RATE)
+
+
+def test_no_angle_is_beyond_the_lock():
+    small = Slowing(TABLE, BRAKE, 0.2)
+    assert small.steering(0.3, 0.9, 0.2, 0.0, 1.0) == 0.2
+
+
+# -- the supervisor with it ----------------------------------------------------------------------
+
+
+class Car:
+    """A car that follows the commanded speed with a lag, and its supervisor."""
+
+    def __init__(self, speed=4.0, **limits):
+        self.supervisor = Supervisor(SafetyLimits(**limits), 12.0, SLOWING)
+        self.now, self.x, self.speed = 100.0, 0.0, speed
+        self.angles, self.speeds, self.measured = [], [], []
+
+    def step(self, trusted=True, **asked):
+        state = CarState(self.now, self.x, 0.0, 0.0, self.speed, 0.0, 0.0)
+        wanted = ControlResult(0.0, 4.0, Status.OK, state, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0)
+        if not trusted:
+            state = state._replace(x=math.nan)
+        trusted = self.supervisor.observe(self.now, state)
+        result = wanted._replace(**asked) if trusted else None
+        decision = self.supervisor.decide(self.now, result)
+        self.angles.append(decision.steering_angle)
+        self.speeds.append(decision.speed)
+        self.measured.append(self.speed)
+        self.now += PERIOD
+        self.x += self.speed * PERIOD
+        change = (decision.speed - self.speed) / 0.1
+        self.speed += min(max(change, -BRAKE), 6.0) * PERIOD
+        return decision
+
+    def assert_within_the_ellipse(self, begin):
+        """Every sample from one on: rate, grip at the measured speed, and braking beside it."""
+        for k in range(begin, len(self.angles)):
+            angle, v = self.angles[k], self.measured[k]
+            assert abs(angle) <= held_angle(v) + 1e-9
+            assert abs(angle - self.angles[k - 1]) <= STEERING_RATE * PERIOD + 1e-9
+            braking = (self.speeds[k - 1] - self.speeds[k]) / PERIOD
+            if k > begin:  # the ramp begins at the measured speed
+                assert braking <= SLOWING.braking(v, angle) + 1e-6
+
+
+def test_off_course_at_speed_the_car_slows_down_within_the_grip():
+    car = Car()
+    for _ in range(20):
+        car.step()
+    begin = len(car.angles)
+    for _ in range(60):
+        decision = car.step(status=Status.OFF_COURSE, steering_angle=0.41, speed=1.0)
+    car.assert_within_the_ellipse(begin)
+    assert decision.mode is Mode.DRIVING
+    assert car.speeds[begin] > 3.85 and decision.speed == 1.0
+    assert decision.steering_angle == 0.41  # once it is slow
+
+
+def test_back_on_course_the_command_is_the_controllers_again_without_a_step():
+    car = Car()
+    for _ in range(20):
+        car.step()
+    begin = len(car.angles)
+    for _ in range(20):
+        car.step(status=Status.OFF_COURSE, steering_angle=0.41, speed=1.0)
+    for _ in range(30):
+        decision = car.step(steering_angle=-0.05)
+    car.assert_within_the_ellipse(begin)
+    assert decision[2:] == (-0.05, 4.0)
+
+
+def test_a_stop_in_a_bend_brakes_as_the_steering_gives_way():
+    car = Car()
+    angle = held_angle(4.0, 0.98)
+    for _ in range(20):
+        car.step(steering_angle=angle)
+    begin = len(car.angles)
+    car.supervisor.request_stop("service")
+    for _ in range(60):
+        decision = car.step(steering_angle=angle)
+    car.assert_within_the_ellipse(begin)
+    assert decision[::3] == (Mode.STOPPED, 0.0)
+    assert car.speed < 0.05
+
+
+@pytest.mark.parametrize("share", [0.3, 0.98])
+def test_a_held_angle_stays_within_the_grip_as_well(share):
+    car = Car()
+    angle = held_angle(4.0, share)
+    for _ in range(20):
+        car.step(steering_angle=angle)
+    begin = len(car.angles)
+    for _ in range(60):
+        decision = car.step(trusted=False)
+    car.assert_within_the_ellipse(begin)
+    assert decision[::3] == (Mode.STOPPED, 0.0)
+    most = held_angle(4.0, math.sqrt(1.0 - (4.0 / BRAKE) ** 2))
+    assert decision.steering_angle == pytest.approx(min(angle, most), abs=1e-5)
+
+
+def test_a_raceline_that_asks_for_much_less_is_a_ramp():
+    """As one with lower speeds does, or a speed scale that somebody lowers."""
+    car = Car()
+    for _ in range(20):
+        car.step()
+    begin = len(car.angles)
+    for _ in range(60):
+        decision = car.step(speed=0.8, steering_angle=0.3)
+    car.assert_within_the_ellipse(begin)
+    assert decision[2:] == (0.3, 0.8) and decision.mode is Mode.DRIVING
+
+
+def test_the_braking_of_a_raceline_is_left_alone():
+    car = Car()
+    for _ in range(20):
+        car.step()
+    for k in range(20):
+        speed = 4.0 - 0.14 * k
+        assert car.step(speed=speed, steering_angle=0.01 * k)[2:] == (0.01 * k, speed)
+
+
+def test_a_car_that_rolls_on_steers_within_its_grip():
+    """Its brakes are gone: the command is 0, the speed is not."""
+    car = Car()
+    for _ in range(20):
+        car.step()
+    car.supervisor.request_stop("service")
+    for _ in range(60):
+        car.speed = 4.0
+        car.step(steering_angle=0.4)
+    assert car.speeds[-1] == 0.0
+    assert 0.0 < car.angles[-1] <= held_angle(4.0)
+
+
+def test_recovery_begins_where_the_stop_ended():
+    car = Car()
+    for _ in range(20):
+        car.step(steering_angle=0.1)
+    for _ in range(4):
+        car.step(trusted=False)
+    begin = len(car.angles)
+    for _ in range(40):
+        decision = car.step(steering_angle=-0.1)
+    car.assert_within_the_ellipse(begin)
+    assert decision == (Mode.DRIVING, Reason.NONE, -0.1, 4.0)
