@@ -210,6 +210,19 @@ def start(roscore, processes):
     return run
 
 
+@pytest.fixture
+def refusal(start):
+    """``refusal("controller", {"vehicle": "none"})``: what a node says that refuses to start."""
+
+    def run(node, params):
+        process = start(node, params, wait=False)
+        assert process.wait() == 1
+        assert "Traceback" not in process.output
+        return process.output
+
+    return run
+
+
 def registered(name):
     """Whether a node of this name is known to the master."""
     import rosgraph

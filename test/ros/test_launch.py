@@ -2,13 +2,13 @@
 
 import json
 import os
-import subprocess
 from xml.etree import ElementTree
 
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
 from harness import wait_for
 from map_racing.msg import LapResult
+from roslaunch.core import RLException
 
 from map_racing.cli import main
 from map_racing.control.parameters import (
@@ -23,14 +23,28 @@ STACKS = {
     "f1tenth_simulator": ("/odom", "/drive"),
 }
 NEEDED = {"replay": ["bag:=run.bag"], "identify": []}
-FILES = ("simulate", "race", "replay", "identify", "rviz")
+MAIN_NODE = {
+    "simulate": "simulator",
+    "race": "controller",
+    "replay": "lap_evaluator",
+    "identify": "steering_ramp",
+    "rviz": "rviz",
+}
 
 
-def roslaunch(*arguments):
-    done = subprocess.run(
-        ["roslaunch", *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
-    return done.returncode, done.stdout.decode(errors="replace")
+@pytest.fixture
+def nodes_of(folder):
+    """``nodes_of("race", "stack:=race_stack")``: what roslaunch would start."""
+    from roslaunch.config import ROSLaunchConfig
+    from roslaunch.xmlloader import XmlLoader
+
+    def load(file, *arguments):
+        config = ROSLaunchConfig()
+        path = str(folder / f"{file}.launch")
+        XmlLoader(resolve_anon=False).load(path, config, argv=arguments, verbose=False)
+        return {node.name for node in config.nodes}
+
+    return load
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +54,7 @@ def folder(request):
 
 def test_every_argument_is_documented(folder):
     files = sorted(folder.rglob("*.launch"))
-    assert {file.stem for file in files} == {*FILES, "nodes"}
+    assert {file.stem for file in files} == {*MAIN_NODE, "nodes"}
     for file in files:
         for argument in ElementTree.parse(file).getroot().iter("arg"):
             # Those with a value pass on or work out, and cannot be set.
@@ -49,23 +63,16 @@ def test_every_argument_is_documented(folder):
 
 
 @pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("file", FILES)
-def test_every_file_for_every_stack(roscore, file, stack):
+@pytest.mark.parametrize("file", MAIN_NODE)
+def test_every_file_for_every_stack(nodes_of, file, stack):
     stacked = [] if file == "rviz" else [f"stack:={stack}"]
-    code, output = roslaunch(
-        "--nodes", "map_racing", f"{file}.launch", *stacked, *NEEDED.get(file, [])
-    )
-    assert code == 0 and "/" in output, output
-    code, output = roslaunch(
-        "--files", "map_racing", f"{file}.launch", *stacked, *NEEDED.get(file, [])
-    )
-    assert code == 0 and f"{file}.launch" in output, output
+    assert MAIN_NODE[file] in nodes_of(file, *stacked, *NEEDED.get(file, []))
 
 
-def test_another_stack_is_refused(roscore):
-    code, output = roslaunch("--nodes", "map_racing", "race.launch", "stack:=autoware")
+def test_another_stack_is_refused(nodes_of):
     text = "stack: expected race_stack, f1tenth_system or f1tenth_simulator, got autoware"
-    assert code != 0 and text in output
+    with pytest.raises(RLException, match=text):
+        nodes_of("race", "stack:=autoware")
 
 
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])
@@ -155,12 +162,17 @@ def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path,
     process = launch(
         "simulate.launch", clock_rate=4, lockstep="true", record="true", record_to=tmp_path / "run"
     )
-    live = inbox.wait(lambda lap: lap.laps_completed == 1, 90.0)
+    # The recorder may begin late and end early: of three laps it has one at least.
+    inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
     process.stop(30.0)
     (bag,) = tmp_path.glob("run*.bag")
     report = tmp_path / "run.json"
     assert main(["evaluate", str(bag), "--json", str(report)]) == 0
     (run,) = json.loads(report.read_text())["runs"]
-    offline = next(lap for lap in run["laps"] if lap["valid"])
-    assert offline["lap_time_s"] == pytest.approx(live.lap_time_s, abs=1e-6)
-    assert offline["rms_lateral_error_m"] == pytest.approx(live.rms_lateral_error_m, abs=1e-6)
+    offline = [lap for lap in run["laps"] if lap["valid"]]
+    assert offline
+    for lap in offline:
+        times = {abs(live.lap_time_s - lap["lap_time_s"]): live for live in inbox if live.valid}
+        live = times[min(times)]
+        assert lap["lap_time_s"] == pytest.approx(live.lap_time_s, abs=1e-6)
+        assert lap["rms_lateral_error_m"] == pytest.approx(live.rms_lateral_error_m, abs=1e-6)

@@ -1,5 +1,6 @@
 """The identification drive on the running nodes: button, area, end."""
 
+import itertools
 import math
 import signal
 
@@ -37,6 +38,7 @@ def hold(ros, advertise):
     yield begin
     for timer in timers:
         timer.shutdown()
+        timer.join()
 
 
 def joy(button, count=8):
@@ -107,60 +109,84 @@ def test_without_a_button_it_warns(field, start, listen):
     assert any(m.drive.speed == 0.0 for m in list(commands)[at:])
 
 
-def test_a_stop_where_poses_stop_coming(start, advertise, hold, listen, ros):
+@pytest.fixture
+def poses(ros, start, advertise, hold):
+    """Start the node and send it poses of a car that moves slowly, at 40 Hz.
+
+    ``change(message, k)`` alters the k-th of them.
+    """
+    timers = []
+
+    def begin(change=lambda message, k: None):
+        node = start("steering_ramp", FAST)
+        hold("/enable", Bool, Bool(True))
+        publisher, count = advertise("/odom", Odometry), itertools.count()
+
+        def send(_):
+            k = next(count)
+            message = odometry_at(ros, 0.02 * k, 0.05)
+            change(message, k)
+            publisher.publish(message)
+
+        timers.append(ros.Timer(ros.Duration(0.025), send))
+        return node, timers[-1]
+
+    yield begin
+    for timer in timers:
+        timer.shutdown()
+        timer.join()
+
+
+def test_a_stop_where_poses_stop_coming(poses, listen):
     commands = listen("/drive", AckermannDriveStamped)
-    start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    rate = ros.Rate(40.0)
-    for k in range(60):
-        publisher.publish(odometry_at(ros, 0.05 * max(k - 20, 0), 2.0 * (k > 20)))
-        rate.sleep()
-    assert commands[-1].drive.speed > 1.0
+    _, sending = poses()
+    commands.wait(lambda m: m.drive.speed > 1.0)
+    sending.shutdown()
     silent = len(commands)
     commands.wait(lambda m: m in list(commands)[silent:] and m.drive.speed == 0.0)
 
 
-def test_the_area_is_around_the_first_pose_that_is_one(start, advertise, hold, listen, ros):
+def test_the_area_is_around_the_first_pose_that_is_one(poses, listen, ros):
     commands = listen("/drive", AckermannDriveStamped)
-    node = start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    for k in range(60):
-        message = odometry_at(ros, {0: 90.0, 1: math.nan, 2: 1e300}.get(k, 0.01 * k))
+
+    def change(message, k):
         if k == 0:
             message.header.stamp -= ros.Duration(100.0)
-        publisher.publish(message)
-        ros.sleep(0.025)
-    assert commands[-1].drive.speed > 1.0
+        at = message.pose.pose.position
+        at.x = {0: 90.0, 1: math.nan, 2: 1e300}.get(k, at.x)
+
+    node, _ = poses(change)
+    commands.wait(lambda m: m.drive.speed > 1.0)
     assert "Traceback" not in node.output and "outside" not in node.output
 
 
-def test_a_pose_that_stays_while_the_car_moves_stops_it(start, advertise, hold, listen, ros):
+def test_a_pose_that_stays_while_the_car_moves_stops_it(poses, listen):
     """Else the area would bound nothing."""
     commands = listen("/drive", AckermannDriveStamped)
-    node = start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    for k in range(100):
-        publisher.publish(odometry_at(ros, 0.0, 0.0 if k < 30 else 2.0))
-        ros.sleep(0.025)
-    assert max(m.drive.speed for m in commands) > 1.0
+    speed = [0.0]
+
+    def change(message, k):
+        message.pose.pose.position.x = 0.0
+        message.twist.twist.linear.x = speed[0]
+
+    node, _ = poses(change)
+    commands.wait(lambda m: m.drive.speed > 0.5)
+    speed[0] = 2.0
+    commands.wait(lambda _: "pose frozen while moving" in node.output)
     commands.wait(lambda _: commands[-1].drive.speed == 0.0)
-    assert "pose frozen while moving" in node.output
 
 
-def test_a_frozen_pose_moves_nothing(start, advertise, hold, listen, ros):
+def test_a_frozen_pose_moves_nothing(poses, listen, ros):
     commands = listen("/drive", AckermannDriveStamped)
-    start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    message = odometry_at(ros, 0.0)
-    message.header.stamp -= ros.Duration(1.0)
-    for _ in range(40):
-        publisher.publish(message)
-        ros.sleep(0.025)
-    assert len(commands) > 20 and {m.drive.speed for m in commands} == {0.0}
+    frozen = odometry_at(ros, 0.0)
+    frozen.header.stamp -= ros.Duration(1.0)
+
+    def change(message, k):
+        message.header, message.pose, message.twist = frozen.header, frozen.pose, frozen.twist
+
+    poses(change)
+    commands.wait(lambda _: len(commands) > 40)
+    assert {m.drive.speed for m in commands} == {0.0}
 
 
 def another_frame(message):
@@ -175,30 +201,26 @@ def absurdly_fast(message):
     message.twist.twist.linear.x = 1e9
 
 
-def test_poses_are_refused_as_by_the_controller(start, advertise, hold, listen, ros):
+def test_poses_are_refused_as_by_the_controller(poses, listen):
     commands = listen("/drive", AckermannDriveStamped)
-    node = start("steering_ramp", FAST)
-    hold("/enable", Bool, Bool(True))
-    publisher = advertise("/odom", Odometry)
-    x = 0.0
-    for fault in (another_frame, elsewhere, absurdly_fast):
+    faults = [None]
+
+    def change(message, k):
+        if faults[-1]:
+            faults[-1](message)
+
+    node, _ = poses(change)
+    for fault, reason in (
+        (another_frame, "pose in another frame"),
+        (elsewhere, "pose jumped"),
+        (absurdly_fast, "pose not finite or absurd"),
+    ):
         mark = len(commands)
-
-        def drive(poses, change=lambda message: None):
-            nonlocal x
-            for _ in range(poses):
-                x += 0.02
-                message = odometry_at(ros, x, 0.05)
-                change(message)
-                publisher.publish(message)
-                ros.sleep(0.025)
-
-        drive(50)
-        assert max(m.drive.speed for m in commands[mark:]) > 0.5, fault
-        drive(8, fault)
+        faults.append(None)
+        commands.wait(lambda _, mark=mark: any(m.drive.speed > 0.5 for m in commands[mark:]))
+        faults.append(fault)
+        commands.wait(lambda _, reason=reason: reason in node.output)
     commands.wait(lambda _: commands[-1].drive.speed == 0.0)
-    for reason in ("pose in another frame", "pose jumped", "pose not finite or absurd"):
-        assert reason in node.output
 
 
 @pytest.mark.parametrize(
@@ -211,7 +233,5 @@ def test_poses_are_refused_as_by_the_controller(start, advertise, hold, listen, 
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
     ],
 )
-def test_what_it_refuses_it_says_in_a_line(start, parameters, words):
-    node = start("steering_ramp", parameters, wait=False)
-    assert node.wait() == 1
-    assert words in node.output and "Traceback" not in node.output
+def test_what_it_refuses_it_says_in_a_line(refusal, parameters, words):
+    assert words in refusal("steering_ramp", parameters)

@@ -18,19 +18,23 @@ from ..angles import yaw_from_quaternion
 __all__ = [
     "ACKERMANN",
     "DEFINITIONS",
+    "DIAGNOSTICS",
     "FLOAT64",
     "IMU",
     "MD5",
     "ODOMETRY",
+    "ODOMETRY_SIZE",
     "PATH",
     "POSE",
     "POSE_COVARIANCE",
     "SHORTEST_QUATERNION",
+    "STRING",
     "TF",
     "UNIT_QUATERNION",
     "WAYPOINTS",
     "WAYPOINT_FIELDS",
     "Transform",
+    "decode_diagnostics",
     "decode_drive",
     "decode_float64",
     "decode_frames",
@@ -39,12 +43,14 @@ __all__ = [
     "decode_odometry",
     "decode_path",
     "decode_pose",
+    "decode_string",
     "decode_transforms",
     "decode_waypoints",
     "encode_drive",
     "encode_imu",
     "encode_odometry",
     "encode_pose",
+    "encode_string",
     "encode_transform",
     "encode_waypoints",
     "yaw_and_length",
@@ -57,6 +63,8 @@ ACKERMANN = "ackermann_msgs/AckermannDriveStamped"
 IMU = "sensor_msgs/Imu"
 PATH = "nav_msgs/Path"
 FLOAT64 = "std_msgs/Float64"
+STRING = "std_msgs/String"
+DIAGNOSTICS = "diagnostic_msgs/DiagnosticArray"
 TF = "tf2_msgs/TFMessage"
 WAYPOINTS = "f110_msgs/WpntArray"
 # Fields of f110_msgs/Wpnt after its id.
@@ -81,6 +89,8 @@ MD5 = {
     IMU: "6a62c6daae103f4ff57a132d6f95cec2",
     PATH: "6227e2b7e9cce15051f669a5e197bbf7",
     FLOAT64: "fdb28210bfa9d7c91146260178d9a584",
+    STRING: "992ce8a1687cec8c8bd883ec73ca41d1",
+    DIAGNOSTICS: "60810da900de1dd6ddd437c3503511da",
     TF: "94810edda583a504dfda3829e70d7eec",
     WAYPOINTS: "f862195689eef47cf0c81faffd1f380d",
 }
@@ -124,7 +134,8 @@ _ODOMETRY_FIELDS = {
     "v_y": ("<f8", _TWIST + 8),
     "yaw_rate": ("<f8", _TWIST + 40),
 }
-_ODOMETRY_BODY = _TWIST + 48 + 288
+ODOMETRY_SIZE = _TWIST + 48 + 288
+"""Bytes of an Odometry after its frames."""
 _DRIVE_FIELDS = {"steering_angle": ("<f4", 0), "speed": ("<f4", 8)}
 # Orientation, angular velocity and linear acceleration are each followed by a covariance.
 _RATES, _ACCELERATIONS = 13 * 8, 25 * 8
@@ -194,7 +205,7 @@ def decode_odometry(batch: list[bytes]) -> Decoded:
     good : ndarray of bool, shape (n,)
         False for messages that do not have the layout of their type.
     """
-    return _decode(batch, _ODOMETRY_BODY, _ODOMETRY_FIELDS, has_child=True)
+    return _decode(batch, ODOMETRY_SIZE, _ODOMETRY_FIELDS, has_child=True)
 
 
 def decode_pose(batch: list[bytes]) -> Decoded:
@@ -217,6 +228,47 @@ def decode_float64(batch: list[bytes]) -> Decoded:
     good = np.array([len(data) == 8 for data in batch], dtype=bool)
     values = np.array([_F64.unpack(data)[0] if len(data) == 8 else _NAN for data in batch])
     return np.zeros(len(batch), dtype=np.int64), values.reshape(-1, 1), good
+
+
+def decode_string(data: bytes, at: int = 0) -> tuple[str, int]:
+    """Text of ``String``, or of a field of another message at ``at``, and its end.
+
+    Raises
+    ------
+    struct.error
+        If the message is cut off.
+    """
+    (length,) = _U32.unpack_from(data, at)
+    end = at + 4 + length
+    if end > len(data):
+        raise struct.error("a text is longer than its message")
+    return data[at + 4 : end].decode("utf-8", "replace"), end
+
+
+def decode_diagnostics(data: bytes) -> tuple[int, list[tuple[str, str, str]]]:
+    """Stamp [ns] of a ``DiagnosticArray``, and name, message and hardware of each status.
+
+    Raises
+    ------
+    struct.error
+        If the message is cut off.
+    """
+    stamp_ns, _, at = decode_header(data)
+    (count,) = _U32.unpack_from(data, at)
+    at += 4
+    statuses = []
+    for _ in range(count):
+        at += 1  # the level
+        texts = []
+        for _ in range(3):
+            text, at = decode_string(data, at)
+            texts.append(text)
+        (pairs,) = _U32.unpack_from(data, at)
+        at += 4
+        for _ in range(2 * pairs):
+            _, at = decode_string(data, at)
+        statuses.append(tuple(texts))
+    return stamp_ns, statuses
 
 
 def _decode(batch, body, fields, has_child=False):
@@ -383,3 +435,9 @@ def encode_waypoints(seq, stamp_ns, frame, rows):
     """
     waypoints = [_WAYPOINT.pack(number, *row) for number, row in enumerate(rows)]
     return b"".join((_header(seq, stamp_ns, frame), _U32.pack(len(waypoints)), *waypoints))
+
+
+def encode_string(seq, stamp_ns, text):
+    """``std_msgs/String``, which has no header."""
+    data = text.encode("utf-8")
+    return _U32.pack(len(data)) + data

@@ -1,17 +1,16 @@
-"""Read recorded driving and further signals from ROS 1 bags."""
+"""Read recorded driving and further signals from bags."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from ..errors import BagError
 from . import messages as msg
 from .clocks import stamps_are_unusable
-from .records import BagFile
+from .opening import Source, open_bag, source_name
 from .samples import Commands, Recording
 from .series import Series
 from .topics import drive_connections, imu_topic, pose_sources
@@ -30,8 +29,8 @@ _SIGNALS = {
 }
 
 
-def read_recording(path: str | Path, pose_topic: str | None = None) -> Recording:
-    """Read the driving recorded in a bag.
+def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
+    """Read the driving recorded in a bag, of ROS 1 or 2, or in several that are parts of one run.
 
     The pose is taken from Odometry, PoseStamped, PoseWithCovarianceStamped or tf; without
     `pose_topic` the best source is chosen and the choice explained in the notes: a pose in ``map``
@@ -45,7 +44,8 @@ def read_recording(path: str | Path, pose_topic: str | None = None) -> Recording
 
     Parameters
     ----------
-    path : str or pathlib.Path
+    source : str, pathlib.Path or sequence of them
+        See `map_racing.bags.opening.open_bag`.
     pose_topic : str, optional
         Topic of the pose. For tf, ``/tf`` (frame ``base_link``) or ``/tf:FRAME``; the transforms
         are chained in the plane up to ``map``, or to the root of the tree.
@@ -64,14 +64,15 @@ def read_recording(path: str | Path, pose_topic: str | None = None) -> Recording
     -----
     A recording of 63 s with 52,000 messages takes 0.04 s, an hour of odometry at 100 Hz 1.0 s.
     """
-    with BagFile(path) as bag:
+    path = source_name(source)
+    with open_bag(source) as bag:
         sources = pose_sources(bag, pose_topic)
         first = _read(path, bag, *next(sources))
         if pose_topic is not None or _moves(first):
             return first
-        for source, notes in sources:
+        for candidate, notes in sources:
             with suppress(BagError):
-                other = _read(path, bag, source, notes)
+                other = _read(path, bag, candidate, notes)
                 if _moves(other):
                     said = f"warning: {first.topic} stands still while {other.topic} moves"
                     return replace(other, notes=[*other.notes, said])
@@ -152,12 +153,12 @@ def _use_receive_time(path, pose, command, notes):
     return True
 
 
-def read_signals(path: str | Path, recording: Recording, topics: dict[str, str]) -> dict:
+def read_signals(source: Source, recording: Recording, topics: dict[str, str]) -> dict:
     """Read further topics of a bag, on the clock of its recording.
 
     Parameters
     ----------
-    path : str or pathlib.Path
+    source : str, pathlib.Path or sequence of them
     recording : Recording
         What `read_recording` read from the same bag.
     topics : dict of str to str
@@ -175,7 +176,8 @@ def read_signals(path: str | Path, recording: Recording, topics: dict[str, str])
     BagError
         If a topic is not in the bag, has another type, or its time falls back.
     """
-    with BagFile(path) as bag:
+    path = source_name(source)
+    with open_bag(source) as bag:
         found = {name: topic and "/" + topic.lstrip("/") for name, topic in topics.items()}
         found = {name: topic or imu_topic(bag) for name, topic in found.items()}
         found = {name: topic for name, topic in found.items() if topic is not None}

@@ -9,19 +9,19 @@ Format: http://wiki.ros.org/Bags/Format/2.0
 
 from __future__ import annotations
 
-import bz2
 import struct
 from enum import IntEnum
 from itertools import permutations
 from pathlib import Path
 from typing import Callable, Iterator, NamedTuple
 
-import lz4.frame
 import numpy as np
 
 from ..errors import BagError
+from .bag import Bag, Connection, Message, time_span
+from .compression import decompress
 
-__all__ = ["BagFile", "Connection", "Message", "is_bag"]
+__all__ = ["BagFile"]
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MAX_HEADER = 1 << 16
@@ -140,40 +140,8 @@ _OP_OFFSETS_CHUNK = (4, 4 + 13, 4 + 19, 4 + 20, 4 + 32, 4 + 33)
 _LAYOUTS = [_Layout.of(order) for order in permutations(_MESSAGE_FIELDS)]
 
 
-class Connection(NamedTuple):
-    """A publisher on a topic, with type and definition of its messages.
-
-    The topic begins with a slash; the sender is empty where the bag does not name it.
-    """
-
-    topic: str
-    type: str
-    md5sum: str
-    definition: str
-    sender: str = ""
-
-
-class Message(NamedTuple):
-    """A serialized message of a connection, received at ``time_ns``."""
-
-    connection: int
-    time_ns: int
-    data: bytes
-
-
-class BagFile:
-    """A bag open for reading.
-
-    Use it as a context manager.
-
-    Attributes
-    ----------
-    connections : dict of int to Connection
-        Connections that the bag declares.
-    counts : dict of int to int
-        Number of messages of each connection, from the index or, without one, as found.
-    start_ns, end_ns : int
-        Receive times of the first and last message [ns]; 0 in a bag without messages.
+class BagFile(Bag):
+    """A bag of ROS 1 open for reading.
 
     Parameters
     ----------
@@ -186,10 +154,7 @@ class BagFile:
     """
 
     def __init__(self, path: str | Path):
-        self.path = Path(path)
-        self.connections: dict[int, Connection] = {}
-        self.counts: dict[int, int] = {}
-        self.start_ns = self.end_ns = 0
+        super().__init__(path)
         self._damage = set()
         # Least number of messages that a complete run of `messages` found; None before the first.
         self._found = None
@@ -217,10 +182,8 @@ class BagFile:
             self._file.close()
             raise
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
+    def close(self) -> None:
+        """Close the file."""
         self._file.close()
 
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
@@ -280,12 +243,12 @@ class BagFile:
                 for at in range(0, record.length - 7, 8):
                     connection, count = _COUNT.unpack_from(data, at)
                     self.counts[connection] = self.counts.get(connection, 0) + count
-                times += [record.header.time_ns(b"start_time"), record.header.time_ns(b"end_time")]
+                first, last = (record.header.time_ns(name) for name in (b"start_time", b"end_time"))
+                times.append((first or last, last))
             else:
                 return False
             position = record.end
-        times = [time for time in times if time]
-        self.start_ns, self.end_ns = (min(times), max(times)) if times else (0, 0)
+        self.start_ns, self.end_ns = time_span(times)
         return True
 
     def _take_inventory(self):
@@ -354,9 +317,8 @@ class BagFile:
                 # A recorder fills in the length when it closes the chunk: 0 means open.
                 whole = length > 0 and end <= self._size
                 length = length if whole else min(self._size - start, _MAX_OPEN_CHUNK)
-                contents, sound = _decompress(
-                    header.get(b"compression", b""), self._read_at(start, length)
-                )
+                compression = header.text(b"compression") or "unknown"
+                contents, sound = decompress(compression, self._read_at(start, length))
                 index = {}
                 if whole and sound and len(contents) == header.u32(b"size"):
                     index = self._chunk_index(end) if self.indexed else {}
@@ -503,45 +465,3 @@ def _header(buffer, start, stop):
             return None
         fields[name] = value
     return fields
-
-
-def _decompress(compression, data):
-    """Contents of a chunk as far as they can be decompressed, and whether that is all."""
-    if compression == b"none":
-        return data, True
-    if compression == b"lz4":
-        whole, piecewise = lz4.frame.decompress, lz4.frame.LZ4FrameDecompressor
-    elif compression == b"bz2":
-        whole, piecewise = bz2.decompress, bz2.BZ2Decompressor
-    else:
-        return b"", False
-    errors = (OSError, EOFError, RuntimeError, ValueError)
-    try:
-        return whole(data), True
-    except errors:
-        pass
-    decompressor, contents = piecewise(), []
-    try:
-        for at in range(0, len(data), 4096):
-            contents.append(decompressor.decompress(data[at : at + 4096]))
-    except errors:
-        pass
-    return b"".join(contents), False
-
-
-def is_bag(path: str | Path) -> bool:
-    """Whether a path means a bag, by content or name.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-
-    Returns
-    -------
-    bool
-    """
-    try:
-        with open(path, "rb") as file:
-            return file.read(8) == b"#ROSBAG " or Path(path).suffix in (".bag", ".active")
-    except OSError:
-        return Path(path).suffix in (".bag", ".active")

@@ -6,9 +6,9 @@ from typing import Callable
 
 import numpy as np
 
+from .bag import Connection, Message
 from .clocks import Clock
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION
-from .records import Connection, Message
 from .samples import in_order, jump_back, usable
 
 __all__ = ["PoseSeries", "Series", "quaternion_note"]

@@ -8,15 +8,24 @@ from typing import Iterator, NamedTuple
 
 from ..errors import BagError
 from . import messages as msg
-from .records import BagFile
+from .bag import Bag
 from .samples import is_odometry_frame
 from .series import PoseSeries
 from .transforms import ComposedPoses, FramePoses, RecordedTransforms
 
-__all__ = ["DRIVE_TOPIC", "PoseSource", "drive_connections", "imu_topic", "pose_sources"]
+__all__ = [
+    "DRIVE_TOPIC",
+    "SETTINGS_TOPIC",
+    "PoseSource",
+    "drive_connections",
+    "imu_topic",
+    "pose_sources",
+]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
 """Where racing stacks publish the drive command."""
+SETTINGS_TOPIC = "/map_racing/settings"
+"""Where the controller says what it drives with, as text."""
 
 POSE_DECODERS = {
     msg.MD5[msg.ODOMETRY]: msg.decode_odometry,
@@ -52,7 +61,7 @@ class PoseSource(NamedTuple):
     own_frame: str = ""
     child: str = ""
 
-    def series(self, bag: BagFile) -> PoseSeries | FramePoses | ComposedPoses:
+    def series(self, bag: Bag) -> PoseSeries | FramePoses | ComposedPoses:
         """What collects the poses."""
         if self.poses is not None:
             return self.poses
@@ -63,7 +72,7 @@ class PoseSource(NamedTuple):
         return ComposedPoses(series, self.own_frame, self.child, self.transforms)
 
 
-def pose_sources(bag: BagFile, pose_topic: str | None) -> Iterator[tuple[PoseSource, list[str]]]:
+def pose_sources(bag: Bag, pose_topic: str | None) -> Iterator[tuple[PoseSource, list[str]]]:
     """Sources of the pose, the best first, each with notes that explain the choice.
 
     Raises
@@ -218,7 +227,7 @@ def _name_rank(topic, known):
     return known.index(topic) if topic in known else len(known)
 
 
-def drive_connections(bag: BagFile) -> tuple[str, set[int]]:
+def drive_connections(bag: Bag) -> tuple[str, set[int]]:
     """Topic of the drive command and its connections; empty without commands."""
     counts: dict[str, int] = {}
     for number, connection in bag.connections.items():
@@ -235,7 +244,7 @@ def drive_connections(bag: BagFile) -> tuple[str, set[int]]:
     }
 
 
-def imu_topic(bag: BagFile) -> str | None:
+def imu_topic(bag: Bag) -> str | None:
     """Topic of the IMU, or None."""
     topics = {
         connection.topic

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..angles import wrap
 from ..transforms import TransformTree
+from .bag import Bag
 from .clocks import Clock
 from .messages import MD5, TF, decode_transforms
-from .records import BagFile
 from .samples import in_order, jump_back, usable
 from .series import PoseSeries, quaternion_note
 
@@ -47,10 +47,10 @@ class RecordedTransforms:
 
     Parameters
     ----------
-    bag : BagFile
+    bag : Bag
     """
 
-    def __init__(self, bag: BagFile):
+    def __init__(self, bag: Bag):
         static = {
             number: connection.topic.endswith("/tf_static")
             for number, connection in bag.connections.items()

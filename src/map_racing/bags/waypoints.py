@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import struct
-from pathlib import Path
 
 import numpy as np
 
 from ..errors import BagError
 from ..validation import FARTHEST
 from . import messages as msg
-from .records import BagFile, Message
+from .bag import Bag, Message
+from .opening import Source, open_bag, source_name
 from .samples import Waypoints
 
 __all__ = ["WaypointCollection", "read_waypoints"]
@@ -19,12 +19,13 @@ __all__ = ["WaypointCollection", "read_waypoints"]
 _FIELDS = tuple(field for field in msg.WAYPOINT_FIELDS if field != "d_m")
 
 
-def read_waypoints(path: str | Path, topic: str | None = None) -> Waypoints:
+def read_waypoints(source: Source, topic: str | None = None) -> Waypoints:
     """Read the first waypoint array (``f110_msgs/WpntArray``) of a bag, or its longest path.
 
     Parameters
     ----------
-    path : str or pathlib.Path
+    source : str, pathlib.Path or sequence of them
+        See `map_racing.bags.opening.open_bag`.
     topic : str, optional
         By default ``/global_waypoints``, then other topics of waypoint arrays, then of
         ``nav_msgs/Path``; never local waypoints or paths, which cover only a part of the track.
@@ -38,7 +39,7 @@ def read_waypoints(path: str | Path, topic: str | None = None) -> Waypoints:
     BagError
         If the bag has no waypoints, or none on `topic`.
     """
-    with BagFile(path) as bag:
+    with open_bag(source) as bag:
         arrays = WaypointCollection(bag, topic)
         first = min(arrays.connections.values(), key=_rank, default=None)
         for message in bag.messages(set(arrays.connections)):
@@ -55,7 +56,8 @@ def read_waypoints(path: str | Path, topic: str | None = None) -> Waypoints:
     asked = f" on {topic}" if topic else ""
     why = f": {notes[0]}" if notes else ""
     raise BagError(
-        f"{path}: no raceline (f110_msgs/WpntArray with waypoints, nav_msgs/Path){asked}{why}"
+        f"{source_name(source)}: no raceline (f110_msgs/WpntArray with waypoints, nav_msgs/Path)"
+        f"{asked}{why}"
     )
 
 
@@ -66,7 +68,7 @@ class WaypointCollection:
 
     Parameters
     ----------
-    bag : BagFile
+    bag : Bag
     topic : str, optional
         By default all topics except local waypoints.
 
@@ -82,7 +84,7 @@ class WaypointCollection:
         What could not be read.
     """
 
-    def __init__(self, bag: BagFile, topic: str | None = None):
+    def __init__(self, bag: Bag, topic: str | None = None):
         self._bag = bag
         self.connections = _connections(
             bag, topic, lambda connection: connection.type.rpartition("/")[2] == "WpntArray"
@@ -148,13 +150,16 @@ def _rank(topic):
 def _decode_by_definition(connection, data):
     """Columns of a ``WpntArray`` of an unknown version, by its definition in the bag."""
     # Rarely needed, and slow to import.
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     package, name = connection.type.split("/")
     name = f"{package}/msg/{name}"
     types = get_typestore(Stores.EMPTY)
-    types.register(get_types_from_msg(connection.definition, name))
-    waypoints = types.deserialize_ros1(data, name).wpnts
+    idl = "module " in connection.definition
+    text = (connection.definition,) if idl else (connection.definition, name)
+    types.register((get_types_from_idl if idl else get_types_from_msg)(*text))
+    deserialize = types.deserialize_cdr if connection.cdr else types.deserialize_ros1
+    waypoints = deserialize(data, name).wpnts
     return {
         field: np.array([float(getattr(waypoint, field)) for waypoint in waypoints])
         for field in _FIELDS

@@ -11,7 +11,7 @@ import lz4.frame
 
 from ..errors import BagError
 from . import messages as msg
-from .topics import DRIVE_TOPIC
+from .topics import DRIVE_TOPIC, SETTINGS_TOPIC
 
 __all__ = ["BagWriter"]
 
@@ -162,6 +162,10 @@ class BagWriter:
         """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
         values, encode = (frame, rows.tolist()), msg.encode_waypoints
         self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=latched)
+
+    def text(self, stamp, text, *, topic=SETTINGS_TOPIC, latched=True, received=None):
+        """A text as ``std_msgs/String``; it has no stamp of its own."""
+        self._write(topic, msg.STRING, stamp, received, msg.encode_string, (text,), latched=latched)
 
     def _write(self, topic, kind, stamp, received, encode, values, latched=False):
         entry = self._topics.get(topic)

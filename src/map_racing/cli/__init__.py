@@ -19,6 +19,7 @@ __all__ = ["main"]
 COMMANDS = {
     "race": "race a simulated car, write a ROS 1 bag",
     "evaluate": "lap times and lateral errors from bags or CSV files",
+    "report": "one HTML page on runs: where the time goes, and why",
     "lookup": "make or check a steering lookup table",
     "raceline": "check, convert and optimize racelines",
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",

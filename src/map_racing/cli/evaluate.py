@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..bags.opening import source_name
 from ..errors import EvaluationError, MapRacingError, ParameterError
 from ..evaluation.laps import LapLimits, evaluate
 from ..evaluation.recordings import load_recording, recorded_runs
@@ -16,23 +17,22 @@ from ..files import write_json
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .figures import draw_runs
+from .inputs import joined
 from .outputs import check_outputs
 
 
 def run(arguments):
     """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
-    if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
-        raise ParameterError(
-            f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
-        )
+    check_evaluation(arguments)
     given = split_source(arguments.raceline or "")[0]
     check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
-    bar = tqdm(arguments.recordings, desc="evaluate", disable=None, leave=False)
-    for source, name in zip(bar, run_names(arguments.recordings)):
+    sources = joined(arguments.recordings, arguments.join)
+    bar = tqdm(sources, desc="evaluate", disable=None, leave=False)
+    for source, name in zip(bar, run_names(map(source_name, sources))):
         try:
-            runs = evaluate_one(source, track, arguments)
+            runs = [result for _, result in evaluate_one(source, track, arguments)]
         except MapRacingError as error:
             tqdm.write(f"map-racing: {error}", file=sys.stderr)
             failed = 1
@@ -61,21 +61,35 @@ def run(arguments):
     return failed
 
 
+def check_evaluation(arguments):
+    """Refuse options of the evaluation that are impossible."""
+    if arguments.max_deviation is not None and not arguments.max_deviation > 0.0:
+        raise ParameterError(
+            f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
+        )
+
+
 def evaluate_one(source, track, arguments):
-    """Runs of one recording on the track given or, without one, on its own racelines."""
+    """Runs of one recording on the track given or, without one, on its own racelines.
+
+    Returns
+    -------
+    list of (Recording, RunResult)
+    """
     recording = load_recording(source, arguments.pose_topic, arguments.columns)
     if track is not None:
-        return [evaluate_run(recording, track, arguments.raceline, arguments)]
-    results, errors = [], []
+        return [(recording, evaluate_run(recording, track, arguments.raceline, arguments))]
+    runs, errors = [], []
     for part, raceline in recorded_runs(recording):
         try:
-            results.append(evaluate_run(part, raceline, recording.waypoints.topic, arguments))
+            result = evaluate_run(part, raceline, recording.waypoints.topic, arguments)
+            runs.append((part, result))
         except EvaluationError as error:
             errors.append(error)
-    if not results:
+    if not runs:
         raise errors[0]
     said = [f"warning: {error}" for error in errors]
-    return [replace(result, notes=(*result.notes, *said)) for result in results]
+    return [(part, replace(result, notes=(*result.notes, *said))) for part, result in runs]
 
 
 def evaluate_run(recording, raceline, origin, arguments):
@@ -96,7 +110,9 @@ def evaluate_run(recording, raceline, origin, arguments):
 
 def run_names(sources):
     """Short names of runs: stems of the files or, if these repeat, what differs in the paths."""
-    stems = [re.sub(r"\.(bag(\.active)?|csv(\.gz)?)$", "", Path(source).name) for source in sources]
+    sources = list(sources)
+    suffixes = r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?|csv(\.gz)?)$"
+    stems = [re.sub(suffixes, "", Path(source).name) for source in sources]
     names = stems
     if len(set(stems)) < len(stems):
         folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]

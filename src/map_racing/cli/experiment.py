@@ -38,6 +38,7 @@ PAIRS = (
     ("MAP Pacejka", "pure pursuit"),
     ("MAP Pacejka", "MAP linear"),
     ("MAP default", "MAP Pacejka"),
+    ("MAP adaptive", "MAP default"),
 )
 
 

@@ -19,7 +19,7 @@ from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
-from .inputs import read_vehicle
+from .inputs import joined, read_vehicle
 from .outputs import check_outputs
 
 
@@ -33,9 +33,8 @@ def run(arguments: argparse.Namespace) -> None:
     check_outputs(outputs, [*arguments.data, arguments.vehicle, arguments.channels])
     base = read_vehicle(arguments.vehicle)
     channels = channel_map(arguments)
-    runs = [
-        load_run(path, channels) for path in tqdm(arguments.data, "read", disable=None, leave=False)
-    ]
+    sources = joined(arguments.data, arguments.join)
+    runs = [load_run(path, channels) for path in tqdm(sources, "read", disable=None, leave=False)]
     names = [field.name for field in dataclasses.fields(SteadyLimits)]
     options = {
         "fix": arguments.fix,

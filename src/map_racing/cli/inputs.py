@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from ..vehicle.parameters import Vehicle, load_vehicle
 
-__all__ = ["read_vehicle"]
+__all__ = ["joined", "read_vehicle"]
+
+
+def joined(paths: list[str], join: bool) -> list:
+    """Sources of the recordings to read: each file, or with ``--join`` all of them as one run."""
+    return [tuple(paths)] if join else list(paths)
 
 
 def read_vehicle(source: str) -> Vehicle:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Iterable
 
+from ..bags.opening import is_bag
 from ..errors import ParameterError
 
 __all__ = ["check_outputs"]
-
-BAG_MAGIC = b"#ROSBAG V2"
 
 
 def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = ()) -> None:
@@ -41,10 +40,8 @@ def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = 
         if _identity(path) in taken:
             raise ParameterError(f"{path}: is also {taken[_identity(path)]}")
         taken[_identity(path)] = "another output"
-        if name.suffix != ".bag" and name.is_file():
-            with open(path, "rb") as file:
-                if file.read(len(BAG_MAGIC)) == BAG_MAGIC:
-                    raise ParameterError(f"{path}: is a bag, which would be lost")
+        if name.suffix != ".bag" and name.is_file() and is_bag(name):
+            raise ParameterError(f"{path}: is a bag, which would be lost")
 
 
 def _identity(path):

@@ -5,6 +5,7 @@ from pathlib import Path
 from ..control.controller import Controller, build_steering_maps
 from ..control.laws import build_law, load_law
 from ..control.parameters import MpcParameters
+from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..simulation.plants import build_plant, load_plant
@@ -48,7 +49,13 @@ def run(arguments):
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(plant, controller, raceline, localization, laps=arguments.laps, progress=show)
-    write_race_bag(output, log, raceline)
+    settings = settings_text(
+        controller,
+        name=arguments.controller,
+        table=arguments.lookup_table or "",
+        sectors=arguments.speed_sectors or "",
+    )
+    write_race_bag(output, log, raceline, settings=settings)
     if raceline.d_left is None:
         print(f"{arguments.track}: no walls are known, so crashes are not detected")
     print(
@@ -107,6 +114,8 @@ def given_table(path, parameters, vehicle, own):
     """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
+    if parameters.adaptation:
+        raise ParameterError(f"{path}: a controller that adapts its tires uses no lookup table")
     table = load_table(path)
     made_for = f" for {table.provenance.vehicle}" if table.provenance else ""
     v, a_lat = 3.0, 0.5 * own.max_lateral_acceleration(3.0)

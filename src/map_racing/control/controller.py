@@ -17,9 +17,10 @@ from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
+from .adaptation import Adaptation
 from .grip_guard import GripGuard
 from .guidance import bearing, lateral_acceleration, missing_curvature
-from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
+from .speed_plan import WALKING_PACE, AdaptiveSpeedPlan, SpeedPlan, requested_speed
 from .state import CarState, predicted
 from .steering import AckermannSteering
 
@@ -128,10 +129,10 @@ class Controller:
 
     def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None, grip=None):
         self.vehicle = vehicle
-        self._estimate_v_y = SideslipEstimate(
-            vehicle, vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
-        )
-        self._setup = self._guard = None
+        ahead = vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
+        self._estimate_v_y = SideslipEstimate(vehicle, ahead)
+        self._behind = vehicle.l_r - ahead
+        self._learned = self._setup = self._guard = None
         self.apply(self._planned(_Setup(parameters, steering_map, grip, raceline, sectors)))
         self.reset()
 
@@ -167,16 +168,22 @@ class Controller:
         """
         if setup.guard is not None and self._guard is not None:
             setup.guard.resume(self._guard)
-        self._setup = setup
-        self._lookahead = setup.parameters.lookahead.distance
+        self._setup, self._adaptation = setup, setup.adaptation
+        self._lookahead = setup.parameters.lookahead(self.vehicle).distance
         self._parameters, self._steering_map = setup.parameters, setup.steering_map
         self._sectors, self._plan, self._guard = setup.sectors, setup.plan, setup.guard
         self._raceline, self._tracker = setup.raceline, setup.tracker
         self._speed_at = self._requested_speed_at if setup.plan is None else setup.plan.speed_at
+        self._delay = setup.parameters.delay_s
+        if self._adaptation is not None:
+            if setup.plan is not None:
+                self._adaptation.slowest = setup.plan.slowest
+            self._follow_belief()
 
     def _planned(self, setup):
         """A setup with the tracker and the speed plan that go with the rest of it."""
         parameters, raceline, old = setup.parameters, setup.raceline, self._setup
+        setup = setup._replace(adaptation=self._adaptation_of(parameters))
         if raceline is None:
             return setup._replace(tracker=None, plan=None, guard=None)
         if old is None or raceline is not old.raceline:
@@ -185,11 +192,34 @@ class Controller:
             requested_speed(raceline, parameters)  # an error without speeds
             return setup._replace(plan=None, guard=None)
         if old is None or setup.plan is None or _plan_key(setup) != _plan_key(old):
+            kind = SpeedPlan if setup.adaptation is None else AdaptiveSpeedPlan
             setup = setup._replace(
-                plan=SpeedPlan(raceline, parameters, setup.limit, setup.sectors),
+                plan=kind(raceline, parameters, setup.limit, setup.sectors),
                 guard=GripGuard(setup.limit, parameters.v_max_mps),
             )
         return setup
+
+    def _adaptation_of(self, parameters):
+        """What learns the tires, which survives being switched off; None while it is."""
+        if not parameters.adaptation:
+            return None
+        if self._learned is None:
+            v_max = min(max(parameters.v_max_mps, 1.0), 100.0)
+            self._learned = Adaptation(
+                *(self.vehicle, v_max, parameters.delay_s),
+                *(parameters.adaptation_share, self._behind),
+            )
+        return self._learned
+
+    def _follow_belief(self):
+        """Drive with what is believed of tires, grip and delay."""
+        adaptation = self._adaptation
+        self._delay = adaptation.delay
+        if self._parameters.steering_map == "table":
+            self._steering_map = adaptation.steering
+        if self._plan is not None:
+            self._plan.level = adaptation.grip
+            self._guard.level = adaptation.level
 
     @property
     def raceline(self):
@@ -211,12 +241,21 @@ class Controller:
 
     @property
     def steering_map(self):
-        """The steering map."""
-        return self._steering_map
+        """The steering map as given; with adaptation a table is replaced by the belief's."""
+        return self._setup.steering_map
 
     @steering_map.setter
     def steering_map(self, steering_map):
         self.apply(self.prepare(steering_map=steering_map))
+
+    @property
+    def adaptation(self):
+        """What learns the tires while driving, an `Adaptation`; None if that is off."""
+        return self._adaptation
+
+    def max_lateral_acceleration(self, v):
+        """Largest lateral acceleration [m/s^2] of the steering map in use, at a speed [m/s]."""
+        return self._steering_map.max_lateral_acceleration(v)
 
     @property
     def sectors(self):
@@ -257,6 +296,8 @@ class Controller:
         self._last_angle = 0.0
         if self._guard is not None:
             self._guard.reset()
+        if self._adaptation is not None:
+            self._adaptation.restart()
 
     def step(self, state):
         """Compute one command.
@@ -288,10 +329,11 @@ class Controller:
         raceline = self._raceline
         if raceline is None:
             return self._stop(state, Status.NO_RACELINE)
+        measured = state
         if v_y != v_y:
             state = CarState(t, x, y, psi, v_x, self._estimate_v_y(v_x, r), r)
-        if parameters.delay_s:
-            state = predicted(state, parameters.delay_s)
+        if self._delay:
+            state = predicted(state, self._delay)
 
         _, x, y, psi, _, _, _ = state
         s, d, path_psi, path_kappa = self._tracker.update(x, y, psi)
@@ -327,6 +369,9 @@ class Controller:
         angle = self._limited(angle, t)
         if self._guard is not None:
             speed = self._guard.limited(t, v_x, a_lat / (law_speed * law_speed), speed)
+        if self._adaptation is not None:
+            self._adaptation.update(measured, angle)
+            self._follow_belief()
         status = _SATURATED if saturated else _OK
         if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:
             status = _OFF_COURSE
@@ -400,10 +445,13 @@ class _Setup(NamedTuple):
     tracker: object = None
     plan: object = None
     guard: object = None
+    adaptation: object = None
 
     @property
     def limit(self):
         """What knows the grip."""
+        if self.adaptation is not None:
+            return self.adaptation.file_steering
         return self.steering_map if self.grip is None else self.grip
 
 

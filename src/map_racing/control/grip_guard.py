@@ -48,7 +48,19 @@ class GripGuard:
         v = np.maximum(np.arange(count), 0.5) / _PER_MPS
         self._radius = (v * v / np.asarray(grip.max_lateral_acceleration(v))).tolist()
         self._last = len(self._radius) - 1
+        self.level = 1.0
         self.reset()
+
+    @property
+    def level(self):
+        """Grip that there is, relative to that of `grip`; 1 until it is set."""
+        return self._level
+
+    @level.setter
+    def level(self, level):
+        # With other friction a circle is what it was at v / sqrt(level): of the same slip angles.
+        self._level = level
+        self._per_mps = _PER_MPS / math.sqrt(level)
 
     def reset(self):
         """Forget the past."""
@@ -78,7 +90,7 @@ class GripGuard:
             At most `planned`, and no less than walking pace for it [m/s].
         """
         # Comparisons, and the nearest entry: interpolation would take as long as all of the rest.
-        i = int(v * _PER_MPS + 0.5)
+        i = int(v * self._per_mps + 0.5)
         if i < 0:
             i = 0
         elif i > self._last:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property
 from pathlib import Path
 
 import yaml
@@ -12,6 +11,8 @@ from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
 from ..validation import POSITIVE, check, documented, parameter, read_parameters
+from ..vehicle.parameters import Vehicle
+from ..vehicle.single_track import GRAVITY
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
@@ -52,6 +53,14 @@ class ControllerParameters:
     )
     lookahead_max_m: float = parameter(
         "Longest lookahead distance", "m", low=POSITIVE, tuning=(0.1, 20.0), default=5.0
+    )
+    slip_lookahead: float = parameter(
+        "Share of the distance driven while the slip of the rear axle builds up, v^2 / (g mu C_r), "
+        "that is added to the lookahead distance. 0 as in the paper",
+        low=0.0,
+        high=5.0,
+        tuning=(0.0, 5.0),
+        default=0.0,
     )
     eta_from: str = parameter(
         "Direction from which the angle to the lookahead point counts: the velocity, as in L1 "
@@ -143,6 +152,18 @@ class ControllerParameters:
         tuning=(0.5, 20.0),
         default=6.0,
     )
+    adaptation: bool = parameter(
+        "Learn grip, cornering stiffness and delay while driving: steering map, speeds and delay "
+        "compensation follow",
+        default=False,
+    )
+    adaptation_share: float = parameter(
+        "What is learned of the tires stays within this share of the vehicle file's friction and "
+        "stiffness",
+        low=0.0,
+        high=0.6,
+        default=0.4,
+    )
     reference_point: str = parameter(
         "Point of the car that localization reports and that follows the raceline. The rear axle "
         "is base_link",
@@ -163,10 +184,15 @@ class ControllerParameters:
                 f"got {self.lookahead_min_m:g}"
             )
 
-    @cached_property
-    def lookahead(self) -> LookaheadLaw:
-        """The :class:`LookaheadLaw` of these parameters."""
-        return LookaheadLaw(self.m_m, self.q_s, self.lookahead_min_m, self.lookahead_max_m)
+    def lookahead(self, vehicle: Vehicle) -> LookaheadLaw:
+        """The `LookaheadLaw` of these parameters with the rear tires of a vehicle.
+
+        The slip of the rear axle builds up within ``v / (g mu C_r)``, with the cornering stiffness
+        ``C_r`` normalized by the load [1/rad]: until then the car does not move where it points.
+        """
+        growth = self.slip_lookahead / (GRAVITY * vehicle.mu * vehicle.rear.stiffness)
+        bounds = self.lookahead_min_m, self.lookahead_max_m
+        return LookaheadLaw(self.m_m, self.q_s, *bounds, growth)
 
     def with_(self, **changes) -> ControllerParameters:
         """A checked copy with some values changed."""

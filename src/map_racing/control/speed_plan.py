@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from typing import TYPE_CHECKING, Callable
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..track.speed_profile import lap_time, speed_profile
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["WALKING_PACE", "SpeedPlan", "requested_speed", "scaled_speed"]
+__all__ = ["WALKING_PACE", "AdaptiveSpeedPlan", "SpeedPlan", "requested_speed", "scaled_speed"]
 
 # Driven where a bend is tighter than the car can steer, and commanded where the car is off the
 # course [m/s]: any tires hold at it.
@@ -71,7 +72,47 @@ def requested_speed(raceline, parameters, sectors=None):
     return lambda s: np.minimum(speed(s), parameters.v_max_mps)
 
 
-class SpeedPlan:
+class _Profile:
+    """What can be said of planned speeds: `s`, `ds`, `speed`, `requested`, `has_own_speeds`."""
+
+    @property
+    def lap_time(self):
+        """Time of a lap that keeps to the plan [s]."""
+        return lap_time(self.speed, self.ds)
+
+    @property
+    def share_slowed(self):
+        """Share of the lap's length on which the plan is slower than what is asked for."""
+        return float(np.mean(self.speed < SLOWED * self.requested))
+
+    @property
+    def slowest_place(self):
+        """Where the plan takes most from what is asked for: ``(s, planned, requested)``.
+
+        Arc length [m] and speeds [m/s].
+        """
+        asked = np.maximum(self.requested, 1e-9)
+        i = int(np.argmin(np.where(self.requested > 0.0, self.speed / asked, 1.0)))
+        return float(self.s[i]), float(self.speed[i]), float(self.requested[i])
+
+    def __str__(self):
+        if not self.has_own_speeds:
+            return (
+                "the raceline has no speeds: driven as fast as the grip allows, "
+                f"{self.speed.min():.1f} to {self.speed.max():.1f} m/s"
+            )
+        share = self.share_slowed
+        if not share:
+            return "the grip suffices for the raceline's speeds"
+        s, planned, requested = self.slowest_place
+        percent = f"{share:.0%}" if share >= 0.01 else "less than 1%"
+        return (
+            f"slower than the raceline on {percent.replace('%', ' %')} of the lap, "
+            f"most at s = {s:.1f} m: {planned:.1f} for {requested:.1f} m/s"
+        )
+
+
+class SpeedPlan(_Profile):
     """Highest speeds around a lap within what is asked for and what the car can do.
 
     The raceline's speeds, scaled and bounded, are lowered to a profile within the friction ellipse,
@@ -146,38 +187,68 @@ class SpeedPlan:
         v = self._speed[i]
         return v + (self._speed[i + 1] - v) * (cell - i)
 
-    @property
-    def lap_time(self):
-        """Time of a lap that keeps to the plan [s]."""
-        return lap_time(self.speed, self.ds)
+
+class AdaptiveSpeedPlan(_Profile):
+    """Speed plans of a car for any grip, of which it drives the one of the present.
+
+    The plans of some levels of the friction are made beforehand; in between the speed is
+    interpolated: within 0.1 % of the plan made for that level on average, and 1 % where it ends to
+    accelerate and brakes. So no plan has to be made while the car drives.
+
+    Parameters
+    ----------
+    raceline, parameters, sectors
+        As of `SpeedPlan`.
+    grip : TireSteering
+        Of the vehicle file.
+
+    Attributes
+    ----------
+    slowest : float
+        Least speed of the lap on a slippery day [m/s].
+    """
+
+    LEVELS = (0.3, 0.45, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
+
+    def __init__(self, raceline, parameters, grip, sectors=None):
+        self._plans = [
+            SpeedPlan(raceline, parameters, grip.scaled(level, 1.0, 1.0), sectors)
+            for level in self.LEVELS
+        ]
+        one = self._plans[0]
+        self.s, self.ds, self.has_own_speeds = one.s, one.ds, one.has_own_speeds
+        self.length, self._per_ds = one.length, one._per_ds
+        self.slowest = float(self._plans[self.LEVELS.index(0.8)].speed.min())
+        self.level = 1.0
 
     @property
-    def share_slowed(self):
-        """Share of the lap's length on which the plan is slower than what is asked for."""
-        return float(np.mean(self.speed < SLOWED * self.requested))
+    def level(self):
+        """Grip that there is, relative to the vehicle file's."""
+        return self._level
+
+    @level.setter
+    def level(self, level):
+        levels = self.LEVELS
+        k = min(max(bisect_right(levels, level), 1), len(levels) - 1)
+        part = (level - levels[k - 1]) / (levels[k] - levels[k - 1])
+        self._level = level
+        # In one piece: other threads read it.
+        self._between = self._plans[k - 1], self._plans[k], min(max(part, 0.0), 1.0)
+
+    def speed_at(self, s):
+        """Planned speed [m/s] at arc length `s` [m], taken modulo the length."""
+        slow, fast, part = self._between
+        v = slow.speed_at(s)
+        return v + part * (fast.speed_at(s) - v)
 
     @property
-    def slowest_place(self):
-        """Where the plan takes most from what is asked for: ``(s, planned, requested)``.
+    def speed(self):
+        """Planned speed at the cells [m/s], shape (n,)."""
+        slow, fast, part = self._between
+        return slow.speed + part * (fast.speed - slow.speed)
 
-        Arc length [m] and speeds [m/s].
-        """
-        asked = np.maximum(self.requested, 1e-9)
-        i = int(np.argmin(np.where(self.requested > 0.0, self.speed / asked, 1.0)))
-        return float(self.s[i]), float(self.speed[i]), float(self.requested[i])
-
-    def __str__(self):
-        if not self.has_own_speeds:
-            return (
-                "the raceline has no speeds: driven as fast as the grip allows, "
-                f"{self.speed.min():.1f} to {self.speed.max():.1f} m/s"
-            )
-        share = self.share_slowed
-        if not share:
-            return "the grip suffices for the raceline's speeds"
-        s, planned, requested = self.slowest_place
-        percent = f"{share:.0%}" if share >= 0.01 else "less than 1%"
-        return (
-            f"slower than the raceline on {percent.replace('%', ' %')} of the lap, "
-            f"most at s = {s:.1f} m: {planned:.1f} for {requested:.1f} m/s"
-        )
+    @property
+    def requested(self):
+        """What is asked for there [m/s], shape (n,)."""
+        slow, fast, part = self._between
+        return slow.requested + part * (fast.requested - slow.requested)

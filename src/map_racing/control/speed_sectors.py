@@ -71,6 +71,12 @@ class SpeedSectors:
         if self._starts[-1] >= length:  # the modulo of -1e-17 is the length itself
             del self._starts[-1], self._scales[-1]
 
+    def stretches(self) -> list:
+        """Stretches of one scale around the lap: ``(start_m, end_m, scale)`` of each."""
+        ends = [*self._starts[1:], self._length]
+        found = zip(self._starts, ends, self._scales)
+        return [(start, end, scale) for start, end, scale in found if end - start > 1e-9]
+
     def scale_at(self, s: float) -> float:
         """Scale of the speed at arc length `s` [m]."""
         return self._scales[bisect_right(self._starts, s % self._length) - 1]

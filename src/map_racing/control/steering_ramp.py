@@ -10,17 +10,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
-
-if TYPE_CHECKING:
-    from ..vehicle.parameters import Vehicle
+from ..vehicle.parameters import Vehicle
+from ..vehicle.size import ONE_TENTH, size_of
 
 __all__ = ["Box", "Circle", "Phase", "RampCommand", "RampParameters", "SteeringRamp"]
 
 STANDSTILL = 0.1  # m/s
+# The rear breaks away where the car turns this much faster for its steering angle and speed than
+# when it settled. Of an understeering car the ratio falls.
+BREAKS_AWAY, AVERAGED_S = 1.3, 0.3
+# Ramps of larger cars: first and last lateral acceleration, were there no slip [m/s^2], its rise
+# [m/s^3], and what the front may slip beyond [rad].
+FIRST, LAST, FASTEST_RISE, PLOWING = 1.3, 10.0, 0.2, 0.1
 SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
 
 
@@ -50,6 +55,27 @@ class RampParameters:
         choices=tuple(SIDES),
         default="both",
     )
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, **given: object) -> RampParameters:
+        """The maneuver for a car, by default for its size.
+
+        The default angles are those of 1:10 cars at a few m/s. A larger car takes the same lateral
+        accelerations at speeds where they are smaller.
+        """
+        size = size_of(vehicle)
+        if size == ONE_TENTH:
+            return cls(**given)
+        speed = given.get("speed_mps", cls.speed_mps * size.time)
+        per_acceleration = vehicle.l_wb / speed**2  # [rad per m/s^2]
+        scaled = dict(
+            speed_mps=speed,
+            rate_radps=min(cls.rate_radps / size.time, FASTEST_RISE * per_acceleration),
+            start_rad=min(cls.start_rad, FIRST * per_acceleration),
+            limit_rad=min(cls.limit_rad, LAST * per_acceleration + PLOWING),
+            settle_s=cls.settle_s * size.time,
+        )
+        return cls(**{**scaled, **given})
 
     def __post_init__(self):
         check(self)
@@ -133,7 +159,8 @@ class SteeringRamp:
     """Steering ramps to either side within an area, while somebody holds the dead-man button.
 
     Releasing the button, or leaving the area, stops the car. Once the button is held again, inside
-    the area and at standstill, the interrupted ramp starts over.
+    the area and at standstill, the interrupted ramp starts over. A ramp ends early where the rear
+    breaks away: the limit is reached, and steering more would spin the car.
 
     Parameters
     ----------
@@ -156,8 +183,11 @@ class SteeringRamp:
         self._speed = 0.0
         self._since = 0.0
         self._last_t = None
+        self._gain = self._settled_gain = 0.0
 
-    def update(self, t: float, x: float, y: float, v: float, enabled: bool) -> RampCommand:
+    def update(
+        self, t: float, x: float, y: float, v: float, enabled: bool, r: float = math.nan
+    ) -> RampCommand:
         """Command for one pose.
 
         Parameters
@@ -170,6 +200,8 @@ class SteeringRamp:
             Measured speed [m/s].
         enabled : bool
             Whether the dead-man button is held.
+        r : float, optional
+            Measured yaw rate [rad/s]; without it nobody sees that the rear breaks away.
 
         Returns
         -------
@@ -187,8 +219,9 @@ class SteeringRamp:
             self._rest(v)
         elif self._phase is Phase.STARTING:
             self._start(t, elapsed)
+            self._settled_gain = self._average_gain(v, r, elapsed)
         else:
-            self._ramp(elapsed)
+            self._ramp(elapsed, self._average_gain(v, r, elapsed))
         return self._command()
 
     def _command(self):
@@ -217,12 +250,23 @@ class SteeringRamp:
         if t - self._since >= parameters.settle_s:
             self._phase = Phase.RAMPING
 
-    def _ramp(self, elapsed):
+    def _average_gain(self, v, r, elapsed):
+        """Curvature of the path by steering angle [1/(m rad)], averaged over a short time."""
+        if self._angle and v > STANDSTILL and math.isfinite(r):
+            share = min(elapsed / AVERAGED_S, 1.0)
+            self._gain += share * (r / (v * self._angle) - self._gain)
+        return self._gain
+
+    def _ramp(self, elapsed, gain):
         side = self._sides[self.completed]
         angle = abs(self._angle) + self.parameters.rate_radps * elapsed
-        if angle < self.parameters.limit_rad:
+        if 0.0 < BREAKS_AWAY * self._settled_gain < gain:
+            angle = 0.0  # to catch the car
+        elif angle < self.parameters.limit_rad:
             self._angle = side * angle
             return
-        self._angle = side * self.parameters.limit_rad
+        else:
+            angle = self.parameters.limit_rad
+        self._angle = side * angle
         self.completed += 1
         self._phase, self._speed = Phase.STOPPING, 0.0

@@ -32,7 +32,15 @@ from ..validation import FARTHEST
 from .results import Lap, LapTrace, RunResult, Summary
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 
-__all__ = ["COMMAND_HOLD_S", "LapEvaluator", "LapLimits", "evaluate"]
+__all__ = [
+    "COMMAND_HOLD_S",
+    "LapEvaluator",
+    "LapLimits",
+    "evaluate",
+    "held",
+    "passage_times",
+    "places_of",
+]
 
 COMMAND_HOLD_S = 1.5
 """An older drive command [s] is not in force: no driver heeds it."""
@@ -433,8 +441,13 @@ class LapEvaluator:
         if not complete:
             return (_NAN,) * self._sectors
         ends = self.raceline.length * np.arange(1, self._sectors) / self._sectors
-        passages = np.interp(ends, np.maximum.accumulate(s), t)
+        passages = passage_times(t, s, ends)
         return tuple(np.diff(np.concatenate((t[:1], passages, t[-1:]))).tolist())
+
+
+def passage_times(t: np.ndarray, s: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Times [s] at which a lap first passes places, from its times and distances [s, m]."""
+    return np.interp(places, np.maximum.accumulate(s), t)
 
 
 def evaluate(
@@ -477,8 +490,8 @@ def evaluate(
     )
     speed_command = steering = None
     if recording.commands is not None:
-        speed_command = _held(recording.t, recording.commands, recording.commands.speed)
-        steering = _held(recording.t, recording.commands, recording.commands.steering_angle)
+        speed_command = held(recording.t, recording.commands, recording.commands.speed)
+        steering = held(recording.t, recording.commands, recording.commands.steering_angle)
     # Lateral speed is often not measured; without it the longitudinal speed is the speed.
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
     evaluator.update(recording.t, recording.x, recording.y, v, speed_command, steering)
@@ -532,7 +545,7 @@ def _check_followed(recording, result, progress, max_deviation):
     deviation = np.abs(d)
     allowed = max_deviation
     if allowed is None and raceline.d_left is not None:
-        curve = raceline.sample(np.concatenate([_places(lap, result) for lap in result.laps]))
+        curve = raceline.sample(np.concatenate([places_of(lap, result) for lap in result.laps]))
         allowed = np.where(d > 0.0, curve.d_left, curve.d_right)
     elif allowed is None:
         allowed = _NO_WALLS
@@ -550,8 +563,8 @@ def _check_followed(recording, result, progress, max_deviation):
         )
 
 
-def _places(lap, result):
-    """Arc lengths [m] along the raceline of the samples of a lap."""
+def places_of(lap: Lap, result: RunResult) -> np.ndarray:
+    """Arc lengths [m] along the raceline of the samples of a lap, unwrapped."""
     trace, begin = lap.trace, result.start_s
     if lap.reason.startswith("out-lap"):
         begin = result.raceline.project(trace.x[0], trace.y[0]).s
@@ -562,7 +575,7 @@ def _name(raceline):
     return raceline.name or raceline.source or "raceline"
 
 
-def _held(t: np.ndarray, commands: Commands, values: np.ndarray) -> np.ndarray:
+def held(t: np.ndarray, commands: Commands, values: np.ndarray) -> np.ndarray:
     """Command in force at each time, NaN before the first."""
     # Index -1, before the first, is the NaN behind the last.
     index = np.searchsorted(commands.t, t, side="right") - 1

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..bags.messages import yaw_and_length
+from ..bags.opening import Source, is_bag
 from ..bags.reader import read_recording
-from ..bags.records import is_bag
 from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..bags.series import quaternion_note
 from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
@@ -69,14 +69,14 @@ _SLOWEST = 1000.0
 
 
 def load_recording(
-    source: str | Path, pose_topic: str | None = None, columns: str | dict | None = None
+    source: Source, pose_topic: str | None = None, columns: str | dict | None = None
 ) -> Recording:
     """Read the driving recorded in a bag or a CSV file.
 
     Parameters
     ----------
-    source : str or pathlib.Path
-        A ROS 1 bag, or a CSV file (also ``.gz``).
+    source : str, pathlib.Path or sequence of them
+        A bag of ROS 1 or 2, or a CSV file (also ``.gz``); several bags are parts of one run.
     pose_topic : str, optional
         Topic of the pose in a bag, see `map_racing.bags.reader.read_recording`.
     columns : str or dict, optional
@@ -91,6 +91,8 @@ def load_recording(
     BagError, FileFormatError, ParameterError
         If the file cannot be read.
     """
+    if not isinstance(source, (str, Path)):
+        return _load_parts(source, pose_topic, columns)
     refuse_special(source)
     if not _is_csv(source):
         if columns:
@@ -99,6 +101,15 @@ def load_recording(
     if pose_topic is not None:
         raise ParameterError(f"pose topic {pose_topic}: expected a bag, got {source}")
     return read_csv_recording(source, columns)
+
+
+def _load_parts(sources, pose_topic, columns):
+    """The driving recorded in the parts of one run."""
+    for source in sources:
+        refuse_special(source)
+    if len(sources) > 1 and columns or any(map(_is_csv, sources[1:])):
+        raise ParameterError("--join: expected bags, got a CSV file")
+    return read_recording(sources, pose_topic)
 
 
 def recorded_raceline(recording: Recording) -> Raceline:

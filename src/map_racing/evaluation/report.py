@@ -102,16 +102,7 @@ def write_csv(path: str | Path, results: Iterable[RunResult]) -> None:
 
 
 def lap_table(result: RunResult) -> str:
-    """Text table of one run: every lap or part of one, then the summary.
-
-    Parameters
-    ----------
-    result : RunResult
-
-    Returns
-    -------
-    str
-    """
+    """Text table of one run: every lap or part of one, then the summary."""
     rows = [[title for _, title, _ in _LAP_COLUMNS]]
     for lap in result.laps:
         row = lap.row()

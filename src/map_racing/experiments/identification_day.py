@@ -12,11 +12,16 @@ from ..simulation.plant import PlantParameters
 from ..simulation.public_simulator import PublicSimulatorParameters
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
+from ..vehicle.size import ONE_TENTH, size_of
 
-__all__ = ["RAMPS", "STEADY", "identify_on"]
+__all__ = ["SPEEDS_MPS", "STEADY", "identify_on"]
 
-# From rolling to the limit of grip: at 4 m/s and 1 g the circle has a radius of 1.6 m.
-RAMPS = tuple(RampParameters(speed_mps=speed) for speed in (2.0, 3.0, 4.0))
+# From rolling to the limit of grip, for a 1:10 car: at 4 m/s and 1 g the circle has a radius of
+# 1.6 m.
+SPEEDS_MPS = (2.0, 3.0, 4.0)
+# A road car hardly understeers, and the faster it is, the more of its steering that is: shares of
+# its top speed.
+SPEED_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
 # At 4 m/s the ramp itself changes the yaw rate by 0.26 rad/s^2; the bang-bang servo of the public
 # simulator adds at least as much chatter.
 STEADY = SteadyLimits(dr_radps2=1.0)
@@ -29,8 +34,12 @@ def identify_on(
 
     Mass and geometry of the plant are taken as known, the tires are not; `seed` sets the noise.
     """
-    write_ramp_bag(bag, drive_ramps(plant, RAMPS, seed))
     vehicle = plant.vehicle
+    speeds = SPEEDS_MPS
+    if size_of(vehicle) != ONE_TENTH:
+        speeds = [share * vehicle.v_max for share in SPEED_SHARES]
+    ramps = [RampParameters.of(vehicle, speed_mps=speed) for speed in speeds]
+    write_ramp_bag(bag, drive_ramps(plant, ramps, seed))
     ahead = vehicle.l_r if plant.reference_point == "center_of_gravity" else 0.0
     channels = ChannelMap(setup=SensorSetup(pose_x_m=ahead))
     return identify([load_run(bag, channels)], vehicle, limits=STEADY)

@@ -48,12 +48,14 @@ class Contender(NamedTuple):
     tuned: bool
 
 
-# The published controllers, each tuned by itself, and the default of this package, untuned.
+# The published controllers, each tuned by itself, and those of this package, untuned: the default,
+# and the one that learns the tires of the day.
 CONTENDERS = (
     Contender("pure pursuit", "pure_pursuit_paper", True),
     Contender("MAP linear", "map_linear_paper", True),
     Contender("MAP Pacejka", "map_paper", True),
     Contender("MAP default", "map", False),
+    Contender("MAP adaptive", "map_adaptive", False),
 )
 
 

@@ -135,12 +135,7 @@ class Car(NamedTuple):
 
 @dataclass(frozen=True)
 class Grid:
-    """Tracks and cars with everything loaded.
-
-    Parameters
-    ----------
-    conditions : Robustness
-    """
+    """Tracks and cars of `conditions` with everything loaded."""
 
     conditions: Robustness
     tracks: tuple = field(init=False)

@@ -19,6 +19,7 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
+from ..vehicle.size import ONE_TENTH, Size, size_of
 from .data import POSE, Run, Signal
 from .limits import RATE_HZ, SteadyLimits
 
@@ -26,6 +27,7 @@ __all__ = ["ProcessedRun", "low_passed", "motion_of"]
 
 # A signal is known between samples this far apart [s]; a command holds until the next one.
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
+# What follows is for 1:10 cars; for larger ones `motion_of` takes it by their size.
 # Localization is lost where its speed or yaw rate differs from the car's sensors by more than this.
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
 # A spike is farther from the local median than this many usual distances, and than its threshold.
@@ -76,6 +78,8 @@ class ProcessedRun:
     spikes : dict of str to float
         Share of each signal rejected as spikes.
     limits : SteadyLimits
+    size : Size
+        Of the car.
     """
 
     run: Run
@@ -98,6 +102,7 @@ class ProcessedRun:
     clock_offset_s: float
     spikes: dict[str, float]
     limits: SteadyLimits
+    size: Size = ONE_TENTH
 
     @property
     def usable(self) -> np.ndarray:
@@ -142,10 +147,11 @@ def motion_of(
     IdentificationError
         If signals are missing, or do not overlap for a second.
     """
-    limits = limits or SteadyLimits()
+    limits, size = limits or SteadyLimits(), size_of(vehicle)
     setup = run.setup
-    signals, spikes = _without_spikes(run)
-    pose_t, *poses = _poses(run, signals, spikes)
+    least = _spike_thresholds(size)
+    signals, spikes = _without_spikes(run, least)
+    pose_t, *poses = _poses(run, signals, spikes, least)
     middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
     offset = 0.0
     if "yaw_rate" in signals and run.pose_clock:
@@ -180,14 +186,15 @@ def motion_of(
         path_speed=path_speed,
         heading_rate=turning,
         v_y_odometry=smooth.get("v_y"),
-        moving=known & (np.abs(v_x) > SLOWEST_MPS),
-        coherent=known & ~_lost(known, path_speed, v_x, turning, r),
-        steady=known & (v_x > SLOWEST_MPS) & _steady(v_x, r, smooth["delta"], limits),
+        moving=known & (np.abs(v_x) > size.time * SLOWEST_MPS),
+        coherent=known & ~_lost(known, path_speed, v_x, turning, r, size),
+        steady=known & (v_x > size.time * SLOWEST_MPS) & _steady(v_x, r, smooth["delta"], limits),
         beta_noise=0.0,
         a_y_noise=0.0,
         clock_offset_s=offset,
         spikes={name: share for name, share in spikes.items() if share > 0.0},
         limits=limits,
+        size=size,
     )
     cuts = motion.segments()
     return replace(motion, beta_noise=_noise(motion.beta, cuts), a_y_noise=_noise(motion.a_y, cuts))
@@ -206,7 +213,14 @@ def _sections(cutoff):
     return butter(2, cutoff, output="sos")
 
 
-def _without_spikes(run):
+def _spike_thresholds(size):
+    """`SPIKES` for a car's size."""
+    length, speed = size
+    factors = {"x": length, "y": length, "v_x": speed, "v_y": speed, "yaw_rate": 1.0 / speed}
+    return {name: factors.get(name, 1.0) * value for name, value in SPIKES.items()}
+
+
+def _without_spikes(run, least):
     """Signals without spikes on true time, and the share of spikes in each."""
     for name in (*POSE, "steering"):
         if name not in run.signals:
@@ -223,7 +237,7 @@ def _without_spikes(run):
     signals, spikes = {}, {}
     for name, (t, value) in run.signals.items():
         if name not in (*POSE, "steering"):
-            good = ~_spikes(t, value, SPIKES[name])
+            good = ~_spikes(t, value, least[name])
             t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
         signals[name] = Signal(run.setup.time_scale * t, value)
     return signals, spikes
@@ -274,10 +288,12 @@ def _filtered(columns, known, cutoff_hz):
     return dict(zip(columns, passed)), filtered
 
 
-def _lost(known, path_speed, v_x, turning, r):
+def _lost(known, path_speed, v_x, turning, r, size):
     """Where localization contradicts the car's own sensors, with a margin."""
-    lost = np.abs(path_speed - np.abs(v_x)) > COHERENT_SPEED[0] * np.abs(v_x) + COHERENT_SPEED[1]
-    lost |= np.abs(turning - r) > COHERENT_YAW_RATE[0] * np.abs(r) + COHERENT_YAW_RATE[1]
+    share, least = COHERENT_SPEED
+    lost = np.abs(path_speed - np.abs(v_x)) > share * np.abs(v_x) + size.time * least
+    share, least = COHERENT_YAW_RATE
+    lost |= np.abs(turning - r) > share * np.abs(r) + least / size.time
     margin = 2 * round(0.3 * RATE_HZ) + 1
     return maximum_filter1d((lost & known).astype(np.int8), margin).astype(bool)
 
@@ -315,7 +331,7 @@ def _median(t, value, window_s):
     return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
 
 
-def _poses(run, signals, spikes):
+def _poses(run, signals, spikes, least):
     """Times of the valid poses; evenly spaced times and the poses there, without spikes.
 
     Spikes are detected, and poses interpolated, in the drift of the poses against dead reckoning
@@ -336,7 +352,7 @@ def _poses(run, signals, spikes):
     window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
     middle = np.arctan2(*(_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
     distance = np.abs(wrap(drift - middle))
-    good = ~_far(psi_t, distance, SPIKES["psi"], window)
+    good = ~_far(psi_t, distance, least["psi"], window)
     spikes["psi"] = 1.0 - float(np.mean(good))
     psi = turned_even + np.interp(t, psi_t[good], np.unwrap(drift[good]))
 
@@ -348,7 +364,7 @@ def _poses(run, signals, spikes):
     drifts = [p - np.interp(own, t, path) for p, path in zip((x, y), reckoned)]
     if "v_x" in signals:
         for drift in drifts:
-            good &= ~_spikes(own, drift, SPIKES["x"], POSE_SPIKE_WINDOW_S)
+            good &= ~_spikes(own, drift, least["x"], POSE_SPIKE_WINDOW_S)
     spikes["position"] = 1.0 - float(np.mean(good))
     x, y = (path + np.interp(t, own[good], drift[good]) for path, drift in zip(reckoned, drifts))
     return own[good], t, x, y, psi

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..bags.opening import Source, is_bag, source_name
 from ..bags.reader import read_recording, read_signals
-from ..bags.records import is_bag
 from ..bags.samples import in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
@@ -233,14 +233,14 @@ def load_channel_map(source: str | Path) -> ChannelMap:
         raise ParameterError(f"{path}: {error}") from None
 
 
-def load_run(path: str | Path, channels: ChannelMap | None = None) -> Run:
+def load_run(source: Source, channels: ChannelMap | None = None) -> Run:
     """Read a drive.
 
     Parameters
     ----------
-    path : str or pathlib.Path
-        A ROS 1 bag, also a shipped one (``config/recordings``), or a CSV file (also ``.gz``), which
-        needs a channel map.
+    source : str, pathlib.Path or sequence of them
+        A bag of ROS 1 or 2, also a shipped one (``config/recordings``), the bags that are parts of
+        one run, or a CSV file (also ``.gz``), which needs a channel map.
     channels : ChannelMap, optional
         For a bag, only exceptions to the usual sources: pose and twist from odometry (see
         `map_racing.bags.reader.read_recording`), acceleration and yaw rate from the Imu, steering
@@ -252,7 +252,9 @@ def load_run(path: str | Path, channels: ChannelMap | None = None) -> Run:
         If the file cannot be read as what it is.
     """
     channels = channels or ChannelMap()
-    path = find_config("recordings", path, (".bag",))
+    if not isinstance(source, (str, Path)) or is_bag(source):
+        return _load_bag(source, channels)
+    path = find_config("recordings", source, (".bag",))
     if is_bag(path):
         return _load_bag(path, channels)
     if not channels.channels:
@@ -262,18 +264,19 @@ def load_run(path: str | Path, channels: ChannelMap | None = None) -> Run:
     return _load_csv(path, channels)
 
 
-def _load_bag(path, channel_map):
+def _load_bag(source, channel_map):
     """Signals of a bag from the usual topics, then from the channel map."""
+    path = source_name(source)
     for name in ("time", "pose_time", *POSE):
         if name in channel_map.channels:
             raise ParameterError(
                 f"{path}: {name}: expected in CSV files only; a bag has a pose_topic"
             )
-    recording = read_recording(path, channel_map.pose_topic)
+    recording = read_recording(source, channel_map.pose_topic)
     topics = {"imu": ""}
     for name, channel in channel_map.channels.items():
         topics[name] = channel.source
-    extra = read_signals(path, recording, topics)
+    extra = read_signals(source, recording, topics)
     signals = {name: (recording.t, getattr(recording, name)) for name in (*POSE, "v_x", "v_y")}
     signals["yaw_rate"] = recording.t, recording.yaw_rate
     if "imu" in extra:

@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
+from ..vehicle.size import ONE_TENTH, size_of
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
 from .cornering import ProcessedRun, motion_of
@@ -260,11 +261,16 @@ def _fit_axles(motions, vehicle, limits, front_force):
         if isinstance(start, PacejkaTire):  # as it is where mu is 1
             start = dataclasses.replace(start, D=start.D * vehicle.mu)
         try:
-            fit = fit_pacejka(points, start, 10.0, oversampling)
+            fit = fit_pacejka(points, start, _threshold(vehicle), oversampling)
         except IdentificationError as error:
             raise IdentificationError(f"{name} axle: {error}") from None
         axles[name] = Axle(points, fit, fit_linear(points, fit.inlier, oversampling))
     return axles
+
+
+def _threshold(vehicle):
+    """Where rejection begins [N]: the paper's 10 N, and in a larger car 0.3 times its weight."""
+    return 10.0 if size_of(vehicle) is ONE_TENTH else 0.3 * vehicle.m * GRAVITY
 
 
 def leave_one_out(runs: Iterable[Run], base_vehicle: Vehicle, **options: Any) -> list[Prediction]:

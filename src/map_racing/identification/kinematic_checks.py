@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from ..vehicle.parameters import Vehicle
+from ..vehicle.size import size_of
 from .cornering import ProcessedRun
 from .data import SensorSetup
-from .sensor_findings import TURNING_RADPS, SensorFinding
+from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = ["both_sides", "check_front_slip", "check_pose_point", "check_steering_gain"]
 
@@ -31,18 +32,19 @@ def check_pose_point(
         return []
     v, r, beta, a_y, sigma = (cornering[key] for key in ("v", "r", "beta", "a_y", "beta_noise"))
     matrix = np.column_stack((r / v, -a_y, np.ones(v.size)))
-    both = both_sides(r)
+    both = both_sides(r, vehicle)
     columns = [0, 1, 2] if both else [0, 1]
     solution, error = _regression(matrix[:, columns], beta, sigma)
     findings = []
     d, d_error = solution[0], error[0]
-    if d_error < 0.04 and not _one_speed(v):
+    length = size_of(vehicle).length
+    if d_error < length * 0.04 and not _one_speed(v):
         text = f"pose: its point is {d:.3f} +- {d_error:.3f} m ahead of the rear axle"
         fix = {}
-        if abs(d - setup.pose_x_m) > max(0.06, 3.0 * d_error):
+        if abs(d - setup.pose_x_m) > max(length * 0.06, 3.0 * d_error):
             guesses = (0.0, vehicle.l_r, vehicle.l_wb)
             near = min(guesses, key=lambda guess: abs(guess - d))
-            fix = {"pose_x_m": round(near if abs(near - d) < 0.05 else d, 4)}
+            fix = {"pose_x_m": round(near if abs(near - d) < length * 0.05 else d, 4)}
             text += f", not {setup.pose_x_m:.3f} m"
         findings.append(SensorFinding("pose", text, fix, critical=bool(fix)))
     else:
@@ -74,7 +76,7 @@ def check_steering_gain(
     cornering = _low(motions, vehicle)
     if cornering is None:
         return []
-    if not both_sides(cornering["r"]):
+    if not both_sides(cornering["r"], vehicle):
         text = (
             "steering: gain and offset cannot be separated: no slow cornering (below "
             f"{LOW_SHARE:.0%} of the largest acceleration) to both sides"
@@ -134,7 +136,7 @@ def check_front_slip(
     if np.count_nonzero(hard) < 10:
         return []
     missing = float(np.median(((least - delta) * np.sign(r))[hard]))
-    if missing < 0.01 or both_sides(r):
+    if missing < 0.01 or both_sides(r, vehicle):
         return []
     angle, signal = (float(np.median(np.abs(values[hard]))) for values in (least, delta))
     gain, error, _, _ = _steering(columns, vehicle, with_offset=False)
@@ -154,10 +156,11 @@ def check_front_slip(
     return [SensorFinding("front slip", text, fix, critical=True)]
 
 
-def both_sides(r: np.ndarray) -> bool:
+def both_sides(r: np.ndarray, vehicle: Vehicle) -> bool:
     """Whether a substantial share of the yaw rates is to either side."""
-    left = np.count_nonzero(r > 0.5 * TURNING_RADPS)
-    right = np.count_nonzero(r < -0.5 * TURNING_RADPS)
+    turning = turning_rate(size_of(vehicle))
+    left = np.count_nonzero(r > 0.5 * turning)
+    right = np.count_nonzero(r < -0.5 * turning)
     return min(left, right) > 0.1 * max(left, right, 1)
 
 
@@ -192,7 +195,8 @@ def _low(motions, vehicle):
     if columns is None:
         return None
     largest = np.percentile(np.abs(columns["a_y"]), 98.0)
-    low = (np.abs(columns["a_y"]) < LOW_SHARE * largest) & (np.abs(columns["r"]) > 0.2)
+    slow = 0.2 / size_of(vehicle).time
+    low = (np.abs(columns["a_y"]) < LOW_SHARE * largest) & (np.abs(columns["r"]) > slow)
     if np.count_nonzero(low) < 10:
         return None
     columns = {key: values[low] for key, values in columns.items()}

@@ -16,10 +16,11 @@ import numpy as np
 
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
+from ..vehicle.size import size_of
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
 from .data import SensorSetup
 from .kinematic_checks import both_sides, check_front_slip, check_pose_point, check_steering_gain
-from .sensor_findings import TURNING_RADPS, SensorFinding
+from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = ["check", "correct", "reason_to_refuse"]
 
@@ -73,7 +74,7 @@ def _diverged(motion):
         return False
     # A wrong scale or sign gives ratios that agree with each other.
     ratio = motion.path_speed[moving] / np.maximum(np.abs(motion.v_x[moving]), STANDSTILL_MPS)
-    turning = moving & (np.abs(motion.r) > TURNING_RADPS)
+    turning = moving & (np.abs(motion.r) > turning_rate(motion.size))
     turns = motion.heading_rate[turning] / motion.r[turning]
     return bool(
         _spread(ratio) > LARGEST_SPREAD
@@ -183,7 +184,7 @@ def _heading(motions, setup, vehicle):
 def _rates(motions, setup, vehicle):
     """Yaw rate against the rate of the heading, speed against path per time."""
     r, turning = _pooled(motions, "r", "moving"), _pooled(motions, "heading_rate", "moving")
-    turns = np.abs(turning) > TURNING_RADPS
+    turns = np.abs(turning) > turning_rate(size_of(vehicle))
     v, path = _pooled(motions, "v_x", "moving"), _pooled(motions, "path_speed", "moving")
     drives = path > STANDSTILL_MPS
     if np.count_nonzero(turns) < RATE_HZ or np.count_nonzero(drives) < RATE_HZ:
@@ -223,7 +224,7 @@ def _rates(motions, setup, vehicle):
 
 def _steering_sign(motions, setup, vehicle):
     delta, r = _pooled(motions, "delta", "moving"), _pooled(motions, "r", "moving")
-    turns = np.abs(r) > TURNING_RADPS
+    turns = np.abs(r) > turning_rate(size_of(vehicle))
     if np.count_nonzero(turns) < RATE_HZ or np.median(delta[turns] * r[turns]) >= 0.0:
         return []
     fix = {
@@ -332,7 +333,7 @@ def _lateral_velocity(motions, setup, vehicle):
 
 def _sides(motions, setup, vehicle):
     r = _pooled(motions, "r", "usable")
-    if r.size < RATE_HZ or both_sides(r):
+    if r.size < RATE_HZ or both_sides(r, vehicle):
         return []
     side = "left" if np.median(r) > 0.0 else "right"
     text = f"sides: driven to the {side} only, which hides offsets of the sensors"

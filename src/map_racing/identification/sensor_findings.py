@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-__all__ = ["TURNING_RADPS", "SensorFinding"]
+from ..vehicle.size import Size
 
-TURNING_RADPS = 0.3  # the car turns, and its yaw rate can be compared
+__all__ = ["SensorFinding", "turning_rate"]
+
+TURNING_RADPS = 0.3  # a 1:10 car turns, and its yaw rate can be compared
+
+
+def turning_rate(size: Size) -> float:
+    """Yaw rate above which a car of this size turns, and its yaw rate can be compared [rad/s]."""
+    return TURNING_RADPS / size.time
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,13 @@ import rospy
 from ackermann_msgs.msg import AckermannDriveStamped
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Bool, Float64, Header
+from std_msgs.msg import Bool, Float64, Header, String
 from std_srvs.srv import Trigger, TriggerResponse
 from tf2_msgs.msg import TFMessage
 
 from map_racing.msg import Guidance
 
+from ..bags.topics import SETTINGS_TOPIC
 from ..control.controller import Controller, Status, build_steering_maps
 from ..control.parameters import (
     load_controller_parameters,
@@ -28,6 +29,7 @@ from ..control.parameters import (
     save_controller_parameters,
 )
 from ..control.safety import Mode
+from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..control.supervised import SupervisedController, build_supervisor
 from ..errors import MapRacingError, ParameterError
@@ -56,7 +58,7 @@ POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
 
 def _build():
-    """Controller and supervisor from the node's parameters."""
+    """Controller and supervisor from the node's parameters, and names for the settings."""
     source = get_parameter("controller", "map", "shipped name or file")
     vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
     for note in vehicle.notes:
@@ -65,12 +67,15 @@ def _build():
     parameters = overridden(load_controller_parameters(source))
     if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
+    if table and parameters.adaptation:
+        raise ParameterError(f"~lookup_table: {source} adapts the vehicle's tires and uses none")
     limits = overridden(load_safety_limits(source))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
         steering_map = grip = load_table(table)
     controller = Controller(parameters, steering_map, vehicle, grip=grip)
-    return controller, build_supervisor(controller, limits, grip)
+    names = {"name": source, "table": table}
+    return controller, build_supervisor(controller, limits, grip), names
 
 
 def _publisher(topic, kind, queue_size=10):
@@ -96,7 +101,7 @@ class ControllerNode:
         self._save_to = get_parameter(
             "save_to", str(Path(ros_home) / "map_racing_{steering_map}.yaml"), "file of ~save"
         )
-        self._controller, self._supervisor = _build()
+        self._controller, self._supervisor, self._names = _build()
         self._driver = SupervisedController(
             self._controller, self._supervisor, self._announce_speeds
         )
@@ -122,6 +127,7 @@ class ControllerNode:
         self._driven = rospy.Publisher(
             "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
         )
+        self._settings = rospy.Publisher(SETTINGS_TOPIC, String, queue_size=1, latch=True)
         topic = "/tf" if pose_source == "tf" else rospy.resolve_name(pose_source)
         self._pose_from = "/tf, {} to {}".format(*self._frames) if topic == "/tf" else topic
         pose_type = POSE_TYPES[pose_source]._type
@@ -289,7 +295,7 @@ class ControllerNode:
             lookahead_distance=result.lookahead_distance,
             eta=result.eta,
             a_lat=result.a_lat,
-            a_lat_max=self._controller.steering_map.max_lateral_acceleration(guided.v_x),
+            a_lat_max=self._controller.max_lateral_acceleration(guided.v_x),
             steering_angle=decision.steering_angle,
             speed=decision.speed,
         )
@@ -330,7 +336,7 @@ class ControllerNode:
                 self._announce_speeds()
 
     def _announce_speeds(self):
-        """Log where the car drives slower than the raceline, and publish the speeds driven."""
+        """Log where the car drives slower than the raceline; publish speeds and settings."""
         controller = self._controller
         raceline, plan = controller.raceline, controller.plan
         if raceline is None:
@@ -344,6 +350,13 @@ class ControllerNode:
         message.header.stamp = rospy.Time.now()
         message.header.frame_id = self._frames[0]
         self._driven.publish(message)
+        settings = settings_text(
+            controller,
+            sectors=self._sectors,
+            limits=self._supervisor.limits,
+            **self._names,
+        )
+        self._settings.publish(settings)
 
     def _refuse_raceline(self, error):
         with self._lock:

@@ -206,16 +206,7 @@ def plot_prediction(
 
 
 def plot_drive(drive: DriveFigure) -> Figure:
-    """Speed, steering, yaw rate and lateral acceleration of a drive; steady segments are shaded.
-
-    Parameters
-    ----------
-    drive : DriveFigure
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Speed, steering, yaw rate and lateral acceleration of a drive; steady segments are shaded."""
     figure = new_figure(10.0, 7.0)
     rows = (
         ("speed [m/s]", drive.v),

@@ -14,12 +14,17 @@ from dataclasses import dataclass, replace
 from ..control.state import CarState, moved
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
-from ..vehicle.parameters import Vehicle, load_vehicle
+from ..vehicle.parameters import Vehicle, load_vehicle, scaled_tires
 from ..vehicle.single_track import V_EPS, fastest_mode, single_track_derivatives
-from ..vehicle.tires import PacejkaTire
 from .grip import read_grip_changes
 
-__all__ = ["Localization", "Plant", "PlantParameters", "ScaledVehicle", "scaled_tires"]
+__all__ = [
+    "ActuatedCar",
+    "Localization",
+    "Plant",
+    "PlantParameters",
+    "ScaledVehicle",
+]
 
 TIME_STEP = 0.002  # of the integration [s]
 
@@ -60,8 +65,11 @@ class ScaledVehicle:
 
     def build_vehicle(self) -> Vehicle:
         """The vehicle with the plant's own tires."""
+        vehicle = self.vehicle
+        if not isinstance(vehicle, Vehicle):
+            vehicle = load_vehicle(vehicle)
         return scaled_tires(
-            self.vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
+            vehicle, self.mu_scale, self.front_stiffness_scale, self.rear_stiffness_scale
         )
 
 
@@ -108,43 +116,11 @@ class PlantParameters(ScaledVehicle):
         return replace(vehicle, a_max=self.a_max_mps2, a_brake_max=self.a_brake_max_mps2)
 
 
-def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
-    """The car with other tires.
+class ActuatedCar:
+    """What all cars of :class:`PlantParameters` have: a servo, a drive, and the rear axle's pose.
 
-    Parameters
-    ----------
-    vehicle : Vehicle or str
-        A car, or its name or file.
-    mu : float
-        Factor on the friction.
-    front_stiffness, rear_stiffness : float
-        Factors on the cornering stiffness of each axle, whose peak force is kept.
-
-    Returns
-    -------
-    Vehicle
-    """
-    if not isinstance(vehicle, Vehicle):
-        vehicle = load_vehicle(vehicle)
-    return replace(
-        vehicle,
-        mu=vehicle.mu * mu,
-        front=_scaled(vehicle.front, front_stiffness),
-        rear=_scaled(vehicle.rear, rear_stiffness),
-    )
-
-
-def _scaled(tire, factor):
-    """The tire with its cornering stiffness scaled and its peak kept."""
-    if isinstance(tire, PacejkaTire):
-        return replace(tire, B=tire.B * factor)
-    return replace(tire, C_S=tire.C_S * factor)
-
-
-class Plant:
-    """Single-track car with load transfer, integrated by RK4 (4th-order Runge-Kutta).
-
-    The state is that of the center of gravity; reports are for the rear axle (``base_link``).
+    The state is that of the center of gravity; reports are for the rear axle (``base_link``). A
+    subclass integrates it in ``advance``.
 
     Parameters
     ----------
@@ -165,13 +141,6 @@ class Plant:
     def __init__(self, parameters):
         self.parameters = parameters
         self.vehicle = parameters.build_vehicle()
-        # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at walking
-        # pace are damped up to a higher speed.
-        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
-        rate = most * fastest_mode(self.vehicle)
-        self._v_eps = max(V_EPS, rate * self.time_step / 2.5)
-        self._grip = None
-        self.set_grip(1.0)
         lag = parameters.steering_time_constant_s
         self._servo_gain = 1.0 - math.exp(-self.time_step / lag) if lag else 1.0
         # A lag shorter than the step would overshoot, and end a braking backwards.
@@ -184,10 +153,44 @@ class Plant:
         self.steering_angle = 0.0
         self.acceleration = (0.0, 0.0)
         self._steps = 0
-        self._speed_command = speed
         step = self.time_step
         self._steering_line = deque([0.0] * round(self.parameters.steering_delay_s / step))
         self._speed_line = deque([speed] * round(self.parameters.drive_delay_s / step))
+
+    def reference_state(self):
+        """True state of the rear axle, which localization sees and which follows the raceline."""
+        return moved(self.state, -self.vehicle.l_r)
+
+    def _servo(self, angle, target, step):
+        """Servo: first-order lag within rate and lock."""
+        # Comparisons: calls of min and max would take three times as long.
+        vehicle = self.vehicle
+        lock, slew = vehicle.delta_max, vehicle.delta_rate_max * step
+        target = lock if target > lock else -lock if target < -lock else target
+        move = (target - angle) * self._servo_gain
+        return angle + (slew if move > slew else -slew if move < -slew else move)
+
+    def _drive(self, target):
+        """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
+        vehicle = self.vehicle
+        most, least = vehicle.a_max, -vehicle.a_brake_max
+        target = 0.0 if target < 0.0 else vehicle.v_max if target > vehicle.v_max else target
+        wanted = (target - self.state.v_x) / self._drive_lag
+        return most if wanted > most else least if wanted < least else wanted
+
+
+class Plant(ActuatedCar):
+    """Single-track car with load transfer, integrated by RK4 (4th-order Runge-Kutta)."""
+
+    def __init__(self, parameters):
+        super().__init__(parameters)
+        # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at walking
+        # pace are damped up to a higher speed.
+        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
+        rate = most * fastest_mode(self.vehicle)
+        self._v_eps = max(V_EPS, rate * self.time_step / 2.5)
+        self._grip = None
+        self.set_grip(1.0)
 
     def set_grip(self, factor):
         """Multiply the friction of both axles by a factor from the next step on."""
@@ -195,10 +198,6 @@ class Plant:
             self._grip = factor
             vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
             self._derivatives = single_track_derivatives(vehicle, self._v_eps)
-
-    def reference_state(self):
-        """True state of the rear axle, which localization sees and which follows the raceline."""
-        return moved(self.state, -self.vehicle.l_r)
 
     def advance(self, steering_command, speed_command):
         """Integrate one time step under the given commands."""
@@ -251,23 +250,6 @@ class Plant:
             v_y + sixth * (dv1 + 2.0 * (dv2 + dv3) + dv4),
             r + sixth * (dr1 + 2.0 * (dr2 + dr3) + dr4),
         )
-
-    def _servo(self, angle, target, step):
-        """Servo: first-order lag within rate and lock."""
-        # Comparisons: calls of min and max would take three times as long.
-        vehicle = self.vehicle
-        lock, slew = vehicle.delta_max, vehicle.delta_rate_max * step
-        target = lock if target > lock else -lock if target < -lock else target
-        move = (target - angle) * self._servo_gain
-        return angle + (slew if move > slew else -slew if move < -slew else move)
-
-    def _drive(self, target):
-        """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
-        vehicle = self.vehicle
-        most, least = vehicle.a_max, -vehicle.a_brake_max
-        target = 0.0 if target < 0.0 else vehicle.v_max if target > vehicle.v_max else target
-        wanted = (target - self.state.v_x) / self._drive_lag
-        return most if wanted > most else least if wanted < least else wanted
 
 
 class Localization:

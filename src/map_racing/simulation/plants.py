@@ -10,13 +10,18 @@ from ..files import read_yaml_mapping
 from ..resources import find_config
 from ..validation import read_parameters
 from ..vehicle.parameters import load_vehicle
+from .commonroad import CommonRoadCar, CommonRoadParameters
 from .plant import Localization, Plant, PlantParameters
 from .public_simulator import PublicSimulator, PublicSimulatorParameters
 
 __all__ = ["build_plant", "load_plant"]
 
 # Models of plant files; the first is the default.
-MODELS = {"single_track": PlantParameters, "public_simulator": PublicSimulatorParameters}
+MODELS = {
+    "single_track": PlantParameters,
+    "public_simulator": PublicSimulatorParameters,
+    "commonroad": CommonRoadParameters,
+}
 
 
 def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameters:
@@ -36,7 +41,7 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
     values = read_yaml_mapping(path)
     model = values.pop("model", "single_track")
     if model not in MODELS:
-        raise ParameterError(f"{path}: model: expected {' or '.join(MODELS)}, got {model!r}")
+        raise ParameterError(f"{path}: model: expected {', '.join(MODELS)}, got {model!r}")
     parameters = read_parameters(path, MODELS[model], values)
     beside = path.parent / parameters.vehicle
     vehicle = load_vehicle(beside if beside.is_file() else parameters.vehicle)
@@ -45,11 +50,12 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
 
 def build_plant(
     parameters: PlantParameters | PublicSimulatorParameters, seed: int
-) -> tuple[Plant | PublicSimulator, Localization | None]:
+) -> tuple[Plant | CommonRoadCar | PublicSimulator, Localization | None]:
     """A car to drive and its localization with noise from a seed.
 
     The public simulator has no localization: its poses are true.
     """
     if isinstance(parameters, PublicSimulatorParameters):
         return PublicSimulator(parameters), None
-    return Plant(parameters), Localization(parameters, seed)
+    kind = CommonRoadCar if isinstance(parameters, CommonRoadParameters) else Plant
+    return kind(parameters), Localization(parameters, seed)

@@ -42,7 +42,8 @@ class Sample(NamedTuple):
     `true` and `measured` are :class:`~map_racing.control.state.CarState` of the same instant;
     `arrival` [s] is when the measurement reached the controller; `acceleration` is the IMU's
     (longitudinal, lateral) [m/s^2]; `result` is the controller's
-    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad].
+    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad];
+    `belief` the controller's of the tires after the step, None if it does not learn them.
     """
 
     true: tuple
@@ -51,6 +52,7 @@ class Sample(NamedTuple):
     acceleration: tuple
     steering_angle: float
     result: tuple
+    belief: tuple | None = None
 
 
 class Work(NamedTuple):
@@ -155,6 +157,7 @@ def race(
     car.put(start.x, start.y, start.psi)
     controller.reset()
     tracker, grip = RacelineTracker(raceline), Grip(plant)
+    learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     processor = _Processor(controller, slowdown)
     samples = []
@@ -192,6 +195,7 @@ def race(
                     *(seen.true, seen.measured, seen.arrival, seen.acceleration),
                     plant.steering_angle,
                     result,
+                    None if learning is None else learning.belief,
                 )
             )
         # On to the next pose; time is looked at in between, should there be none.

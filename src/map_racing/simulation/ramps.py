@@ -7,6 +7,7 @@ from typing import Callable, NamedTuple, Sequence
 from ..control.state import CarState
 from ..control.steering_ramp import Circle, Phase, RampCommand, RampParameters, SteeringRamp
 from ..errors import ParameterError
+from ..vehicle.size import ONE_TENTH, size_of
 from .car import SimulatedCar
 from .plant import PlantParameters
 from .plants import build_plant
@@ -14,7 +15,7 @@ from .public_simulator import PublicSimulatorParameters
 
 __all__ = ["RampSample", "drive_ramps"]
 
-AREA_M = 50.0
+AREA_M = 50.0  # for a 1:10 car
 
 
 class RampSample(NamedTuple):
@@ -39,7 +40,7 @@ def drive_ramps(
     ----------
     plant_parameters : PlantParameters or PublicSimulatorParameters
     ramps : sequence of RampParameters, optional
-        Default: one at the default speed.
+        Default: one at the default speed for a car of this size.
     seed : int
         Of the noise.
     progress : callable, optional
@@ -48,23 +49,31 @@ def drive_ramps(
     Raises
     ------
     ParameterError
-        If the car cannot do what is asked, leaves the area of 50 m, or does not reach its speed.
+        If the car cannot do what is asked, leaves the area, 50 m around the start for a 1:10 car
+        and what the first circle takes for a larger one, or does not reach its speed.
     """
-    ramps = tuple(ramps) if ramps is not None else (RampParameters(),)
-    car = SimulatedCar(*build_plant(plant_parameters, seed))
+    plant, localization = build_plant(plant_parameters, seed)
+    ramps = tuple(ramps) if ramps is not None else (RampParameters.of(plant.vehicle),)
+    size = size_of(plant.vehicle)
+    patience = 30.0 * size.time
+    car = SimulatedCar(plant, localization)
     samples = []
     command = None
     for parameters in ramps:
-        parameters.check_vehicle(car.plant.vehicle)
-        ramp = SteeringRamp(parameters, Circle(0.0, 0.0, AREA_M))
+        parameters.check_vehicle(plant.vehicle)
+        area = AREA_M
+        if size != ONE_TENTH:
+            first = max(parameters.start_rad, 0.01 * parameters.limit_rad)
+            area = max(AREA_M * size.length, 3.0 * plant.vehicle.l_wb / first)
+        ramp = SteeringRamp(parameters, Circle(0.0, 0.0, area))
         sides = 2 if parameters.sides == "both" else 1
         rising = (parameters.limit_rad - parameters.start_rad) / parameters.rate_radps
-        until = car.now + sides * (rising + parameters.settle_s + 30.0)
+        until = car.now + sides * (rising + parameters.settle_s + patience)
         done = False
         while not done:
             for seen in car.observe()[1]:
-                t, x, y, _, v_x = seen.measured[:5]
-                command = ramp.update(t, x, y, v_x, True)
+                t, x, y, _, v_x, _, r = seen.measured
+                command = ramp.update(t, x, y, v_x, True, r)
                 samples.append(
                     RampSample(seen.true, seen.measured, seen.arrival, seen.acceleration, command)
                 )

@@ -20,14 +20,18 @@ EPOCH_NS = 1_700_000_000_000_000_000
 
 
 def write_race_bag(
-    path: str | Path, log: RaceLog, raceline: Raceline, compression: str | None = "lz4"
+    path: str | Path,
+    log: RaceLog,
+    raceline: Raceline,
+    compression: str | None = "lz4",
+    settings: str = "",
 ) -> None:
     """Write a race to a ROS 1 bag.
 
     Localization is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, stamped with the time
     of measurement and received when it arrived; commands are on the drive topic, the IMU on
     ``/vesc/sensors/imu/raw``, the raceline on ``/global_waypoints``, the true motion on
-    ``/ground_truth/odom``.
+    ``/ground_truth/odom``, the settings on ``/map_racing/settings``.
 
     Parameters
     ----------
@@ -36,6 +40,8 @@ def write_race_bag(
     log : RaceLog
     raceline : Raceline
     compression : {"lz4", "bz2", None}, optional
+    settings : str, optional
+        What the car was driven with, see `map_racing.control.settings`.
 
     Raises
     ------
@@ -44,6 +50,8 @@ def write_race_bag(
     """
     with BagWriter(path, compression=compression) as bag:
         bag.waypoints(EPOCH_NS, waypoint_rows(raceline))
+        if settings:
+            bag.text(EPOCH_NS, settings)
         for sample in log.samples:
             true, seen = sample.true, sample.measured
             stamp = EPOCH_NS + round(seen.t * 1e9)

@@ -20,7 +20,7 @@ from .map_image import MapImage
 from .raceline import Raceline
 from .walls import march, smooth_between
 
-__all__ = ["track_from_map"]
+__all__ = ["track_from_map", "walls_from_map"]
 
 # Islands up to this share of the size of the largest are obstacles on the track.
 _OBSTACLE = 1.0 / 3.0
@@ -80,8 +80,7 @@ def track_from_map(
         text = f"{removed} specks of walls removed as noise"
         findings.append(Finding("speckle", NOTE, text))
 
-    # Beyond the image all is wall. The surface of a wall is half a cell before its center.
-    distance = np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5) * resolution
+    distance = _distances(free, resolution)
     room = distance >= 0.5 * passage
     labels, _ = ndimage.label(room)
     column, row = (int(round(value)) + 1 for value in image.to_cells(start))
@@ -98,10 +97,7 @@ def track_from_map(
     cells = _zero_contour(level) - 1.0
     points = image.to_world(cells)
 
-    def clear(at):
-        where = image.to_cells(at).T[::-1] + 1.0
-        return ndimage.map_coordinates(distance, where, order=1, mode="nearest")
-
+    clear = _clearance(image, distance)
     half = 0.5 * passage
     line, kept = _as_driven(_smooth(points, clear, half, spacing), start, psi)
     findings += kept
@@ -117,6 +113,63 @@ def track_from_map(
     )
     track.findings = tuple(findings)
     return track
+
+
+def walls_from_map(
+    image: MapImage, line: Raceline, speckle: float | None = None
+) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
+    """Distances from a line to the walls of a map, across the line.
+
+    Parameters
+    ----------
+    image : MapImage
+    line : Raceline
+    speckle : float, optional
+        See `track_from_map`.
+
+    Returns
+    -------
+    left, right : ndarray, shape (n,)
+        At the cells of the line [m].
+    findings : list of Finding
+
+    Raises
+    ------
+    RacelineError
+        If the line leaves the free space.
+    """
+    free, removed = _without_speckle(image, speckle)
+    findings = list(image.findings)
+    if removed:
+        findings.append(Finding("speckle", NOTE, f"{removed} specks of walls removed as noise"))
+    distance = _distances(free, image.resolution)
+    clear = _clearance(image, distance)
+    inside = clear(np.stack((line.x, line.y), axis=1))
+    if np.min(inside) <= 0.0:
+        at = int(np.argmin(inside))
+        raise RacelineError(
+            f"{image.source}: the line leaves the free space of the map at s = {line.s[at]:.2f} m, "
+            f"({line.x[at]:.2f}, {line.y[at]:.2f}): is it the map of that drive?"
+        )
+    half = min(0.5 * float(np.min(inside)), image.resolution)
+    (left, right), more = _widths(line, clear, half, 4.0 * float(distance.max()))
+    return left, right, findings + more
+
+
+def _distances(free, resolution):
+    """Distance of each cell, and of a margin of one, to the nearest wall [m]."""
+    # Beyond the image all is wall. The surface of a wall is half a cell before its center.
+    return np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5) * resolution
+
+
+def _clearance(image, distance):
+    """Function from points to their distances to the nearest wall."""
+
+    def clear(at):
+        where = image.to_cells(at).T[::-1] + 1.0
+        return ndimage.map_coordinates(distance, where, order=1, mode="nearest")
+
+    return clear
 
 
 def _widths(line, clear, half, farthest):

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import RacelineError
 from .raceline import Raceline
 
-__all__ = ["Corner", "corners"]
+__all__ = ["Corner", "corners", "runs_around"]
 
 FASTEST_MPS = 30.0
 # A bend is a corner where its curvature exceeds this share of the largest, or where the speed is
@@ -79,7 +79,7 @@ def corners(raceline: Raceline, table) -> list[Corner]:
         steered = need[limit > 0.0]
         bent |= need > NEAR * (steered.max() if steered.size else 0.0)
     found = []
-    for cells in _bends(np.where(bent, np.sign(kappa), 0.0)):
+    for cells in runs_around(np.where(bent, np.sign(kappa), 0.0)):
         worst = cells[int(np.argmax(need[cells]))]
         found.append(
             Corner(*(float(column[worst]) for column in (raceline.s, kappa, limit, speed)))
@@ -96,8 +96,18 @@ def _limit_speeds(table, kappa):
     return np.where(kappa < allowed[-1], math.inf, limit)
 
 
-def _bends(kind):
-    """Cells of each bend: neighbors of one sign around the lap."""
+def runs_around(kind: np.ndarray) -> list[np.ndarray]:
+    """Cells of each run of neighbors that have one value, not 0, around the lap.
+
+    Parameters
+    ----------
+    kind : ndarray, shape (n,)
+
+    Returns
+    -------
+    list of ndarray of int
+        Over the end of the array where a run does.
+    """
     changes = np.flatnonzero(kind != np.roll(kind, 1))
     if not changes.size:
         return [np.arange(kind.size)]

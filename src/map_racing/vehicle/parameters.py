@@ -26,6 +26,9 @@ __all__ = [
     "load_vehicle",
     "parameter_hash",
     "save_vehicle",
+    "scaled_tires",
+    "vehicle_of",
+    "vehicle_values",
 ]
 
 Tire = Union[PacejkaTire, LinearTire]
@@ -159,6 +162,15 @@ def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
     MapRacingError
         If the file cannot be written.
     """
+    lines = yaml.safe_dump(vehicle_values(vehicle), sort_keys=False, default_flow_style=None)
+    with replacing(path) as file:
+        file.write("# Vehicle of map_racing: SI units and radians\n")
+        file.writelines(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+        file.write(lines)
+
+
+def vehicle_values(vehicle: Vehicle) -> dict:
+    """The keys and values of the YAML file of a car."""
     values = {"name": vehicle.name, **{key: getattr(vehicle, key) for key in _REQUIRED}}
     values["tire_model"] = vehicle.front.model
     for axle, tire in (("f", vehicle.front), ("r", vehicle.rear)):
@@ -168,11 +180,18 @@ def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
         else:
             values["C_S" + axle] = coefficients[0]
     values.update((key, getattr(vehicle, key)) for key in _LIMITS)
-    lines = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
-    with replacing(path) as file:
-        file.write("# Vehicle of map_racing: SI units and radians\n")
-        file.writelines(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-        file.write(lines)
+    return values
+
+
+def vehicle_of(values: dict, name: str = "vehicle") -> Vehicle:
+    """The car of the keys and values of a file, see `load_vehicle`.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing or impossible.
+    """
+    return _vehicle(values, default_name=name)
 
 
 def parameter_hash(vehicle: Vehicle) -> str:
@@ -196,6 +215,36 @@ def linearized(vehicle: Vehicle) -> Vehicle:
         front=LinearTire(vehicle.front.stiffness),
         rear=LinearTire(vehicle.rear.stiffness),
     )
+
+
+def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
+    """The car with other tires.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mu : float
+        Factor on the friction.
+    front_stiffness, rear_stiffness : float
+        Factors on the cornering stiffness of each axle, whose peak force is kept.
+
+    Returns
+    -------
+    Vehicle
+    """
+    return dataclasses.replace(
+        vehicle,
+        mu=vehicle.mu * mu,
+        front=_scaled(vehicle.front, front_stiffness),
+        rear=_scaled(vehicle.rear, rear_stiffness),
+    )
+
+
+def _scaled(tire, factor):
+    """The tire with its cornering stiffness scaled and its peak kept."""
+    if isinstance(tire, PacejkaTire):
+        return dataclasses.replace(tire, B=tire.B * factor)
+    return dataclasses.replace(tire, C_S=tire.C_S * factor)
 
 
 def _vehicle(values, default_name):

@@ -99,6 +99,22 @@ class PacejkaTire:
 
         return force
 
+    def scalar_with_slope(self) -> Callable[[float], tuple[float, float]]:
+        """As `scalar`, with the derivative [1/rad] as a second result."""
+        B, C, D, E = self.B, self.C, self.D, self.E
+        stiffness = self.stiffness
+        atan, sin, cos = math.atan, math.sin, math.cos
+
+        def force_and_slope(alpha):
+            x = B * alpha
+            square = x * x
+            y = x - E * (x - atan(x))
+            phase = C * atan(y)
+            bend = (1.0 + (1.0 - E) * square) / (1.0 + square)
+            return D * sin(phase), stiffness * cos(phase) * bend / (1.0 + y * y)
+
+        return force_and_slope
+
     @property
     def _turning_point(self):
         """Where ``x - E (x - atan x)`` with ``x = B a`` stops rising: inf unless E > 1."""
@@ -191,6 +207,11 @@ class LinearTire:
             return C_S * alpha
 
         return force
+
+    def scalar_with_slope(self) -> Callable[[float], tuple[float, float]]:
+        """As `scalar`, with the derivative [1/rad] as a second result."""
+        C_S = self.C_S
+        return lambda alpha: (C_S * alpha, C_S)
 
 
 def _check(tire):

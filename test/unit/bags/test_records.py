@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag1 import Reader
 
-from map_racing.bags.records import BagFile, Message
+from map_racing.bags.bag import Message
+from map_racing.bags.records import BagFile
 from map_racing.errors import BagError
 
 

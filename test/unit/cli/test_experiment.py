@@ -18,7 +18,7 @@ from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
 from map_racing.vehicle.parameters import load_vehicle
 
-LABELS = ["pure pursuit", "MAP linear", "MAP Pacejka", "MAP default"]
+LABELS = ["pure pursuit", "MAP linear", "MAP Pacejka", "MAP default", "MAP adaptive"]
 
 
 def test_tables_of_tire_models(tires):
@@ -27,7 +27,7 @@ def test_tables_of_tire_models(tires):
     assert list(zip(table.speed_scale, table.controller)) == keys
     assert (table.days == 2).all()
     races = pd.read_csv(tires / "races.csv")
-    assert len(races) == 16 and set(races.seed) == {1, 2}
+    assert len(races) == 20 and set(races.seed) == {1, 2}
     laps = pd.read_csv(tires / "laps.csv")
     completed = races[races.outcome == "completed"]
     assert len(completed) and (completed.laps_completed == 2).all()

@@ -142,3 +142,36 @@ def test_the_simulated_car_is_taken_through_its_steady_states():
     table = steady_state_table(plant.vehicle, np.array([1.5, 2.0, 2.5]), np.linspace(0.0, 0.4, 161))
     expected = [table.acceleration(2.0, at) for at in angle.tolist()]
     assert a_lat == pytest.approx(expected, rel=0.01)
+
+
+def test_a_ramp_ends_where_the_rear_breaks_away():
+    """A car that turns by geometry up to 0.2 rad, and from there on ever faster."""
+    parameters = RampParameters(speed_mps=2.0, rate_radps=0.02, start_rad=0.1, sides="left")
+    ramp = SteeringRamp(parameters, WIDE)
+    t, speed, angle, reached = 0.0, 0.0, 0.0, []
+    while ramp.completed == 0 and t < 30.0:
+        excess = max(abs(angle) - 0.2, 0.0)
+        r = speed * angle / 0.3 * (1.0 + 20.0 * excess)
+        angle, speed, phase = ramp.update(t, 0.0, 0.0, speed, True, r)
+        if phase is Phase.RAMPING:
+            reached.append(angle)
+        t += STEP
+    # 1.3 times as fast at 0.215 rad; the average lags by 0.3 s, which are 6 mrad.
+    assert max(reached) == pytest.approx(0.221, abs=0.003)
+    # The wheels go straight, to catch the car.
+    assert (angle, speed, phase) == (0.0, 0.0, Phase.STOPPING)
+
+
+def test_an_understeering_car_is_driven_to_the_last_angle():
+    parameters = RampParameters(sides="left", limit_rad=0.3)
+    drives = [SteeringRamp(parameters, WIDE) for _ in range(2)]
+    t, speed, angle = 0.0, 0.0, 0.0
+    while t < 20.0:
+        r = speed * math.sin(3.0 * angle)  # less and less per angle
+        seen = [
+            ramp.update(t, 0.0, 0.0, speed, True, *given) for ramp, given in zip(drives, ((), (r,)))
+        ]
+        assert seen[0] == seen[1]
+        angle, speed = seen[0][:2]
+        t += STEP
+    assert drives[0].completed == 1

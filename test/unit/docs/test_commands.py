@@ -19,6 +19,7 @@ import yaml
 from matplotlib.figure import Figure
 from pages import PAGES, REPO, blocks, command_lines, name_of, prose
 from PIL import Image
+from ros2_bags import messages_of, write_sqlite
 
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
@@ -43,8 +44,18 @@ READERS = {
         "line.csv",
         "my_raceline.csv",
         "race_stack/global_waypoints.json",
+        "rosbag2_2026_05_01",
+        "long_0.bag",
+        "long_1.bag",
     ],
-    "doc/racelines.md": ["my_raceline.csv", "recorded.bag", "centerline.csv", "hall.yaml"],
+    "doc/racelines.md": [
+        "my_raceline.csv",
+        "recorded.bag",
+        "by_hand.bag",
+        "centerline.csv",
+        "hall.yaml",
+    ],
+    "doc/report.md": ["run.bag", "line.csv"],
     "doc/identify.md": [
         "my_base.yaml",
         "steering_ramp_1.bag",
@@ -128,6 +139,32 @@ def bag(path):
                 written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5, topic=topic)
 
 
+def by_hand(path):
+    """Two rounds and a half through the hall of the map, without a raceline."""
+    with BagWriter(path) as written:
+        for i in range(int(5.0 * np.pi / 0.02)):
+            angle = 0.02 * i
+            x, y = 2.3 * 1.4 * np.cos(angle) - 2.0, 2.3 * np.sin(angle)
+            written.pose(1.0 + 0.025 * i, x, y, angle + 1.6)
+
+
+def ros2(path):
+    bag(path.with_suffix(".bag"))
+    write_sqlite(path, messages_of(path.with_suffix(".bag")))
+
+
+def part(path):
+    """Half of a run, as a recorder splits it; the raceline was sent once."""
+    second = path.stem.endswith("1")
+    line = ring()
+    with BagWriter(path) as written:
+        if not second:
+            written.waypoints(1.0, waypoint_rows(line))
+        for t, x, y, psi in positions(line):
+            if (t >= 4.0) is second:
+                written.odometry(2.0 + t, x, y, psi, 3.0, 0.0, 2.5)
+
+
 def log(path):
     with gzip.open(path, "wt") as file:
         file.write("time,pose_x,pose_y\n")
@@ -185,11 +222,14 @@ def experiment(path):
 MAKERS = {
     "Austin_centerline.csv": centerline,
     "Austin_raceline.csv": wider,
+    "by_hand.bag": by_hand,
     "centerline.csv": centerline,
     "circles_1/cmd.csv": circles,
     "hall.yaml": hall,
     "hangar.bag": bag,
     "line.csv": raceline,
+    "long_0.bag": part,
+    "long_1.bag": part,
     "log.csv.gz": log,
     "map_racing_2025.bag": bag,
     "my_base.yaml": vehicle,
@@ -198,6 +238,7 @@ MAKERS = {
     "other/tire-models": experiment,
     "race_stack/global_waypoints.json": race_stack,
     "recorded.bag": bag,
+    "rosbag2_2026_05_01": ros2,
     "run.bag": bag,
     "run1.bag": bag,
     "run2.bag": bag,

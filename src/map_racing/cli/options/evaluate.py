@@ -2,7 +2,9 @@
 
 import argparse
 
-from .shared import add_number
+from .shared import add_join_option, add_number, add_recording_options
+
+__all__ = ["add_evaluation_options", "add_options"]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -11,24 +13,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Lap times and lateral errors of recorded driving. Pose and raceline are found in the bag; "
         "a CSV file needs --raceline."
     )
-    parser.add_argument("recordings", nargs="+", metavar="BAG", help="ROS 1 bag or CSV file")
+    add_evaluation_options(parser)
+    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
+    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
+    parser.add_argument("--plots", metavar="DIR", help="write figures")
+    parser.set_defaults(run="evaluate.run")
+
+
+def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings, and how they are evaluated."""
     parser.add_argument(
-        "--raceline",
-        metavar="FILE",
-        help="shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag[#topic] "
-        "(default: the raceline in the bag)",
+        "recordings",
+        nargs="+",
+        metavar="BAG",
+        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
     )
+    add_join_option(parser)
+    add_recording_options(parser)
     parser.add_argument(
         "--reverse", action="store_true", help="the raceline was driven in reverse direction"
-    )
-    parser.add_argument(
-        "--pose-topic", metavar="TOPIC", help="topic of the pose (default: the best in the bag)"
-    )
-    parser.add_argument(
-        "--columns",
-        metavar="MAP",
-        help="columns of CSV files with unusual names, such as t=time,x=pose_x,y=pose_y; also "
-        "psi v_x v_y yaw_rate steering speed_command",
     )
     parser.add_argument(
         "--start-line",
@@ -47,7 +50,3 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="a larger lateral error of the car's center is off track [m] (default: the walls or, "
         "without walls, 2 m)",
     )
-    parser.add_argument("--csv", metavar="FILE", help="write the laps of all runs")
-    parser.add_argument("--json", metavar="FILE", help="write the laps and summaries of all runs")
-    parser.add_argument("--plots", metavar="DIR", help="write figures")
-    parser.set_defaults(run="evaluate.run")

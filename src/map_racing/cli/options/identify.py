@@ -4,7 +4,7 @@ import argparse
 
 from ...identification.limits import SteadyLimits
 from ...resources import list_config
-from .shared import add_number
+from .shared import add_join_option, add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -15,8 +15,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "table (.csv). Data that cannot identify tires are refused with the reason."
     )
     parser.add_argument(
-        "data", nargs="+", metavar="DATA", help="ROS 1 bags, or CSV files with --channels"
+        "data",
+        nargs="+",
+        metavar="DATA",
+        help="bags of ROS 1 or 2 (folder, .db3, .mcap), or CSV files with --channels",
     )
+    add_join_option(parser)
     parser.add_argument(
         "--vehicle",
         required=True,

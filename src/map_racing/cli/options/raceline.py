@@ -4,7 +4,7 @@ import argparse
 import re
 
 from ...track.files.formats import FORMATS
-from .shared import add_number
+from .shared import add_join_option, add_number, add_recording_options
 
 SOURCE = (
     "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
@@ -16,7 +16,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the actions; each adds its own options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
-    for add_action in (add_check, add_convert, add_optimize):
+    for add_action in (add_check, add_convert, add_optimize, add_record):
         add_action(actions)
 
 
@@ -164,3 +164,41 @@ def add_optimize(actions):
     # Else argparse takes -1.5,2 for an option.
     parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
     parser.set_defaults(run="raceline_optimize.run_optimize")
+
+
+def add_record(actions):
+    """Add ``raceline record``."""
+    parser = actions.add_parser(
+        "record",
+        help="a closed raceline from a lap that was driven, by hand or by another controller",
+        description="Find the laps of a recording and write the line of one of them: smoothed, "
+        "closed, at equal distances, with the speeds driven; and check it like raceline check. "
+        "Laps are those of evaluate where there is a raceline, else those of the path itself.",
+    )
+    parser.add_argument(
+        "recordings", nargs="+", metavar="RUN", help="bag of ROS 1 or 2, or CSV file"
+    )
+    add_join_option(parser)
+    add_recording_options(parser)
+    parser.add_argument("--output", required=True, metavar="FILE", help="raceline to write")
+    parser.add_argument(
+        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
+    )
+    parser.add_argument(
+        "--lap",
+        default="best",
+        metavar="N",
+        help="number of the lap, or best, the fastest that counts (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--speeds",
+        choices=("driven", "none"),
+        default="driven",
+        help="speeds of the output (default: %(default)s)",
+    )
+    parser.add_argument("--map", metavar="YAML", help="take the walls from this map of map_server")
+    add_number(parser, "--spacing", 0.1, "distance of the points [m]", metavar="M")
+    add_number(
+        parser, "--smoothing", 1.5, "waves of the path shorter than this are noise [m]", metavar="M"
+    )
+    parser.set_defaults(run="raceline_record.run_record")

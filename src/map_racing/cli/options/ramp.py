@@ -24,16 +24,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         nargs="+",
-        default=[defaults.speed_mps],
         metavar="V",
-        help="speeds [m/s], one ramp after the other (default: 2)",
+        help="speeds [m/s], one ramp after the other (default: 2; like that of --rate for a 1:10 "
+        "car, and for larger ones by their wheelbase)",
     )
     for option, name, meaning in (
         ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
         ("--start", "start_rad", "steering angle at the beginning [rad]"),
         ("--limit", "limit_rad", "steering angle at the end [rad]"),
     ):
-        add_number(parser, option, getattr(defaults, name), meaning, dest=name, metavar="X")
+        parser.add_argument(
+            option,
+            dest=name,
+            type=float,
+            metavar="X",
+            help=f"{meaning} (default: {getattr(defaults, name):g})",
+        )
     parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
     add_number(parser, "--seed", 1, "seed of the noise")
     parser.add_argument(

@@ -4,7 +4,42 @@ import argparse
 
 from ...resources import list_config
 
-__all__ = ["add_effort_options", "add_grid_options", "add_number", "add_shared_options"]
+__all__ = [
+    "add_effort_options",
+    "add_grid_options",
+    "add_join_option",
+    "add_number",
+    "add_recording_options",
+    "add_shared_options",
+]
+
+
+def add_join_option(parser: argparse.ArgumentParser) -> None:
+    """How bags are read that a recorder split by size or time."""
+    parser.add_argument(
+        "--join",
+        action="store_true",
+        help="the bags are the parts of one run, which the recorder split by size or time",
+    )
+
+
+def add_recording_options(parser: argparse.ArgumentParser) -> None:
+    """What is read of recordings of laps."""
+    parser.add_argument(
+        "--raceline",
+        metavar="FILE",
+        help="shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag[#topic] "
+        "(default: the raceline in the bag)",
+    )
+    parser.add_argument(
+        "--pose-topic", metavar="TOPIC", help="topic of the pose (default: the best in the bag)"
+    )
+    parser.add_argument(
+        "--columns",
+        metavar="MAP",
+        help="columns of CSV files with unusual names, such as t=time,x=pose_x,y=pose_y; also "
+        "psi v_x v_y yaw_rate steering speed_command",
+    )
 
 
 def add_number(parser, option: str, default: float, meaning: str, **settings) -> None:

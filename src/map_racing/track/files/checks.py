@@ -63,16 +63,6 @@ def raceline_of(table: RacelineTable) -> Raceline:
 def examine(table: RacelineTable) -> Examination:
     """Fit the curve of a table and compare it with what the table states.
 
-    Parameters
-    ----------
-    table : RacelineTable
-
-    Returns
-    -------
-    Examination
-
-    Notes
-    -----
     Takes about 20 ms for a track of 340 m with points 0.2 m apart, half of it for the curve.
     """
     draft = Draft(table)

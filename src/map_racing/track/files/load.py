@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...bags.records import is_bag
+from ...bags.opening import is_bag
 from ...bags.samples import Waypoints
 from ...bags.waypoints import read_waypoints
 from ...bags.writer import BagWriter

@@ -62,7 +62,7 @@ def split_source(source: str | Path) -> tuple[str, str]:
         The selector is empty if there is none. Existing files may have ``#`` in their names.
     """
     path, mark, selector = str(source).rpartition("#")
-    if not mark or Path(source).is_file():
+    if not mark or Path(source).exists():
         return str(source), ""
     return path, selector
 

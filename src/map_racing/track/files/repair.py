@@ -21,14 +21,7 @@ _DRIVEN = ("x", "y", "speed", "d_left", "d_right", "width")
 def driven_columns(table: RacelineTable) -> RacelineTable:
     """Reduce a table to its distinct points and what cannot be recomputed from them.
 
-    Parameters
-    ----------
-    table : RacelineTable
-
-    Returns
-    -------
-    RacelineTable
-        Columns ``x y`` and, where they are given and not all 0, ``speed`` and ``d_left d_right``.
+    These are the columns ``x y`` and, where given and not all 0, ``speed`` and ``d_left d_right``.
     """
     columns = {key: np.asarray(c, float) for key, c in table.columns.items() if key in _DRIVEN}
     if "width" in columns:
@@ -90,17 +83,7 @@ def repaired(table: RacelineTable) -> tuple[RacelineTable, list[str]]:
 
 
 def reversed_table(table: RacelineTable) -> RacelineTable:
-    """Reverse the direction of travel, keeping the first point.
-
-    Parameters
-    ----------
-    table : RacelineTable
-        From `driven_columns`.
-
-    Returns
-    -------
-    RacelineTable
-    """
+    """Reverse the direction of travel of a table from `driven_columns`, keeping the first point."""
     index = -np.arange(table.columns["x"].size)
     table = _chosen(table, index)
     columns = dict(table.columns)

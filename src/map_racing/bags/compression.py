@@ -1,0 +1,99 @@
+"""Decompression of what bags hold, as far as it goes."""
+
+from __future__ import annotations
+
+import bz2
+from functools import lru_cache
+
+import lz4.frame
+
+__all__ = ["ZSTD_MAGIC", "decompress", "decompress_message", "zstd_decompressor"]
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+_BLOCK = 4096
+
+
+# The libraries raise classes of their own for damaged data.
+_MEMORY = (MemoryError, KeyboardInterrupt)
+
+
+@lru_cache(maxsize=None)
+def _zstd():
+    """What makes a decompressor of a stream, and what decompresses a whole message."""
+    # Rarely needed, and slow to import. rosbags brings one; which one depends on its version.
+    try:
+        from compression import zstd
+    except ImportError:
+        try:
+            from backports import zstd
+        except ImportError:
+            import zstandard
+
+            decompressor = zstandard.ZstdDecompressor()
+            return decompressor.decompressobj, decompressor.decompress
+    return zstd.ZstdDecompressor, zstd.decompress
+
+
+def zstd_decompressor():
+    """An object with ``decompress(block)`` and ``eof`` for one frame of zstd."""
+    return _zstd()[0]()
+
+
+def decompress_message(data: bytes) -> bytes:
+    """Decompress a message of its own by zstd, as far as it goes."""
+    # The decompressor of a stream takes as long to make as a hundred messages to decompress.
+    try:
+        return _zstd()[1](data)
+    except _MEMORY:
+        raise
+    except Exception:
+        return decompress("zstd", data)[0]
+
+
+_DECOMPRESSORS = {
+    "bz2": bz2.BZ2Decompressor,
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+    "zstd": zstd_decompressor,
+}
+
+
+def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
+    """Decompress the contents of a chunk.
+
+    Parameters
+    ----------
+    compression : str
+        ``bz2``, ``lz4`` or ``zstd``; ``none`` or empty for none.
+    data : bytes
+
+    Returns
+    -------
+    contents : bytes
+        As far as they can be decompressed.
+    sound : bool
+        Whether that is all.
+    """
+    if compression in ("", "none"):
+        return data, True
+    make = _DECOMPRESSORS.get(compression)
+    if make is None:
+        return b"", False
+    decompressor = make()
+    try:
+        contents = decompressor.decompress(data)
+        if decompressor.eof:
+            return contents, True
+    except _MEMORY:
+        raise
+    except Exception:
+        pass
+    decompressor, contents = make(), []
+    try:
+        for at in range(0, len(data), _BLOCK):
+            contents.append(decompressor.decompress(data[at : at + _BLOCK]))
+    except _MEMORY:
+        raise
+    except Exception:
+        pass
+    return b"".join(contents), False

@@ -1,0 +1,96 @@
+"""What a bag says about the driving: the controller's settings, and its states with reasons."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+
+from . import messages as msg
+from .opening import Source, open_bag
+from .samples import Recording
+from .topics import SETTINGS_TOPIC
+
+__all__ = ["Remarks", "read_remarks"]
+
+# Hardware that the controller of this package names in its diagnostics.
+_HARDWARE = "map_racing"
+
+
+class Remarks(NamedTuple):
+    """Texts over the time of a recording [s], each list in order.
+
+    Attributes
+    ----------
+    settings : list of (float, str)
+        What the controller said that it drives with.
+    states : list of (float, str)
+        What it did and why, such as ``"stopping: stale pose"``, whenever that changed.
+    """
+
+    settings: list
+    states: list
+
+
+def read_remarks(source: Source, recording: Recording) -> Remarks:
+    """Read the remarks in a bag.
+
+    Parameters
+    ----------
+    source : str, pathlib.Path or sequence of them
+        See `map_racing.bags.opening.open_bag`.
+    recording : Recording
+        What was read from the same bag.
+
+    Returns
+    -------
+    Remarks
+        Empty where nothing was recorded.
+
+    Raises
+    ------
+    BagError
+        If the file is no bag.
+    """
+    wanted = {
+        (SETTINGS_TOPIC, msg.MD5[msg.STRING]): "settings",
+        ("/diagnostics", msg.MD5[msg.DIAGNOSTICS]): "states",
+    }
+    found = {"settings": [], "states": []}
+    with open_bag(source) as bag:
+        kinds = {
+            number: wanted[connection.topic, connection.md5sum]
+            for number, connection in bag.connections.items()
+            if (connection.topic, connection.md5sum) in wanted
+        }
+        for message in bag.messages(set(kinds)) if kinds else ():
+            with suppress(struct.error):
+                kind = kinds[message.connection]
+                text = _settings(message.data) if kind == "settings" else _state(message.data)
+                if text and (not found[kind] or found[kind][-1][1] != text):
+                    found[kind].append((message.time_ns, text))
+    return Remarks(*(_on_clock(found[kind], recording) for kind in ("settings", "states")))
+
+
+def _settings(data):
+    return msg.decode_string(data)[0]
+
+
+def _state(data):
+    """State of the controller in a message of diagnostics; None if it is about something else."""
+    _, statuses = msg.decode_diagnostics(data)
+    for name, message, hardware in statuses:
+        if hardware == _HARDWARE and name.endswith(": driving"):
+            return message
+    return None
+
+
+def _on_clock(texts, recording):
+    """Texts with times of receipt [ns] brought to the recording's clock [s]."""
+    received = np.array([at for at, _ in texts], dtype=np.int64)
+    times = received
+    if recording.clock is not None:
+        times = recording.clock.times(received, received, [], "")
+    return [(1e-9 * float(t - recording.t0_ns), text) for t, (_, text) in zip(times, texts)]

@@ -1,0 +1,76 @@
+"""``map-racing raceline record``: a closed raceline from a lap that was driven."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import EvaluationError, ParameterError
+from ..evaluation.driven_line import driven_laps, line_of_lap
+from ..evaluation.recordings import load_recording, recorded_raceline
+from ..track.centerline import walls_from_map
+from ..track.files.checks import raceline_of
+from ..track.files.load import load_raceline, save_raceline
+from ..track.files.readers import split_source
+from ..track.files.report import facts_text, findings_count, raceline_facts
+from ..track.map_image import read_map_image
+from .inputs import joined
+from .outputs import check_outputs
+from .raceline import print_findings
+from .raceline_optimize import form_of
+
+
+def run_record(arguments):
+    """Read, choose a lap, write its line and check it."""
+    form = form_of(arguments.output, arguments.format)
+    given = split_source(arguments.raceline or "")[0]
+    check_outputs([arguments.output], [*arguments.recordings, given, arguments.map])
+    sources = joined(arguments.recordings, arguments.join)
+    if len(sources) > 1:
+        raise ParameterError("expected one recording, or --join for the parts of one")
+    recording = load_recording(sources[0], arguments.pose_topic, arguments.columns)
+    print(recording.source)
+    for note in recording.notes:
+        print(f"  {note}")
+    raceline = None
+    if arguments.raceline:
+        raceline = load_raceline(arguments.raceline)
+    elif recording.waypoints is not None:
+        raceline = recorded_raceline(recording)
+    laps = driven_laps(recording, raceline)
+    lap = chosen(laps, arguments.lap, recording.source)
+    for one in laps:
+        time = f"{one.end - one.begin:8.3f} s"
+        mark = " <- taken" if one is lap else ""
+        print(f"  lap {one.number:2d} {time}  {one.reason}{mark}".rstrip())
+    table = line_of_lap(recording, lap, arguments.spacing, arguments.smoothing)
+    columns = dict(table.columns)
+    if arguments.speeds == "none":
+        del columns["speed"]
+    table = table._replace(columns=columns)
+    if arguments.map:
+        line = raceline_of(table)
+        left, right, findings = walls_from_map(read_map_image(arguments.map), line)
+        print_findings(findings)
+        for key, width in (("d_left", left), ("d_right", right)):
+            columns[key] = np.interp(line.s_points, line.s, width, period=line.length)
+    line = raceline_of(table)
+    for text in facts_text(raceline_facts(line)):
+        print(f"  {text}")
+    print_findings(line.findings)
+    print(f"  {findings_count(line.findings)}")
+    save_raceline(line, arguments.output, form, table)
+    print(f"{arguments.output}: format {form}, {columns['x'].size} points, {line.length:.3f} m")
+
+
+def chosen(laps, wanted, source):
+    """The lap of ``--lap``."""
+    if wanted == "best":
+        counted = [lap for lap in laps if not lap.reason]
+        if not counted:
+            raise EvaluationError(f"{source}: no lap counts; choose one with --lap")
+        return min(counted, key=lambda lap: lap.end - lap.begin)
+    for lap in laps:
+        if str(lap.number) == wanted:
+            return lap
+    numbers = ", ".join(str(lap.number) for lap in laps)
+    raise ParameterError(f"--lap: expected best or one of {numbers}, got {wanted}")

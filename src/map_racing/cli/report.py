@@ -1,0 +1,109 @@
+"""``map-racing report``: one page on one or several runs."""
+
+import sys
+from dataclasses import replace
+from functools import lru_cache
+
+from tqdm import tqdm
+
+from ..bags.opening import is_bag, source_name
+from ..bags.remarks import read_remarks
+from ..control.settings import parse_settings
+from ..errors import MapRacingError, ParameterError
+from ..evaluation.analysis import analyze
+from ..evaluation.profiles import car_limits
+from ..evaluation.results import Summary
+from ..files import replacing
+from ..pages.html import plotly_script
+from ..pages.report import report_page
+from ..track.files.load import load_raceline
+from ..track.files.readers import split_source
+from .evaluate import check_evaluation, evaluate_one, run_names
+from .inputs import joined, read_vehicle
+from .outputs import check_outputs
+
+__all__ = ["analyses", "run"]
+
+
+def run(arguments):
+    """Evaluate, analyze, write the page; recordings that cannot be read are skipped."""
+    plotly_script()  # without it nothing can be written
+    check_evaluation(arguments)
+    given = split_source(arguments.raceline or "")[0]
+    check_outputs([arguments.output], [*arguments.recordings, given, arguments.vehicle])
+    runs, failed = analyses(arguments)
+    if not runs:
+        return 1
+    with replacing(arguments.output) as file:
+        file.write(report_page(runs))
+    for found in runs:
+        print(f"{found.name}: {found.result.summary.laps_completed} laps count")
+    print(f"report written to {arguments.output}")
+    return failed
+
+
+def analyses(arguments):
+    """Analyses of all recordings that can be read, and whether any could not."""
+    chosen = parse_laps(arguments.laps) if arguments.laps else None
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
+    track = None if arguments.raceline is None else load_raceline(arguments.raceline)
+    limits_of = lru_cache(None)(car_limits)
+    found, failed = [], 0
+    sources = joined(arguments.recordings, arguments.join)
+    bar = tqdm(sources, desc="report", disable=None, leave=False)
+    for source, name in zip(bar, run_names(map(source_name, sources))):
+        try:
+            runs = evaluate_one(source, track, arguments)
+            bag = not isinstance(source, str) or is_bag(source)
+            remarks = read_remarks(source, runs[0][0]) if bag else None
+        except MapRacingError as error:
+            tqdm.write(f"map-racing: {error}", file=sys.stderr)
+            failed = 1
+            continue
+        settings = None
+        if remarks is not None and remarks.settings:
+            settings = parse_settings(remarks.settings[-1][1])
+        car, parameters = vehicle, settings and settings.controller
+        if car is None and settings is not None:
+            car = settings.vehicle
+        for number, (recording, result) in enumerate(runs, 1):
+            if chosen is not None:
+                result = _only(result, chosen)
+            found.append(
+                analyze(
+                    recording,
+                    result,
+                    name=name if len(runs) == 1 else f"{name} ({number})",
+                    limits=None if car is None else limits_of(car, parameters),
+                    settings=settings,
+                    remarks=remarks,
+                )
+            )
+    return found, failed
+
+
+def _only(result, chosen):
+    """A result with the chosen laps alone."""
+    laps = [lap for lap in result.laps if any(a <= lap.lap <= b for a, b in chosen)]
+    if not laps:
+        numbers = ", ".join(str(lap.lap) for lap in result.laps[:20])
+        raise ParameterError(f"--laps: {result.source} has none of them, but laps {numbers}")
+    return replace(result, laps=laps, summary=Summary.of(laps))
+
+
+def parse_laps(text):
+    """Ranges of lap numbers from text such as ``2-5,8``.
+
+    Raises
+    ------
+    ParameterError
+        If the text is something else.
+    """
+    ranges = []
+    for part in text.split(","):
+        begin, dash, end = part.partition("-")
+        numbers = [begin, end] if dash else [begin, begin]
+        if not all(number.strip().isdecimal() for number in numbers):
+            raise ParameterError(f"--laps: expected lap numbers such as 2-5,8, got {text!r}")
+        ranges.append(tuple(int(number) for number in numbers))
+    return ranges

@@ -1,0 +1,415 @@
+"""Grip, tires and delay of the day, learned while driving.
+
+An extended Kalman filter runs the single-track model of `map_racing.vehicle.single_track` beside
+the car. Its state is the lateral velocity and the yaw rate, and what the model does not know: a
+factor each on the friction and on the cornering stiffness of both axles (their logarithms), the
+time from a pose to the first answer of the steering, and the lag of the servo. Yaw rate and, where
+it is measured, lateral velocity correct all of them at once, each as far as the drive tells: below
+the limit only the product of friction and stiffness, near it both, and delays where the car turns
+in or out.
+
+What the controller drives with follows from that belief with caution, see `Adaptation`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ..vehicle.parameters import scaled_tires
+from ..vehicle.single_track import GRAVITY
+from ..vehicle.tire_steering import TireSteering
+
+__all__ = ["Adaptation", "Belief"]
+
+# Standard deviations of the prior: logarithms of friction, front and rear stiffness; dead time and
+# lag [s]. The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %;
+# a vehicle file that somebody else identified by more.
+PRIOR = (0.10, 0.20, 0.25, 0.025, 0.015)
+# Random walk of the same per square root of a second of cornering at the limit: tires warm up and
+# floors get dusty by some per cent in a minute.
+WALK = (0.010, 0.010, 0.010, 0.001, 0.001)
+# Noise [m/s, rad/s]: of the measurements, and per square root of a second of the model.
+MEASURED_V_Y, MEASURED_R = 0.06, 0.03
+MODEL_V_Y, MODEL_R = 0.1, 0.3
+# Lag of a servo [s]: of the prior, and bounds. Bound of the dead time, the age of a pose included.
+SERVO_LAG, SHORTEST_LAG, LONGEST_LAG, LONGEST_DEAD_TIME = 0.03, 0.005, 0.12, 0.25
+# Longest time step of the model [s], and longest pause between poses that it is integrated over.
+STEP, LONGEST_PAUSE = 0.0125, 0.1
+
+# Nothing is learned slower than this [m/s], with less than this share of the grip in use, while the
+# car slides at a larger angle than this [rad], or from a measurement that the belief calls a 1 in
+# 16000 event: a curb, a jump of the localization.
+SLOWEST, LEAST_USE, SLIDE, OUTLIER = 1.5, 0.2, 0.5, 4.0
+
+# A yaw rate that stays this many deviations short of the model's, on average over about 0.1 s,
+# means that the floor has changed: the friction is as uncertain again as this (of its logarithm).
+SHORT, MEMORY, CHANGED = 1.0, 0.25, 0.10
+
+# The speeds use the grip at this many standard deviations below the belief.
+CAUTION = 1.0
+# They follow it downwards at once, upwards by so much per second of driving that used at least this
+# share of the grip.
+RISE, NEAR = 0.03, 0.7
+# The steering map follows when a factor has changed by more than this share of its deviation.
+NOTABLE = 0.25
+
+
+class Belief(NamedTuple):
+    """What is believed of the day; the message ``Belief`` has the same numbers.
+
+    ``low`` and ``high`` are the ends of an interval of 95 %.
+
+    Parameters
+    ----------
+    friction, friction_low, friction_high : float
+        Friction coefficient relative to the vehicle file's.
+    front_stiffness, front_stiffness_low, front_stiffness_high : float
+        Cornering stiffness of the front axle relative to the file's, at equal friction.
+    rear_stiffness, rear_stiffness_low, rear_stiffness_high : float
+        The same of the rear axle.
+    delay, delay_low, delay_high : float
+        Age of a pose when it is used, plus dead time and lag of the steering [s].
+    grip : float
+        Lateral limit that the speeds use, relative to the vehicle file's.
+    """
+
+    friction: float
+    friction_low: float
+    friction_high: float
+    front_stiffness: float
+    front_stiffness_low: float
+    front_stiffness_high: float
+    rear_stiffness: float
+    rear_stiffness_low: float
+    rear_stiffness_high: float
+    delay: float
+    delay_low: float
+    delay_high: float
+    grip: float
+
+    @property
+    def factors(self):
+        """Factors on friction, front and rear stiffness."""
+        return self.friction, self.front_stiffness, self.rear_stiffness
+
+
+_QUANTILE = 1.96  # of a normal distribution, for 95 %
+
+
+class Adaptation:
+    """Learns grip, cornering stiffness and delay from one pose and command after the other.
+
+    Fed the same poses and commands it believes the same, live, in simulation or from a recording;
+    one takes 0.06 ms.
+    The speeds follow the lower end of the belief: down at once, up slowly and only while the car
+    drives near the limit. All factors stay within a share of the vehicle file's tires. Where the
+    data say nothing (straights, stops, slides, curbs) nothing changes.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its tires are the prior.
+    v_max : float
+        Largest speed [m/s].
+    delay : float
+        Prior of the delay [s].
+    share : float, optional
+        Factors stay within ``1 - share`` and ``1 + share``.
+    behind : float, optional
+        Distance of the localized point from the center of gravity, backwards [m]; by default the
+        point is the rear axle.
+
+    Attributes
+    ----------
+    steering : TireSteering
+        Steering map of the believed tires; another object whenever the belief has changed.
+    grip : float
+        As in `Belief`.
+    slowest : float
+        Least speed of a bend [m/s], from which on the lateral limit matters; it may be set.
+    """
+
+    def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
+        self.vehicle, self._share = vehicle, share
+        self._behind = vehicle.l_r if behind is None else behind
+        self._prior_dead_time = min(max(delay - SERVO_LAG, 0.0), LONGEST_DEAD_TIME)
+        self._bounds = math.log(1.0 - share), math.log(1.0 + share)
+        self._front, self._rear = (
+            tire.scalar_with_slope() for tire in (vehicle.front, vehicle.rear)
+        )
+        self.file_steering = TireSteering(vehicle, v_max)
+        self.slowest = 1.0
+        self.forget()
+
+    def forget(self):
+        """Believe the vehicle file again."""
+        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time, SERVO_LAG]
+        self._P = [[0.0] * 7 for _ in range(7)]
+        for i, deviation in enumerate(PRIOR, 2):
+            self._P[i][i] = deviation * deviation
+        self.steering, self._used = self.file_steering, self._x[:]
+        self.grip = math.exp(-CAUTION * PRIOR[0])
+        self.restart()
+
+    def restart(self):
+        """Forget the motion, after a pause or when the car was moved; the belief stays."""
+        self._t = None
+        self._angle = self._angle_slope = 0.0
+        self._times, self._angles = [], []
+        self._short = 0.0
+
+    @property
+    def delay(self):
+        """Believed delay [s]."""
+        return self._x[5] + self._x[6]
+
+    @property
+    def level(self):
+        """Believed lateral limit, relative to the vehicle file's."""
+        return self.steering.level(self.slowest)
+
+    @property
+    def belief(self):
+        """The present `Belief`."""
+        x, P = self._x, self._P
+        numbers = []
+        for k in (2, 3, 4):
+            width = math.exp(_QUANTILE * math.sqrt(P[k][k]))
+            value = math.exp(x[k])
+            numbers += value, value / width, value * width
+        delay = self.delay
+        width = _QUANTILE * math.sqrt(max(P[5][5] + P[6][6] + 2.0 * P[5][6], 0.0))
+        return Belief(*numbers, delay, max(delay - width, 0.0), delay + width, self.grip)
+
+    def believed_vehicle(self):
+        """The vehicle with the believed tires."""
+        return scaled_tires(self.vehicle, *self.belief.factors)
+
+    def update(self, state, steering_angle):
+        """Learn from a pose; then note the command that answers it.
+
+        Parameters
+        ----------
+        state : CarState
+            As measured; ``v_y`` is NaN if nothing measures it. A pose that is not later than the
+            last one, or much later, restarts the model.
+        steering_angle : float
+            Commanded on it [rad].
+
+        Returns
+        -------
+        bool
+            Whether `steering` is another map than before.
+        """
+        t, _, _, _, v_x, v_y, r = state
+        changed = False
+        last = self._t
+        if last is None or not 0.0 < t - last <= LONGEST_PAUSE or v_x < SLOWEST:
+            if last is None or not 0.0 < t - last <= LONGEST_PAUSE:
+                self.restart()
+            self._settle(t, v_x, v_y, r)
+        else:
+            elapsed = t - last
+            use = self._predict(elapsed, 0.5 * (v_x + self._v_x), (v_x - self._v_x) / elapsed)
+            changed = self._correct(elapsed, use, v_x, v_y, r)
+        self._t, self._v_x = t, v_x
+        times, angles = self._times, self._angles
+        times.append(t)
+        angles.append(steering_angle)
+        while times[1 if len(times) > 1 else 0] < t - LONGEST_DEAD_TIME - LONGEST_PAUSE:
+            del times[0], angles[0]
+        return changed
+
+    def _settle(self, t, v_x, v_y, r):
+        """Take the motion as measured, and the wheels as they were told to be."""
+        if self._times:
+            end = t - self._x[5]
+            self._angle, self._angle_slope = self._commanded(end - STEP, end), 0.0
+        self._x[0] = v_y + self._behind * r if v_y == v_y else self.vehicle.l_r * r
+        self._x[1] = r
+        P = self._P
+        for i in range(7):
+            P[0][i] = P[1][i] = P[i][0] = P[i][1] = 0.0
+        P[0][0], P[1][1] = 0.1**2, 0.05**2
+        self._a_long = 0.0
+        self._short = 0.0
+
+    def _commanded(self, begin, end):
+        """Mean of the commands held between two times [rad]."""
+        times, angles = self._times, self._angles
+        total, until = 0.0, end
+        for i in range(len(times) - 1, -1, -1):
+            since = times[i]
+            if since < until:
+                if since <= begin:
+                    return (total + angles[i] * (until - begin)) / (end - begin)
+                total += angles[i] * (until - since)
+                until = since
+        return (total + angles[0] * (until - begin)) / (end - begin)
+
+    def _predict(self, elapsed, v, a_long):
+        """Integrate the model and its covariance; the share of the grip in use.
+
+        Linearly implicit trapezoidal steps: the lateral mode of stiff tires is ten times faster
+        than the poses.
+        """
+        car, x = self.vehicle, self._x
+        v_y, r, friction, front, rear, dead, lag = x
+        k_front, k_rear = math.exp(front), math.exp(rear)
+        self._a_long += (a_long - self._a_long) * elapsed / (0.1 + elapsed)
+        scale = car.mu * math.exp(friction) / car.l_wb
+        transfer = self._a_long * car.h_cg
+        load_f = scale * (GRAVITY * car.l_r - transfer)
+        load_r = scale * (GRAVITY * car.l_f + transfer)
+        inertia = car.m / car.I_z
+        l_f, l_r = car.l_f, car.l_r
+        count = math.ceil(elapsed / STEP - 1e-6)
+        h = elapsed / count
+        half = 0.5 * h
+        follow = 1.0 - math.exp(-h / lag)
+        slope = self._angle_slope
+        # Derivatives of the motion at the end: after the motion at the beginning (a), and after
+        # what is learned (g); `slope` is the derivative of the steering angle after the lag.
+        a00 = a11 = 1.0
+        a01 = a10 = 0.0
+        g = [0.0] * 10
+        begin = self._t - dead
+        for i in range(count):
+            before = self._angle
+            after = before + follow * (self._commanded(begin + i * h, begin + i * h + h) - before)
+            self._angle = after
+            turning = (after - before) / h
+            slope += follow * (-turning - slope)
+            tan_f, tan_r = (v_y + l_f * r) / v, (v_y - l_r * r) / v
+            slip_f, slip_r = 0.5 * (before + after) - math.atan(tan_f), -math.atan(tan_r)
+            share_f, slope_f = self._front(k_front * slip_f)
+            share_r, slope_r = self._rear(k_rear * slip_r)
+            f_f, f_r = load_f * share_f, load_r * share_r
+            d_f, d_r = load_f * k_front * slope_f, load_r * k_rear * slope_r
+            c_f, c_r = d_f / (v * (1.0 + tan_f * tan_f)), d_r / (v * (1.0 + tan_r * tan_r))
+            # Jacobian, after motion and after what is learned.
+            j00, j01 = -c_f - c_r, l_r * c_r - l_f * c_f - v
+            j10 = inertia * (l_r * c_r - l_f * c_f)
+            j11 = -inertia * (l_f * l_f * c_f + l_r * l_r * c_r)
+            s_f, s_r, s_d, s_l = d_f * slip_f, d_r * slip_r, -d_f * turning, d_f * slope
+            moment = inertia * (l_f * f_f - l_r * f_r)
+            # Inverse of 1 - h/2 J.
+            m00, m01, m10, m11 = 1.0 - half * j11, half * j01, half * j10, 1.0 - half * j00
+            scale = 1.0 / (m00 * m11 - m01 * m10)
+            m00, m01, m10, m11 = m00 * scale, m01 * scale, m10 * scale, m11 * scale
+            lateral = f_f + f_r - v * r
+            v_y += h * (m00 * lateral + m01 * moment)
+            r += h * (m10 * lateral + m11 * moment)
+            # The transition is 2 M - 1.
+            b00, b01, b10, b11 = 2.0 * m00 - 1.0, 2.0 * m01, 2.0 * m10, 2.0 * m11 - 1.0
+            a00, a10 = b00 * a00 + b01 * a10, b10 * a00 + b11 * a10
+            a01, a11 = b00 * a01 + b01 * a11, b10 * a01 + b11 * a11
+            lever_f, lever_r = inertia * l_f, -inertia * l_r
+            for k, p, q in (
+                (0, f_f + f_r, moment),
+                (1, s_f, lever_f * s_f),
+                (2, s_r, lever_r * s_r),
+                (3, s_d, lever_f * s_d),
+                (4, s_l, lever_f * s_l),
+            ):
+                upper, lower = g[k], g[k + 5]
+                g[k] = b00 * upper + b01 * lower + h * (m00 * p + m01 * q)
+                g[k + 5] = b10 * upper + b11 * lower + h * (m10 * p + m11 * q)
+        x[0], x[1] = v_y, r
+        self._angle_slope = slope
+        self._spread(a00, a01, a10, a11, g)
+        use = v * r / self.steering.limit(v)
+        return -use if use < 0.0 else use
+
+    def _spread(self, a00, a01, a10, a11, g):
+        """Propagate the covariance."""
+        P = self._P
+        g0, g1, g2, g3, g4, e0, e1, e2, e3, e4 = g
+        upper, lower = [], []
+        for p0, p1, p2, p3, p4, p5, p6 in P:
+            upper.append(a00 * p0 + a01 * p1 + g0 * p2 + g1 * p3 + g2 * p4 + g3 * p5 + g4 * p6)
+            lower.append(a10 * p0 + a11 * p1 + e0 * p2 + e1 * p3 + e2 * p4 + e3 * p5 + e4 * p6)
+        w0, w1, w2, w3, w4, w5, w6 = upper
+        u0, u1, u2, u3, u4, u5, u6 = lower
+        both = a10 * w0 + a11 * w1 + e0 * w2 + e1 * w3 + e2 * w4 + e3 * w5 + e4 * w6
+        upper[0] = a00 * w0 + a01 * w1 + g0 * w2 + g1 * w3 + g2 * w4 + g3 * w5 + g4 * w6
+        lower[1] = a10 * u0 + a11 * u1 + e0 * u2 + e1 * u3 + e2 * u4 + e3 * u5 + e4 * u6
+        upper[1] = lower[0] = both
+        P[0], P[1] = upper, lower
+        for k in range(2, 7):
+            row = P[k]
+            row[0], row[1] = upper[k], lower[k]
+
+    def _correct(self, elapsed, use, v_x, v_y, r):
+        """Correct motion and belief by what was measured; whether the steering map changed."""
+        P, x = self._P, self._x
+        P[0][0] += MODEL_V_Y * MODEL_V_Y * elapsed
+        P[1][1] += MODEL_R * MODEL_R * elapsed
+        slides = abs(x[0]) > SLIDE * v_x
+        learning = use > LEAST_USE and not slides
+        if learning:
+            walked = use * use if use < 1.0 else 1.0
+            for k, walk in enumerate(WALK, 2):
+                P[k][k] += (walk * walked) ** 2 * elapsed
+            self._notice_change(r)
+        self._measure(P[1][:], r - x[1], MEASURED_R * MEASURED_R + P[1][1], learning)
+        if v_y == v_y:
+            behind = self._behind
+            column = [p[0] - behind * p[1] for p in self._P]
+            variance = column[0] - behind * column[1] + MEASURED_V_Y * MEASURED_V_Y
+            self._measure(column, v_y - x[0] + behind * x[1], variance, learning)
+        return self._follow(elapsed, use) if learning else False
+
+    def _notice_change(self, r):
+        """Make the friction uncertain again if the car keeps turning less than the model."""
+        P, x = self._P, self._x
+        missing = x[1] - r if x[1] > 0.0 else r - x[1]
+        missing /= math.sqrt(MEASURED_R * MEASURED_R + P[1][1])
+        self._short += MEMORY * (missing - self._short)
+        if self._short > SHORT and P[2][2] < CHANGED * CHANGED:
+            P[2][2] = CHANGED * CHANGED
+
+    def _measure(self, column, difference, variance, learning):
+        """One scalar measurement, whose covariance with the state is `column`."""
+        x, P = self._x, self._P
+        if difference * difference > OUTLIER * OUTLIER * variance:
+            variance = abs(difference) * math.sqrt(variance) / OUTLIER
+            learning = False
+        gains = [c / variance for c in column]
+        if not learning:
+            # Only the motion; the belief stays, but no longer goes with it (Schmidt's filter).
+            for k in (0, 1):
+                gain = gains[k]
+                x[k] += gain * difference
+                P[k] = [p - gain * c for p, c in zip(P[k], column)]
+            for k in range(2, 7):
+                P[k][0], P[k][1] = P[0][k], P[1][k]
+            return
+        for k in range(7):
+            x[k] += gains[k] * difference
+        low, high = self._bounds
+        for k in (2, 3, 4):
+            x[k] = low if x[k] < low else high if x[k] > high else x[k]
+        x[5] = min(max(x[5], 0.0), LONGEST_DEAD_TIME)
+        x[6] = min(max(x[6], SHORTEST_LAG), LONGEST_LAG)
+        self._P = [[p - k * c for p, c in zip(row, column)] for row, k in zip(P, gains)]
+
+    def _follow(self, elapsed, use):
+        """Let steering map and grip follow the belief."""
+        x, P, used = self._x, self._P, self._used
+        changed = False
+        for k in (2, 3, 4):
+            moved = x[k] - used[k]
+            if moved * moved > NOTABLE * NOTABLE * P[k][k]:
+                changed = True
+        if changed:
+            self._used = x[:]
+            self.steering = self.file_steering.scaled(*(math.exp(x[k]) for k in (2, 3, 4)))
+        level = self.level
+        lower = level * math.exp(-CAUTION * math.sqrt(P[2][2]))
+        if lower < self.grip:
+            self.grip = lower
+        elif use > NEAR * self.grip / level:
+            self.grip = min(lower, self.grip + RISE * elapsed)
+        return changed

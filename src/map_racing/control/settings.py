@@ -1,0 +1,185 @@
+"""What a car is driven with, as text: published by the node, kept in bags, read by the report."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Callable
+
+import numpy as np
+import scipy
+import yaml
+
+from .. import __version__
+from ..errors import ParameterError
+from ..track.raceline import Raceline
+from ..validation import finite, read_parameters
+from ..vehicle.parameters import Vehicle, parameter_hash, vehicle_of, vehicle_values
+from .controller import Controller, build_controller
+from .parameters import ControllerParameters
+from .safety import SafetyLimits
+from .speed_sectors import SpeedSectors
+
+__all__ = ["Settings", "parse_settings", "settings_text"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a car was driven with.
+
+    Attributes
+    ----------
+    values : dict
+        All that the text holds, by section.
+    controller : ControllerParameters or None
+        None where the text has none that this version knows.
+    vehicle : Vehicle or None
+        Likewise.
+    sectors : list of (float, float, float)
+        Speed sectors: start and end [m], scale; empty without any.
+    notes : tuple of str
+        What could not be read.
+    """
+
+    values: dict
+    controller: ControllerParameters | None
+    vehicle: Vehicle | None
+    sectors: tuple = ()
+    notes: tuple = ()
+
+    def planned_speed(self, raceline: Raceline) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Speed that the controller meant to drive on a raceline.
+
+        Parameters
+        ----------
+        raceline : Raceline
+
+        Returns
+        -------
+        callable or None
+            Speeds [m/s] at an array of arc lengths [m]; None where the settings do not say, or not
+            for this raceline.
+        """
+        if self.controller is None or self.vehicle is None:
+            return None
+        try:
+            sectors = SpeedSectors(self.sectors, raceline.length) if self.sectors else None
+            controller = build_controller(self.controller, self.vehicle, raceline, sectors)
+        except ParameterError:
+            return None
+        return controller.planned_speed
+
+
+def settings_text(
+    controller: Controller,
+    *,
+    name: str = "",
+    table: str = "",
+    sectors: str = "",
+    limits: SafetyLimits | None = None,
+) -> str:
+    """Settings of a controller as YAML that `parse_settings` reads.
+
+    Parameters
+    ----------
+    controller : Controller
+    name : str, optional
+        Name or file of its parameters.
+    table : str, optional
+        File of its lookup table; empty if it is computed from the vehicle's tires.
+    sectors : str, optional
+        File of its speed sectors.
+    limits : SafetyLimits, optional
+
+    Returns
+    -------
+    str
+    """
+    vehicle, raceline = controller.vehicle, controller.raceline
+    values = {
+        "controller": {"name": Path(name).stem, **asdict(controller.parameters)},
+        "vehicle": {**vehicle_values(vehicle), "fingerprint": parameter_hash(vehicle)},
+        "steering_table": table or "of the vehicle's tires",
+    }
+    if raceline is not None:
+        values["raceline"] = {
+            "name": raceline.name or Path(raceline.source).stem,
+            "length_m": round(raceline.length, 3),
+            "points": len(raceline.s_points),
+        }
+    if controller.plan is not None:
+        values["speeds"] = str(controller.plan)
+    if controller.sectors is not None:
+        values["speed_sectors"] = {
+            "file": Path(sectors).name,
+            "sectors": [
+                {"start_m": round(start, 3), "end_m": round(end, 3), "scale": scale}
+                for start, end, scale in controller.sectors.stretches()
+            ],
+        }
+    if limits is not None:
+        values["safety"] = asdict(limits)
+    values["versions"] = {
+        "map_racing": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+    return yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
+
+
+def parse_settings(text: str) -> Settings:
+    """Read what `settings_text` wrote, as far as this version knows it.
+
+    Parameters
+    ----------
+    text : str
+        From a bag, so it may be anything.
+
+    Returns
+    -------
+    Settings
+        Without controller or vehicle where the text is of another program or version.
+    """
+    try:
+        values = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        values = None
+    if not isinstance(values, dict):
+        return Settings({}, None, None, notes=("the recorded settings are no YAML mapping",))
+    notes = []
+
+    def part(key, read):
+        section = values.get(key)
+        if not isinstance(section, dict):
+            notes.append(f"the recorded settings have no {key}")
+            return None
+        try:
+            return read({k: v for k, v in section.items() if k != "fingerprint"})
+        except (ParameterError, TypeError) as error:
+            notes.append(f"the recorded settings: {key}: {error}")
+            return None
+
+    return Settings(
+        values,
+        part("controller", _controller),
+        part("vehicle", vehicle_of),
+        part("speed_sectors", _sectors) or () if "speed_sectors" in values else (),
+        tuple(notes),
+    )
+
+
+def _sectors(section):
+    keys = ("start_m", "end_m", "scale")
+    try:
+        return tuple(
+            tuple(finite(key, sector[key]) for key in keys) for sector in section["sectors"]
+        )
+    except KeyError as error:
+        raise ParameterError(f"{error.args[0]}: missing") from None
+
+
+def _controller(section):
+    section.pop("name", None)
+    return read_parameters("controller", ControllerParameters, section)

@@ -1,0 +1,235 @@
+"""All that a report says about a run, computed once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..bags.remarks import Remarks
+from ..bags.samples import Recording
+from ..control.settings import Settings
+from .driving import PoseTiming, SpeedTracking, pose_timing, speed_tracking
+from .places import (
+    Corner,
+    Ideal,
+    Reference,
+    against_ideal,
+    against_lap,
+    against_run,
+    corners_of,
+    ideal_lap,
+)
+from .profiles import CarLimits, RunProfile, profiles_of
+from .results import RunResult
+
+__all__ = ["CornerRow", "RunAnalysis", "analyze", "corner_rows", "references", "same_track"]
+
+# Tracks whose lengths and places differ by less [m] are one.
+_SAME = 0.02
+
+
+@dataclass(frozen=True)
+class RunAnalysis:
+    """A run with what was found out about it.
+
+    Attributes
+    ----------
+    name : str
+        Short name of the run.
+    recording : Recording
+    profile : RunProfile
+    corners : list of Corner
+    ideal : Ideal or None
+        None if no lap was completed.
+    timing : PoseTiming
+    tracking : SpeedTracking or None
+    remarks : Remarks
+    settings : Settings or None
+        The last that the controller said; None if it said none.
+    limits : CarLimits or None
+        None if the car is not known.
+    planned : ndarray, shape (n,), or None
+        Speed that the controller meant to drive, at the places of the profile [m/s].
+    notes : list of str
+    """
+
+    name: str
+    recording: Recording
+    profile: RunProfile
+    corners: list
+    ideal: Ideal | None
+    timing: PoseTiming
+    tracking: SpeedTracking | None
+    remarks: Remarks
+    settings: Settings | None
+    limits: CarLimits | None
+    planned: np.ndarray | None
+    notes: list = field(default_factory=list)
+
+    @property
+    def result(self) -> RunResult:
+        """What `evaluate` made of the run."""
+        return self.profile.result
+
+
+def analyze(
+    recording: Recording,
+    result: RunResult,
+    *,
+    name: str = "",
+    limits: CarLimits | None = None,
+    settings: Settings | None = None,
+    remarks: Remarks | None = None,
+) -> RunAnalysis:
+    """Analyze an evaluated run.
+
+    Parameters
+    ----------
+    recording : Recording
+    result : RunResult
+        What `evaluate` made of it.
+    name : str, optional
+    limits : CarLimits, optional
+        Of the car; without them nothing is said about its table.
+    settings : Settings, optional
+        What the controller said that it drives with.
+    remarks : Remarks, optional
+
+    Returns
+    -------
+    RunAnalysis
+    """
+    profile = profiles_of(recording, result, limits)
+    track = profile.track
+    planned = settings.planned_speed(result.raceline) if settings is not None else None
+    return RunAnalysis(
+        name or result.source,
+        recording,
+        profile,
+        corners_of(track),
+        ideal_lap(profile) if profile.counted else None,
+        pose_timing(recording),
+        speed_tracking(recording),
+        remarks or Remarks([], []),
+        settings,
+        limits,
+        None if planned is None else planned(track.s + track.start_s),
+        list(settings.notes) if settings is not None else [],
+    )
+
+
+def same_track(one: RunAnalysis, other: RunAnalysis) -> bool:
+    """Whether two runs can be compared place by place."""
+    a, b = one.profile.track, other.profile.track
+    if a.s.size != b.s.size or abs(a.length - b.length) > _SAME:
+        return False
+    return bool(np.max(np.hypot(a.x - b.x, a.y - b.y)) < _SAME)
+
+
+def references(run: RunAnalysis, others: list[RunAnalysis]) -> list[Reference]:
+    """What the mean lap of a run can be compared with, the most telling first.
+
+    Parameters
+    ----------
+    run : RunAnalysis
+        With a completed lap.
+    others : list of RunAnalysis
+        Further runs; those on other tracks and without a completed lap are left out.
+
+    Returns
+    -------
+    list of Reference
+    """
+    found = [
+        against_run(other.profile, f"the mean lap of {other.name}")
+        for other in others
+        if other.profile.counted and same_track(run, other)
+    ]
+    if len(run.profile.counted) > 1:
+        found.append(against_ideal(run.profile, run.ideal))
+        found.append(against_lap(run.profile.best))
+    speed, name = run.planned, "the speeds asked for"
+    if speed is None:
+        speed, name = run.profile.track.speed, "the raceline's speeds"
+    if speed is not None and np.min(speed) > 0.0:
+        s = run.profile.track.s
+        pace = 0.5 * (1.0 / speed[1:] + 1.0 / speed[:-1])
+        time = np.append(0.0, np.cumsum(pace * np.diff(s)))
+        found.append(Reference(name, time, speed, np.zeros(s.size)))
+    return found
+
+
+@dataclass(frozen=True)
+class CornerRow:
+    """A corner over the laps of a run; standard deviations are of the laps, NaN of a single one.
+
+    Attributes
+    ----------
+    corner : Corner
+    time_s, time_std_s, best_s : float
+        Time in its stretch [s].
+    entry_mps, entry_std_mps, slowest_mps, slowest_std_mps : float
+        Speeds at the begin of the stretch and at the slowest place [m/s].
+    apex_d_m, apex_std_m : float
+        Lateral deviation at the apex, left positive [m].
+    grip_used : float
+        Largest share of the table's lateral acceleration of a mean lap; NaN if unknown.
+    """
+
+    corner: Corner
+    time_s: float
+    time_std_s: float
+    best_s: float
+    entry_mps: float
+    entry_std_mps: float
+    slowest_mps: float
+    slowest_std_mps: float
+    apex_d_m: float
+    apex_std_m: float
+    grip_used: float
+
+
+def corner_rows(run: RunAnalysis) -> list[CornerRow]:
+    """Consistency over the laps that count, corner by corner.
+
+    Parameters
+    ----------
+    run : RunAnalysis
+
+    Returns
+    -------
+    list of CornerRow
+        Empty if no lap was completed.
+    """
+    track, laps = run.profile.track, run.profile.counted
+    if not laps:
+        return []
+    s, cells = track.s, track.s.size - 1
+    time = np.array([lap.values["time"] for lap in laps])
+    v = np.array([lap.values["v"] for lap in laps])
+    d = np.array([lap.values["d"] for lap in laps])
+    grip = np.mean([lap.grip_used for lap in laps], axis=0)
+    rows = []
+    for corner in run.corners:
+        inside = np.flatnonzero(corner.inside(s[:cells], track.length))
+        spent = np.sum(np.diff(time, axis=1)[:, inside], axis=1)
+        begin, apex = (int(np.argmin(np.abs(s - at))) for at in (corner.begin, corner.apex))
+        rows.append(
+            CornerRow(
+                corner,
+                *_spread(spent),
+                float(spent.min()),
+                *_spread(v[:, begin]),
+                *_spread(v[:, inside].min(axis=1)),
+                *_spread(d[:, apex]),
+                float(np.max(grip[inside])),
+            )
+        )
+    return rows
+
+
+def _spread(values):
+    deviation = float(np.std(values, ddof=1)) if values.size > 1 else math.nan
+    return float(np.mean(values)), deviation

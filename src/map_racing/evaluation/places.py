@@ -1,0 +1,389 @@
+"""Where a lap loses time: corners, mini-sectors, the ideal lap, and the places that cost most."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from ..errors import EvaluationError
+from ..track.corners import runs_around
+from ..track.speed_profile import speed_profile
+from .profiles import LapProfile, RunProfile, TrackProfile
+
+__all__ = [
+    "Corner",
+    "Ideal",
+    "Place",
+    "Reference",
+    "corners_of",
+    "costliest",
+    "against_ideal",
+    "against_lap",
+    "against_run",
+    "ideal_lap",
+]
+
+# Length of a mini-sector [m], and their number.
+_MINI, _FEWEST, _MOST = 2.0, 6, 60
+# A corner is slower than the straights around it by this share of the range of speeds.
+_PROMINENCE = 0.1
+# A bend has at least this share of the largest lateral acceleration; what varies less is uniform.
+_BENT, _UNIFORM = 0.35, 0.02
+# The stretch of a corner begins so far before the place where braking begins [m], but not farther
+# back on the straight than this share.
+_AHEAD, _SHARE = 1.5, 0.4
+# Limits of an ordinary car, for racelines without speeds [m/s^2, m/s].
+_ORDINARY = {"a_lat_max": 6.0, "a_drive_max": 5.0, "a_brake_max": 6.0, "v_max": 10.0}
+_ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
+# A smaller loss [s] is none.
+_LEAST = 0.0005
+# Share of a loss at each end of its place that is left out of the place.
+_TAIL = 0.03
+# Less is no difference worth a word [m].
+_WIDE = 0.05
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A bend, with the straight that leads to it and the one that follows as far as it matters.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``"second left"``, counted from the start line; empty on a track without corners.
+    side : int
+        1 for a left, -1 for a right, 0 where there is none.
+    begin, apex, end : float
+        Distances from the start line [m]: stretch, and its slowest place. A stretch that crosses
+        the start line ends before it begins.
+    """
+
+    name: str
+    side: int
+    begin: float
+    apex: float
+    end: float
+
+    def inside(self, s: np.ndarray, length: float) -> np.ndarray:
+        """Which distances are in the stretch, a mask; `length` is the track's [m]."""
+        s = np.asarray(s) % length
+        if self.begin < self.end:
+            return (s >= self.begin) & (s < self.end)
+        return (s >= self.begin) | (s < self.end)
+
+
+@dataclass(frozen=True)
+class Ideal:
+    """The best mini-sectors of all laps together.
+
+    Attributes
+    ----------
+    time_s : float
+        Lap time [s].
+    ends : ndarray, shape (k,)
+        Ends of the mini-sectors [m].
+    times : ndarray, shape (laps, k)
+        Times of each lap in them [s].
+    """
+
+    time_s: float
+    ends: np.ndarray
+    times: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a run is compared with, over distance.
+
+    Attributes
+    ----------
+    name : str
+        In words: "the ideal lap".
+    time, v, d : ndarray, shape (n,)
+        Time [s], speed [m/s] and lateral deviation [m] at the places of the profiles.
+    """
+
+    name: str
+    time: np.ndarray
+    v: np.ndarray
+    d: np.ndarray
+
+
+@dataclass(frozen=True)
+class Place:
+    """A stretch that costs time.
+
+    Attributes
+    ----------
+    corner : Corner
+    begin, end : float
+        Distances from the start line [m]; between them is all but 6 % of the loss.
+    loss_s : float
+        Time lost there in a mean lap [s].
+    entry, entry_reference, slowest, slowest_reference, exit, exit_reference : float
+        Speeds at the begin, at the slowest place and at the end [m/s].
+    wide_m : float
+        How much farther to the outside of the bend than the reference, where it is most, from
+        `begin` to `end` [m].
+    wide_at : str
+        Where: ``"entry"``, ``"apex"`` or ``"exit"``.
+    grip_used : float
+        Largest share of the table's lateral acceleration; NaN if unknown.
+    """
+
+    corner: Corner
+    begin: float
+    end: float
+    loss_s: float
+    entry: float
+    entry_reference: float
+    slowest: float
+    slowest_reference: float
+    exit: float
+    exit_reference: float
+    wide_m: float
+    wide_at: str
+    grip_used: float
+
+    def __str__(self):
+        name = f", {self.corner.name}" if self.corner.name else ""
+        return f"s = {self.begin:.0f} to {self.end:.0f} m{name}: {self.loss}; {self.why}"
+
+    @property
+    def loss(self) -> str:
+        """The time lost, in words."""
+        return f"{self.loss_s:.2f} s" if self.loss_s >= 0.1 else f"{self.loss_s:.3f} s"
+
+    @property
+    def why(self) -> str:
+        """What is different there, in words."""
+        said = []
+        for verb, own, other in (
+            ("enters at", self.entry, self.entry_reference),
+            ("slows to", self.slowest, self.slowest_reference),
+            ("leaves at", self.exit, self.exit_reference),
+        ):
+            if f"{own:.1f}" != f"{other:.1f}":
+                said.append(f"{verb} {own:.1f} for {other:.1f} m/s")
+        # The most telling two.
+        if len(said) == 3:
+            del said[2]
+        if self.wide_m >= _WIDE:
+            said.append(f"{self.wide_m:.2f} m wide at the {self.wide_at}")
+        elif self.wide_m <= -_WIDE:
+            said.append(f"{-self.wide_m:.2f} m closer to the inside at the {self.wide_at}")
+        if not math.isnan(self.grip_used):
+            said.append(f"{self.grip_used:.0%} of the grip used".replace("%", " %"))
+        return ", ".join(said) or "the same speeds and line"
+
+
+def corners_of(track: TrackProfile) -> list[Corner]:
+    """Corners of a track in the order of the lap, which together fill it.
+
+    A corner is a place where the raceline's speed has a minimum; without speeds, those of an
+    ordinary car count. Each stretch begins shortly before braking does.
+
+    Parameters
+    ----------
+    track : TrackProfile
+
+    Returns
+    -------
+    list of Corner
+        At least one; on a circle, a single one without name.
+    """
+    kappa, cells = track.kappa[:-1], track.s.size - 1
+    ds = track.length / cells
+    speed = track.speed
+    if speed is None or np.ptp(speed) < _UNIFORM * np.max(speed):
+        speed = speed_profile(kappa, ds, v_min=0.5, **_ORDINARY)
+    apexes = _apexes(kappa, speed[:cells])
+    if not apexes:
+        return [Corner("", 0, 0.0, 0.0, track.length)]
+    starts = [
+        _beginning(kappa, speed, np.arange(before, low if low > before else low + cells), ds)
+        for before, low in zip(apexes[-1:] + apexes[:-1], apexes)
+    ]
+    corners, counts = [], {1: 0, -1: 0}
+    for begin, low, end in zip(starts, apexes, starts[1:] + starts[:1]):
+        side = 1 if kappa[low] > 0.0 else -1
+        number, counts[side] = counts[side], counts[side] + 1
+        which = _ORDINALS[number] if number < len(_ORDINALS) else f"{number + 1}th"
+        name = f"{which} {'left' if side > 0 else 'right'}"
+        corners.append(Corner(name, side, begin * ds, low * ds, end * ds))
+    return corners
+
+
+def _apexes(kappa, speed):
+    """Cells of the slowest place of each bend; a bend with several slow places counts as several.
+
+    A bend is where the lateral acceleration has one sign and is not small.
+    """
+    needed = speed**2 * kappa
+    if not np.ptp(np.abs(kappa)) > _UNIFORM * np.max(np.abs(kappa)):
+        return []
+    cells = kappa.size
+    slow = find_peaks(-np.tile(speed, 3), prominence=_PROMINENCE * float(np.ptp(speed)))[0]
+    slow = set((slow[(slow >= cells) & (slow < 2 * cells)] - cells).tolist())
+    kind = np.where(np.abs(needed) > _BENT * np.max(np.abs(needed)), np.sign(kappa), 0.0)
+    apexes = []
+    for bend in runs_around(kind):
+        inside = [cell for cell in bend.tolist() if cell in slow]
+        apexes += inside or [int(bend[np.argmax(np.abs(needed[bend]))])]
+    return sorted(apexes)
+
+
+def _beginning(kappa, speed, between, ds):
+    """Cell where the stretch of an apex begins, from the cells since the one before.
+
+    Shortly before the fastest place; where the speed only rises or only falls, the straightest.
+    """
+    between = between % kappa.size
+    fastest = int(np.argmax(speed[between]))
+    if not 0 < fastest < between.size - 1:
+        return int(between[np.argmin(np.abs(kappa[between]))])
+    back = min(int(_AHEAD / ds), int(_SHARE * fastest))
+    return int(between[fastest - back])
+
+
+def ideal_lap(run: RunProfile) -> Ideal:
+    """The ideal lap of a run, from mini-sectors of about 2 m.
+
+    Parameters
+    ----------
+    run : RunProfile
+
+    Returns
+    -------
+    Ideal
+
+    Raises
+    ------
+    EvaluationError
+        If no lap was completed.
+    """
+    if not run.counted:
+        raise EvaluationError(f"{run.result.source}: expected a completed lap, got none")
+    track = run.track
+    count = int(np.clip(round(track.length / _MINI), _FEWEST, _MOST))
+    ends = track.length * np.arange(1, count + 1) / count
+    times = np.array(
+        [
+            np.diff(np.interp(np.append(0.0, ends), track.s, profile.values["time"]))
+            for profile in run.counted
+        ]
+    )
+    return Ideal(float(np.sum(np.min(times, axis=0))), ends, times)
+
+
+def against_ideal(run: RunProfile, ideal: Ideal) -> Reference:
+    """The ideal lap as a reference: in each mini-sector the lap that is fastest there."""
+    s = run.track.s
+    sector = np.minimum(np.searchsorted(ideal.ends, s, side="left"), ideal.ends.size - 1)
+    fastest = np.argmin(ideal.times, axis=0)[sector]
+    columns = {
+        name: np.array([p.values[name] for p in run.counted])[fastest, np.arange(s.size)]
+        for name in ("time", "v", "d")
+    }
+    # The time runs on from sector to sector.
+    begins = np.append(0.0, ideal.ends[:-1])
+    before = np.append(0.0, np.cumsum(np.min(ideal.times, axis=0))[:-1])
+    entered = np.array([np.interp(begins, s, p.values["time"]) for p in run.counted])
+    time = columns["time"] - entered[fastest, sector] + before[sector]
+    return Reference("the ideal lap", time, columns["v"], columns["d"])
+
+
+def against_lap(profile: LapProfile, name: str = "the best lap") -> Reference:
+    """A lap as a reference."""
+    return Reference(name, *(profile.values[channel] for channel in ("time", "v", "d")))
+
+
+def against_run(other: RunProfile, name: str) -> Reference:
+    """The mean lap of another run on the same track as a reference."""
+    return Reference(name, *(other.mean(channel) for channel in ("time", "v", "d")))
+
+
+def costliest(
+    run: RunProfile, reference: Reference, corners: list[Corner], most: int = 3
+) -> list[Place]:
+    """The places where the mean lap of a run loses most against a reference.
+
+    In each corner's stretch it is the part in which the loss adds up to most.
+
+    Parameters
+    ----------
+    run : RunProfile
+    reference : Reference
+        At the same places as the run.
+    corners : list of Corner
+    most : int, optional
+
+    Returns
+    -------
+    list of Place
+        The costliest first; only places that cost time.
+    """
+    track = run.track
+    cells = track.s.size - 1
+    loss = np.diff(run.mean("time") - reference.time)
+    v, d = run.mean("v")[:cells], run.mean("d")[:cells]
+    grip = np.max([profile.grip_used[:cells] for profile in run.counted], axis=0)
+    places = []
+    for corner in corners:
+        inside = np.flatnonzero(corner.inside(track.s[:cells], track.length))
+        if corner.begin >= corner.end:  # over the start line
+            inside = np.concatenate(
+                (inside[track.s[inside] >= corner.begin], inside[track.s[inside] < corner.begin])
+            )
+        first, last = _largest_sum(loss[inside])
+        lost = float(loss[inside[first:last]].sum())
+        if lost < _LEAST:
+            continue
+        first, last = _bulk(loss[inside], first, last)
+        part = inside[first:last]
+        end = (part[-1] + 1) % cells
+        outward = -corner.side * (d[part] - reference.d[:cells][part])
+        widest = int(np.argmax(np.abs(outward)))
+        apex = (corner.apex - track.s[part[0]]) % track.length
+        at = (track.s[part[widest]] - track.s[part[0]]) % track.length
+        near = 0.15 * len(part) * track.length / cells
+        inside_apex = apex <= (track.s[end] - track.s[part[0]]) % track.length
+        where = (
+            "apex" if inside_apex and abs(at - apex) <= near else ("entry" if at < apex else "exit")
+        )
+        slow = part[int(np.argmin(v[part]))]
+        slow_reference = reference.v[:cells][part].min()
+        places.append(
+            Place(
+                corner,
+                *(float(track.s[part[0]]), float(track.s[end]) or track.length),
+                lost,
+                *(float(v[part[0]]), float(reference.v[part[0]])),
+                *(float(v[slow]), float(slow_reference)),
+                *(float(v[end]), float(reference.v[end])),
+                float(outward[widest]) if corner.side else 0.0,
+                where,
+                float(np.max(grip[part])),
+            )
+        )
+    return sorted(places, key=lambda place: -place.loss_s)[:most]
+
+
+def _largest_sum(values):
+    """Begin and end of the contiguous part with the largest sum."""
+    total = np.append(0.0, np.cumsum(values))
+    lowest = np.minimum.accumulate(total)
+    end = int(np.argmax(total - lowest))
+    begin = int(np.argmin(total[: end + 1]))
+    return begin, end
+
+
+def _bulk(values, begin, end):
+    """The part without what adds next to nothing at its ends."""
+    share = np.cumsum(values[begin:end]) / np.sum(values[begin:end])
+    first = np.flatnonzero(share >= _TAIL)[0]
+    before = np.flatnonzero(share < 1.0 - _TAIL)
+    return begin + int(first), begin + (int(before[-1]) + 2 if before.size else 1)

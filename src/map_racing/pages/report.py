@@ -1,0 +1,506 @@
+"""The report of one run or several side by side."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from datetime import datetime, timezone
+
+import numpy as np
+
+from .. import __version__
+from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
+from ..evaluation.places import costliest
+from ..vehicle.single_track import GRAVITY
+from .html import document, escape, pack, table
+
+__all__ = ["report_page"]
+
+# The charts' data may have this size [bytes]; a value takes 2.7 of them.
+_BUDGET = 900_000
+_VALUE = 8.0 / 3.0
+_CHARTED = ("v", "v_command", "d", "steering", "steering_table", "a_lat", "a_lon")
+# Speeds at which the limit of the table is drawn.
+_LIMITS = 40
+# Rows of states and notes that a page shows.
+_MOST_ROWS = 60
+
+
+def report_page(runs: list[RunAnalysis], title: str = "") -> str:
+    """Page of runs.
+
+    Parameters
+    ----------
+    runs : list of RunAnalysis
+        At least one.
+    title : str, optional
+
+    Returns
+    -------
+    str
+        HTML.
+
+    Raises
+    ------
+    MapRacingError
+        If plotly is not installed.
+    """
+    title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
+    compared = [_comparisons(run, runs) for run in runs]
+    shown = _chosen(runs)
+    parts = [
+        _head(title, runs),
+        '<main>\n<div id="left">\n',
+        _first_screen(runs, compared),
+        _charts(runs, shown),
+        "</div>\n",
+        _map(),
+        "</main>\n",
+        _corners(runs),
+        _grip(runs),
+        _laps(runs),
+        _poses(runs),
+        _driven_with(runs),
+        f"<footer>map_racing {escape(__version__)}. Distances are along the raceline from the "
+        "start line; left is positive.</footer>\n",
+    ]
+    data = _data(runs, compared, shown)
+    return document(title, "".join(parts), data, ("report.js",), plotly=True)
+
+
+def _comparisons(run, runs):
+    """References with the places that cost most against each."""
+    if not run.profile.counted:
+        return []
+    others = [other for other in runs if other is not run]
+    return [
+        (reference, costliest(run.profile, reference, run.corners))
+        for reference in references(run, others)
+    ]
+
+
+# -- first screen ----------------------------------------------------------------------------------
+
+
+def _head(title, runs):
+    facts = [_track_name(runs[0])]
+    stamps = [run.recording.t0_ns for run in runs if run.recording.t0_ns > 0]
+    if stamps:
+        when = datetime.fromtimestamp(1e-9 * min(stamps), timezone.utc)
+        facts.append(when.strftime("%Y-%m-%d %H:%M UTC"))
+    if len(runs) == 1 and _driver(runs[0]):
+        facts.append(_driver(runs[0]))
+    return f"<header><h1>{escape(title)}</h1><p>{escape(' · '.join(facts))}</p></header>\n"
+
+
+def _track_name(run):
+    line = run.result.raceline
+    recorded = run.settings.values.get("raceline") if run.settings is not None else None
+    name = recorded.get("name") if isinstance(recorded, dict) else None
+    return f"{name or line.name or 'raceline'}, {line.length:.1f} m"
+
+
+def _driver(run):
+    if run.settings is None or run.settings.controller is None:
+        return ""
+    name = run.settings.values["controller"].get("name") or "controller"
+    return f"{name} at {run.settings.controller.speed_scale:.0%} speed".replace("%", " %")
+
+
+def _first_screen(runs, compared):
+    rows = []
+    for run in runs:
+        summary, best = run.result.summary, run.profile.best
+        rows.append(
+            [
+                *([run.name] if len(runs) > 1 else []),
+                f"{summary.laps_completed} of {len(run.result.laps)}",
+                f"{best.lap.lap_time_s:.3f} s (lap {best.lap.lap})" if best else "none",
+                f"{run.ideal.time_s:.3f} s" if run.ideal else "–",
+                _spread(summary.mean_lap_time_s, summary.std_lap_time_s, "{:.3f}", " s"),
+                _number(summary.mean_rms_lateral_error_m, "{:.3f} m"),
+                _number(summary.min_clearance_m, "{:.2f} m"),
+                _share([lap.saturated for lap in run.profile.counted]),
+            ]
+        )
+    head = ["run"] if len(runs) > 1 else []
+    head += ["laps that count", "best lap", "ideal lap", "mean lap", "RMS error"]
+    head += ["clearance", "saturated"]
+    parts = ['<section id="first">\n', table(head, rows, "summary"), _lap_strip(runs)]
+    parts.append('<div class="bar"><h2>Where the time goes</h2>')
+    if len(runs) > 1:
+        options = "".join(
+            f'<option value="{i}">{escape(run.name)}</option>' for i, run in enumerate(runs)
+        )
+        parts.append(f'<label>run <select id="place-run">{options}</select></label>')
+    parts.append('<label>against <select id="place-reference"></select></label></div>\n')
+    for i, comparisons in enumerate(compared):
+        if not comparisons:
+            parts.append(f'<p class="places" data-run="{i}">No lap was completed.</p>\n')
+        for j, (reference, places) in enumerate(comparisons):
+            parts.append(_place_list(i, j, reference, places, runs[i]))
+    parts.append("</section>\n")
+    return "".join(parts)
+
+
+def _place_list(i, j, reference, places, run):
+    hidden = "" if (i, j) == (0, 0) else " hidden"
+    name = escape(reference.name)
+    if not places:
+        return (
+            f'<p class="places" data-run="{i}" data-reference="{j}" data-name="{name}"{hidden}>'
+            f"No place costs time against {name}.</p>\n"
+        )
+    length = run.profile.track.length
+    items = "".join(
+        f'<li><button type="button" class="zoom" data-begin="{place.begin:.2f}" '
+        f'data-end="{place.end if place.end > place.begin else place.end + length:.2f}">'
+        f"s = {place.begin:.0f} to {place.end:.0f} m"
+        f"{', ' + escape(place.corner.name) if place.corner.name else ''}</button>: "
+        f"<strong>{escape(place.loss)}</strong>; {escape(place.why)}</li>\n"
+        for place in places
+    )
+    return (
+        f'<ol class="places" data-run="{i}" data-reference="{j}" data-name="{name}"{hidden}>\n'
+        f"{items}</ol>\n"
+    )
+
+
+def _lap_strip(runs):
+    """Every stretch with its validity, as buttons that choose it for the charts."""
+    parts = []
+    for i, run in enumerate(runs):
+        charted = {id(profile.lap): k for k, profile in enumerate(run.profile.laps)}
+        best = run.profile.best
+        chips = []
+        for lap in run.result.laps:
+            time = "" if math.isnan(lap.lap_time_s) else f" {lap.lap_time_s:.3f}"
+            mark = "✓" if lap.valid else f"✗ {lap.reason}"
+            kind = "valid" if lap.valid else "invalid"
+            if best is not None and lap is best.lap:
+                mark, kind = "✓ best", "valid best"
+            index = charted.get(id(lap))
+            where = "disabled" if index is None else f'data-run="{i}" data-lap="{index}"'
+            chips.append(
+                f'<button type="button" class="lap {kind}" {where} title="{escape(mark)}">'
+                f"{lap.lap}{time} <small>{escape(mark)}</small></button>"
+            )
+        name = f"<span>{escape(run.name)}</span>" if len(runs) > 1 else ""
+        parts.append(f'<div class="laps">{name}{"".join(chips)}</div>\n')
+    return "".join(parts)
+
+
+# -- charts ----------------------------------------------------------------------------------------
+
+
+def _charts(runs, shown):
+    left_out = sum(len(run.profile.laps) - len(laps) for run, laps in zip(runs, shown))
+    said = ""
+    if left_out:
+        total = sum(len(laps) for laps in shown)
+        said = (
+            f" The charts show {total} laps, the best among them; {left_out} others are only in "
+            "the tables."
+        )
+    return f"""<section id="over-distance">
+<div class="bar"><h2>Over distance</h2>
+<label><span class="swatch a"></span> <select id="lap-a"></select></label>
+<label><span class="swatch b"></span> against <select id="lap-b"></select></label>
+<label><input type="checkbox" id="all-laps"> all laps</label>
+<button type="button" id="whole">whole lap</button></div>
+<div id="charts" class="plot"></div>
+<p class="hint">Drag to zoom, double-click for the whole lap. The cursor is the same
+everywhere.{said}</p>
+</section>
+"""
+
+
+def _map():
+    return """<aside id="right">
+<label>color <select id="color"></select></label>
+<div id="map" class="plot"></div>
+<div id="scale"></div>
+<input type="range" id="slider" min="0" max="1000" value="0" aria-label="place on the track">
+<table id="readout"><tbody></tbody></table>
+</aside>
+"""
+
+
+def _grip(runs):
+    known = any(run.limits is not None for run in runs)
+    text = (
+        "The lines are what the tires of the vehicle file give at three speeds."
+        if known
+        else "The car is not known: no settings are in the recording, so give --vehicle for the "
+        "limits of its tires and for what its table asks of the steering."
+    )
+    return (
+        '<section id="grip"><h2>Grip</h2>\n<div id="gg" class="plot"></div>\n'
+        f'<p class="hint">{escape(text)}</p></section>\n'
+    )
+
+
+# -- tables ----------------------------------------------------------------------------------------
+
+
+def _corners(runs):
+    parts = ['<section id="corners"><h2>Corners, lap by lap</h2>\n']
+    head = ["corner", "from", "to", "time", "best", "speed at the entry", "slowest"]
+    head += ["off the line at the apex", "grip used"]
+    for run in runs:
+        rows = [
+            [
+                row.corner.name or "whole lap",
+                f"{row.corner.begin:.1f} m",
+                f"{row.corner.end:.1f} m",
+                _spread(row.time_s, row.time_std_s, "{:.3f}", " s"),
+                f"{row.best_s:.3f} s",
+                _spread(row.entry_mps, row.entry_std_mps, "{:.2f}", " m/s"),
+                _spread(row.slowest_mps, row.slowest_std_mps, "{:.2f}", " m/s"),
+                _spread(row.apex_d_m, row.apex_std_m, "{:+.3f}", " m"),
+                _share([row.grip_used]),
+            ]
+            for row in corner_rows(run)
+        ]
+        parts += [_run_name(run, runs), table(head, rows)]
+    parts.append('<p class="hint">Mean and standard deviation of the laps that count.</p>')
+    return "".join([*parts, "</section>\n"])
+
+
+def _laps(runs):
+    parts = ['<section id="laps"><h2>Laps</h2>\n']
+    for run in runs:
+        sectors = len(run.result.laps[0].sector_times_s) if run.result.laps else 0
+        head = ["lap", "time", *(f"sector {i}" for i in range(1, sectors + 1))]
+        head += ["error RMS", "mean", "95 %", "largest", "clearance", "mean speed", "top speed"]
+        head += ["speed error", "saturated", "counts"]
+        saturated = {id(profile.lap): profile.saturated for profile in run.profile.laps}
+        rows = [
+            [
+                lap.lap,
+                _number(lap.lap_time_s, "{:.3f} s"),
+                *(_number(time, "{:.3f}") for time in lap.sector_times_s),
+                _number(lap.rms_lateral_error_m, "{:.3f} m"),
+                _number(lap.mean_lateral_error_m, "{:+.3f}"),
+                _number(lap.p95_abs_lateral_error_m, "{:.3f}"),
+                _number(lap.max_abs_lateral_error_m, "{:.3f}"),
+                _number(lap.min_clearance_m, "{:.2f} m"),
+                _number(lap.mean_speed_mps, "{:.2f} m/s"),
+                _number(lap.max_speed_mps, "{:.2f}"),
+                _number(lap.rms_speed_error_mps, "{:.2f}"),
+                _share([saturated.get(id(lap), math.nan)]),
+                "yes" if lap.valid else lap.reason,
+            ]
+            for lap in run.result.laps
+        ]
+        parts += [_run_name(run, runs), table(head, rows)]
+    return "".join([*parts, "</section>\n"])
+
+
+def _poses(runs):
+    parts = ['<section id="poses"><h2>Drive, poses and stops</h2>\n']
+    head = ["run", "speed lags by", "above the command", "below it", "poses per second"]
+    head += ["longest gap", "gaps", "jumps", "age of a pose", "oldest"]
+    rows = []
+    for run in runs:
+        timing, tracking = run.timing, run.tracking
+        drive = ["–"] * 3
+        if tracking is not None:
+            drive = [
+                _number(tracking.lag_s, "{:.2f} s"),
+                f"{tracking.overshoot_mps:.2f} m/s",
+                f"{tracking.undershoot_mps:.2f} m/s",
+            ]
+        rows.append(
+            [
+                run.name,
+                *drive,
+                f"{timing.rate_hz:.1f}",
+                f"{1e3 * timing.longest_gap_s:.0f} ms",
+                timing.gaps,
+                f"{timing.jumps} (up to {timing.largest_jump_m:.2f} m)" if timing.jumps else "0",
+                _number(1e3 * timing.age_s, "{:.0f} ms"),
+                _number(1e3 * timing.oldest_s, "{:.0f} ms"),
+            ]
+        )
+    parts.append(table(head, rows))
+    parts.append(
+        '<p class="hint">Above and below: exceeded in 1 % of the time, against the command '
+        "delayed by the lag. Age: from stamp to receipt; the oldest is exceeded by 1 %.</p>\n"
+    )
+    for run in runs:
+        if run.remarks.states:
+            rows = [[f"{t:.1f} s", text] for t, text in run.remarks.states[:_MOST_ROWS]]
+            parts += [_run_name(run, runs), table(["time", "state and reason"], rows)]
+        stopped = [lap for lap in run.result.laps if "sto" in lap.reason]
+        if stopped:
+            rows = [[lap.lap, lap.reason] for lap in stopped[:_MOST_ROWS]]
+            parts += [_run_name(run, runs), table(["lap", "stop"], rows)]
+    return "".join([*parts, "</section>\n"])
+
+
+def _driven_with(runs):
+    parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
+    for run in runs:
+        parts.append(_run_name(run, runs))
+        rows = [["file", run.result.source], *_notes(run)]
+        if run.settings is None:
+            rows.append(["settings", "none in the recording"])
+        else:
+            rows += _flat(run.settings.values)
+        parts.append(table(["what", "value"], rows, "settings"))
+    return "".join([*parts, "</section>\n"])
+
+
+def _notes(run):
+    return [["note", note] for note in [*run.result.notes, *run.notes][:_MOST_ROWS]]
+
+
+def _flat(values, before=""):
+    """Rows of nested settings."""
+    rows = []
+    for key, value in values.items():
+        if isinstance(value, dict):
+            rows += _flat(value, f"{before}{key}: ")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for number, part in enumerate(value):
+                rows += _flat(part, f"{before}{key} {number}: ")
+        else:
+            rows.append([f"{before}{key}", _plain(value)])
+    return rows
+
+
+def _plain(value):
+    if isinstance(value, list):
+        return ", ".join(map(_plain, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _run_name(run, runs):
+    return f"<h3>{escape(run.name)}</h3>\n" if len(runs) > 1 else ""
+
+
+def _number(value, form):
+    return "–" if math.isnan(value) else form.format(value)
+
+
+def _spread(mean, deviation, form, unit):
+    if math.isnan(mean):
+        return "–"
+    text = form.format(mean)
+    if not math.isnan(deviation):
+        text += " ± " + form.replace("+", "").format(deviation)
+    return text + unit
+
+
+def _share(values):
+    known = [value for value in values if not math.isnan(value)]
+    return f"{100 * sum(known) / len(known):.1f} %" if known else "–"
+
+
+# -- data of the charts ----------------------------------------------------------------------------
+
+
+def _data(runs, compared, shown):
+    tracks, entries = [], []
+    for run, laps in zip(runs, shown):
+        track = next((k for k, other in tracks if same_track(run, other)), None)
+        if track is None:
+            track = len(tracks)
+            tracks.append((track, run))
+        best = run.profile.best
+        entries.append(
+            {
+                "name": run.name,
+                "track": track,
+                "known": run.limits is not None,
+                "best": next((i for i, k in enumerate(laps) if run.profile.laps[k] is best), 0),
+                "left_out": len(run.profile.laps) - len(laps),
+                "planned": pack(run.planned),
+                "laps": [_lap(run, index) for index in laps],
+                "limit": _limit(run),
+            }
+        )
+    return {
+        "runs": entries,
+        "tracks": [_track(run) for _, run in tracks],
+        "places": [
+            [[_place(place) for place in places] for _, places in comparisons]
+            for comparisons in compared
+        ],
+    }
+
+
+def _place(place):
+    values = asdict(place)
+    return {"begin": values["begin"], "end": values["end"], "name": place.corner.name}
+
+
+def _chosen(runs):
+    """Indices of the laps whose charts the page has: all, or as many as its size allows.
+
+    Of many, the best and the last, and others at equal steps.
+    """
+    cost = [_VALUE * (len(_CHARTED) + 1) * run.profile.track.s.size for run in runs]
+    wanted = sum(c * len(run.profile.laps) for c, run in zip(cost, runs))
+    share = min(1.0, _BUDGET / max(wanted, 1.0))
+    chosen = []
+    for run in runs:
+        laps = run.profile.laps
+        count = len(laps) if share == 1.0 else max(int(share * len(laps)), min(len(laps), 2))
+        indices = set(np.linspace(0, len(laps) - 1, count).round().astype(int).tolist())
+        if run.profile.best is not None and len(indices) < len(laps):
+            best = next(i for i, lap in enumerate(laps) if lap is run.profile.best)
+            if best not in indices and len(indices) > 1:
+                indices.discard(min(indices))
+            indices.add(best)
+        chosen.append(sorted(indices))
+    return chosen
+
+
+def _lap(run, index):
+    profile, track = run.profile.laps[index], run.profile.track
+    lap, time = profile.lap, profile.values["time"]
+    known = np.isfinite(time)
+    total = float(time[known][-1]) if known.any() else 0.0
+    even = total * track.s / track.length
+    return {
+        "index": index,
+        "number": lap.lap,
+        "time": lap.lap_time_s,
+        "valid": lap.valid,
+        "total": total,
+        "residual": pack(time - even),
+        **{name: pack(profile.values[name]) for name in _CHARTED},
+    }
+
+
+def _track(run):
+    track = run.profile.track
+    return {
+        "length": track.length,
+        "n": track.s.size,
+        "x": pack(track.x),
+        "y": pack(track.y),
+        "cos": pack(np.cos(track.psi)),
+        "sin": pack(np.sin(track.psi)),
+        "speed": pack(track.speed),
+        "grip": pack(track.grip_speed),
+        "left": pack(track.d_left),
+        "right": pack(track.d_right),
+        "corners": [{"name": c.name, "apex": c.apex} for c in run.corners if c.name],
+    }
+
+
+def _limit(run):
+    """What the tires give: lateral limit over speed, and longitudinal limits [m/s^2]."""
+    limits = run.limits
+    if limits is None:
+        return None
+    v = np.linspace(0.0, max(limits.v_max, 1.0), _LIMITS)
+    return {
+        "v": v.round(3).tolist(),
+        "a": limits.table.max_lateral_acceleration(v).round(3).tolist(),
+        "drive": min(limits.a_drive_max, GRAVITY * 2.0),
+        "brake": min(limits.a_brake_max, GRAVITY * 2.0),
+    }

@@ -1,0 +1,100 @@
+"""What a bag says about the driving."""
+
+import struct
+
+import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from map_racing.bags import messages as msg
+from map_racing.bags.cdr import connection_of, layout_of_ros1
+from map_racing.bags.reader import read_recording
+from map_racing.bags.remarks import read_remarks
+from map_racing.bags.writer import BagWriter
+
+TYPES = get_typestore(Stores.ROS1_NOETIC)
+
+
+def test_md5_sums_are_those_of_the_definitions():
+    for kind in (msg.STRING, msg.DIAGNOSTICS):
+        package, name = kind.split("/")
+        assert TYPES.generate_msgdef(f"{package}/msg/{name}")[1] == msg.MD5[kind]
+
+
+def test_settings_on_the_clock_of_the_poses(tmp_path):
+    path = tmp_path / "run.bag"
+    with BagWriter(path) as bag:
+        bag.text(99.0, "a: 1")
+        bag.text(99.5, "a: 1")
+        for i in range(100):
+            bag.odometry(100.0 + 0.025 * i, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0)
+        bag.text(101.0, "a: 2 für ü")
+    remarks = read_remarks(path, read_recording(path))
+    assert remarks.settings == [(-1.0, "a: 1"), (pytest.approx(1.0), "a: 2 für ü")]
+    assert remarks.states == []
+
+
+def diagnostics(stamp, *statuses):
+    types = TYPES.types
+    key = types["diagnostic_msgs/msg/KeyValue"]
+    status = types["diagnostic_msgs/msg/DiagnosticStatus"]
+    header = types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](stamp, 0), "")
+    array = types["diagnostic_msgs/msg/DiagnosticArray"](
+        header,
+        [
+            status(2, name, text, hardware, [key("mode", "driving"), key("pose age", "0.1")])
+            for name, text, hardware in statuses
+        ],
+    )
+    return TYPES.serialize_ros1(array, "diagnostic_msgs/msg/DiagnosticArray")
+
+
+def test_states_of_the_controller(tmp_path):
+    path = tmp_path / "run.bag"
+    with BagWriter(tmp_path / "poses.bag") as bag:
+        for i in range(100):
+            bag.odometry(100.0 + 0.025 * i, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0)
+    recording = read_recording(tmp_path / "poses.bag")
+    lidar = ("lidar", "dirty", "hokuyo")
+    with Writer(path) as writer:
+        line = writer.add_connection(
+            "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", typestore=TYPES
+        )
+        texts = ["driving", "driving", "stopping: stale pose", "stopped: stale pose", "driving"]
+        for i, text in enumerate(texts):
+            ours = ("controller: driving", text, "map_racing")
+            data = diagnostics(100 + i, lidar, ours)
+            writer.write(line, (100 + i) * 10**9, data)
+            writer.write(line, (100 + i) * 10**9 + 1, diagnostics(100 + i, lidar))
+        writer.write(line, 106 * 10**9, bytes(data[:-20]))
+    assert read_remarks(path, recording).states == [
+        (pytest.approx(0.0), "driving"),
+        (pytest.approx(2.0), "stopping: stale pose"),
+        (pytest.approx(3.0), "stopped: stale pose"),
+        (pytest.approx(4.0), "driving"),
+    ]
+
+
+def test_a_text_that_is_cut_off():
+    with pytest.raises(struct.error):
+        msg.decode_string(struct.pack("<I", 10) + b"abc")
+
+
+@pytest.mark.parametrize("name", ["a", "four", "names", "of many lengths"])
+def test_texts_of_ros2_in_the_layout_of_ros1(name):
+    """Every alignment of the strings."""
+    status = TYPES.types["diagnostic_msgs/msg/DiagnosticStatus"]
+    key = TYPES.types["diagnostic_msgs/msg/KeyValue"]
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    stamp = types.types["builtin_interfaces/msg/Time"](7, 8)
+    header = types.types["std_msgs/msg/Header"](stamp, name)
+    statuses = [status(1, name, "stopped", "map_racing", [key(name, ""), key("", name)])] * 2
+    array = types.types["diagnostic_msgs/msg/DiagnosticArray"](header, statuses)
+    data = bytes(types.serialize_cdr(array, "diagnostic_msgs/msg/DiagnosticArray"))
+    connection = connection_of("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "")
+    found = msg.decode_diagnostics(layout_of_ros1(connection)(data))
+    assert found == (7 * 10**9 + 8, [(name, "stopped", "map_racing")] * 2)
+    text = types.types["std_msgs/msg/String"](name)
+    text = bytes(types.serialize_cdr(text, "std_msgs/msg/String"))
+    connection = connection_of("settings", "std_msgs/msg/String", "")
+    assert msg.decode_string(layout_of_ros1(connection)(text)) == (name, 4 + len(name))

@@ -1,0 +1,84 @@
+"""``map-racing raceline record``: a raceline from a lap driven by hand."""
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from map_racing.bags.writer import BagWriter
+from map_racing.cli import main
+from map_racing.track.files.load import load_raceline
+
+RADIUS = 2.0
+
+
+@pytest.fixture(scope="module")
+def by_hand(tmp_path_factory):
+    """Two and a half rounds at 2 and 3 m/s, without a raceline, and the map of the hall."""
+    folder = tmp_path_factory.mktemp("by_hand")
+    with BagWriter(folder / "run.bag") as bag:
+        angle, t = 0.3, 100.0
+        while angle < 0.3 + 5.0 * np.pi:
+            v = 2.0 if angle < 0.3 + 2.0 * np.pi else 3.0
+            x, y = RADIUS * np.cos(angle), RADIUS * np.sin(angle)
+            bag.odometry(t, x, y, angle + 0.5 * np.pi, v, 0.0, v / RADIUS)
+            angle, t = angle + v * 0.02 / RADIUS, t + 0.02
+    y, x = np.mgrid[3.975:-4.0:-0.05, -3.975:4.0:0.05]
+    radius = np.hypot(x, y)
+    pixels = np.where((radius > 1.5) & (radius < 3.0), 254, 0).astype(np.uint8)
+    Image.fromarray(pixels).save(folder / "hall.png")
+    settings = {"image": "hall.png", "resolution": 0.05, "origin": [-4.0, -4.0, 0.0]}
+    settings.update(negate=0, occupied_thresh=0.65, free_thresh=0.196)
+    (folder / "hall.yaml").write_text(yaml.safe_dump(settings))
+    return folder
+
+
+def record(folder, output, *options):
+    arguments = ["raceline", "record", folder / "run.bag", "--output", output, *options]
+    return main([str(argument) for argument in arguments])
+
+
+def test_the_fastest_lap_becomes_a_raceline_with_walls(by_hand, tmp_path, capsys):
+    output = tmp_path / "line.csv"
+    assert record(by_hand, output, "--map", by_hand / "hall.yaml") == 0
+    printed = capsys.readouterr().out
+    assert "counter-clockwise" in printed and "nothing wrong" in printed
+    assert "lap  2" in printed.split("<- taken")[0].splitlines()[-1]
+    line = load_raceline(output)
+    assert line.length == pytest.approx(2.0 * np.pi * RADIUS, rel=0.005)
+    assert line.speed == pytest.approx(3.0, abs=0.05)
+    assert line.d_left == pytest.approx(0.5, abs=0.06)
+    assert line.d_right == pytest.approx(1.0, abs=0.06)
+
+
+def test_another_lap_without_speeds(by_hand, tmp_path):
+    output = tmp_path / "line.json"
+    options = ["--lap", "1", "--speeds", "none", "--spacing", "0.2"]
+    assert record(by_hand, output, *options) == 0
+    line = load_raceline(output)
+    assert line.speed is None and line.d_left is None
+    assert line.s_points.size == pytest.approx(2.0 * np.pi * RADIUS / 0.2, abs=1)
+
+
+def test_a_lap_of_a_race_is_that_of_evaluate(bags, tmp_path, capsys):
+    source = str(bags["map"])
+    assert main(["raceline", "record", source, "--output", str(tmp_path / "a.csv")]) == 0
+    recorded = capsys.readouterr().out
+    assert main(["evaluate", source]) == 0
+    rows = (line.split() for line in capsys.readouterr().out.splitlines())
+    best = min(row[1] for row in rows if row and row[0] in ("1", "2"))
+    assert f"{best} s   <- taken" in recorded
+
+
+def test_refused(by_hand, tmp_path, refused):
+    run, line = by_hand / "run.bag", tmp_path / "line.csv"
+    start = ("raceline", "record", run, "--output", line)
+    assert "--lap: expected best or one of 1, 2, got 7" in refused(*start, "--lap", "7")
+    assert "spacing: expected" in refused(*start, "--spacing", "0")
+    assert "--join" in refused(*start[:3], run, *start[3:])
+    text = by_hand / "hall.yaml"
+    moved = yaml.safe_load(text.read_text())
+    moved["origin"] = [-3.0, -4.0, 0.0]
+    (by_hand / "moved.yaml").write_text(yaml.safe_dump(moved))
+    assert "is it the map of that drive?" in refused(*start, "--map", by_hand / "moved.yaml")
+    assert not line.exists()

@@ -1,0 +1,139 @@
+"""``map-racing report``: the numbers of ``evaluate`` on one page."""
+
+import html
+import json
+import re
+
+import pytest
+
+from map_racing.bags.writer import BagWriter
+from map_racing.cli import main
+from map_racing.cli.report import parse_laps
+from map_racing.errors import ParameterError
+from map_racing.pages import report as pages
+from map_racing.track.files.load import load_raceline
+from map_racing.track.files.waypoints import waypoint_rows
+
+
+def report(tmp_path, *arguments):
+    output = tmp_path / "report.html"
+    assert main(["report", *map(str, arguments), "--output", str(output)]) == 0
+    return output.read_text(encoding="utf-8")
+
+
+def text_of(page):
+    """Text of a page, in one line."""
+    body = page[page.index("<body>") : page.index("<script")]
+    return " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())
+
+
+def data_of(page):
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
+    return json.loads(found.group(1))
+
+
+@pytest.fixture(scope="module")
+def page(bags, tmp_path_factory):
+    return report(tmp_path_factory.mktemp("page"), *bags.values())
+
+
+def test_its_numbers_are_those_of_evaluate(page, bags, tmp_path):
+    laps = tmp_path / "laps.json"
+    assert main(["evaluate", *map(str, bags.values()), "--json", str(laps)]) == 0
+    text = text_of(page)
+    for run in json.loads(laps.read_text())["runs"]:
+        best = run["summary"]["best_lap_time_s"]
+        assert f"{best:.3f} s (lap" in text
+        for lap in run["laps"]:
+            if lap["valid"]:
+                cells = [f"{lap['lap']} {lap['lap_time_s']:.3f} s"]
+                cells += [f"{lap[f'sector_{i}_s']:.3f}" for i in (1, 2, 3)]
+                cells += [f"{lap['rms_lateral_error_m']:.3f} m"]
+                assert " ".join(cells) in text
+
+
+def test_it_says_what_was_driven_with(page):
+    text = text_of(page)
+    assert "controller: steering_map table" in text and "ackermann" in text
+    assert "vehicle: name NUC4" in text and "versions: map_racing" in text
+    assert "reference, 36.5 m" in text and "speed_scale 0.7" in text
+
+
+def test_everything_is_in_the_file(page):
+    start = page[: page.index("plotly.js")]
+    assert not re.search(r'(src|href)="(?!data:,)', start)
+    assert len(page.encode()) < 6_000_000
+
+
+def test_charts_have_all_laps_and_the_track(page):
+    data = data_of(page)
+    assert [len(run["laps"]) for run in data["runs"]] == [2, 2]
+    assert len(data["tracks"]) == 1 and data["runs"][1]["track"] == 0
+    assert data["tracks"][0]["length"] == pytest.approx(36.54, abs=0.01)
+    assert all(run["limit"]["a"] for run in data["runs"])
+    assert data["places"][0][0][0]["name"]
+
+
+def test_laps_to_look_at(bags, tmp_path, refused):
+    data = data_of(report(tmp_path, bags["map"], "--laps", "2"))
+    assert [lap["number"] for lap in data["runs"][0]["laps"]] == [2]
+    assert "has none of them" in refused(
+        *("report", bags["map"], "--laps", "7-9", "--output", tmp_path / "r.html")
+    )
+
+
+def test_lap_numbers():
+    assert parse_laps("2-5,8") == [(2, 5), (8, 8)]
+    for text in ("a", "2-", "-3", "1,,2", "1.5"):
+        with pytest.raises(ParameterError, match="--laps"):
+            parse_laps(text)
+
+
+def test_a_car_that_is_not_known(tmp_path, race_bag):
+    page = report(tmp_path, race_bag())
+    assert "give --vehicle" in text_of(page) and data_of(page)["runs"][0]["limit"] is None
+    page = report(tmp_path, race_bag(), "--vehicle", "nuc4")
+    assert data_of(page)["runs"][0]["limit"] and "give --vehicle" not in text_of(page)
+
+
+def test_what_cannot_be_read_is_left_out(bags, tmp_path, capsys, refused):
+    (tmp_path / "text.bag").write_text("hello\n" * 100)
+    output = tmp_path / "report.html"
+    arguments = [str(bags["map"]), str(tmp_path / "text.bag"), "--output", str(output)]
+    assert main(["report", *arguments]) == 1
+    assert "text.bag" in capsys.readouterr().err and output.exists()
+    output.unlink()
+    refused("report", tmp_path / "text.bag", "--output", output)
+    assert not output.exists()
+    assert "also an input" in refused("report", bags["map"], "--output", bags["map"])
+
+
+def test_a_run_without_a_lap(tmp_path):
+    line = load_raceline("reference")
+    with BagWriter(tmp_path / "short.bag") as bag:
+        bag.waypoints(1.0, waypoint_rows(line))
+        for i in range(200):
+            here = line.pose(0.1 * i + 1.0)
+            bag.odometry(2.0 + 0.025 * i, here.x, here.y, here.psi, 4.0, 0.0, 4.0 * here.kappa)
+    page = report(tmp_path, tmp_path / "short.bag")
+    text = text_of(page)
+    assert "No lap was completed." in text and "out-lap" in text
+    assert len(data_of(page)["runs"][0]["laps"]) == 1
+
+
+def test_more_laps_than_fit(tmp_path, monkeypatch, ring):
+    """The best lap, the last and others at equal steps have charts; the tables have all."""
+    with BagWriter(tmp_path / "long.bag") as bag:
+        bag.waypoints(1.0, waypoint_rows(ring))
+        t, s = 2.0, -1.0
+        while s < 12.5 * ring.length:
+            here, v = ring.pose(s), 3.3 if 4.0 < s / ring.length < 5.0 else 3.0
+            bag.odometry(t, here.x, here.y, here.psi, v, 0.0, v * here.kappa)
+            t, s = t + 0.025, s + 0.025 * v
+    monkeypatch.setattr(pages, "_BUDGET", 13_000)
+    page = report(tmp_path, tmp_path / "long.bag")
+    (run,) = data_of(page)["runs"]
+    numbers = [lap["number"] for lap in run["laps"]]
+    assert 4 <= len(numbers) <= 6 and numbers[-1] == 12 and 5 in numbers
+    assert run["laps"][run["best"]]["number"] == 5 and run["left_out"] == 12 - len(numbers)
+    assert "charts show" in text_of(page) and "11 3." in text_of(page)

@@ -1,0 +1,309 @@
+"""Learning while driving: what it finds, what it leaves alone, and what the car makes of it."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from map_racing.control.adaptation import PRIOR, RISE, Adaptation
+from map_racing.control.controller import build_controller
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.speed_plan import AdaptiveSpeedPlan, SpeedPlan
+from map_racing.control.state import CarState
+from map_racing.simulation.car import SimulatedCar
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
+from map_racing.simulation.race import Outcome, race
+from map_racing.track.files.load import load_raceline
+from map_racing.vehicle.parameters import load_vehicle, scaled_tires
+from map_racing.vehicle.tire_steering import TireSteering
+
+NUC4 = load_vehicle("nuc4")
+PLANT = load_plant("nuc4")
+REFERENCE = load_raceline("reference")
+ADAPTIVE = load_controller_parameters("map_adaptive").with_(speed_scale=1.0)
+OFF = ADAPTIVE.with_(adaptation=False)
+
+
+def slalom(t, amplitude=0.3):
+    """Bends of both sides, held and turned into quickly [rad]."""
+    return amplitude * max(-1.0, min(1.0, 2.5 * math.sin(2.6 * t) + 0.3 * math.sin(9.0 * t)))
+
+
+def driven(changes=None, duration=20.0, steer=slalom, speed=5.0, rate=None, seed=1, grip=None):
+    """Poses and commands of a car that is steered by the clock, on an endless floor."""
+    plant = dataclasses.replace(PLANT, **(changes or {}))
+    car = SimulatedCar(Plant(plant), Localization(plant, seed), rate)
+    angle, samples = 0.0, []
+    while car.now < duration:
+        for seen in car.observe()[1]:
+            angle = steer(seen.measured.t)
+            samples.append((seen.measured, angle))
+        if grip is not None:
+            car.plant.set_grip(grip(car.now))
+        car.advance(angle, speed)
+    return samples
+
+
+def learned(samples, **options):
+    adaptation = Adaptation(NUC4, 12.0, 0.07, **options)
+    for state, angle in samples:
+        adaptation.update(state, angle)
+    return adaptation
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return driven()
+
+
+# -- what it finds -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"mu_scale": 0.85},
+        {"front_stiffness_scale": 0.75},
+        {"rear_stiffness_scale": 0.65},
+        {"steering_delay_s": 0.04},
+        {"steering_time_constant_s": 0.06},
+    ],
+    ids=str,
+)
+def test_it_finds_tires_and_delay_of_a_car_that_it_does_not_know(changes):
+    plant = dataclasses.replace(PLANT, **changes)
+    belief = learned(driven(changes)).belief
+    assert belief.friction == pytest.approx(plant.mu_scale, rel=0.03)
+    assert belief.front_stiffness == pytest.approx(plant.front_stiffness_scale, rel=0.05)
+    assert belief.rear_stiffness == pytest.approx(plant.rear_stiffness_scale, rel=0.16)
+    delay = plant.localization_latency_s + plant.steering_delay_s + plant.steering_time_constant_s
+    assert belief.delay == pytest.approx(delay, abs=0.005)
+    # The intervals are honest: the truth is inside, or beside it by less than their width.
+    for low, true, high in (
+        (belief.friction_low, plant.mu_scale, belief.friction_high),
+        (belief.front_stiffness_low, plant.front_stiffness_scale, belief.front_stiffness_high),
+        (belief.delay_low, delay, belief.delay_high),
+    ):
+        width = high - low
+        assert low - 0.5 * width < true < high + 0.5 * width
+
+
+def test_poses_at_another_rate_and_without_lateral_velocity_tell_the_same():
+    samples = driven({"mu_scale": 0.85, "measures_v_y": False}, rate=100.0)
+    belief = learned(samples).belief
+    assert belief.friction == pytest.approx(0.85, rel=0.03)
+    assert belief.delay == pytest.approx(0.07, abs=0.006)
+    # Nothing but the lateral velocity tells how stiff so stiff a rear axle is; and it says so.
+    assert belief.rear_stiffness_high / belief.rear_stiffness_low > 1.5
+
+
+def test_below_the_limit_only_the_product_is_known():
+    belief = learned(driven({"mu_scale": 0.85}, steer=lambda t: slalom(t, 0.1), speed=4.0)).belief
+    product = belief.friction * belief.front_stiffness
+    assert product == pytest.approx(0.85 * PLANT.front_stiffness_scale, rel=0.05)
+    assert belief.friction_high / belief.friction_low > 1.25
+
+
+# -- what it leaves alone ------------------------------------------------------------------------
+
+
+def untouched(samples):
+    before = learned([]).belief
+    return learned(samples).belief == before
+
+
+def test_straights_say_nothing():
+    assert untouched(driven(steer=lambda t: 0.0))
+
+
+def test_walking_pace_and_stops_say_nothing():
+    assert untouched(driven(speed=1.0))
+    still = CarState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert untouched([(still._replace(t=0.025 * k), 0.3) for k in range(400)])
+
+
+def test_a_spin_says_nothing(drive):
+    adaptation = learned(drive)
+    before = adaptation.belief
+    t = drive[-1][0].t
+    for k in range(1, 80):
+        slide = CarState(t + 0.025 * k, 0.0, 0.0, 0.0, 3.0, -4.0, 6.0)
+        adaptation.update(slide, 0.1)
+    # A few poses pass until the slide is seen.
+    assert adaptation.belief.factors == pytest.approx(before.factors, rel=0.03)
+
+
+def test_a_curb_says_nothing(drive):
+    """The yaw rate of one pose that no floor can explain."""
+    plain, hit = (Adaptation(NUC4, 12.0, 0.07) for _ in range(2))
+    for k, (state, angle) in enumerate(drive):
+        plain.update(state, angle)
+        hit.update(state._replace(r=state.r + 6.0) if k == 600 else state, angle)
+        if k == 600:
+            assert hit.belief.factors == pytest.approx(plain.belief.factors, rel=5e-3)
+
+
+def test_what_is_believed_stays_within_its_share():
+    belief = learned(driven({"mu_scale": 0.7}), share=0.1).belief
+    assert belief.friction == pytest.approx(0.9)
+    unmoved = learned(driven({"mu_scale": 0.7}), share=0.0).belief
+    assert unmoved.factors == (1.0, 1.0, 1.0)
+
+
+# -- down quickly, up slowly ---------------------------------------------------------------------
+
+
+def test_the_grip_follows_down_within_a_bend_and_up_slowly():
+    fall, rise = 10.0, 20.0
+    samples = driven(duration=45.0, grip=lambda t: 0.8 if fall < t < rise else 1.0)
+    adaptation = Adaptation(NUC4, 12.0, 0.07)
+    grips = []
+    for state, angle in samples:
+        adaptation.update(state, angle)
+        grips.append((state.t, adaptation.grip))
+    t, grip = np.array(grips).T
+    true = PLANT.mu_scale
+    assert grip[np.searchsorted(t, fall) - 1] > 0.9 * true
+    assert grip[np.searchsorted(t, fall + 0.7)] < 0.86 * true
+    assert grip[np.searchsorted(t, rise) - 1] == pytest.approx(0.77 * true, rel=0.03)
+    assert np.max(np.diff(grip)) <= RISE * 0.0261
+    assert grip[-1] > 0.92 * true
+
+
+def test_the_grip_does_not_rise_without_evidence_near_the_limit():
+    adaptation = Adaptation(NUC4, 12.0, 0.07)
+    cautious = adaptation.grip
+    assert cautious == pytest.approx(math.exp(-PRIOR[0]))
+    for state, angle in driven(steer=lambda t: slalom(t, 0.1), speed=4.0, duration=10.0):
+        adaptation.update(state, angle)
+        assert adaptation.grip <= cautious
+
+
+# -- live, replayed, forgotten -------------------------------------------------------------------
+
+
+def test_a_race_is_replayed_to_the_last_bit():
+    plant = Plant(PLANT)
+    controller = build_controller(ADAPTIVE, NUC4, REFERENCE)
+    log = race(plant, controller, REFERENCE, Localization(PLANT, 3), laps=1)
+    again = Adaptation(NUC4, ADAPTIVE.v_max_mps, ADAPTIVE.delay_s)
+    again.slowest = controller.plan.slowest
+    for sample in log.samples:
+        again.update(sample.measured, sample.result.steering_angle)
+        assert again.belief == sample.belief
+    assert controller.adaptation.belief == again.belief != learned([]).belief
+
+
+def test_a_pause_restarts_the_model_and_keeps_the_belief(drive):
+    adaptation = learned(drive)
+    before = adaptation.belief
+    state, angle = drive[-1]
+    adaptation.update(state._replace(t=state.t + 5.0, x=9.0), 0.3)
+    adaptation.update(state._replace(t=1.0), angle)
+    assert adaptation.belief == before
+    adaptation.forget()
+    assert adaptation.belief == learned([]).belief
+    assert adaptation.steering is adaptation.file_steering
+
+
+def test_the_believed_vehicle_is_the_files_with_other_tires(drive):
+    adaptation = learned(drive)
+    assert adaptation.believed_vehicle() == scaled_tires(NUC4, *adaptation.belief.factors)
+
+
+# -- the controller ------------------------------------------------------------------------------
+
+
+def lap_times(log):
+    """Times between crossings of the start line."""
+    t, x, y = log.true_path().T[:3]
+    s = np.array([REFERENCE.project(*at).s for at in zip(x, y)])
+    at = np.flatnonzero(np.diff(s) < -0.5 * REFERENCE.length)
+    gap = REFERENCE.length + s[at + 1] - s[at]
+    crossing = t[at] + (t[at + 1] - t[at]) * (REFERENCE.length - s[at]) / gap
+    return np.diff(crossing)
+
+
+def raced(plant, parameters, vehicle=NUC4, laps=4, seed=1):
+    controller = build_controller(parameters, vehicle, REFERENCE)
+    log = race(Plant(plant), controller, REFERENCE, Localization(plant, seed), laps=laps)
+    assert log.outcome is Outcome.COMPLETED
+    return lap_times(log), log
+
+
+@pytest.mark.parametrize("changes", [{"mu_scale": 0.88}, {"mu_scale": 1.08}], ids=str)
+def test_a_cold_start_comes_close_to_one_that_was_told(changes):
+    plant = dataclasses.replace(PLANT, **changes)
+    true = scaled_tires(
+        NUC4, plant.mu_scale, plant.front_stiffness_scale, plant.rear_stiffness_scale
+    )
+    told, _ = raced(plant, OFF, true, laps=2)
+    cold, _ = raced(plant, ADAPTIVE)
+    assert told[-1] < cold[-1] < 1.03 * told[-1]
+
+
+def test_a_sudden_loss_of_grip_ends_on_the_track():
+    plant = dataclasses.replace(PLANT, grip_changes=[{"factor": 0.8, "after_s": 21.0}])
+    slippery = dataclasses.replace(PLANT, mu_scale=0.8 * PLANT.mu_scale)
+    true = scaled_tires(
+        NUC4, slippery.mu_scale, PLANT.front_stiffness_scale, PLANT.rear_stiffness_scale
+    )
+    told, _ = raced(slippery, OFF, true, laps=2)
+    laps, log = raced(plant, ADAPTIVE, laps=5)
+    assert laps[-1] < 1.02 * told[-1]
+    assert max(abs(REFERENCE.project(*sample.true[1:3]).d) for sample in log.samples) < 0.2
+
+
+def test_switched_off_it_drives_as_without_and_on_again_it_knows_what_it_learned():
+    controller = build_controller(ADAPTIVE, NUC4, REFERENCE)
+    race(Plant(PLANT), controller, REFERENCE, Localization(PLANT, 1), laps=1)
+    learning = controller.adaptation
+    believed = learning.belief
+    controller.parameters = OFF
+    assert controller.adaptation is None
+    plain = build_controller(OFF, NUC4, REFERENCE)
+    for subject in (controller, plain):
+        subject.reset()
+    state = CarState(100.0, *REFERENCE.position(5.0), REFERENCE.pose(5.0).psi, 4.0, 0.0, 0.0)
+    assert controller.step(state) == plain.step(state)
+    controller.parameters = ADAPTIVE
+    assert controller.adaptation is learning and learning.belief == believed
+    assert controller.plan.level == believed.grip
+    assert controller.max_lateral_acceleration(6.0) == pytest.approx(
+        learning.steering.max_lateral_acceleration(6.0)
+    )
+
+
+def test_the_adaptive_controller_is_the_default_that_learns():
+    default = load_controller_parameters("map")
+    same = ADAPTIVE.with_(
+        adaptation=False, grip_use=default.grip_use, speed_scale=default.speed_scale
+    )
+    assert same == default and ADAPTIVE.adaptation
+
+
+# -- speeds for any grip -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0.64, 0.855, 1.05])
+def test_an_adaptive_plan_is_the_plan_of_its_level(level):
+    steering = TireSteering(NUC4, 12.0)
+    adaptive = AdaptiveSpeedPlan(REFERENCE, ADAPTIVE, steering)
+    adaptive.level = level
+    made = SpeedPlan(REFERENCE, ADAPTIVE, steering.scaled(level, 1.0, 1.0))
+    assert adaptive.speed == pytest.approx(made.speed, rel=0.012)
+    assert np.mean(np.abs(adaptive.speed / made.speed - 1.0)) < 1e-3
+    assert adaptive.lap_time == pytest.approx(made.lap_time, rel=1e-3)
+    for s in (0.0, 7.3, 19.9):
+        assert adaptive.speed_at(s) == pytest.approx(made.speed_at(s), rel=0.012)
+
+
+def test_beyond_its_levels_an_adaptive_plan_stays_at_the_last():
+    adaptive = AdaptiveSpeedPlan(REFERENCE, ADAPTIVE, TireSteering(NUC4, 12.0))
+    adaptive.level = adaptive.LEVELS[0]
+    slowest = adaptive.speed
+    adaptive.level = 0.01
+    assert np.array_equal(adaptive.speed, slowest)

@@ -1,0 +1,77 @@
+"""Settings as text say all that a car was driven with, and come back."""
+
+import numpy as np
+import pytest
+import yaml
+
+from map_racing import __version__
+from map_racing.control.controller import build_controller
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.safety import SafetyLimits
+from map_racing.control.settings import parse_settings, settings_text
+from map_racing.control.speed_sectors import SpeedSectors
+from map_racing.track.files.load import load_raceline
+from map_racing.vehicle.parameters import load_vehicle, vehicle_values
+
+
+@pytest.fixture(scope="module")
+def line():
+    return load_raceline("reference")
+
+
+@pytest.fixture(scope="module")
+def controller(line):
+    sectors = SpeedSectors([(0.0, 10.0, 0.8), (20.0, 30.0, 0.9)], line.length)
+    return build_controller(load_controller_parameters("map"), load_vehicle("nuc4"), line, sectors)
+
+
+def test_settings_come_back(controller, line):
+    text = settings_text(
+        controller, name="my/map.yaml", sectors="speed_scaling.yaml", limits=SafetyLimits()
+    )
+    settings = parse_settings(text)
+    assert settings.controller == controller.parameters
+    assert settings.vehicle == controller.vehicle and settings.notes == ()
+    assert settings.values["controller"]["name"] == "map"
+    assert settings.values["raceline"]["name"] == "reference"
+    assert settings.values["versions"]["map_racing"] == __version__
+    assert settings.values["speed_sectors"]["file"] == "speed_scaling.yaml"
+    assert settings.sectors[0] == (0.0, 10.0, 0.8)
+    s = np.linspace(0.0, line.length, 200)
+    assert settings.planned_speed(line)(s) == pytest.approx(controller.planned_speed(s), abs=0.02)
+
+
+def test_without_raceline_and_sectors(controller):
+    bare = build_controller(controller.parameters, controller.vehicle)
+    settings = parse_settings(settings_text(bare))
+    assert settings.controller == controller.parameters and settings.sectors == ()
+    assert "raceline" not in settings.values
+
+
+def test_planned_speed_of_a_raceline_that_the_controller_cannot_drive(controller, ring):
+    settings = parse_settings(settings_text(controller))
+    short = ring  # its sectors lie beyond its end
+    assert settings.planned_speed(short) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "hello", "[1, 2]", "a: [", "x: 2020-13-45", "a: 1\n---\nb: 2"]
+)
+def test_texts_of_something_else(text):
+    settings = parse_settings(text)
+    assert settings.controller is None and settings.vehicle is None
+    assert settings.notes and settings.planned_speed(None) is None
+
+
+def test_parts_of_another_version(controller):
+    values = yaml.safe_load(settings_text(controller))
+    values["controller"]["of_the_future"] = 1
+    settings = parse_settings(yaml.safe_dump(values))
+    assert settings.controller is None and settings.vehicle == controller.vehicle
+    assert "of_the_future" in settings.notes[0]
+    values["vehicle"] = {"name": "x", "m": "heavy"}
+    assert parse_settings(yaml.safe_dump(values)).vehicle is None
+    values["vehicle"] = vehicle_values(controller.vehicle)
+    values["speed_sectors"] = {"sectors": [{"start_m": 0.0}]}
+    settings = parse_settings(yaml.safe_dump(values))
+    assert settings.sectors == () and "end_m: missing" in settings.notes[-1]
