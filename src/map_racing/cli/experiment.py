@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ..control.parameters import load_controller_parameters
+from ..control.laws import load_law
 from ..errors import ParameterError
 from ..evaluation.report import aligned
 from ..experiments.jobs import RaceResult
@@ -25,12 +25,14 @@ from ..experiments.paper import (
     scaling_table,
     tire_table,
 )
+from ..experiments.rivals import RIVALS, sensitivity_frame, sensitivity_plan, work_frame
 from ..experiments.robustness import grid_table
 from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
-from .session import open_grid, open_session
+from .session import open_grid, open_session, rival_sessions
 
 FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
+RIVAL_SCALES = (0.6, 0.7, 0.8, 0.9, 1.0)
 # Pairs to compare on the days that both completed.
 PAIRS = (
     ("MAP Pacejka", "pure pursuit"),
@@ -123,13 +125,47 @@ def run_robustness(arguments):
     session.report()
 
 
+def run_mpc(arguments):
+    """MAP against model predictive control, on several plants."""
+    check_laps(arguments.laps)
+    labels = [c.label for c in RIVALS]
+    for plant, session in rival_sessions(arguments, RIVALS):
+        print(f"\n== plant {plant}")
+        races = session.race(scaling_plan, arguments.laps, RIVAL_SCALES)
+        per_race, laps = race_frame(races), lap_frame(races)
+        table, highest = scaling_table(per_race, laps), highest_scales(per_race)
+        beliefs = sensitivity_frame(
+            session.race(sensitivity_plan, arguments.laps, (RIVAL_SCALES[-2],))
+        )
+        memory = session.memory(arguments.laps, RIVAL_SCALES[0])
+        work = work_frame(races, session.controllers, session.tuned, memory)
+        frames = {"races": per_race, "laps": laps, "highest_scales": highest}
+        session.write(table, arguments.laps, **frames, beliefs=beliefs, work=work)
+        print("\n".join(scaling_lines(table)), end="\n\n")
+        print("\n".join(highest_lines(highest)), end="\n\n")
+        print("\n".join(aligned(frame_rows(beliefs), left=2)), end="\n\n")
+        print("\n".join(aligned(frame_rows(work), left=1)))
+        counted = laps[(laps.outcome == "completed") & laps.valid]
+        title = f"MAP and MPC: {session.where}, {_laps(arguments)} on each of {session.days}"
+        draw_scaling(session.figures, counted, {}, labels, title)
+        session.report()
+
+
+def frame_rows(frame):
+    """A frame as rows of text, with its column names."""
+    rows = [list(frame.columns)]
+    for values in frame.itertuples(index=False):
+        rows.append([f"{v:.4g}" if isinstance(v, float) else str(v) for v in values])
+    return rows
+
+
 def named_controllers(names):
     """Controllers of files or shipped names, by the stems of these."""
     names = list(dict.fromkeys(names))
     stems = [Path(name).stem for name in names]
     if len(set(stems)) < len(stems):
         raise ParameterError("--controller: two files of one name would give one result")
-    return {stem: load_controller_parameters(name) for stem, name in zip(stems, names)}
+    return {stem: load_law(name) for stem, name in zip(stems, names)}
 
 
 def _laps(arguments):

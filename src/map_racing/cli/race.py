@@ -4,7 +4,8 @@ import math
 from pathlib import Path
 
 from ..control.controller import Controller, build_steering_maps
-from ..control.parameters import load_controller_parameters, load_safety_limits
+from ..control.laws import build_law, load_law
+from ..control.parameters import MpcParameters, load_safety_limits
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
@@ -39,7 +40,7 @@ def run(arguments):
         arguments.faults,
     ]
     check_outputs([arguments.output], inputs)
-    parameters = load_controller_parameters(arguments.controller)
+    parameters = load_law(arguments.controller)
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
     raceline = load_track(arguments.track)
@@ -97,14 +98,18 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
     if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
         print(f"the controller knows {vehicle.name}, but the plant is {plant_vehicle.name}")
+    sectors = None
+    if arguments.speed_sectors:
+        sectors = load_speed_sectors(arguments.speed_sectors, raceline)
+    if isinstance(parameters, MpcParameters):
+        if arguments.lookup_table:
+            raise ParameterError(f"{arguments.lookup_table}: {arguments.controller} uses no table")
+        return build_law(parameters, vehicle, raceline, sectors)
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if arguments.lookup_table:
         steering_map = given_table(arguments.lookup_table, parameters, vehicle, steering_map)
         if parameters.steering_map == "table":
             grip = steering_map
-    sectors = None
-    if arguments.speed_sectors:
-        sectors = load_speed_sectors(arguments.speed_sectors, raceline)
     controller = Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
     if controller.plan is not None:
         print(f"grip_use {parameters.grip_use:g}: {controller.plan}")

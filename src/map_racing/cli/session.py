@@ -1,12 +1,13 @@
 """Start the session of a command that runs many races."""
 
 from dataclasses import replace
+from pathlib import Path
 
 from ..experiments.conditions import load_conditions
 from ..experiments.robustness import load_robustness
 from ..experiments.session import GridSession, Session
 
-__all__ = ["open_grid", "open_session"]
+__all__ = ["open_grid", "open_session", "rival_sessions"]
 
 
 def open_session(arguments, kind):
@@ -23,6 +24,23 @@ def open_session(arguments, kind):
     for note in session.notes:
         print(note)
     return session
+
+
+def rival_sessions(arguments, contenders):
+    """Name and session of each plant, in a folder of its own below the output."""
+    base = load_conditions(arguments.conditions)
+    for plant in arguments.plants:
+        options = {"track": "track", "seeds": "seeds", "tuning_scale": "tuning_scale"}
+        session = Session(
+            "mpc",
+            Path(arguments.output) / Path(plant).stem,
+            replace(_changed(base, arguments, options), plant=plant),
+            tuning=not arguments.no_tuning,
+            contenders=contenders,
+            slowdown=arguments.slowdown,
+            **_where(arguments),
+        )
+        yield plant, session
 
 
 def open_grid(arguments, kind):

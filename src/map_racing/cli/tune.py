@@ -7,7 +7,7 @@ from ..control.parameters import save_controller_parameters
 from ..errors import ParameterError
 from ..experiments.campaign import Plan
 from ..experiments.robustness import grid_table
-from ..experiments.tuning import tune_robust
+from ..experiments.tuning import ROBUST_STEPS, tune_robust
 from ..files import make_folder
 from .experiment import grid_lines, named_controllers
 from .session import open_grid, open_session
@@ -81,8 +81,10 @@ def run_robust(arguments, controllers):
         values = best.controller
         print(
             f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, delay "
-            f"{values.delay_s:g} s; all {best.races} races completed, typical RMS error "
-            f"{best.error:.4f} m, worst race {best.worst:.4f} m; {len(candidates)} candidates"
+            f"{values.delay_s:g} s, curvature feedforward {values.curvature_feedforward:g}, yaw "
+            f"rate gain {values.yaw_rate_gain_s:g} s; all {best.races} races completed, typical "
+            f"RMS error {best.error:.4f} m, worst race {best.worst:.4f} m; "
+            f"{len(candidates)} candidates"
         )
         if shares:
             print("\n".join(grid_lines(table)))
@@ -95,4 +97,4 @@ def run_robust(arguments, controllers):
 
 
 def _values(controller):
-    return {name: getattr(controller, name) for name in ("m_m", "q_s", "delay_s", "grip_use")}
+    return {name: getattr(controller, name) for name in (*ROBUST_STEPS, "grip_use")}

@@ -27,6 +27,7 @@ from .steering import AckermannSteering
 __all__ = [
     "ControlResult",
     "Controller",
+    "SideslipEstimate",
     "Status",
     "build_controller",
     "build_steering_map",
@@ -129,7 +130,7 @@ class Controller:
     def __init__(self, parameters, steering_map, vehicle, raceline=None, sectors=None, grip=None):
         self.vehicle = vehicle
         ahead = vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
-        self._estimate_v_y = _SideslipEstimate(vehicle, ahead)
+        self._estimate_v_y = SideslipEstimate(vehicle, ahead)
         self._behind = vehicle.l_r - ahead
         self._learned = self._setup = self._guard = None
         self.apply(self._planned(_Setup(parameters, steering_map, grip, raceline, sectors)))
@@ -168,7 +169,7 @@ class Controller:
         if setup.guard is not None and self._guard is not None:
             setup.guard.resume(self._guard)
         self._setup, self._adaptation = setup, setup.adaptation
-        self._lookahead = setup.parameters.lookahead.distance
+        self._lookahead = setup.parameters.lookahead(self.vehicle).distance
         self._parameters, self._steering_map = setup.parameters, setup.steering_map
         self._sectors, self._plan, self._guard = setup.sectors, setup.plan, setup.guard
         self._raceline, self._tracker = setup.raceline, setup.tracker
@@ -462,7 +463,7 @@ def _plan_key(setup):
     )
 
 
-class _SideslipEstimate:
+class SideslipEstimate:
     """Steady-state lateral velocity of a point of the car from speed and yaw rate.
 
     The slip angle of the rear axle follows from its share of ``a = v r``; axle loads cancel,

@@ -28,17 +28,19 @@ class LookaheadLaw(NamedTuple):
     """Lookahead distance ``L_d = m + q v``, clipped to [`minimum`, `maximum`].
 
     As in the paper, `m` is the offset [m] and `q` the gain [s]. The authors' published code swaps
-    the letters (``L = q + m v``).
+    the letters (``L = q + m v``). Not in the paper is a part that grows with the square of the
+    speed, `growth` [s^2/m].
     """
 
     m: float
     q: float
     minimum: float
     maximum: float
+    growth: float = 0.0
 
     def distance(self, speed: float) -> float:
         """Lookahead distance [m] at a speed [m/s]."""
-        distance = self.m + self.q * speed
+        distance = self.m + (self.q + self.growth * speed) * speed
         if distance < self.minimum:
             return self.minimum
         if distance > self.maximum:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import yaml
@@ -12,11 +11,14 @@ from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
 from ..validation import POSITIVE, check, documented, parameter, read_parameters
+from ..vehicle.parameters import Vehicle
+from ..vehicle.single_track import GRAVITY
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
 __all__ = [
     "ControllerParameters",
+    "MpcParameters",
     "load_controller_parameters",
     "load_safety_limits",
     "save_controller_parameters",
@@ -27,6 +29,7 @@ STEERING_MAPS = {"table": "map", "linear_table": "map_linear", "ackermann": "pur
 SPEED_SOURCES = ("measured", "command")
 ETA_FROM = ("velocity", "heading")
 LOOKAHEAD_FROM = ("car", "path")
+MPC_MODELS = ("single_track", "kinematic")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
 
@@ -50,6 +53,14 @@ class ControllerParameters:
     )
     lookahead_max_m: float = parameter(
         "Longest lookahead distance", "m", low=POSITIVE, tuning=(0.1, 20.0), default=5.0
+    )
+    slip_lookahead: float = parameter(
+        "Share of the distance driven while the slip of the rear axle builds up, v^2 / (g mu C_r), "
+        "that is added to the lookahead distance. 0 as in the paper",
+        low=0.0,
+        high=5.0,
+        tuning=(0.0, 5.0),
+        default=0.0,
     )
     eta_from: str = parameter(
         "Direction from which the angle to the lookahead point counts: the velocity, as in L1 "
@@ -160,6 +171,9 @@ class ControllerParameters:
         default="rear_axle",
     )
 
+    # What is tuned, see `map_racing.experiments.tuning`.
+    TUNED = ("m_m", "q_s")
+
     def __post_init__(self):
         check(self)
         if 0.0 < self.grip_use < 0.1:  # a plan would crawl around the lap
@@ -170,12 +184,68 @@ class ControllerParameters:
                 f"got {self.lookahead_min_m:g}"
             )
 
-    @cached_property
-    def lookahead(self) -> LookaheadLaw:
-        """The :class:`LookaheadLaw` of these parameters."""
-        return LookaheadLaw(self.m_m, self.q_s, self.lookahead_min_m, self.lookahead_max_m)
+    def lookahead(self, vehicle: Vehicle) -> LookaheadLaw:
+        """The `LookaheadLaw` of these parameters with the rear tires of a vehicle.
+
+        The slip of the rear axle builds up within ``v / (g mu C_r)``, with the cornering stiffness
+        ``C_r`` normalized by the load [1/rad]: until then the car does not move where it points.
+        """
+        growth = self.slip_lookahead / (GRAVITY * vehicle.mu * vehicle.rear.stiffness)
+        bounds = self.lookahead_min_m, self.lookahead_max_m
+        return LookaheadLaw(self.m_m, self.q_s, *bounds, growth)
 
     def with_(self, **changes) -> ControllerParameters:
+        """A checked copy with some values changed."""
+        return replace(self, **changes)
+
+
+def _as_in_map(name):
+    """The field of `ControllerParameters` of this name: the same meaning, range and default."""
+    known = {f.name: f for f in fields(ControllerParameters)}[name]
+    return field(default=known.default, metadata=known.metadata)
+
+
+@documented
+@dataclass(frozen=True)
+class MpcParameters:
+    """Parameters of model predictive control; a controller file with ``law: mpc`` holds them."""
+
+    model: str = parameter(
+        "Model of the prediction: tires of the vehicle, or kinematics", choices=MPC_MODELS
+    )
+    heading_weight_m: float = parameter(
+        "Lateral error [m] that costs as much as a direction of motion 1 rad off the raceline's",
+        "m",
+        low=0.0,
+        high=10.0,
+    )
+    steering_rate_weight_ms: float = parameter(
+        "Lateral error [m] that costs as much as a steering rate of 1 rad/s",
+        "m s",
+        low=0.0,
+        high=10.0,
+    )
+    stages: int = parameter("Stages of the horizon", low=5, high=100, default=20)
+    stage_s: float = parameter("Length of a stage", "s", low=0.01, high=0.2, default=0.05)
+    iterations: int = parameter(
+        "Most iterations of the solver in a step", low=10, high=10000, default=100
+    )
+    delay_s: float = _as_in_map("delay_s")
+    speed_lookahead_s: float = _as_in_map("speed_lookahead_s")
+    speed_scale: float = _as_in_map("speed_scale")
+    v_max_mps: float = _as_in_map("v_max_mps")
+    grip_use: float = _as_in_map("grip_use")
+    a_drive_max_mps2: float = _as_in_map("a_drive_max_mps2")
+    a_brake_max_mps2: float = _as_in_map("a_brake_max_mps2")
+    reference_point: str = _as_in_map("reference_point")
+
+    # What is tuned, see `map_racing.experiments.tuning`.
+    TUNED = ("heading_weight_m", "steering_rate_weight_ms")
+
+    def __post_init__(self):
+        check(self)
+
+    def with_(self, **changes) -> MpcParameters:
         """A checked copy with some values changed."""
         return replace(self, **changes)
 
@@ -200,6 +270,9 @@ def load_controller_parameters(source: str | Path) -> ControllerParameters:
     path = find_config("controllers", source, (".yaml",))
     values = read_yaml_mapping(path)
     values.pop("safety", None)
+    law = values.pop("law", "l1")
+    if law != "l1":
+        raise ParameterError(f"{path}: law: expected l1 here, got {law!r}, which only races know")
     return read_parameters(path, ControllerParameters, values)
 
 
@@ -229,7 +302,9 @@ def load_safety_limits(source: str | Path) -> SafetyLimits:
 
 
 def save_controller_parameters(
-    parameters: ControllerParameters, path: str | Path, limits: SafetyLimits | None = None
+    parameters: ControllerParameters | MpcParameters,
+    path: str | Path,
+    limits: SafetyLimits | None = None,
 ) -> None:
     """Write controller parameters to YAML that `load_controller_parameters` reads back.
 
@@ -248,6 +323,8 @@ def save_controller_parameters(
     """
     with replacing(path) as file:
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
+        if isinstance(parameters, MpcParameters):
+            file.write("law: mpc\n")
         yaml.safe_dump(asdict(parameters), file, sort_keys=False)
         if limits is not None:
             yaml.safe_dump({"safety": asdict(limits)}, file, sort_keys=False)

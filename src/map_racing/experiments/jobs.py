@@ -21,15 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import __version__
-from ..control.controller import build_controller
-from ..control.parameters import ControllerParameters
+from ..control.laws import build_law
+from ..control.parameters import ControllerParameters, MpcParameters
 from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
 from ..evaluation.results import Lap
 from ..simulation.plant import PlantParameters
 from ..simulation.plants import build_plant
 from ..simulation.public_simulator import PublicSimulatorParameters
-from ..simulation.race import Outcome, race
+from ..simulation.race import Outcome, Work, race
 from ..simulation.recorded import write_race_bag
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
@@ -59,7 +59,7 @@ class RaceJob:
     ----------
     name : str
         Of the controller, for tables and files; not part of the fingerprint.
-    controller : ControllerParameters
+    controller : ControllerParameters or MpcParameters
         With the scale of the speeds.
     vehicle : Vehicle
         The controller's model of the car.
@@ -70,15 +70,18 @@ class RaceJob:
         Timed laps after an out-lap.
     seed : int
         Of the noise.
+    slowdown : float, optional
+        As in `race`: the time of a step counts, times this.
     """
 
     name: str = field(compare=False)
-    controller: ControllerParameters
+    controller: ControllerParameters | MpcParameters
     vehicle: Vehicle
     plant: PlantParameters | PublicSimulatorParameters
     raceline: Raceline
     laps: int
     seed: int
+    slowdown: float | None = None
 
     @property
     def scale(self) -> float:
@@ -148,6 +151,8 @@ class RaceResult(NamedTuple):
         Time [s] and true position [m] at each control step; empty unless asked for.
     end : End or None
         None if it was over before the first control step.
+    work : Work or None
+        What the steps cost, if the race had a ``slowdown``.
     """
 
     outcome: str
@@ -155,6 +160,7 @@ class RaceResult(NamedTuple):
     duration_s: float
     path: tuple = ()
     end: End | None = None
+    work: Work | None = None
 
     @property
     def completed(self):
@@ -180,9 +186,10 @@ def execute(job: RaceJob, path: bool = False, bag: bool = False) -> Executed:
     """Drive a race; return its true path, and its bag, if asked for."""
     begin = process_time()
     plant, localization = build_plant(job.plant, job.seed)
-    controller = build_controller(job.controller, job.vehicle, job.raceline)
+    controller = build_law(job.controller, job.vehicle, job.raceline)
     rate = getattr(job.plant, "localization_rate_hz", 40.0)
-    log = race(plant, controller, job.raceline, localization, rate=rate, laps=job.laps)
+    given = dict(rate=rate, laps=job.laps, slowdown=job.slowdown)
+    log = race(plant, controller, job.raceline, localization, **given)
     states = log.true_path() if log.samples else np.empty((0, 7))
     evaluator = LapEvaluator(job.raceline, car_width=plant.vehicle.width)
     t, x, y, _, v_x, v_y, _ = states.T
@@ -190,7 +197,7 @@ def execute(job: RaceJob, path: bool = False, bag: bool = False) -> Executed:
     stretches = tuple(Lap(**lap_row(lap)) for lap in evaluator.finish().laps)
     driven = tuple(zip(t.tolist(), x.tolist(), y.tolist())) if path else ()
     end = _end_of(log, job.raceline)
-    result = RaceResult(log.outcome.value, stretches, log.duration, driven, end)
+    result = RaceResult(log.outcome.value, stretches, log.duration, driven, end, log.work)
     recorded = _bag_of(log, job.raceline) if bag else None
     return Executed(result, recorded, process_time() - begin, code_fingerprint())
 

@@ -61,13 +61,17 @@ CONTENDERS = (
 
 @dataclass(frozen=True)
 class Setting:
-    """Conditions with everything loaded; the vehicles are the models of the controllers."""
+    """Conditions with everything loaded; the vehicles are the models of the controllers.
+
+    With a ``slowdown`` the computing time of the controllers counts, times this; see `race`.
+    """
 
     conditions: Conditions
     raceline: Raceline
     plant: PlantParameters | PublicSimulatorParameters
     vehicle: Vehicle
     linear_vehicle: Vehicle
+    slowdown: float | None = None
 
     def day(self, seed: int) -> Day:
         """The plant on the day of a seed."""
@@ -75,7 +79,7 @@ class Setting:
 
     def job(self, label: str, controller: ControllerParameters, day: Day, laps: int) -> RaceJob:
         """The race of a controller on a day."""
-        linear = controller.steering_map == "linear_table"
+        linear = getattr(controller, "steering_map", "") == "linear_table"
         if self.plant.reference_point != "rear_axle":
             controller = controller.with_(reference_point=self.plant.reference_point)
         return RaceJob(
@@ -86,6 +90,7 @@ class Setting:
             self.raceline,
             laps,
             day.seed,
+            self.slowdown,
         )
 
 

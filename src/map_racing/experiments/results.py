@@ -50,6 +50,7 @@ COMPARED = {
         "max_abs_lateral_error_m",
         "mean_lap_time_s",
     ],
+    "mpc": ["days_completed", "median_rms_lateral_error_m", "median_lap_time_s"],
     "tune": ["m_m", "q_s", "rms_lateral_error_m"],
     "robustness": [
         "races_completed",
@@ -67,7 +68,7 @@ class Results:
 
     Parameters
     ----------
-    kind : {"velocity-scaling", "tire-models", "robustness", "tune", "tune-robust"}
+    kind : {"velocity-scaling", "tire-models", "robustness", "mpc", "tune", "tune-robust"}
     table : pandas.DataFrame
         One row for each ``speed_scale`` and ``controller``.
     provenance : dict

@@ -12,11 +12,11 @@ import pandas as pd
 
 from ..errors import ParameterError
 from ..resources import find_config
-from ..simulation.plant import PlantParameters
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..track.generator import TrackShape, draw_track
 from ..validation import finite, read_parameters
+from ..vehicle.parameters import load_vehicle
 from .campaign import Plan
 from .jobs import RaceJob, fingerprint, plain
 from .results import software
@@ -43,13 +43,12 @@ class Robustness:
         Shipped plant or plant file that the cars are made from.
     cars : dict of str to dict
         Name of a car to the plant's parameters that it differs in: a number instead of the
-        plant's, or a text ``"x 0.9"`` for a factor on it.
+        plant's, or a text ``"x 0.9"`` for a factor on it. Its ``plant`` may be another one, and
+        ``vehicle`` the car that the controller believes in: that of the plant file if not given.
     tracks : tuple of str
         Shipped tracks, raceline files or ``bag[#topic]``.
     generated_seeds : tuple of int
         Seeds of generated tracks, each of the shape `any_shape` gives it.
-    simulator_delays_s : tuple of float
-        Steering delays with which the public simulator's plant is raced [s].
     speed_scale : float
         Scale of the raceline's speeds.
     laps : int
@@ -67,13 +66,12 @@ class Robustness:
     cars: dict
     tracks: tuple = ()
     generated_seeds: tuple = ()
-    simulator_delays_s: tuple = ()
     speed_scale: float = 1.0
     laps: int = 2
     seed: int = 1
 
     def __post_init__(self):
-        for name in ("tracks", "generated_seeds", "simulator_delays_s"):
+        for name in ("tracks", "generated_seeds"):
             values = getattr(self, name)
             if not isinstance(values, (list, tuple)):
                 raise ParameterError(f"{name} must be a list, not {values!r}")
@@ -83,7 +81,7 @@ class Robustness:
                 raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
         if not self.tracks and not self.generated_seeds:
             raise ParameterError("tracks or generated_seeds must name a track")
-        if not isinstance(self.cars, dict) or not (self.cars or self.simulator_delays_s):
+        if not isinstance(self.cars, dict) or not self.cars:
             raise ParameterError("cars must map names to what they differ in")
         if isinstance(self.laps, bool) or not isinstance(self.laps, int) or self.laps < 1:
             raise ParameterError(f"laps must be at least 1, not {self.laps!r}")
@@ -148,19 +146,7 @@ class Grid:
         tracks = [load_raceline(source) for source in given.tracks]
         tracks += [draw_track(seed, any_shape(seed)) for seed in given.generated_seeds]
         object.__setattr__(self, "tracks", tuple(tracks))
-        plant = load_plant(given.plant)
-        if not isinstance(plant, PlantParameters):
-            raise ParameterError(f"plant: expected a plant file, got {given.plant}")
-        cars = [
-            Car(name, _changed(plant, name, changes), plant.vehicle)
-            for name, changes in given.cars.items()
-        ]
-        for delay in given.simulator_delays_s:
-            simulator = replace(
-                load_plant("public_simulator"), steering_delay_s=delay, localization_rate_hz=100.0
-            )
-            name = f"public simulator, {1000.0 * delay:g} ms"
-            cars.append(Car(name, simulator, simulator.vehicle))
+        cars = [_car(name, given.plant, changes) for name, changes in given.cars.items()]
         object.__setattr__(self, "cars", tuple(cars))
 
     def jobs(self, label, controller):
@@ -193,10 +179,14 @@ class Grid:
         return [(track.name, car.name) for track in self.tracks for car in self.cars]
 
 
-def _changed(plant, name, changes):
+def _car(name, plant, changes):
     if not isinstance(changes, dict):
         raise ParameterError(f"cars: {name}: expected parameters and values, not {changes!r}")
-    known = {f.name for f in fields(PlantParameters)} - {"vehicle"}
+    changes = dict(changes)
+    plant = load_plant(changes.pop("plant", plant))
+    vehicle = changes.pop("vehicle", None)
+    vehicle = plant.vehicle if vehicle is None else load_vehicle(vehicle)
+    known = {f.name for f in fields(plant)} - {"vehicle"}
     values = {}
     for key, value in changes.items():
         if key not in known:
@@ -208,7 +198,7 @@ def _changed(plant, name, changes):
                 raise ParameterError(f"cars: {name}: {key}: expected x and a number") from None
         values[key] = value
     try:
-        return replace(plant, **values)
+        return Car(name, replace(plant, **values), vehicle)
     except ParameterError as error:
         raise ParameterError(f"cars: {name}: {error}") from error
 

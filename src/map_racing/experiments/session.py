@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from multiprocessing import get_context
 from time import monotonic
 from typing import Callable, Iterable
 
 import pandas as pd
 
-from ..control.parameters import (
-    ControllerParameters,
-    load_controller_parameters,
-    save_controller_parameters,
-)
+from ..control.laws import load_law
+from ..control.parameters import ControllerParameters, save_controller_parameters
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data
@@ -22,6 +22,7 @@ from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_
 from .campaign import Effort, carry_out
 from .executors import open_executor
 from .identification_day import identify_on
+from .jobs import RaceJob, execute
 from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
 from .robustness import (
@@ -135,6 +136,10 @@ class Session(Races):
         The controllers' model of the car; by default it is identified from ramps on the plant.
     tuning : bool
         Whether the contenders are tuned.
+    contenders : tuple of Contender, optional
+        By default those of the paper's experiments.
+    slowdown : float, optional
+        The computing time of the controllers counts, times this.
 
     Attributes
     ----------
@@ -142,11 +147,22 @@ class Session(Races):
         What the user should know about track and car.
     """
 
-    def __init__(self, kind, folder, conditions, *, vehicle=None, tuning=True, **where):
+    def __init__(
+        self,
+        kind,
+        folder,
+        conditions,
+        *,
+        vehicle=None,
+        tuning=True,
+        contenders=CONTENDERS,
+        slowdown=None,
+        **where,
+    ):
         raceline, plant = load_raceline(conditions.track), load_plant(conditions.plant)
         given = None if vehicle is None else load_vehicle(vehicle)
         super().__init__(kind, folder, **where)
-        self._tuning = tuning
+        self._tuning, self._contenders = tuning, contenders
         self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
         self.notes += [f"{conditions.plant}: its vehicle: {note}" for note in plant.vehicle.notes]
         if raceline.d_left is None:
@@ -157,8 +173,8 @@ class Session(Races):
             cars = given, linearized(given)
             self.notes += [f"{vehicle}: {note}" for note in given.notes]
             self.identification = {"vehicle": vehicle, "parameters": parameter_hash(given)}
-        self.setting = Setting(conditions, raceline, plant, *cars)
-        self.controllers = {}
+        self.setting = Setting(conditions, raceline, plant, *cars, slowdown)
+        self.controllers, self.tuned = {}, {}
 
     @property
     def where(self) -> str:
@@ -208,7 +224,8 @@ class Session(Races):
         scale = self.setting.conditions.tuning_scale
         for label, (stem, _) in controllers.items():
             found = tuned[label]
-            pair = found.controller.m_m, found.controller.q_s
+            names = found.controller.TUNED
+            pair = tuple(getattr(found.controller, name) for name in names)
             save_controller_parameters(found.controller, folder / f"{stem}.yaml")
             frame = frame_of(found)
             with replacing(folder / f"{stem}.csv") as file:
@@ -216,25 +233,28 @@ class Session(Races):
             title = f"Tuning {label}: {self.where}, {scale:.0%} speed"
             error = [pair.error for pair in found.pairs]
             with own_settings():
-                figure = plot_tuning(frame.m_m, frame.q_s, error, pair, title)
+                figure = plot_tuning(*(frame[n] for n in names), error, pair, title, names)
                 save(figure, self.figures / f"tuning_{stem}.png")
             infeasible = sum(map(math.isinf, error))
             print(
-                f"tuned {label}: L_d = {pair[0]:g} m + {pair[1]:g} s v, RMS error "
+                f"tuned {label}: {names[0]} {pair[0]:g}, {names[1]} {pair[1]:g}, RMS error "
                 f"{found.error:.4f} m at {scale:.0%} speed; {len(error)} pairs, {infeasible} of "
                 "them not completed"
             )
         return tuned
 
     def race(self, plan: Callable, laps: int, scales: Iterable[float], **needs: bool) -> list[Race]:
-        """Tune the contenders as configured, and race all of them on all days."""
-        shipped = {c.label: load_controller_parameters(c.controller) for c in CONTENDERS}
-        to_tune = {c.label: c.controller for c in CONTENDERS if c.tuned and self._tuning}
-        tuned = self.tune({label: (stem, shipped[label]) for label, stem in to_tune.items()})
-        self.controllers = {
-            **shipped,
-            **{label: found.controller for label, found in tuned.items()},
-        }
+        """Tune the contenders as configured, and race all of them on all days.
+
+        Called again, it races the controllers it has.
+        """
+        if not self.controllers:
+            shipped = {c.label: load_law(c.controller) for c in self._contenders}
+            to_tune = {c.label: c.controller for c in self._contenders if c.tuned and self._tuning}
+            given = {label: (stem, shipped[label]) for label, stem in to_tune.items()}
+            self.tuned = self.tune(given)
+            found = {label: tuned.controller for label, tuned in self.tuned.items()}
+            self.controllers = {**shipped, **found}
         plans = [
             plan(self.setting, label, controller, seed, laps, scales)
             for label, controller in self.controllers.items()
@@ -246,3 +266,24 @@ class Session(Races):
         """Write the table of the results, further tables, and the provenance."""
         provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
+
+    def memory(self, laps: int, scale: float) -> dict[str, float]:
+        """Largest memory of a fresh process that races with each controller on one day [MB]."""
+        day = self.setting.day(self.setting.conditions.seeds[0])
+        found = {}
+        for label, controller in self.controllers.items():
+            job = self.setting.job(label, controller.with_(speed_scale=scale), day, laps)
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                found[label] = pool.submit(largest_memory, job).result()
+        return found
+
+
+def largest_memory(job: RaceJob) -> float:
+    """Race, and the largest resident memory of this process until then [MB]; NaN but on Linux."""
+    execute(job)
+    # Not getrusage, which a new process inherits from the one that started it.
+    with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
+        for line in status:
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024.0
+    return math.nan

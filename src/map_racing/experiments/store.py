@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import FileFormatError, MapRacingError
 from ..evaluation.results import Lap
 from ..files import replacing, write_json
-from ..simulation.race import Outcome
+from ..simulation.race import Outcome, Work
 from .jobs import LAP_COLUMNS, End, RaceJob, RaceResult, lap_row, plain
 
 __all__ = ["Store"]
@@ -77,6 +77,7 @@ class Store:
                 "stretches": [lap_row(lap) for lap in result.stretches],
                 "path": result.path,
                 "end": result.end,
+                "work": result.work,
             },
         }
         write_json(self.folder / "runs" / f"{job.fingerprint}.json", record, indent=None)
@@ -100,11 +101,12 @@ def _result(record, path):
         )
         driven = tuple((t, x, y) for t, x, y in values["path"])
         end = values["end"] and End(*values["end"])
-        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end)
+        work = values.get("work") and Work(*values["work"])
+        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end, work)
         Outcome(result.outcome)
         # The last column is text.
         numbers = [getattr(lap, name) for lap in stretches for name in LAP_COLUMNS[:-1]]
-        for value in chain([result.duration_s], numbers, end or (), *driven):
+        for value in chain([result.duration_s], numbers, end or (), work or (), *driven):
             math.isnan(value)  # a TypeError for anything but a number
         return result
     except (KeyError, TypeError, ValueError):

@@ -3,11 +3,12 @@
 The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
 races that are driven with a candidate. One with which any of them is not completed is infeasible.
 
-`tune` finds the lookahead ``L_d = m + q v`` for one track, with a race on each of several days. A
-coarse grid finds the valley, a pattern search (Hooke and Jeeves, with all eight neighbors) its
-lowest point to 0.025 m and 0.006 s. The gain q is not negative: a lookahead that shortens as the
-car gets faster would follow well at the speed it was tuned at, and swing beyond. `tune_robust`
-searches around given values of m, q and the delay for many tracks and cars.
+`tune` finds the lookahead ``L_d = m + q v``, or the two weights of a rival's cost, for one track,
+with a race on each of several days. A coarse grid finds the valley, a pattern search (Hooke and
+Jeeves, with all eight neighbors) its lowest point to 0.025 m and 0.006 s. The gain q is not
+negative: a lookahead that shortens as the car gets faster would follow well at the speed it was
+tuned at, and swing beyond. `tune_robust` searches around given values, also of the other parameters
+of guidance, for many tracks and cars.
 
 Candidates are compared race by race, on the same days. One that does not complete a race, or whose
 error on the races driven so far is well above the best one's on the same races, is given up: it
@@ -18,14 +19,16 @@ from __future__ import annotations
 
 import math
 import random
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from ..errors import MapRacingError
+from ..errors import MapRacingError, ParameterError
 
 __all__ = [
+    "ROBUST_STEPS",
     "Candidate",
     "Pair",
     "Tuned",
@@ -50,8 +53,15 @@ MOST_MOVES = 20
 GIVE_UP = 0.3
 # Of a grid's races, which differ far more, that many are driven before candidates are given up.
 FEWEST = 24
-# Steps of the robust search: m [m], q [s] and delay [s]; it begins with twice these.
-ROBUST_STEPS = (("m_m", 0.025), ("q_s", 0.0125), ("delay_s", 0.005))
+# Parameters of the robust search and their steps [m], [s], [s], [-], [s]; it begins with twice
+# these. What is 0, and so off, in the given controller stays off.
+ROBUST_STEPS = {
+    "m_m": 0.025,
+    "q_s": 0.0125,
+    "delay_s": 0.005,
+    "curvature_feedforward": 0.1,
+    "yaw_rate_gain_s": 0.01,
+}
 
 
 class Pair(NamedTuple):
@@ -97,7 +107,7 @@ def lap_error(results):
 
 
 def frame_of(tuned):
-    """All pairs as a table: ``m_m q_s rms_lateral_error_m completed``.
+    """All pairs as a table: the two parameters and ``rms_lateral_error_m completed given_up``.
 
     Parameters
     ----------
@@ -110,8 +120,7 @@ def frame_of(tuned):
     """
     rows = [
         {
-            "m_m": pair.m,
-            "q_s": pair.q,
+            **dict(zip(tuned.controller.TUNED, (pair.m, pair.q))),
             "rms_lateral_error_m": pair.error if math.isfinite(pair.error) else math.nan,
             "completed": math.isfinite(pair.error) and not pair.given_up,
             "given_up": pair.given_up,
@@ -142,8 +151,10 @@ def tune(jobs_for, controller):
     """
     errors, given_up = {}, set()
 
+    first, second = controller.TUNED
+
     def with_pair(i, j):
-        return controller.with_(m_m=round(i * STEP_M, 6), q_s=round(j * STEP_Q, 6))
+        return controller.with_(**{first: round(i * STEP_M, 6), second: round(j * STEP_Q, 6)})
 
     def measure(cells):
         new = [cell for cell in cells if cell not in errors]
@@ -172,7 +183,7 @@ def tune(jobs_for, controller):
                 (best[0] + i, best[1] + j)
                 for i in (-width, 0, width)
                 for j in (-width, 0, width)
-                if best[1] + j >= 0
+                if best[1] + j >= 0 and (best[0] + i >= 0 or first == "m_m")
             ]
             yield from measure(around)
             lowest = min(
@@ -185,7 +196,7 @@ def tune(jobs_for, controller):
         width //= 2
     pairs = [
         Pair(
-            *(with_pair(*cell).m_m, with_pair(*cell).q_s),
+            *(getattr(with_pair(*cell), name) for name in (first, second)),
             *(errors[cell], cell in given_up and math.isfinite(errors[cell])),
         )
         for cell in sorted(errors)
@@ -273,7 +284,7 @@ def typical_error(results):
 
 
 def tune_robust(jobs_for, controller):
-    """Plan that tunes lookahead and delay of a controller over many tracks and cars.
+    """Plan that tunes the parameters in `ROBUST_STEPS` over many tracks and cars.
 
     The races are driven in one random order, those first that the given values do not complete, so
     that the first ones stand for all.
@@ -328,19 +339,22 @@ def tune_robust(jobs_for, controller):
 
 def _around(controller, width):
     """Controllers a step away in one parameter, or in m and q such that the lookahead stays."""
-    moves = [{name: sign * width * step} for name, step in ROBUST_STEPS for sign in (1.0, -1.0)]
-    (m, step_m), (q, step_q) = ROBUST_STEPS[:2]
-    moves += [{m: sign * width * 2.0 * step_m, q: -sign * width * step_q} for sign in (1.0, -1.0)]
+    moves = []
+    for sign in (width, -width):
+        moves += [{name: sign * step} for name, step in ROBUST_STEPS.items()]
+        moves.append({"m_m": 2.0 * sign * ROBUST_STEPS["m_m"], "q_s": -sign * ROBUST_STEPS["q_s"]})
     around = []
     for move in moves:
-        changes = {name: round(getattr(controller, name) + way, 6) for name, way in move.items()}
-        if changes.get("q_s", 0.0) >= 0.0 and changes.get("delay_s", 0.0) >= 0.0:
-            around.append(controller.with_(**changes))
+        values = {name: getattr(controller, name) for name in move}
+        if all(value for name, value in values.items() if name not in ("m_m", "q_s")):
+            changes = {name: round(value + move[name], 6) for name, value in values.items()}
+            with suppress(ParameterError):  # beyond the bounds of a parameter
+                around += [controller.with_(**changes)] if changes.get("q_s", 0.0) >= 0.0 else []
     return around
 
 
 def _key(controller):
-    return tuple(getattr(controller, name) for name, _ in ROBUST_STEPS)
+    return tuple(getattr(controller, name) for name in ROBUST_STEPS)
 
 
 def _worst(results):

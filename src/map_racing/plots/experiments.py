@@ -36,14 +36,22 @@ AXES = {
     "median_lap_time_s": "median lap time [s]",
     "mean_lap_time_s": "mean lap time [s]",
     "days_completed": "days completed",
-    "m_m": "m [m]",
-    "q_s": "q [s]",
+    "m_m": "m, offset of the lookahead [m]",
+    "q_s": "q, gain of the lookahead [s]",
+    "heading_weight_m": "weight of the direction of motion [m]",
+    "steering_rate_weight_ms": "weight of the steering rate [m s]",
+}
+TUNED = {
+    "m_m": "m = {:.3g} m",
+    "q_s": "q = {:.3g} s",
+    "heading_weight_m": "w_h = {:.3g} m",
+    "steering_rate_weight_ms": "w_u = {:.3g} m s",
 }
 WHOLE = ("days_completed",)  # of these there are no parts
 
 
-def plot_tuning(m, q, error, best: tuple[float, float], title: str) -> Figure:
-    """Lateral error over the pairs (m, q) of the lookahead that were driven.
+def plot_tuning(m, q, error, best: tuple[float, float], title: str, names=("m_m", "q_s")) -> Figure:
+    """Lateral error over the pairs of parameters that were driven, (m, q) of the lookahead.
 
     Parameters
     ----------
@@ -54,6 +62,8 @@ def plot_tuning(m, q, error, best: tuple[float, float], title: str) -> Figure:
     best : tuple of float
         The chosen pair, drawn as a star.
     title : str
+    names : tuple of str, optional
+        Of the parameters, if others.
 
     Returns
     -------
@@ -91,13 +101,14 @@ def plot_tuning(m, q, error, best: tuple[float, float], title: str) -> Figure:
     axes.plot(
         m[~feasible], q[~feasible], "x", color=COLORS[1], ms=7, mew=1.8, label="not completed"
     )
-    label = f"m = {best[0]:.3g} m, q = {best[1]:.3g} s: {low:.4f} m"
+    chosen = ", ".join(TUNED[name].format(value) for name, value in zip(names, best))
+    label = f"{chosen}: {low:.4f} m"
     axes.plot(*best, "*", color=COLORS[3], mec="k", ms=17, zorder=5, label=label)
     for values, limit in ((m, axes.set_xlim), (q, axes.set_ylim)):
         margin = 0.03 * float(np.ptp(values)) or 0.01
         limit(float(values.min()) - margin, float(values.max()) + margin)
-    axes.set_xlabel("m, offset of the lookahead [m]")
-    axes.set_ylabel("q, gain of the lookahead [s]")
+    axes.set_xlabel(AXES[names[0]])
+    axes.set_ylabel(AXES[names[1]])
     axes.grid(alpha=0.25)
     legend_above(axes, title)
     bar = figure.colorbar(dots, ax=axes, pad=0.02)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from .driver import DirectDriver, SupervisedDriver
 from .faults import Faults
 from .grip import Grip
 
-__all__ = ["Outcome", "RaceLog", "Sample", "race"]
+__all__ = ["Outcome", "RaceLog", "Sample", "Work", "race"]
 
 
 # The race begins and ends so far past the line [m] that noise does not take the car back over it.
@@ -57,6 +58,27 @@ class Sample(NamedTuple):
     belief: tuple | None = None
 
 
+class Work(NamedTuple):
+    """What the steps of a controller cost.
+
+    Parameters
+    ----------
+    steps : int
+    median_s, p99_s : float
+        Processor time of a step: median and 99th percentile [s].
+    failed : int
+        Steps that followed an earlier plan, because none was found.
+    late : int
+        Steps during which another pose arrived.
+    """
+
+    steps: int
+    median_s: float
+    p99_s: float
+    failed: int
+    late: int
+
+
 @dataclass
 class RaceLog:
     """A race as it happened.
@@ -74,6 +96,8 @@ class RaceLog:
     truth : list of CarState
         Under supervision the true states at the times of measurement, also of poses that did not
         arrive; else empty.
+    work : Work or None
+        What the controller's steps cost, if that was to be measured.
     """
 
     outcome: Outcome
@@ -82,6 +106,8 @@ class RaceLog:
     samples: list = field(repr=False)
     commands: list = field(repr=False, default_factory=list)
     truth: list = field(repr=False, default_factory=list)
+
+    work: Work | None = None
 
     def stops(self):
         """Stops of a supervised race.
@@ -118,6 +144,7 @@ def race(
     progress=None,
     limits=None,
     faults=(),
+    slowdown=None,
 ):
     """Race from a standing start just past the start line: an out-lap, then `laps` timed laps.
 
@@ -147,6 +174,10 @@ def race(
         default ones, where there are faults.
     faults : iterable of Fault, optional
         What goes wrong.
+    slowdown : float, optional
+        Let a command act only after the processor time of its step, times this; of the poses that
+        arrive meanwhile the last is used. Such races depend on the computer. Without it a step
+        takes no time.
 
     Returns
     -------
@@ -168,6 +199,7 @@ def race(
     learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples, truth = [], []
+    processor = _Processor(driver.step, slowdown)
     driven, last_s = START_S, None
     headway, headway_at = driven, 0.0
     poses = 0
@@ -199,8 +231,7 @@ def race(
         if car.now > time_limit or car.now > headway_at + PATIENCE:
             outcome = Outcome.STALLED
             break
-        for seen in arrived:
-            result = driver.step(seen)
+        for seen, result in processor.take(car.now, arrived):
             steering, speed = result.steering_angle, result.speed
             samples.append(
                 Sample(
@@ -218,11 +249,15 @@ def race(
                     steering, speed = decision.steering_angle, decision.speed
             stop = min(stop, math.ceil(driver.deadline / plant.time_step - 1e-6))
         # On to the next pose; time is looked at in between, should there be none.
+        if processor.due is not None:
+            stop = min(stop, math.ceil(processor.due / plant.time_step - 1e-9))
         stride = min(car.next_event, stop) - car.tick
         for _ in range(max(stride, 1)):
             car.advance(steering, speed)
     laps_driven = max(int(driven / raceline.length) - 1, 0)
-    return RaceLog(outcome, laps_driven, car.now, samples, list(driver.commands), truth)
+    work = None if slowdown is None else processor.work(controller)
+    commands = list(driver.commands)
+    return RaceLog(outcome, laps_driven, car.now, samples, commands, truth, work)
 
 
 def _take(driver, begun, ended):
@@ -230,3 +265,43 @@ def _take(driver, begun, ended):
         driver.begin(fault)
     for fault in ended:
         driver.end(fault)
+
+
+class _Processor:
+    """Computes the steps of a controller, at once or in the time that they take."""
+
+    def __init__(self, step, slowdown):
+        self._step, self._slowdown = step, slowdown
+        self._times, self._late = [], 0
+        self._done = self._waiting = self.due = None
+
+    def take(self, now, arrived):
+        """Observations and results whose commands act now."""
+        if self._slowdown is None:
+            return [(seen, self._step(seen)) for seen in arrived]
+        finished = []
+        if self.due is not None and now >= self.due - 1e-9:
+            finished.append(self._done)
+            self.due = None
+        for seen in arrived:
+            if self.due is not None and self._waiting is None:
+                self._late += 1
+            self._waiting = seen
+        if self.due is None and self._waiting is not None:
+            seen, self._waiting = self._waiting, None
+            began = thread_time()
+            self._done = seen, self._step(seen)
+            self._times.append(thread_time() - began)
+            self.due = now + self._slowdown * self._times[-1]
+        return finished
+
+    def work(self, controller):
+        """What it was, as a `Work`."""
+        times = self._times or [0.0]
+        return Work(
+            len(self._times),
+            float(np.median(times)),
+            float(np.percentile(times, 99.0)),
+            getattr(controller, "failures", 0),
+            self._late,
+        )

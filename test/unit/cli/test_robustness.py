@@ -14,7 +14,7 @@ plant: nuc4
 cars:
   as shipped: {}
   slippery: {mu_scale: x 0.9}
-simulator_delays_s: [0.05]
+  "public simulator, 50 ms": {plant: public_simulator, localization_rate_hz: 100.0}
 generated_seeds: [13]
 laps: 1
 """

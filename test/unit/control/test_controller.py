@@ -274,7 +274,7 @@ def test_the_lookahead_distance_may_begin_on_the_path():
     result = controller(lookahead_from="path").step(state)
     x, y = REFERENCE.position(result.s)
     beside = math.hypot(result.lookahead_x - x, result.lookahead_y - y)
-    assert beside == pytest.approx(PLAIN.lookahead.distance(4.0), abs=1e-6)
+    assert beside == pytest.approx(PLAIN.lookahead(NUC4).distance(4.0), abs=1e-6)
     apart = math.hypot(result.lookahead_x - state.x, result.lookahead_y - state.y)
     assert result.lookahead_distance == apart != beside
 
@@ -304,7 +304,7 @@ def test_paper_mode_uses_the_commanded_speed_and_the_pose_as_it_is():
         begin = state if parameters.lookahead_from == "car" else REFERENCE.pose(result.s)
         assert math.hypot(
             result.lookahead_x - begin.x, result.lookahead_y - begin.y
-        ) == pytest.approx(parameters.lookahead.distance(result.speed), abs=1e-6)
+        ) == pytest.approx(parameters.lookahead(NUC4).distance(result.speed), abs=1e-6)
         expected = 2.0 * result.speed**2 / result.lookahead_distance * math.sin(result.eta)
         assert result.a_lat == pytest.approx(expected, rel=1e-12)
 
@@ -315,7 +315,7 @@ def test_by_default_it_uses_the_measured_speed_and_the_pose_of_the_moment_it_act
         parameters = load_controller_parameters(name)
         result = build_controller(parameters, NUC4, REFERENCE).step(state)
         assert result.state == predicted(state, parameters.delay_s)
-        assert result.lookahead_distance == pytest.approx(parameters.lookahead.distance(2.0))
+        assert result.lookahead_distance == pytest.approx(parameters.lookahead(NUC4).distance(2.0))
         expected = 2.0 * 2.0**2 / result.lookahead_distance * math.sin(result.eta)
         moment = result.state
         path = REFERENCE.project(moment.x, moment.y)

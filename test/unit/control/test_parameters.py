@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from map_racing.control.guidance import LookaheadLaw
+from map_racing.control.laws import load_law
 from map_racing.control.parameters import (
     ControllerParameters,
     load_controller_parameters,
@@ -16,6 +17,7 @@ from map_racing.control.parameters import (
 from map_racing.control.safety import SafetyLimits
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.resources import find_config, list_config
+from map_racing.vehicle.parameters import load_vehicle
 
 NUMBERS = [
     "m_m",
@@ -53,12 +55,11 @@ def refusal(path):
 @pytest.mark.parametrize("name", list_config("controllers"))
 def test_shipped_files_say_everything(name):
     """A reader of the file must not have to know the defaults."""
-    parameters = load_controller_parameters(name)
+    parameters = load_law(name)
     text = find_config("controllers", name, (".yaml",)).read_text(encoding="utf-8")
-    assert set(yaml.safe_load(text)) == {
-        field.name for field in dataclasses.fields(ControllerParameters)
+    assert set(yaml.safe_load(text)) - {"law"} == {
+        field.name for field in dataclasses.fields(parameters)
     }
-    assert load_controller_parameters(name) == parameters
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,9 @@ def test_a_file_reads_back(tmp_path):
         m_m=-0.165, q_s=0.6, speed_scale=0, v_max_mps=7
     )
     assert load_controller_parameters(path) == expected
-    assert load_controller_parameters(str(path)).lookahead == LookaheadLaw(-0.165, 0.6, 0.3, 5.0)
+    assert load_controller_parameters(str(path)).lookahead(load_vehicle("nuc4")) == LookaheadLaw(
+        -0.165, 0.6, 0.3, 5.0
+    )
 
 
 @pytest.mark.parametrize("name", ["steering_map", "m_m", "q_s"])
@@ -190,10 +193,11 @@ def test_unknown_files_and_broken_ones_are_refused(tmp_path):
 
 @pytest.mark.parametrize("name", list_config("controllers"))
 def test_saved_parameters_are_read_back(tmp_path, name):
-    parameters = load_controller_parameters(name).with_(q_s=0.1234567890123, v_max_mps=7)
+    given = load_law(name)
+    parameters = given.with_(v_max_mps=7, **{given.TUNED[1]: 0.1234567890123})
     path = tmp_path / "tuned.yaml"
     save_controller_parameters(parameters, path)
-    assert load_controller_parameters(path) == parameters
+    assert load_law(path) == parameters
     assert [file.name for file in tmp_path.iterdir()] == ["tuned.yaml"]
 
 

@@ -63,6 +63,52 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_effort_options(robustness)
     robustness.set_defaults(run="experiment.run_robustness")
 
+    rivals = kinds.add_parser(
+        "mpc",
+        help="MAP against model predictive control",
+        description="MAP and model predictive control with the same knowledge, speeds and search, "
+        "whose computing time counts as delay: errors, laps and highest scale, sensitivity to "
+        "wrong beliefs, and what the steps cost. Needs pip install 'map_racing[rivals]'.",
+    )
+    rivals.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="result directory, a folder for each plant; an existing one is continued",
+    )
+    rivals.add_argument(
+        "--plants",
+        nargs="+",
+        default=["nuc4", "public_simulator"],
+        metavar="NAME",
+        help="plants, as in map-racing race (default: nuc4 public_simulator)",
+    )
+    rivals.add_argument("--conditions", default="paper", help="as in velocity-scaling")
+    rivals.add_argument("--track", help="instead of the track of the conditions")
+    rivals.add_argument(
+        "--seeds", type=int, nargs="+", metavar="N", help="race days, instead of the conditions'"
+    )
+    rivals.add_argument(
+        "--tuning-scale",
+        type=float,
+        default=0.8,
+        metavar="SCALE",
+        help="scale of the speeds at which all are tuned (default: %(default)s)",
+    )
+    rivals.add_argument("--no-tuning", action="store_true", help="race all as shipped")
+    rivals.add_argument(
+        "--slowdown",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="computing time counts, times this, for a slower processor (default: %(default)s)",
+    )
+    rivals.add_argument(
+        "--laps", type=int, default=3, help="timed laps of a race (default: %(default)s)"
+    )
+    add_effort_options(rivals)
+    rivals.set_defaults(run="experiment.run_mpc")
+
 
 def add_race_options(parser):
     """Options of both experiments."""

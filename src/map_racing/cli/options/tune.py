@@ -32,7 +32,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robust",
         action="store_true",
-        help="find m, q and the delay around the controller's own values with the smallest error "
+        help="find m, q, the delay, curvature feedforward and yaw rate gain around the "
+        "controller's own values (what is 0 stays off) with the smallest error "
         "(geometric mean over the races) among those that complete every race of a grid of tracks "
         "and cars, at the grid's speeds",
     )

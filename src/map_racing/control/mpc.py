@@ -1,0 +1,374 @@
+"""Model predictive control of the steering: a rival of MAP, with the same knowledge.
+
+In each step a quadratic program chooses the steering rates of the next second, around the motion
+that the last plan predicts (one step of sequential quadratic programming a pose, "real-time
+iteration"; Diehl, Bock, Schloeder, SIAM J. Control Optim. 43(5), 2005). The speeds are those of the
+controller's `SpeedPlan`; states are relative to the raceline::
+
+    d'   = v sin(e) + v_y + a r        lateral error of the reference point, a ahead of the center
+    e'   = r - kappa v                 heading error
+    v_y' = (F_yf + F_yr) / m - v r     as in `single_track`, tires linearized at their slip angles
+    r'   = (l_f F_yf - l_r F_yr) / I_z
+    delta' = u                         the input, up to the servo's rate
+
+The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost
+of a stage is ``d^2 + (w_h d' / v)^2 + (w_u u)^2``: lateral error, direction of motion, and steering
+rate, all in meters. The program has the rates alone as its variables and is solved by OSQP.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..track.tracker import RacelineTracker
+from ..vehicle.single_track import V_EPS, axle_loads, single_track_derivatives
+from .controller import ControlResult, SideslipEstimate, Status, build_steering_map
+from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
+from .state import CarState, moved, predicted
+
+__all__ = ["ModelPredictiveController"]
+
+# Slowest speed of the prediction [m/s]: at standstill nothing can be steered.
+SLOWEST = 1.0
+# Linear tires past their peak would turn the wheel the wrong way: at least this share of the
+# stiffness without slip is assumed.
+LEAST_STIFFNESS = 0.05
+# Step of the prediction over the delay [s].
+PREDICTION_STEP = 0.005
+# Farther from the raceline or turned farther from it, the linear model says nothing [m], [rad].
+FARTHEST_ERROR, LARGEST_TURN = 3.0, 1.2
+
+
+class ModelPredictiveController:
+    """Steers by a quadratic program over the next second; its speeds are those of the plan.
+
+    It has the interface of `controller.Controller` as far as races need it.
+
+    Parameters
+    ----------
+    parameters : MpcParameters
+    vehicle : Vehicle
+        Its model of the car.
+    raceline : Raceline
+        With speeds, unless ``grip_use`` is more than 0.
+    sectors : SpeedSectors, optional
+
+    Attributes
+    ----------
+    failures : int
+        Steps whose program was not solved; they followed the last plan.
+
+    Raises
+    ------
+    ParameterError
+        If OSQP is not installed, or the raceline has no speeds and ``grip_use`` is 0.
+    """
+
+    def __init__(self, parameters, vehicle, raceline, sectors=None):
+        self.parameters, self.vehicle, self.raceline = parameters, vehicle, raceline
+        self.plan = None
+        self._speed = (
+            requested_speed(raceline, parameters, sectors) if raceline.speed is not None else None
+        )
+        if parameters.grip_use:
+            grip = build_steering_map("table", vehicle, parameters.v_max_mps)
+            self.plan = SpeedPlan(raceline, parameters, grip, sectors)
+        elif self._speed is None:
+            requested_speed(raceline, parameters)  # an error
+        self._tracker = RacelineTracker(raceline)
+        # Profiles along the raceline, once: the stages read them by index.
+        count = max(int(math.ceil(raceline.length / 0.02)), 4)
+        s = np.arange(count) * raceline.length / count
+        self._kappa = raceline.sample(s).kappa
+        self._planned = self.planned_speed(s)
+        self._cells = count / raceline.length
+        at_center = parameters.reference_point == "center_of_gravity"
+        self._ahead = 0.0 if at_center else -vehicle.l_r
+        self._estimate_v_y = SideslipEstimate(vehicle, vehicle.l_r if at_center else 0.0)
+        kind = _SingleTrack if parameters.model == "single_track" else _Kinematic
+        self._model = kind(vehicle, self._ahead)
+        self._program = _Program(parameters, vehicle, self._model.size)
+        self.failures = 0
+        self.reset()
+
+    def planned_speed(self, s):
+        """Speed that is driven [m/s] at an array of arc lengths [m]."""
+        if self.plan is None:
+            return self._speed(s)
+        return np.array([self.plan.speed_at(at) for at in np.asarray(s).tolist()])
+
+    def reset(self):
+        """Forget the past, after the car was moved or time jumped back."""
+        self._tracker.reset()
+        self._program.reset()
+        self._commands = deque(maxlen=64)  # (time at which it acts, angle)
+        self._last_t, self._angle = None, 0.0
+
+    def step(self, state):
+        """Compute one command; see `controller.Controller.step`."""
+        parameters, vehicle = self.parameters, self.vehicle
+        t, x, y, psi, v_x, v_y, r = state
+        if not all(map(math.isfinite, (t, x, y, psi, v_x, r))):
+            nothing = (math.nan,) * 8
+            return ControlResult(self._angle, 0.0, Status.INVALID_STATE, state, *nothing)
+        if not math.isfinite(v_y):
+            state = state._replace(v_y=self._estimate_v_y(v_x, r))
+        state, angle = self._after_delay(state)
+        s, d, path_psi, _ = self._tracker.update(state.x, state.y, state.psi)
+        turned = math.remainder(state.psi - path_psi, 2.0 * math.pi)
+        speed = float(self._read(self._planned, s + parameters.speed_lookahead_s * v_x))
+        status = Status.OK
+        if self._tracker.lost or abs(d) > FARTHEST_ERROR or abs(turned) > LARGEST_TURN:
+            # Beyond the linear model: turn back with all there is, slowly.
+            status, speed = Status.OFF_COURSE, min(speed, WALKING_PACE)
+            d = min(max(d, -FARTHEST_ERROR), FARTHEST_ERROR)
+            turned = min(max(turned, -LARGEST_TURN), LARGEST_TURN)
+        center = moved(state, -self._ahead)
+        rates, solved = self._program.solve(
+            self._model, self._model.state(d, turned, center, angle), *self._stages(s, state.v_x)
+        )
+        self.failures += not solved
+        period = 0.025 if self._last_t is None else min(max(t - self._last_t, 0.005), 0.05)
+        self._last_t = t
+        limit = vehicle.delta_max
+        self._angle = min(max(angle + rates * period, -limit), limit)
+        self._commands.append((t + parameters.delay_s, self._angle))
+        nothing = (math.nan,) * 3
+        a_lat = state.v_x * state.r
+        return ControlResult(self._angle, speed, status, state, s, d, *nothing, math.nan, a_lat)
+
+    def _read(self, profile, s):
+        """A profile at arc lengths [m]."""
+        return profile[(np.asarray(s) * self._cells).astype(int) % profile.size]
+
+    def _stages(self, s, v):
+        """Speed [m/s], acceleration [m/s^2] and curvature [1/m] of the raceline in each stage."""
+        p = self.parameters
+        dt, v = p.stage_s, max(v, SLOWEST)
+        speeds, places = [], []
+        planned, cells, count = self._planned, self._cells, self._planned.size
+        up, down = p.a_drive_max_mps2 * dt, -p.a_brake_max_mps2 * dt
+        for _ in range(p.stages):
+            places.append(s + 0.5 * dt * v)
+            speeds.append(v)
+            s += dt * v
+            v += min(max(planned[int(s * cells) % count] - v, down), up)
+            if v < SLOWEST:
+                v = SLOWEST
+        speeds = np.array(speeds)
+        accelerations = np.append(np.diff(speeds), 0.0) / dt
+        return speeds, accelerations, self._read(self._kappa, places)
+
+    def _after_delay(self, state):
+        """State when the next command acts, and the steering angle then."""
+        delay, commands = self.parameters.delay_s, self._commands
+        last = commands[-1][1] if commands else 0.0
+        if not delay:
+            return state, last
+        if self._model.derivatives is None or state.v_x < 2.0 * V_EPS:
+            return predicted(state, delay), last
+        center = moved(state, -self._ahead)
+        t, x, y, psi, v_x, v_y, r = center
+        pending = [(acts, angle) for acts, angle in commands if acts > t]
+        before = [angle for acts, angle in commands if acts <= t]
+        angle = before[-1] if before else (pending[0][1] if pending else 0.0)
+        steps = max(int(round(delay / PREDICTION_STEP)), 1)
+        dt = delay / steps
+        for _ in range(steps):
+            while pending and pending[0][0] <= t + 1e-9:
+                angle = pending.pop(0)[1]
+            # Half a step of the motion, with the derivatives of its beginning: Heun without the
+            # second evaluation is too rough for stiff tires, so two half steps are taken.
+            for half in (0.5 * dt, 0.5 * dt):
+                v_y_dot, r_dot = self._model.derivatives(v_x, v_y, r, angle, 0.0)
+                v_y += half * v_y_dot
+                r += half * r_dot
+                psi += half * r
+                x += half * (v_x * math.cos(psi) - v_y * math.sin(psi))
+                y += half * (v_x * math.sin(psi) + v_y * math.cos(psi))
+            t += dt
+        return moved(CarState(t, x, y, psi, v_x, v_y, r), self._ahead), last
+
+
+class _SingleTrack:
+    """Lateral motion with tires: the state is ``d, e, v_y, r, delta``."""
+
+    size = 5
+
+    def __init__(self, vehicle, ahead):
+        self.vehicle, self.ahead = vehicle, ahead
+        self.derivatives = single_track_derivatives(vehicle)
+
+    def state(self, d, turned, center, angle):
+        return np.array([d, turned, center.v_y, center.r, angle])
+
+    def guess(self, v, kappa):
+        """A motion to begin with: rolling along the raceline."""
+        zeros = np.zeros_like(v)
+        r = kappa * v
+        angle = self.vehicle.l_wb * kappa
+        return np.stack([zeros, zeros, self.vehicle.l_r * r, r, angle], axis=1)
+
+    def linear(self, v, a, kappa, motion):
+        """``z' = A z + b u + c`` of each stage around a motion, and the row of ``d' / v``."""
+        car, n = self.vehicle, v.size
+        v_y, r, delta = motion[:, 2], motion[:, 3], motion[:, 4]
+        load_f, load_r = axle_loads(car, a)
+        A, c = np.zeros((n, 5, 5)), np.zeros((n, 5))
+        slip_f = np.arctan((v_y + car.l_f * r) / v) - delta
+        slip_r = np.arctan((v_y - car.l_r * r) / v)
+        axles = (
+            (car.front, load_f, slip_f, car.l_f, car.l_f, True),
+            (car.rear, load_r, slip_r, -car.l_r, -car.l_r, False),
+        )
+        for tire, load, slip, arm, offset, steered in axles:
+            stiffness = np.maximum(tire.slope(slip), LEAST_STIFFNESS * tire.stiffness)
+            gain = car.mu * load * stiffness
+            force = -car.mu * load * tire.normalized_force(slip) + gain * slip
+            for row, inertia in ((2, car.m), (3, car.I_z / arm)):
+                A[:, row, 2] -= gain / v / inertia
+                A[:, row, 3] -= gain * offset / v / inertia
+                if steered:
+                    A[:, row, 4] += gain / inertia
+                c[:, row] += force / inertia
+        A[:, 2, 3] -= v
+        A[:, 0, 1], A[:, 0, 2], A[:, 0, 3] = v, 1.0, self.ahead
+        A[:, 1, 3] = 1.0
+        c[:, 1] = -kappa * v
+        return A, c, A[:, 0] / v[:, None]
+
+
+class _Kinematic:
+    """Lateral motion without slip: the state is ``d, e, delta``."""
+
+    size = 3
+    derivatives = None
+
+    def __init__(self, vehicle, ahead):
+        self.vehicle = vehicle
+        self._from_rear = ahead + vehicle.l_r
+
+    def state(self, d, turned, center, angle):
+        return np.array([d, turned, angle])
+
+    def guess(self, v, kappa):
+        return np.stack([0.0 * v, 0.0 * v, self.vehicle.l_wb * kappa], axis=1)
+
+    def linear(self, v, a, kappa, motion):
+        n, l_wb = v.size, self.vehicle.l_wb
+        tangent = np.tan(motion[:, 2])
+        slope = (1.0 + tangent * tangent) * v / l_wb
+        rest = tangent * v / l_wb - slope * motion[:, 2]
+        A, c = np.zeros((n, 3, 3)), np.zeros((n, 3))
+        A[:, 0, 1], A[:, 0, 2] = v, self._from_rear * slope
+        c[:, 0] = self._from_rear * rest
+        A[:, 1, 2] = slope
+        c[:, 1] = rest - kappa * v
+        return A, c, A[:, 0] / v[:, None]
+
+
+class _Program:
+    """The quadratic program of a step, and the last solution to begin with."""
+
+    def __init__(self, parameters, vehicle, size):
+        try:
+            import osqp
+        except ImportError:
+            raise ParameterError("law mpc: needs OSQP; pip install 'map_racing[rivals]'") from None
+        from scipy import sparse
+
+        self._parameters, self._vehicle, self._size = parameters, vehicle, size
+        n = parameters.stages
+        self._upper = np.triu_indices(n)
+        order = np.lexsort(self._upper)  # column by column, as sparse matrices are stored
+        self._upper = self._upper[0][order], self._upper[1][order]
+        angles = parameters.stage_s * np.tril(np.ones((n, n)))
+        constraints = sparse.csc_matrix(np.vstack([np.eye(n), angles]))
+        P = sparse.csc_matrix(np.triu(np.ones((n, n))) + np.eye(n))
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            *(P, np.zeros(n), constraints, np.full(2 * n, -1.0), np.full(2 * n, 1.0)),
+            verbose=False,
+            max_iter=parameters.iterations,
+            eps_abs=1e-4,
+            eps_rel=1e-4,
+            check_termination=10,
+        )
+        self.reset()
+
+    def reset(self):
+        """Forget the last plan."""
+        self._rates, self._motion = np.zeros(self._parameters.stages), None
+
+    def solve(self, model, z0, v, a, kappa):
+        """Steering rate [rad/s] of the first stage, and whether the program was solved."""
+        p, n = self._parameters, self._parameters.stages
+        fresh = self._motion is None
+        motion = model.guess(v, kappa) if fresh else self._motion
+        motion[0] = z0
+        for _ in range(3 if fresh else 1):
+            A, c, direction = model.linear(v, a, kappa, motion)
+            step, inputs, rest = _discrete(A, c, p.stage_s)
+            size = self._size
+            response, free = np.zeros((n + 1, size, n)), np.empty((n + 1, size))
+            free[0] = z0
+            for k in range(n):
+                response[k + 1] = step[k] @ response[k]
+                response[k + 1, :, k] += inputs[k]
+                free[k + 1] = step[k] @ free[k] + rest[k]
+            # Rows whose squares are the cost: at the end of each stage.
+            direction = p.heading_weight_m * np.concatenate([direction[1:], direction[-1:]])
+            rows = np.concatenate(
+                [response[1:, 0], np.einsum("ki,kij->kj", direction, response[1:])]
+            )
+            offset = np.concatenate([free[1:, 0], np.einsum("ki,ki->k", direction, free[1:])])
+            P = rows.T @ rows
+            P[np.arange(n), np.arange(n)] += p.steering_rate_weight_ms**2
+            fastest, lock = self._vehicle.delta_rate_max, self._vehicle.delta_max
+            fastest = np.full(n, fastest)
+            self._solver.update(
+                Px=P[self._upper],
+                q=rows.T @ offset,
+                l=np.concatenate([-fastest, np.full(n, -lock - z0[-1])]),
+                u=np.concatenate([fastest, np.full(n, lock - z0[-1])]),
+            )
+            self._solver.warm_start(x=self._rates)
+            found = self._solver.solve(raise_error=False)
+            solved = found.info.status in ("solved", "solved inaccurate") and bool(
+                np.all(np.isfinite(found.x))
+            )
+            if not solved:
+                break
+            self._rates = np.clip(found.x, -fastest, fastest)
+            motion = (response @ self._rates + free)[:-1]
+        if not solved:  # the last plan, a stage later, as poses come faster than stages
+            self._motion = None
+            return float(self._rates[0]), False
+        first = float(self._rates[0])
+        self._motion = motion
+        return first, True
+
+
+def _discrete(A, c, dt):
+    """Exact steps ``z+ = step z + inputs u + rest`` of linear stages, u turning the last state.
+
+    The exponential of ``[[A, b, c], [0, 0, 0]] dt`` by scaling and squaring, all stages at once;
+    backward or forward Euler would be wrong for tires that settle within milliseconds.
+    """
+    n, size = c.shape
+    M = np.zeros((n, size + 2, size + 2))
+    M[:, :size, :size], M[:, :size, -1] = A, c
+    M[:, size - 1, size] = 1.0
+    M *= dt
+    halvings = max(int(math.ceil(math.log2(max(np.abs(M).sum(axis=2).max(), 1e-9)))) + 1, 0)
+    M *= 0.5**halvings
+    E = np.eye(size + 2) + M @ (
+        np.eye(size + 2) + M @ (np.eye(size + 2) + M @ (np.eye(size + 2) + M / 4.0) / 3.0) / 2.0
+    )
+    for _ in range(halvings):
+        E = E @ E
+    return E[:, :size, :size], E[:, :size, size], E[:, :size, -1]
