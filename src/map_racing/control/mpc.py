@@ -113,7 +113,7 @@ class ModelPredictiveController:
         parameters, vehicle = self.parameters, self.vehicle
         t, x, y, psi, v_x, v_y, r = state
         if not all(map(math.isfinite, (t, x, y, psi, v_x, r))):
-            nothing = (math.nan,) * 8
+            nothing = (math.nan,) * 7
             return ControlResult(self._angle, 0.0, Status.INVALID_STATE, state, *nothing)
         if not math.isfinite(v_y):
             state = state._replace(v_y=self._estimate_v_y(v_x, r))

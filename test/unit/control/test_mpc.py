@@ -8,9 +8,10 @@ import pytest
 from scipy.linalg import expm
 
 from map_racing.control import mpc
-from map_racing.control.controller import Status
+from map_racing.control.controller import Status, build_steering_map
 from map_racing.control.laws import build_law, load_law
 from map_racing.control.parameters import (
+    MPC_MODELS,
     MpcParameters,
     load_controller_parameters,
     save_controller_parameters,
@@ -22,7 +23,6 @@ from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
-from map_racing.vehicle.steady_state import steering_for
 
 NUC4 = load_vehicle("nuc4")
 GIVEN = load_law("mpc_single_track").with_(delay_s=0.0, grip_use=0.0, speed_scale=1.0)
@@ -31,7 +31,7 @@ GIVEN = load_law("mpc_single_track").with_(delay_s=0.0, grip_use=0.0, speed_scal
 def circle(radius, speed, count=400):
     angle = np.arange(count) * 2.0 * math.pi / count
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    return Raceline(x, y, np.full(count, speed))
+    return Raceline(x, y, vx_mps=np.full(count, speed))
 
 
 def on_circle(radius, speed, v_y, ahead):
@@ -56,24 +56,24 @@ def test_steps_are_exact():
         np.testing.assert_allclose(rest[k], exact[:5, 6], rtol=0, atol=1e-4 * scale)
 
 
-@pytest.mark.parametrize("model", mpc.MPC_MODELS)
+@pytest.mark.parametrize("model", MPC_MODELS)
 def test_a_straight_is_driven_straight(model):
     x = np.concatenate([np.linspace(0, 50, 251), np.linspace(50, 0, 251)])
     y = np.concatenate([np.zeros(251), np.full(251, 20.0)])
-    controller = build_law(GIVEN.with_(model=model), NUC4, Raceline(x, y, np.full(502, 4.0)))
+    controller = build_law(GIVEN.with_(model=model), NUC4, Raceline(x, y, vx_mps=np.full(502, 4.0)))
     result = controller.step(CarState(0.0, 20.0, 0.0, 0.0, 4.0, 0.0, 0.0))
     assert result.status is Status.OK
     assert abs(result.steering_angle) < 2e-3 and result.speed == pytest.approx(4.0, abs=1e-6)
     for side in (1.0, -1.0):  # back to the line, alike from both sides
         controller.reset()
         angle = controller.step(CarState(0.0, 20.0, 0.1 * side, 0.0, 4.0, 0.0, 0.0)).steering_angle
-        assert -0.05 > side * angle > -NUC4.delta_max
+        assert -0.02 > side * angle > -NUC4.delta_max
 
 
 def test_a_circle_is_held_with_the_steady_state_angle():
     radius, speed = 4.0, 4.0
     controller = build_law(GIVEN, NUC4, circle(radius, speed))
-    steady, v_y = steering_for(NUC4, speed, speed**2 / radius), None
+    steady, _ = build_steering_map("table", NUC4, 12.0).steering(speed, speed**2 / radius)
     # The model itself, driven by what the controller commands, settles on the circle.
     derivatives = mpc.single_track_derivatives(NUC4)
     state, angle = on_circle(radius, speed, 0.0, -NUC4.l_r), 0.0
