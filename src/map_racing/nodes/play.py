@@ -24,6 +24,7 @@ from .node import to_launch_folder
 __all__ = ["main"]
 
 PATIENCE_S = 60.0
+CONNECTING_S = 3.0
 AWAIT = "--await="
 
 
@@ -45,6 +46,10 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     to_launch_folder()
     options = [argument for argument in arguments if not argument.startswith(AWAIT)]
+    if not any(option.startswith(("-d", "--delay")) for option in options):
+        # Subscribed is not yet connected, which rosbag gives a second: too little where all starts
+        # at once on a busy computer.
+        options.insert(0, f"--delay={CONNECTING_S:g}")
     bags = [o for o in options if not o.startswith("-") and ":=" not in o]
     for bag in bags:
         if not os.path.isfile(bag):

@@ -32,7 +32,8 @@ __all__ = ["SimulatorNode", "main"]
 SECOND = 1000000000
 CLOCK_PERIOD_NS = 10000000  # of /clock, besides the arrival of each pose
 LONGEST_CATCH_UP = 0.5  # s; after a longer pause of the computer, simulated time is lost
-LOCKSTEP_PATIENCE = 1.0  # s of wall time to wait for the answer to a pose
+CONNECTING_S = 0.5  # after which a connection that is counted carries messages, too
+LOCKSTEP_PATIENCE = 2.0  # s of wall time to wait for the answer to a pose
 
 
 class SimulatorNode:
@@ -115,6 +116,7 @@ class SimulatorNode:
             while not (self._has_controller() or rospy.is_shutdown()):
                 self._publish_clock()
                 time.sleep(0.05)
+            time.sleep(CONNECTING_S)
             self._wall_origin = time.monotonic()
         while not rospy.is_shutdown():
             with self._changed:
