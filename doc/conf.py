@@ -31,6 +31,7 @@ autodoc_mock_imports = [
     "geometry_msgs",
     "map_racing.cfg",
     "map_racing.msg",
+    "map_racing.srv",
     "nav_msgs",
     "rosbag",
     "rosgraph",

@@ -45,7 +45,7 @@ def test_the_install_space_is_complete(roscore, request, tmp_path):
     source.mkdir(parents=True)
     for name in ("CMakeLists.txt", "package.xml", "setup.py"):
         shutil.copy(str(root / name), str(source))
-    for name in ("config", "launch", "msg", "scripts", "src"):
+    for name in ("config", "launch", "msg", "scripts", "src", "srv"):
         shutil.copytree(str(root / name), str(source / name))
     build = f"catkin_make install --cmake-args -DPYTHON_EXECUTABLE={sys.executable} -Wno-dev"
     run("bash", "-c", f"cd '{tmp_path}' && {build}")
