@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Iterator, NamedTuple
 
@@ -34,7 +35,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Bag:
+class Bag(ABC):
     """A bag open for reading; use it as a context manager.
 
     Attributes
@@ -61,10 +62,11 @@ class Bag:
     def __exit__(self, *_):
         self.close()
 
+    @abstractmethod
     def close(self) -> None:
         """Close the files."""
-        raise NotImplementedError
 
+    @abstractmethod
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
         """Complete messages in the order of the file.
 
@@ -73,11 +75,10 @@ class Bag:
         wanted : set of int, optional
             Identifiers of the connections to yield; all by default.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def notes(self) -> list[str]:
         """What the runs of `messages` could not read; empty for a sound bag."""
-        raise NotImplementedError
 
 
 def time_span(spans) -> tuple[int, int]:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ..control.laws import load_law
+from ..control.mpc import solver_library
+from ..control.parameters import load_law
 from ..errors import ParameterError
 from ..evaluation.report import aligned
 from ..experiments.jobs import RaceResult
@@ -128,6 +129,7 @@ def run_robustness(arguments):
 def run_mpc(arguments):
     """MAP against model predictive control, on several plants."""
     check_laps(arguments.laps)
+    solver_library()  # an error now, not after tuning MAP
     labels = [c.label for c in RIVALS]
     for plant, session in rival_sessions(arguments, RIVALS):
         print(f"\n== plant {plant}")

@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 
 from ..control.controller import Controller, build_steering_maps
-from ..control.laws import build_law, load_law
-from ..control.parameters import MpcParameters, load_safety_limits
+from ..control.laws import build_law
+from ..control.parameters import MpcParameters, load_law, load_safety_limits
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
@@ -43,6 +43,10 @@ def run(arguments):
     parameters = load_law(arguments.controller)
     if arguments.speed_scale is not None:
         parameters = parameters.with_(speed_scale=arguments.speed_scale)
+    if arguments.faults and isinstance(parameters, MpcParameters):
+        raise ParameterError(
+            f"--faults: expected a controller that the node drives, got {arguments.controller}"
+        )
     raceline = load_track(arguments.track)
     plant_parameters = read_plant(arguments.plant)
     plant, localization = build_plant(plant_parameters, arguments.seed)

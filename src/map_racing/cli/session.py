@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+from ..errors import ParameterError
 from ..experiments.conditions import load_conditions
 from ..experiments.robustness import load_robustness
 from ..experiments.session import GridSession, Session
@@ -13,14 +14,20 @@ __all__ = ["open_grid", "open_session", "rival_sessions"]
 def open_session(arguments, kind):
     """Session with the conditions that the options of `add_shared_options` name."""
     names = ("track", "plant", "seeds", "practice_seeds", "tuning_scale")
-    session = Session(
-        kind,
-        arguments.output,
-        _changed(load_conditions(arguments.conditions), arguments, dict(zip(names, names))),
-        vehicle=arguments.vehicle,
-        tuning=not getattr(arguments, "no_tuning", False),
-        **_where(arguments),
+    return _with_notes(
+        Session(
+            kind,
+            arguments.output,
+            _changed(load_conditions(arguments.conditions), arguments, dict(zip(names, names))),
+            vehicle=arguments.vehicle,
+            tuning=not getattr(arguments, "no_tuning", False),
+            **_where(arguments),
+        )
     )
+
+
+def _with_notes(session):
+    """The session, what the user should know about it printed."""
     for note in session.notes:
         print(note)
     return session
@@ -28,19 +35,22 @@ def open_session(arguments, kind):
 
 def rival_sessions(arguments, contenders):
     """Name and session of each plant, in a folder of its own below the output."""
-    base = load_conditions(arguments.conditions)
-    for plant in arguments.plants:
-        options = {"track": "track", "seeds": "seeds", "tuning_scale": "tuning_scale"}
+    names = ("track", "seeds", "tuning_scale")
+    base = _changed(load_conditions(arguments.conditions), arguments, dict(zip(names, names)))
+    stems = [Path(plant).stem for plant in arguments.plants]
+    if len(set(stems)) < len(stems):
+        raise ParameterError("--plants: two plants of one name would give one result")
+    for plant, stem in zip(arguments.plants, stems):
         session = Session(
             "mpc",
-            Path(arguments.output) / Path(plant).stem,
-            replace(_changed(base, arguments, options), plant=plant),
+            Path(arguments.output) / stem,
+            replace(base, plant=plant),
             tuning=not arguments.no_tuning,
             contenders=contenders,
             slowdown=arguments.slowdown,
             **_where(arguments),
         )
-        yield plant, session
+        yield plant, _with_notes(session)
 
 
 def open_grid(arguments, kind):

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from ..control.parameters import save_controller_parameters
+from ..control.parameters import ControllerParameters, save_controller_parameters
 from ..errors import ParameterError
 from ..experiments.campaign import Plan
 from ..experiments.robustness import grid_table
@@ -33,8 +33,7 @@ def run(arguments):
         {
             "speed_scale": conditions.tuning_scale,
             "controller": label,
-            "m_m": found.controller.m_m,
-            "q_s": found.controller.q_s,
+            **{name: getattr(found.controller, name) for name in found.controller.TUNED},
             "rms_lateral_error_m": found.error,
         }
         for label, found in tuned.items()
@@ -47,6 +46,9 @@ def run(arguments):
 
 def run_robust(arguments, controllers):
     """Tune over a grid of tracks and cars."""
+    for label, controller in controllers.items():
+        if not isinstance(controller, ControllerParameters):
+            raise ParameterError(f"--robust: expected controllers with a lookahead, got {label}")
     session = open_grid(arguments, "tune-robust")
     grid = session.grid
 

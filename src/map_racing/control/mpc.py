@@ -22,6 +22,7 @@ import math
 from collections import deque
 
 import numpy as np
+from scipy import sparse
 
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
@@ -30,13 +31,15 @@ from .controller import ControlResult, SideslipEstimate, Status, build_steering_
 from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, moved, predicted
 
-__all__ = ["ModelPredictiveController"]
+__all__ = ["ModelPredictiveController", "solver_library"]
 
 # Slowest speed of the prediction [m/s]: at standstill nothing can be steered.
 SLOWEST = 1.0
 # Linear tires past their peak would turn the wheel the wrong way: at least this share of the
 # stiffness without slip is assumed.
 LEAST_STIFFNESS = 0.05
+# Time from pose to pose that a command is for [s]: at first, at least and at most.
+FIRST_PERIOD, SHORTEST_PERIOD, LONGEST_PERIOD = 0.025, 0.005, 0.05
 # Step of the prediction over the delay [s].
 PREDICTION_STEP = 0.005
 # Farther from the raceline or turned farther from it, the linear model says nothing [m], [rad].
@@ -69,16 +72,13 @@ class ModelPredictiveController:
     """
 
     def __init__(self, parameters, vehicle, raceline, sectors=None):
-        self.parameters, self.vehicle, self.raceline = parameters, vehicle, raceline
-        self.plan = None
-        self._speed = (
-            requested_speed(raceline, parameters, sectors) if raceline.speed is not None else None
-        )
+        self.parameters, self.vehicle = parameters, vehicle
+        self.raceline, self.sectors, self.plan = raceline, sectors, None
         if parameters.grip_use:
             grip = build_steering_map("table", vehicle, parameters.v_max_mps)
             self.plan = SpeedPlan(raceline, parameters, grip, sectors)
-        elif self._speed is None:
-            requested_speed(raceline, parameters)  # an error
+        else:
+            self._requested = requested_speed(raceline, parameters, sectors)
         self._tracker = RacelineTracker(raceline)
         # Profiles along the raceline, once: the stages read them by index.
         count = max(int(math.ceil(raceline.length / 0.02)), 4)
@@ -98,7 +98,7 @@ class ModelPredictiveController:
     def planned_speed(self, s):
         """Speed that is driven [m/s] at an array of arc lengths [m]."""
         if self.plan is None:
-            return self._speed(s)
+            return self._requested(s)
         return np.array([self.plan.speed_at(at) for at in np.asarray(s).tolist()])
 
     def reset(self):
@@ -128,18 +128,24 @@ class ModelPredictiveController:
             d = min(max(d, -FARTHEST_ERROR), FARTHEST_ERROR)
             turned = min(max(turned, -LARGEST_TURN), LARGEST_TURN)
         center = moved(state, -self._ahead)
-        rates, solved = self._program.solve(
-            self._model, self._model.state(d, turned, center, angle), *self._stages(s, state.v_x)
+        rate, solved = self._program.solve(
+            self._model,
+            t,
+            self._model.state(d, turned, center, angle),
+            *self._stages(s, state.v_x),
         )
         self.failures += not solved
-        period = 0.025 if self._last_t is None else min(max(t - self._last_t, 0.005), 0.05)
+        # The angle for the time until the next pose, which comes after as long as this one did.
+        period = FIRST_PERIOD
+        if self._last_t is not None:
+            period = min(max(t - self._last_t, SHORTEST_PERIOD), LONGEST_PERIOD)
         self._last_t = t
         limit = vehicle.delta_max
-        self._angle = min(max(angle + rates * period, -limit), limit)
+        self._angle = min(max(angle + rate * period, -limit), limit)
         self._commands.append((t + parameters.delay_s, self._angle))
-        nothing = (math.nan,) * 3
+        no_lookahead = (math.nan,) * 4
         a_lat = state.v_x * state.r
-        return ControlResult(self._angle, speed, status, state, s, d, *nothing, math.nan, a_lat)
+        return ControlResult(self._angle, speed, status, state, s, d, *no_lookahead, a_lat)
 
     def _read(self, profile, s):
         """A profile at arc lengths [m]."""
@@ -181,8 +187,6 @@ class ModelPredictiveController:
         for _ in range(steps):
             while pending and pending[0][0] <= t + 1e-9:
                 angle = pending.pop(0)[1]
-            # Half a step of the motion, with the derivatives of its beginning: Heun without the
-            # second evaluation is too rough for stiff tires, so two half steps are taken.
             for half in (0.5 * dt, 0.5 * dt):
                 v_y_dot, r_dot = self._model.derivatives(v_x, v_y, r, angle, 0.0)
                 v_y += half * v_y_dot
@@ -271,16 +275,26 @@ class _Kinematic:
         return A, c, A[:, 0] / v[:, None]
 
 
+def solver_library():
+    """OSQP, an optional extra.
+
+    Raises
+    ------
+    ParameterError
+        If it is not installed; the message says how to.
+    """
+    try:
+        import osqp
+    except ImportError:
+        raise ParameterError("law mpc: needs OSQP; pip install 'map_racing[rivals]'") from None
+    return osqp
+
+
 class _Program:
     """The quadratic program of a step, and the last solution to begin with."""
 
     def __init__(self, parameters, vehicle, size):
-        try:
-            import osqp
-        except ImportError:
-            raise ParameterError("law mpc: needs OSQP; pip install 'map_racing[rivals]'") from None
-        from scipy import sparse
-
+        osqp = solver_library()
         self._parameters, self._vehicle, self._size = parameters, vehicle, size
         n = parameters.stages
         self._upper = np.triu_indices(n)
@@ -303,9 +317,13 @@ class _Program:
     def reset(self):
         """Forget the last plan."""
         self._rates, self._motion = np.zeros(self._parameters.stages), None
+        self._planned_at = 0.0
 
-    def solve(self, model, z0, v, a, kappa):
-        """Steering rate [rad/s] of the first stage, and whether the program was solved."""
+    def solve(self, model, t, z0, v, a, kappa):
+        """Steering rate [rad/s] at the time `t` [s], and whether the program was solved.
+
+        If not, the rate is that of the last plan for this time, and 0 beyond its end.
+        """
         p, n = self._parameters, self._parameters.stages
         fresh = self._motion is None
         motion = model.guess(v, kappa) if fresh else self._motion
@@ -343,14 +361,14 @@ class _Program:
             )
             if not solved:
                 break
-            self._rates = np.clip(found.x, -fastest, fastest)
+            self._rates, self._planned_at = np.clip(found.x, -fastest, fastest), t
             motion = (response @ self._rates + free)[:-1]
-        if not solved:  # the last plan, a stage later, as poses come faster than stages
+        if not solved:
             self._motion = None
-            return float(self._rates[0]), False
-        first = float(self._rates[0])
+            stage = int((t - self._planned_at) / p.stage_s + 1e-9)
+            return (float(self._rates[stage]) if 0 <= stage < n else 0.0), False
         self._motion = motion
-        return first, True
+        return float(self._rates[0]), True
 
 
 def _discrete(A, c, dt):

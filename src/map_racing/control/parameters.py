@@ -20,7 +20,10 @@ __all__ = [
     "ControllerParameters",
     "MpcParameters",
     "load_controller_parameters",
+    "load_law",
     "load_safety_limits",
+    "parameter_values",
+    "parameters_of",
     "save_controller_parameters",
 ]
 
@@ -250,6 +253,38 @@ class MpcParameters:
         return replace(self, **changes)
 
 
+LAWS = {"l1": ControllerParameters, "mpc": MpcParameters}
+
+
+def parameters_of(source: str | Path, values: dict) -> ControllerParameters | MpcParameters:
+    """Controller parameters of a mapping, by its ``law``: ``l1``, if it has none, or ``mpc``.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing, unknown or impossible; the message names `source` and parameter.
+    """
+    values = dict(values)
+    law = values.pop("law", "l1")
+    if law not in LAWS:
+        raise ParameterError(f"{source}: law: expected {' or '.join(LAWS)}, got {law!r}")
+    return read_parameters(source, LAWS[law], values)
+
+
+def parameter_values(parameters: ControllerParameters | MpcParameters) -> dict:
+    """What `parameters_of` reads."""
+    values = asdict(parameters)
+    return {"law": "mpc", **values} if isinstance(parameters, MpcParameters) else values
+
+
+def load_law(source: str | Path) -> ControllerParameters | MpcParameters:
+    """Read a controller file of any law; see `load_controller_parameters` and `parameters_of`."""
+    path = find_config("controllers", source, (".yaml",))
+    values = read_yaml_mapping(path)
+    values.pop("safety", None)
+    return parameters_of(path, values)
+
+
 def load_controller_parameters(source: str | Path) -> ControllerParameters:
     """Read controller parameters from YAML.
 
@@ -265,15 +300,13 @@ def load_controller_parameters(source: str | Path) -> ControllerParameters:
     Raises
     ------
     ParameterError
-        If a parameter is missing, unknown or impossible; the message names file and parameter.
+        If a parameter is missing, unknown or impossible, or the file is for another law than L1
+        guidance; the message names file and parameter.
     """
-    path = find_config("controllers", source, (".yaml",))
-    values = read_yaml_mapping(path)
-    values.pop("safety", None)
-    law = values.pop("law", "l1")
-    if law != "l1":
-        raise ParameterError(f"{path}: law: expected l1 here, got {law!r}, which only races know")
-    return read_parameters(path, ControllerParameters, values)
+    parameters = load_law(source)
+    if not isinstance(parameters, ControllerParameters):
+        raise ParameterError(f"{source}: law: expected l1 here, got 'mpc', which only races know")
+    return parameters
 
 
 def load_safety_limits(source: str | Path) -> SafetyLimits:
@@ -323,8 +356,6 @@ def save_controller_parameters(
     """
     with replacing(path) as file:
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
-        if isinstance(parameters, MpcParameters):
-            file.write("law: mpc\n")
-        yaml.safe_dump(asdict(parameters), file, sort_keys=False)
+        yaml.safe_dump(parameter_values(parameters), file, sort_keys=False)
         if limits is not None:
             yaml.safe_dump({"safety": asdict(limits)}, file, sort_keys=False)

@@ -14,10 +14,11 @@ import yaml
 from .. import __version__
 from ..errors import ParameterError
 from ..track.raceline import Raceline
-from ..validation import finite, read_parameters
+from ..validation import finite
 from ..vehicle.parameters import Vehicle, parameter_hash, vehicle_of, vehicle_values
-from .controller import Controller, build_controller
-from .parameters import ControllerParameters
+from .controller import Controller
+from .laws import build_law
+from .parameters import ControllerParameters, MpcParameters, parameter_values, parameters_of
 from .safety import SafetyLimits
 from .speed_sectors import SpeedSectors
 
@@ -32,7 +33,7 @@ class Settings:
     ----------
     values : dict
         All that the text holds, by section.
-    controller : ControllerParameters or None
+    controller : ControllerParameters, MpcParameters or None
         None where the text has none that this version knows.
     vehicle : Vehicle or None
         Likewise.
@@ -43,7 +44,7 @@ class Settings:
     """
 
     values: dict
-    controller: ControllerParameters | None
+    controller: ControllerParameters | MpcParameters | None
     vehicle: Vehicle | None
     sectors: tuple = ()
     notes: tuple = ()
@@ -65,7 +66,7 @@ class Settings:
             return None
         try:
             sectors = SpeedSectors(self.sectors, raceline.length) if self.sectors else None
-            controller = build_controller(self.controller, self.vehicle, raceline, sectors)
+            controller = build_law(self.controller, self.vehicle, raceline, sectors)
         except ParameterError:
             return None
         return controller.planned_speed
@@ -83,7 +84,7 @@ def settings_text(
 
     Parameters
     ----------
-    controller : Controller
+    controller : Controller or ModelPredictiveController
     name : str, optional
         Name or file of its parameters.
     table : str, optional
@@ -98,7 +99,7 @@ def settings_text(
     """
     vehicle, raceline = controller.vehicle, controller.raceline
     values = {
-        "controller": {"name": Path(name).stem, **asdict(controller.parameters)},
+        "controller": {"name": Path(name).stem, **parameter_values(controller.parameters)},
         "vehicle": {**vehicle_values(vehicle), "fingerprint": parameter_hash(vehicle)},
         "steering_table": table or "of the vehicle's tires",
     }
@@ -182,4 +183,4 @@ def _sectors(section):
 
 def _controller(section):
     section.pop("name", None)
-    return read_parameters("controller", ControllerParameters, section)
+    return parameters_of("controller", section)

@@ -51,7 +51,7 @@ COMPARED = {
         "mean_lap_time_s",
     ],
     "mpc": ["days_completed", "median_rms_lateral_error_m", "median_lap_time_s"],
-    "tune": ["m_m", "q_s", "rms_lateral_error_m"],
+    "tune": ["m_m", "q_s", "heading_weight_m", "steering_rate_weight_ms", "rms_lateral_error_m"],
     "robustness": [
         "races_completed",
         "worst_rms_lateral_error_m",
@@ -225,7 +225,9 @@ def compare(a: Results, b: Results) -> Comparison:
     both = [key for key in rows_a if key in rows_b]
     if not both:
         raise ParameterError("cannot compare: no scale and controller in common")
-    values, rows = COMPARED[a.kind], []
+    # Controllers of different laws are tuned by other parameters.
+    known = set(a.table.columns) & set(b.table.columns)
+    values, rows = [value for value in COMPARED[a.kind] if value in known], []
     for key in both:
         row = dict(zip(KEYS, key))
         for value in values:

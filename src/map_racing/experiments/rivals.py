@@ -107,7 +107,7 @@ def work_frame(races, controllers, tuned, memory):
     pandas.DataFrame
         Processor time of a step in milliseconds (median over races of the median and the 99th
         percentile, and the largest 99th percentile), shares of steps failed and late, memory,
-        parameters of the controller, and pairs and races driven for tuning.
+        parameters of the controller, and pairs of them that were tried in tuning.
     """
     rows = []
     for label, controller in controllers.items():

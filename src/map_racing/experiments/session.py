@@ -11,8 +11,7 @@ from typing import Callable, Iterable
 
 import pandas as pd
 
-from ..control.laws import load_law
-from ..control.parameters import ControllerParameters, save_controller_parameters
+from ..control.parameters import ControllerParameters, load_law, save_controller_parameters
 from ..errors import ParameterError
 from ..files import make_folder, replacing, write_json
 from ..identification.report import report_data

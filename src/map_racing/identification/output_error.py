@@ -10,9 +10,6 @@ tires are (Rosenbrock, 1963).
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import numpy as np
 
 from ..vehicle.parameters import Vehicle
@@ -21,7 +18,7 @@ from ..vehicle.tires import PacejkaTire
 from .driving import LONGEST_DELAY_S, Windows
 from .robust_fit import Believed, Fitted, fit
 
-__all__ = ["NAMES", "believed", "fit_car", "simulate", "vehicle_with"]
+__all__ = ["NAMES", "believed", "fit_car", "simulate"]
 
 NAMES = ("front", "rear", "grip", "delay", "share", "gain", "offset", "inertia", "height")
 """The parameters: logarithms of factors on the cornering stiffness of both axles, on the grip, on
@@ -200,20 +197,3 @@ def fit_car(
 
     starts = [{"delay": delay} for delay in START_DELAYS]
     return fit(predict, windows.observed, beliefs or believed(), starts, NOISE)
-
-
-def vehicle_with(vehicle: Vehicle, found: Fitted, name: str) -> Vehicle:
-    """The car with the fitted stiffness and grip; only the friction coefficient has the grip."""
-    grip = math.exp(found["grip"])
-    tires = {
-        key: _stiffer(getattr(vehicle, key), math.exp(found[key]) / grip)
-        for key in ("front", "rear")
-    }
-    return replace(vehicle, name=name, mu=vehicle.mu * grip, **tires)
-
-
-def _stiffer(tire, factor):
-    """The tire with its slope at zero slip scaled, and its peak kept."""
-    if isinstance(tire, PacejkaTire):
-        return replace(tire, B=tire.B * factor)
-    return replace(tire, C_S=tire.C_S * factor)

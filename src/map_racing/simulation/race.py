@@ -185,6 +185,8 @@ def race(
     """
     if laps < 1:
         raise ParameterError(f"laps must be at least 1, not {laps}")
+    if slowdown is not None and not 0.0 <= slowdown < math.inf:
+        raise ParameterError(f"slowdown: expected 0 or more, got {slowdown}")
     if time_limit is None:
         time_limit = math.inf
 

@@ -11,6 +11,8 @@ from map_racing.bags.reader import read_recording
 from map_racing.cli import main
 from map_racing.resources import find_config
 
+SECTORS = "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 365, scaling: 0.5}\n"
+
 
 def test_race_says_how_it_ended(tmp_path, capsys):
     assert main(["race", "--laps", "1", "--output", str(tmp_path / "a.bag")]) == 0
@@ -30,6 +32,22 @@ def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
     paper = ["--controller", "map_paper"]
     assert main(["lookup", "check", str(table), "--raceline", "club", *paper]) == 0
     assert "map_paper, grip_use 0: drives the raceline's speeds" in capsys.readouterr().out
+
+
+def test_model_predictive_control_is_raced_recorded_and_evaluated(tmp_path, capsys):
+    bag = str(tmp_path / "mpc.bag")
+    sectors = tmp_path / "sectors.yaml"
+    sectors.write_text(SECTORS)
+    command = ["race", "--controller", "mpc_kinematic", "--laps", "1", "--output", bag]
+    assert main([*command, "--speed-sectors", str(sectors)]) == 0
+    assert "completed after 1 timed laps" in capsys.readouterr().out
+    assert main(["evaluate", bag]) == 0
+    assert "1 laps counted" in capsys.readouterr().out
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("faults:\n  - {fault: pose_nan, at_s: 1.0}\n")
+    assert main([*command[:-1], str(tmp_path / "no.bag"), "--faults", str(faults)]) == 1
+    assert "--faults: expected a controller that the node drives" in capsys.readouterr().err
+    assert not (tmp_path / "no.bag").exists()
 
 
 def test_a_raceline_without_speeds_is_raced_within_the_grip(tmp_path, capsys):
@@ -67,9 +85,7 @@ def test_same_seed_same_bag(tmp_path):
 def test_race_with_a_table_and_sectors(tmp_path):
     table, sectors = tmp_path / "t.csv", tmp_path / "s.yaml"
     assert main(["lookup", "generate", "--vehicle", "nuc4", "--output", str(table)]) == 0
-    sectors.write_text(
-        "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 365, scaling: 0.5}\n"
-    )
+    sectors.write_text(SECTORS)
     output = ["--laps", "1", "--output", str(tmp_path / "a.bag")]
     extra = ["--lookup-table", str(table), "--speed-sectors", str(sectors)]
     assert main(["race", "--speed-scale", "1", *extra, *output]) == 0

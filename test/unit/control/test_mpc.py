@@ -9,13 +9,15 @@ from scipy.linalg import expm
 
 from map_racing.control import mpc
 from map_racing.control.controller import Status, build_steering_map
-from map_racing.control.laws import build_law, load_law
+from map_racing.control.laws import build_law
 from map_racing.control.parameters import (
     MPC_MODELS,
     MpcParameters,
     load_controller_parameters,
+    load_law,
     save_controller_parameters,
 )
+from map_racing.control.safety import SafetyLimits
 from map_racing.control.state import CarState, moved
 from map_racing.errors import ParameterError
 from map_racing.simulation import race as races
@@ -97,13 +99,17 @@ def test_a_circle_is_held_with_the_steady_state_angle():
 def test_a_step_without_solution_follows_the_last_plan():
     controller = build_law(GIVEN, NUC4, circle(4.0, 3.0))
     state = on_circle(4.0, 3.0, 0.0, -NUC4.l_r)
-    first = controller.step(state)
+    angle = controller.step(state).steering_angle
+    planned = controller._program._rates.copy()
+    assert np.abs(planned).max() > 0.1
     controller._program._solver.solve = lambda raise_error: type(
         "Found", (), {"x": np.full(20, np.nan), "info": type("Info", (), {"status": "failed"})}
     )
-    second = controller.step(state._replace(t=0.025))
-    assert controller.failures == 1
-    assert math.isfinite(second.steering_angle) and second.speed == first.speed
+    for k in range(1, 45):  # at 40 Hz two poses a stage; the plan ends after 40
+        before, angle = angle, controller.step(state._replace(t=0.025 * k)).steering_angle
+        rate = planned[k // 2] if k // 2 < 20 else 0.0
+        assert angle - before == pytest.approx(0.025 * rate, abs=1e-9)
+    assert controller.failures == 44
 
 
 def test_damaged_states_stop():
@@ -152,6 +158,12 @@ def test_computing_takes_time(monkeypatch):
     assert work.median_s == pytest.approx(0.015)
 
 
+@pytest.mark.parametrize("slowdown", [-1.0, math.nan, math.inf])
+def test_impossible_slowdowns_are_refused(slowdown):
+    with pytest.raises(ParameterError, match="slowdown: expected 0 or more"):
+        races.race(None, None, circle(4.0, 3.0), slowdown=slowdown)
+
+
 def test_without_the_solver_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "osqp", None)
     with pytest.raises(ParameterError, match=r"pip install 'map_racing\[rivals\]'"):
@@ -167,4 +179,10 @@ def test_files(tmp_path):
     path.write_text("law: mpc\nmodel: bicycle\n")
     with pytest.raises(ParameterError, match="model|heading_weight_m"):
         load_law(path)
+    path.write_text("law: lqr\n")
+    for load in (load_law, load_controller_parameters):
+        with pytest.raises(ParameterError, match="law: expected l1 or mpc, got 'lqr'"):
+            load(path)
+    save_controller_parameters(GIVEN, path, SafetyLimits())
+    assert load_law(path) == GIVEN
     assert isinstance(GIVEN, MpcParameters)

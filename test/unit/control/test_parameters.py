@@ -7,10 +7,10 @@ import pytest
 import yaml
 
 from map_racing.control.guidance import LookaheadLaw
-from map_racing.control.laws import load_law
 from map_racing.control.parameters import (
     ControllerParameters,
     load_controller_parameters,
+    load_law,
     load_safety_limits,
     save_controller_parameters,
 )

@@ -6,7 +6,8 @@ import yaml
 
 from map_racing import __version__
 from map_racing.control.controller import build_controller
-from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.laws import build_law
+from map_racing.control.parameters import load_controller_parameters, load_law
 from map_racing.control.safety import SafetyLimits
 from map_racing.control.settings import parse_settings, settings_text
 from map_racing.control.speed_sectors import SpeedSectors
@@ -39,6 +40,14 @@ def test_settings_come_back(controller, line):
     assert settings.sectors[0] == (0.0, 10.0, 0.8)
     s = np.linspace(0.0, line.length, 200)
     assert settings.planned_speed(line)(s) == pytest.approx(controller.planned_speed(s), abs=0.02)
+
+
+def test_settings_of_model_predictive_control_come_back(line):
+    controller = build_law(load_law("mpc_single_track"), load_vehicle("nuc4"), line)
+    settings = parse_settings(settings_text(controller, name="mpc_single_track"))
+    assert settings.controller == controller.parameters and settings.notes == ()
+    s = np.linspace(0.0, line.length, 50)
+    np.testing.assert_array_equal(settings.planned_speed(line)(s), controller.planned_speed(s))
 
 
 def test_without_raceline_and_sectors(controller):
