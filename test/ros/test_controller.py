@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import PoseStamped
 from harness import Car, Rig, wait_for, waypoints
-from map_racing.msg import Guidance, Tracking
+from map_racing.msg import Belief, Guidance, Tracking
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
@@ -98,6 +98,29 @@ def test_numbers_for_plots(rig, listen):
     assert inboxes["speed_error"]
     # In seconds; how long it takes is for scripts/latency.
     assert all(0.0 < m.data < 5.0 for m in [*inboxes["latency"], inboxes["pose_age"].wait()])
+
+
+def test_what_is_learned_while_driving_is_published(rig, listen):
+    rig = rig({"controller": "map_adaptive", "adaptation_share": 0.3, "speed_scale": 0.8})
+    beliefs = listen("/map_racing/belief", Belief)
+    rig.driving()
+    wait_for(lambda: len(beliefs) >= 40, what="forty beliefs")
+    answered = {message.header.stamp for message in list(rig.drive)}
+    for belief in list(beliefs):
+        assert belief.header.stamp in answered and belief.header.frame_id == "map"
+        for name in ("friction", "front_stiffness", "rear_stiffness"):
+            low, high = (getattr(belief, f"{name}_{end}") for end in ("low", "high"))
+            assert low <= getattr(belief, name) <= high
+            assert 0.7 - 1e-9 <= getattr(belief, name) <= 1.3 + 1e-9
+        assert 0.0 < belief.delay < 0.5 and 0.0 < belief.grip <= 1.3
+
+
+def test_what_is_not_learned_is_not_published(rig, listen):
+    rig = rig()
+    beliefs = listen("/map_racing/belief", Belief)
+    rig.driving()
+    rig.more(10)
+    assert not beliefs
 
 
 def test_diagnostics_at_rest(rig):

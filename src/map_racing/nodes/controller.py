@@ -19,9 +19,9 @@ from std_msgs.msg import Bool, Float64, Header, String
 from std_srvs.srv import Trigger, TriggerResponse
 from tf2_msgs.msg import TFMessage
 
-from map_racing.msg import Guidance, Tracking
+from map_racing.msg import Belief, Guidance, Tracking
 
-from ..bags.topics import SETTINGS_TOPIC
+from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
 from ..control.controller import Controller, Status, build_steering_maps
 from ..control.parameters import (
     load_controller_parameters,
@@ -120,6 +120,7 @@ class ControllerNode:
         self._drive = _publisher("drive", AckermannDriveStamped, 1)
         self._guidance = _publisher("guidance", Guidance)
         self._tracking = _publisher("tracking", Tracking)
+        self._belief = _publisher(BELIEF_TOPIC, Belief)
         self._numbers = {
             name: _publisher(name, Float64)
             for name in ("lateral_error", "speed_error", "latency", "pose_age")
@@ -284,6 +285,9 @@ class ControllerNode:
                 lateral_acceleration=state.v_x * state.r,
                 lateral_acceleration_limit=self._controller.max_lateral_acceleration(state.v_x),
             )
+        learned = self._controller.adaptation
+        if learned is not None and self._belief.get_num_connections():
+            self._belief.publish(header=header, **learned.belief._asdict())
         if not self._guidance.get_num_connections() or result.status in _UNGUIDED:
             return
         guided = result.state
