@@ -11,7 +11,7 @@ from ..identification.data import load_run
 from ..identification.delay import delay_data, delay_text, estimate_delays
 from ..resources import list_config
 from ..vehicle.parameters import load_vehicle
-from .inputs import channel_map, read_vehicle
+from .inputs import channel_map, joined, read_vehicle
 from .outputs import check_outputs
 
 
@@ -21,9 +21,8 @@ def run(arguments: argparse.Namespace) -> None:
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     others = [] if vehicle else [load_vehicle(name) for name in list_config("vehicles")]
     channels = channel_map(arguments)
-    runs = [
-        load_run(path, channels) for path in tqdm(arguments.data, "read", disable=None, leave=False)
-    ]
+    sources = joined(arguments.data, arguments.join)
+    runs = [load_run(path, channels) for path in tqdm(sources, "read", disable=None, leave=False)]
     delays = estimate_delays(runs, vehicle, others)
     for recorded in runs:
         for note in recorded.notes:

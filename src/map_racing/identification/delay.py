@@ -297,7 +297,7 @@ def _speed_lookahead(steering, drive_dead, drive_lag):
 
 
 def _spread(observed):
-    """Robust standard deviation of measurements around the mean of their window."""
+    """Standard deviation of measurements around the mean of their window."""
     window, value = observed[0], observed[-1]
     count = np.maximum(np.bincount(window), 1)
     mean = np.bincount(window, value) / count

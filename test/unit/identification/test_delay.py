@@ -7,12 +7,15 @@ import random
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer
 
+from map_racing.bags.opening import open_bag
 from map_racing.cli import main
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.identification.data import Run, Signal
 from map_racing.identification.delay import delay_data, delay_text, estimate_delays
+from map_racing.resources import find_config
 from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.race import race
 from map_racing.track.files.load import load_raceline
@@ -155,3 +158,28 @@ def test_the_command(tmp_path, capsys):
     data = json.loads(path.read_text())
     assert data["status"] == "not determined" and data["pose_age"]["value_s"] == 0.02
     assert "delay_s: not determined" in capsys.readouterr().out
+
+
+def test_split_bags_are_joined(tmp_path):
+    whole = find_config("recordings", "nuc4_ramps", (".bag",))
+    halves = [tmp_path / f"ramps_{part}.bag" for part in (0, 1)]
+    with open_bag(whole) as bag:
+        middle = (bag.start_ns + bag.end_ns) // 2
+        for half, path in enumerate(halves):
+            with Writer(path) as writer:
+                known = {
+                    number: writer.add_connection(
+                        *(c.topic, c.type.replace("/", "/msg/")),
+                        **{"msgdef": c.definition, "md5sum": c.md5sum},
+                    )
+                    for number, c in bag.connections.items()
+                }
+                for connection, t, data in bag.messages():
+                    if (t >= middle) == half:
+                        writer.write(known[connection], t, data)
+    told = []
+    for number, given in enumerate(([whole], [*halves, "--join"])):
+        path = tmp_path / f"{number}.json"
+        assert main(["delay", *map(str, given), "--vehicle", "nuc4", "--json", str(path)]) == 0
+        told.append({k: v for k, v in json.loads(path.read_text()).items() if k != "notes"})
+    assert told[0] == told[1]

@@ -3,6 +3,7 @@
 import argparse
 
 from .recording import add_recording_options
+from .shared import add_join_option
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -13,8 +14,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "follow, each with its 95 %% interval. Straight driving tells no delay, and is said to."
     )
     parser.add_argument(
-        "data", nargs="+", metavar="RUN", help="ROS 1 bags, or CSV files with --channels"
+        "data",
+        nargs="+",
+        metavar="RUN",
+        help="bags of ROS 1 or 2 (folder, .db3, .mcap), or CSV files with --channels",
     )
+    add_join_option(parser)
     parser.add_argument(
         "--vehicle",
         help="model of the car, which makes the estimate more certain: shipped vehicle or YAML "
