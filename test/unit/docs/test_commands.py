@@ -69,6 +69,7 @@ PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
+    "./scripts/heats",
     "./scripts/test",
     "catkin build map_racing",
     "cd ..",
