@@ -236,7 +236,7 @@ class _Heat:
         for corner in self.run.corners:
             begin = int(np.argmin(np.abs(self.s - corner.begin)))
             length = (corner.end - corner.begin) % self.track.length or self.track.length
-            cells = (begin + np.arange(max(round(length / self.ds), 1))) % self.s.size
+            cells = (begin + np.arange(max(int(round(length / self.ds)), 1))) % self.s.size
             bent = np.flatnonzero(self.use[cells] > _BENT * self.use[cells].max())[-1] + 1
             name = corner.name or "whole lap"
             found.setdefault(self._point(corner.begin), name)

@@ -106,7 +106,7 @@ def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
     text = text_of(report(tmp_path, race_bag()))
     assert "No advice: the car is not known, give --vehicle" in text
     text = text_of(report(tmp_path, race_bag(), "--vehicle", "nuc4"))
-    assert "The recording has no commands" in text
+    assert "beyond that not determined" in text
 
 
 def test_what_cannot_be_read_is_left_out(bags, tmp_path, capsys, refused):
