@@ -2,6 +2,7 @@
 
 import pytest
 
+from map_racing.bags.cdr import connection_of
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.track.files.waypoints import waypoint_rows
@@ -92,3 +93,8 @@ def test_a_topic_is_chosen_by_what_was_printed(bag, printed):
     name = r"/odom1\x1b[2J\x07\x9b1m\u202e\nall laps count"
     code, out = printed("evaluate", bag, "--pose-topic", name)
     assert code == 0 and name in out
+
+
+def test_topics_of_ros_2():
+    connection = connection_of(f"/odom{ESCAPE}", "nav_msgs/msg/Odometry", "")
+    assert connection.topic == r"/odom\x1b[2J\x07\x9b1m\u202e"
