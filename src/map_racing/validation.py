@@ -95,7 +95,7 @@ def parameter(
     choices : tuple of str, optional
         Valid values of a text.
     tuning : tuple of float, optional
-        Range of the slider in live tuning; without it there is none.
+        Range of the slider in live tuning, of a switch False and True; without it there is none.
     default : optional
         Without one the parameter is required.
     """
