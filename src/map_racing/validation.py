@@ -143,7 +143,7 @@ def _expected(field):
     if kind == "tuple":
         return "a list"
     if kind not in ("float", "int"):
-        return " or ".join(data["choices"]) or "a printable text"
+        return " or ".join(data["choices"]) or "a text"
     low, high = data["low"], data["high"]
     number = "whole number" if kind == "int" else "number"
     if math.isinf(low):

@@ -104,8 +104,8 @@ def test_a_plant_carries_its_vehicle_with_it(tmp_path):
         ({"tuning_scale": 0.0}, "tuning_scale: expected more than 0 to 2, got 0"),
         ({"tuning_laps": 0}, "tuning_laps: expected 1 to 1000, got 0"),
         ({"tuning_laps": 10**9}, "tuning_laps: expected 1 to 1000"),
-        ({"track": ""}, "track: expected a printable text, got ''"),
-        ({"plant": 3}, "plant: expected a printable text, got 3"),
+        ({"track": ""}, "track: expected a text, got ''"),
+        ({"plant": 3}, "plant: expected a text, got 3"),
     ],
 )
 def test_impossible_conditions(changes, expected):

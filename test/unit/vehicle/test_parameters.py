@@ -191,7 +191,7 @@ def test_missing_parameter_is_named(write, key):
         ({"delta_max": 24}, "delta_max: expected less than pi/2 rad, got 24"),
         ({"l_wb": 0.32}, r"l_wb: expected l_f \+ l_r = 0.31, got 0.32"),
         ({"mass": 3}, "m: expected once, got it under two names"),
-        ({"name": 4}, "name: expected a printable text, got 4"),
+        ({"name": 4}, "name: expected a text, got 4"),
         ({"friction_coeff": 1}, "mu: expected once, got it under two names"),
         ({"a_min": -3, "a_brake_max": 3}, "a_min: expected either a_min or a_brake_max"),
         ({"h_cg": 0.2}, "a_max: expected less than .* which lifts an axle .*, got 7.51"),
