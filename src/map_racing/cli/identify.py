@@ -14,7 +14,7 @@ from ..files import make_folder, write_json
 from ..identification.data import load_run
 from ..identification.identify import Identification, identify, leave_one_out
 from ..identification.limits import SteadyLimits
-from ..identification.report import report_data, report_text
+from ..identification.report import recorded_notes, report_data, report_text
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
@@ -72,6 +72,8 @@ def run(arguments: argparse.Namespace) -> None:
 def provenance(found: Identification) -> str:
     """Comment for the head of the vehicle file."""
     runs = ", ".join(motion.run.label for motion in found.motions)
+    doubts = [note for note in recorded_notes(found) if "warning: " in note]
+    doubts += [f"check: {finding.text}" for finding in found.findings if finding.critical]
     front, rear = (axle.pacejka for axle in found.axles.values())
     return (
         f"Tires identified by map_racing {__version__} from {runs}; the rest is of "
@@ -82,4 +84,4 @@ def provenance(found: Identification) -> str:
         f"{'reached' if rear.saturated else 'not reached'} behind.\n"
         f"Steering: wheel angle = {found.setup.steering_gain:.4f} * signal "
         f"{found.setup.steering_offset_rad:+.4f} rad."
-    )
+    ) + "".join(f"\n{doubt}" for doubt in doubts)

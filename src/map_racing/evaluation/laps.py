@@ -24,11 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bags.samples import Commands, Recording, is_odometry_frame
+from ..bags.samples import Commands, Recording
 from ..errors import EvaluationError, ParameterError
 from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
+from .doubts import frame_warning, uncommanded
 from .results import Lap, LapTrace, RunResult, Summary
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 
@@ -504,42 +505,13 @@ def evaluate(
         result = replace(result, laps=laps)
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
-    notes = list(recording.notes)
+    doubts = [frame_warning(recording.topic, recording.frame)]
     if speed_command is not None:
-        notes += _uncommanded(recording.t, speed_command, result.laps)
-    if is_odometry_frame(recording.frame):
-        notes.append(
-            f"warning: {recording.topic} is in frame {recording.frame}, which drifts against the "
-            "map: the lateral errors are not those on the track"
-        )
+        doubts += uncommanded(recording.t, speed_command, result.laps)
+    notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts if doubt)]
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
     return replace(result, source=recording.source, notes=tuple(notes))
-
-
-def _uncommanded(t, command, laps):
-    """Warning about complete laps in which there were no commands for a time."""
-    without, partly = [], []
-    for lap in laps:
-        if math.isnan(lap.lap_time_s):
-            continue
-        missing = np.isnan(command[(t >= lap.start_time_s) & (t <= lap.end_time_s)])
-        if missing.all():
-            without.append(str(lap.lap))
-        elif missing.mean() > 0.02:
-            partly.append(str(lap.lap))
-    notes = []
-    if without:
-        notes.append(
-            f"warning: no drive commands in laps {', '.join(without)}: their speed error, if any, "
-            "is to the raceline"
-        )
-    if partly:
-        notes.append(
-            f"warning: drive commands are missing for a part of laps {', '.join(partly)}: their "
-            "speed error and steering rate are of the rest"
-        )
-    return notes
 
 
 def _check_followed(recording, result, progress, max_deviation):

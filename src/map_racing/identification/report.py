@@ -12,7 +12,7 @@ from ..vehicle.steady_state import steady_state_table
 from .identify import Identification, Prediction
 from .limits import RATE_HZ
 
-__all__ = ["prediction_errors", "report_data", "report_text"]
+__all__ = ["prediction_errors", "recorded_notes", "report_data", "report_text"]
 
 SPEEDS_MPS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 SHARES = (0.3, 0.6, 0.9)
@@ -76,6 +76,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
         "setup": dict(found.setup.changes()),
         "corrections": [_finding(finding) for finding in found.corrections],
         "findings": [_finding(finding) for finding in found.findings],
+        "notes": recorded_notes(found),
         "axles": axles,
         "largest_lateral_acceleration_mps2": found.largest_a_y,
         "friction": found.friction,
@@ -84,6 +85,12 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
         "leave_one_out": prediction_errors(left_out) if left_out is not None else None,
         "tables": _tables(found),
     }
+
+
+def recorded_notes(found: Identification) -> list[str]:
+    """What was noted while the runs and the vehicle file were read, one line each."""
+    notes = [f"{motion.run.label}: {note}" for motion in found.motions for note in motion.run.notes]
+    return [*(f"{found.base.name}: {note}" for note in found.base.notes), *notes]
 
 
 def report_text(found: Identification, left_out: list[Prediction] | None = None) -> str:

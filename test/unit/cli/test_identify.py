@@ -12,6 +12,7 @@ from map_racing.bags.messages import decode_drive
 from map_racing.bags.reader import read_recording, read_signals
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.cli import main
+from map_racing.identification.data import load_run
 from map_racing.resources import config_directory
 from map_racing.vehicle.lookup import load_table
 from map_racing.vehicle.parameters import load_vehicle, parameter_hash
@@ -58,6 +59,27 @@ def test_figures_and_report(identified):
     report = json.loads((identified / "r.json").read_text())
     assert report["vehicle"] == "my_car" and report["leave_one_out"] is None
     assert report["axles"]["front"]["peak_reached"] and not report["axles"]["rear"]["peak_reached"]
+
+
+def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypatch):
+    report = json.loads((identified / "r.json").read_text())
+    (said,) = report["notes"]
+    assert said.startswith("recordings/nuc4_ramps.bag: pose: /car_state/odom")
+    assert "warning" not in (identified / "my_car.yaml").read_text()
+
+    def doubtful(path, channels):
+        run = load_run(path, channels)
+        run.notes.append("warning: /drive: the stamps are of another clock")
+        return run
+
+    monkeypatch.setattr("map_racing.cli.identify.load_run", doubtful)
+    output = tmp_path / "a.yaml"
+    arguments = ["--vehicle", "nuc4", "--output", str(output), "--json", str(tmp_path / "r.json")]
+    assert main(["identify", "nuc4_ramps", *arguments]) == 0
+    doubt = "recordings/nuc4_ramps.bag: warning: /drive: the stamps are of another clock"
+    assert f"# {doubt}\n" in output.read_text()
+    assert doubt in json.loads((tmp_path / "r.json").read_text())["notes"]
+    assert load_vehicle(output).front == load_vehicle(identified / "my_car.yaml").front
 
 
 def test_the_example_is_as_the_plant(identified):
