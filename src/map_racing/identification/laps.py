@@ -25,7 +25,7 @@ from .cornering import low_passed
 from .data import Run
 from .delay import Delays, estimate_delays
 from .driving import GRID_HZ, Driving, Windows, driving_of, windows_of
-from .output_error import NAMES, believed, fit_car
+from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE, Fitted
 from .tire_fit import Parameter
 
@@ -64,7 +64,7 @@ class LapTires:
         ``front_stiffness_n_per_rad`` and ``rear_stiffness_n_per_rad`` of the whole axle at rest,
         ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C), and of the
         steering ``delay_s`` (dead time and lag together), ``gain`` and ``offset_rad``.
-    demonstrated : float
+    largest_a_y : float
         Largest sustained lateral acceleration [m/s^2].
     explained : float
         Share of the variance of the yaw rate.
@@ -81,7 +81,7 @@ class LapTires:
     notes: list[str]
     windows: int
     parameters: dict[str, Parameter]
-    demonstrated: float
+    largest_a_y: float
     explained: float
     noise: dict[str, float]
     fitted: Fitted
@@ -90,7 +90,7 @@ class LapTires:
     @property
     def least_friction(self) -> float:
         """Lower bound of the friction coefficient [-]: what the demonstrated grip takes."""
-        return self.demonstrated / GRAVITY
+        return self.largest_a_y / GRAVITY
 
 
 def tires_from_laps(
@@ -116,19 +116,27 @@ def tires_from_laps(
     Returns
     -------
     LapTires
+        Runs that lack something are left out, and noted.
 
     Raises
     ------
     IdentificationError
         If there is too little turning, or if the commands do not explain it.
     """
-    drives, notes = [], []
+    used, drives, notes = [], [], []
     for run in runs:
-        drive = driving_of(run)
+        try:
+            drive = driving_of(run)
+        except IdentificationError as error:
+            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            continue
+        used.append(run)
         drives.append(drive)
-        notes += [f"{run.label}: {note}" for note in drive.notes]
+        notes += [f"{run.label}: {note}" for note in (*run.notes, *drive.notes)]
+    labels = [run.label for run in used]
+    if not drives:
+        raise IdentificationError("; ".join(notes))
     windows = windows_of(drives, excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
-    labels = [run.label for run in runs]
     if windows.count < FEWEST_WINDOWS:
         raise IdentificationError(
             f"{', '.join(labels)}: expected at least {FEWEST_WINDOWS} s in which the yaw rate "
@@ -155,17 +163,18 @@ def tires_from_laps(
         notes=notes,
         windows=windows.count,
         parameters=_parameters(vehicle, base, fitted, free, unknown),
-        demonstrated=demonstrated,
+        largest_a_y=demonstrated,
         explained=explained,
         noise=fitted.noise,
         fitted=fitted,
-        delays=estimate_delays(runs, vehicle),
+        delays=estimate_delays(used, vehicle),
     )
 
 
 def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:
     """The car with the tires of a fit."""
-    front, rear, grip, bend = (math.exp(fitted[name]) for name in ("front", "rear", "grip", "shape"))
+    names = ("front", "rear", "grip", "shape")
+    front, rear, grip, bend = (math.exp(fitted[name]) for name in names)
     car = scaled_tires(base, grip, front / grip, rear / grip)
     if not isinstance(base.front, PacejkaTire):
         return car
@@ -190,7 +199,9 @@ def _fitted(base, windows, prior, demonstrated):
     if demonstrated < LEAST_USE * _limit(car_of(base, free)):
         unknown |= {"grip", "shape"}
     held = {**prior, **dict.fromkeys(unknown, 0.0)}
-    return free, fit_car(base, windows, believed(**held)) if held != prior else free, unknown
+    if held == prior:
+        return free, free, unknown
+    return free, fit_car(base, windows, believed(**held), near=free), unknown
 
 
 def _limit(vehicle: Vehicle) -> float:

@@ -173,7 +173,10 @@ def _curve(tire, factor, bend):
 
 
 def fit_car(
-    vehicle: Vehicle, windows: Windows, beliefs: dict[str, Believed] | None = None
+    vehicle: Vehicle,
+    windows: Windows,
+    beliefs: dict[str, Believed] | None = None,
+    near: Fitted | None = None,
 ) -> Fitted:
     """Fit tires, steering and delays of a car to what was measured in windows.
 
@@ -184,6 +187,8 @@ def fit_car(
     windows : Windows
     beliefs : dict of str to Believed, optional
         See `believed`.
+    near : Fitted, optional
+        Where to begin.
 
     Returns
     -------
@@ -199,4 +204,6 @@ def fit_car(
         return {name: windows.at(name, found[name]) for name in windows.observed}
 
     starts = [{"delay": delay} for delay in START_DELAYS]
+    if near is not None:
+        starts = [dict(zip(near.names, near.values))]
     return fit(predict, windows.observed, beliefs or believed(), starts, NOISE)
