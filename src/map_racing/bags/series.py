@@ -8,7 +8,7 @@ import numpy as np
 
 from .bag import Connection, Message
 from .clocks import LATENCY_NS, Clock
-from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION
+from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
 from .samples import in_order, jump_back, usable
 
 __all__ = ["PoseSeries", "Series", "quaternion_note"]
@@ -198,7 +198,7 @@ class PoseSeries(Series):
         """Leave out messages in another frame; those that are cut off are found by the decoder."""
         for keep, data in zip(same, self._data):
             if not keep:
-                name = _frame_bytes(data)[4:].decode("utf-8", "replace")
+                name = decode_frame(_frame_bytes(data)[4:])
                 self._elsewhere[name] = self._elsewhere.get(name, 0) + 1
         self._data = [data for data, keep in zip(self._data, same) if keep]
         self._received = [at for at, keep in zip(self._received, same) if keep]
@@ -208,7 +208,7 @@ class PoseSeries(Series):
         times, columns = super().columns(notes, topic, clock)
         quaternion_note(notes, topic, columns.pop(3))
         for frame, count in self._elsewhere.items():
-            first = self._frame[4:].decode("utf-8", "replace")
+            first = decode_frame(self._frame[4:])
             notes.append(
                 f"warning: {topic}: {count} messages in another frame, {frame or '(unnamed)'}, "
                 f"left out: only the first, {first or '(unnamed)'}, counts"
