@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--linear-output",
         metavar="YAML",
-        help="also write the car with linear tires (by regression; from laps, the slope at no slip)",
+        help="also write the car with linear tires (regression; of laps the slope at no slip)",
     )
     parser.add_argument("--name", help="name of the identified car (default: the name of the file)")
     add_recording_options(parser)
