@@ -685,6 +685,8 @@ def test_sliders_are_those_of_the_parameters(rig):
     for name in expected:
         field = known[name if name in known else name[-3:]]
         assert (offered[name]["min"], offered[name]["max"]) == field.metadata["tuning"], name
+        switch = isinstance(field.default, bool)
+        assert offered[name]["type"] == ("bool" if switch else "double"), name
         assert offered[name]["description"] == meaning(field)
 
 

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 from ..bags.samples import Recording
 from ..errors import EvaluationError
+from ..track.findings import WARNING
 from ..track.raceline import Raceline
+from .doubts import raceline_warnings
 from .laps import evaluate
 from .recordings import recorded_runs
 from .results import RunResult
@@ -53,7 +55,10 @@ def evaluate_runs(
         origin = recording.waypoints.topic
     runs, errors = [], []
     for part, raceline in parts:
-        notes = [*part.notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
+        doubts = raceline_warnings(raceline, origin)
+        said = [str(finding) for finding in raceline.findings if finding.severity != WARNING]
+        notes = [*part.notes, "; ".join([f"raceline: {origin}", *said])]
+        notes += [f"warning: {doubt}" for doubt in doubts]
         if reverse:
             raceline = raceline.reversed()
             notes = [*notes, "raceline reversed"]

@@ -111,6 +111,7 @@ def estimate_delays(
     """
     drives, notes = [], []
     for run in runs:
+        notes += [f"{run.label}: {note}" for note in run.notes]
         try:
             drive = driving_of(run)
         except IdentificationError as error:

@@ -58,6 +58,7 @@ def test_the_bags_hold_the_races_of_the_table(tires):
 def test_provenance_says_what_was_raced(tires):
     provenance = json.loads((tires / "results.json").read_text())["provenance"]
     assert provenance["conditions"]["seeds"] == [1, 2]
+    assert any("identified NUC4 from steering ramps" in note for note in provenance["notes"])
     assert set(provenance["days"]) == {"1", "2", "11"}
     assert provenance["identification"]["vehicle"] == "identified.yaml"
     assert set(provenance["controllers"]) == set(LABELS)
