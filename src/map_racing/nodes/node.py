@@ -293,6 +293,9 @@ class FirstSender:
                 rospy.logerr_throttle(10.0, text)
                 self._on_other(text)
                 return False
+            if self._sender is not None:
+                text = f"{self._topic}: {self._sender} fell silent, and {sender} took its place"
+                self._on_other(text)
             self._sender = sender
         self._heard = now
         return True
