@@ -29,7 +29,7 @@ from ..errors import EvaluationError, ParameterError
 from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
-from .doubts import alternation, bunches, frame_warning, uncommanded
+from .doubts import alternation, bunches, frame_warning, speed_warning, uncommanded
 from .results import Lap, LapTrace, RunResult, Summary
 from .speed import speed_of
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
@@ -519,6 +519,7 @@ def evaluate(
         frame_warning(recording.topic, recording.frame),
         alternation(recording.topic, recording.x, recording.y),
         bunches(recording.topic, recording.t),
+        speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
     ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)
