@@ -57,6 +57,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
             "static_load_n": points.load,
             "covered_slip_rad": fit.covered_slip,
             "rise_at_covered_slip": fit.rise,
+            "share_of_peak": fit.reach,
             "peak_reached": bool(fit.saturated),
             "parameters": {key: value._asdict() for key, value in fit.parameters.items()},
             "linear": {
@@ -133,7 +134,8 @@ def _axle(name, axle, base):
     reach = (
         "the peak was reached"
         if fit.saturated
-        else f"not saturated: there the curve still rises with {fit.rise:.0%} of its first slope"
+        else f"not saturated: the forces end at {fit.reach:.0%} of the curve's peak, where it "
+        f"still rises with {fit.rise:.0%} of its first slope"
     )
     lines = [
         f"{name} axle: {fit.inlier.size} points, {fit.rejected_share:.1%} rejected, mean residual "
