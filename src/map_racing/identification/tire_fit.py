@@ -32,6 +32,7 @@ from ..vehicle.single_track import GRAVITY, axle_loads, slip_angles
 from ..vehicle.tires import LinearTire, PacejkaTire
 
 __all__ = [
+    "AT_PEAK",
     "AxlePoints",
     "LinearFit",
     "Parameter",
@@ -51,6 +52,8 @@ UNDETERMINED = 0.5
 # The peak is reached if the measured forces end at this share of it or beyond, and its interval not
 # farther above the largest of them than this.
 AT_PEAK, ABOVE = 0.95, 1.1
+# They must also have risen to it: the smallest of them are below this share of the largest.
+RISEN = 0.75
 FEWEST_POINTS = 20
 FEW_POINTS = 300  # are enough for the first fit
 CONFIDENCE = 1.96  # of a normal distribution: 95 %
@@ -247,8 +250,10 @@ def fit_pacejka(
     tire = PacejkaTire(*theta)
     rise = float(tire.slope(covered)) / tire.stiffness
     reach = float(tire.normalized_force(min(covered, tire.peak_slip))) / tire.peak
-    largest = float(np.percentile(np.abs(force[inlier]), 98.0))
-    parameters, saturated = _intervals(theta, jacobian, noise, points.load, reach, largest)
+    least, largest = (float(f) for f in np.percentile(np.abs(force[inlier]), (2.0, 98.0)))
+    ends = reach >= AT_PEAK and least < RISEN * largest
+    most = ABOVE * largest if ends else 0.0
+    parameters, saturated = _intervals(theta, jacobian, noise, points.load, most)
     residual = force - points.load * tire.normalized_force(slip)
     return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise, reach, saturated)
 
@@ -364,11 +369,11 @@ def _least_squares(begin, slip, force, load, ratio, prior, noise):
     return solution.x, solution.jac[: slip.size]
 
 
-def _intervals(theta, jacobian, noise, load, reach, largest):
+def _intervals(theta, jacobian, noise, load, most):
     """95 % intervals from the covariance, what is determined, and whether the peak was reached.
 
     A parameter is determined if the data bring its spread well below the prior's; the peak, and
-    what shapes it, also need data that reach it.
+    what shapes it, also need data that reach it, so that its interval ends below `most` [N].
     """
     information = jacobian.T @ jacobian / max(noise, 1e-9) ** 2
     spread = np.array(
@@ -389,7 +394,7 @@ def _intervals(theta, jacobian, noise, load, reach, largest):
         return value, math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
 
     peak, unsure = derived(lambda p: load * PacejkaTire(*p).peak)
-    saturated = reach >= AT_PEAK and peak + CONFIDENCE * unsure <= ABOVE * largest
+    saturated = peak + CONFIDENCE * unsure <= most
     parameters = {}
     for i, name in enumerate("BCDE"):
         known = deviation[i] < UNDETERMINED * spread[i]

@@ -296,7 +296,16 @@ def test_second_real_car(shared_data):
     with pytest.raises(IdentificationError, match="time: .* a second of the recording lasts 0.86"):
         identify(runs, SECOND)
     # Its speed oscillates, so a lower cut-off is needed to see what is steady.
-    found = identify(runs, SECOND, fix=True, limits=SteadyLimits(cutoff_hz=0.4))
+    limits = SteadyLimits(cutoff_hz=0.4)
+    # Its wheels turn more than it says, and nothing tells how much: all of it is hard cornering.
+    with pytest.raises(IdentificationError, match="how much more is unknown without cornering"):
+        identify(runs, SECOND, fix=True, limits=limits)
+    runs = [
+        dataclasses.replace(run, setup=dataclasses.replace(run.setup, steering_gain=1.2))
+        for run in runs
+    ]
+    found = identify(runs, SECOND, fix=True, limits=limits)
+    assert found.setup.steering_gain == 1.2
     assert found.setup.time_scale == pytest.approx(0.863, abs=0.01)
     # One steering angle to one side does not tell a tire's peak.
     assert not found.axles["front"].pacejka.saturated and not found.axles["rear"].pacejka.saturated
