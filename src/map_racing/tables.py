@@ -16,6 +16,7 @@ import numpy as np
 
 from .errors import FileFormatError
 from .files import refuse_special
+from .printing import printable
 
 __all__ = [
     "UNITS",
@@ -133,7 +134,8 @@ def _split_header(path, file, unnamed):
     numeric = is_number(_cells(path, *first, delimiter)[0])
     header = comment if numeric else first[1]
     count = len(_cells(path, *first, delimiter))
-    names = [name.strip() for name in _cells(path, first[0], header, delimiter)] if header else []
+    cells = _cells(path, first[0], header, delimiter) if header else []
+    names = [printable(name.strip()) for name in cells]
     if numeric and len(names) != count and count in unnamed:
         names = list(unnamed[count])
     if not names:

@@ -11,23 +11,73 @@ from ..track.findings import WARNING
 from ..track.raceline import Raceline
 from .results import Lap
 
-__all__ = ["frame_warning", "raceline_warnings", "uncommanded"]
+__all__ = ["alternation", "bunches", "frame_warning", "raceline_warnings", "uncommanded"]
+
+
+# Frames that racelines are in; poses without a frame are taken to be in the map, too.
+_MAPS = ("", "map", "world")
+# Poses that alternate between two places do so after an odd and an even number of samples.
+_ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
+# Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
+_SAME, _BUNCHED = 0.05, 0.7
 
 
 def frame_warning(topic: str, frame: str) -> str:
-    """Doubt about poses in a frame of odometry; empty without."""
-    if not is_odometry_frame(frame):
+    """Doubt about poses in another frame than the map; empty without."""
+    if is_odometry_frame(frame):
+        return (
+            f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
+            "not those on the track"
+        )
+    if frame.rpartition("/")[2] in _MAPS:
         return ""
     return (
-        f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are not "
-        "those on the track"
+        f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "
+        "both are the same"
     )
 
 
-def raceline_warnings(raceline: Raceline) -> list[str]:
-    """Doubts about a raceline, and so about all that is measured against it."""
+def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
+    """Doubt about poses that alternate between two places, as of two nodes on a topic; or empty.
+
+    Second differences of such poses change their direction from each sample to the next, and keep
+    doing so; those of noise are forgotten after three, and those of a driving car keep theirs.
+    """
+    bends = np.stack((np.diff(x, 2), np.diff(y, 2)))
+    if bends.shape[1] < 10 * _EVEN:
+        return ""
+    apart = 0.5 * float(np.median(np.hypot(*bends)))
+    size = float(np.median(np.sum(bends**2, axis=0)))
+    if apart < _APART:
+        return ""
+    odd, even = (
+        float(np.median(np.sum(bends[:, lag:] * bends[:, :-lag], axis=0))) / size
+        for lag in (_ODD, _EVEN)
+    )
+    if not (odd < -_ALIKE and even > _ALIKE):
+        return ""
+    return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
+
+
+def bunches(topic: str, t: np.ndarray) -> str:
+    """Doubt about times that come in bunches, between which the car seems to leap; or empty."""
+    steps = np.diff(t)
+    if steps.size < 10:
+        return ""
+    apart = steps[steps > _SAME * np.mean(steps)]
+    if apart.size > _BUNCHED * steps.size:
+        return ""
+    return (
+        f"{topic}: poses come in bunches, {np.median(apart):.2f} s apart: times and speeds are no "
+        "better than that"
+    )
+
+
+def raceline_warnings(raceline: Raceline, origin: str = "") -> list[str]:
+    """Doubts about a raceline from `origin`, and so about all that is measured against it."""
+    origin = origin or raceline.name or raceline.source
     doubts = [finding for finding in raceline.findings if finding.severity == WARNING]
-    return [f"raceline {raceline.name or raceline.source}: {finding}" for finding in doubts]
+    return [f"raceline {origin}: {finding}" for finding in doubts]
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:

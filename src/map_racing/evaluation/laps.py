@@ -29,8 +29,9 @@ from ..errors import EvaluationError, ParameterError
 from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
-from .doubts import frame_warning, uncommanded
+from .doubts import alternation, bunches, frame_warning, uncommanded
 from .results import Lap, LapTrace, RunResult, Summary
+from .speed import speed_of
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 
 __all__ = [
@@ -252,19 +253,26 @@ class LapEvaluator:
         if last is None:
             self._tracker.reset()
             self._changed = t
-        place = self._tracker.update(x, y)
-        progress = (place.s - self._start_s) % length
+        if last is not None and x == last.x and y == last.y:
+            progress, d = last.progress, last.d
+        else:
+            place = self._tracker.update(x, y)
+            progress, d = (place.s - self._start_s) % length, place.d
+            if last is not None:
+                step = progress - last.progress % length
+                step -= length * round(step / length)
+                progress = last.progress + step
+        sample = _Sample(t, x, y, progress, d, v, speed_command, steering)
         if last is not None:
-            step = progress - last.progress % length
-            step -= length * round(step / length)
-            progress = last.progress + step
-        sample = _Sample(t, x, y, progress, place.d, v, speed_command, steering)
-        if last is not None:
+            changed = self._changed
             faults = self._step_faults(last, sample)
             if faults:
                 self._faults.update(faults)
             crossed = math.floor(progress / length)
             if crossed > math.floor(last.progress / length):
+                # A localization slower than its messages repeats its pose while the car drives on.
+                if changed < last.t and t - changed <= self.limits.max_gap:
+                    last = last._replace(t=changed)
                 self._cross(crossed, last, sample, faults)
         self._last = sample
         self._samples.extend(sample)
@@ -303,6 +311,8 @@ class LapEvaluator:
         part = (at - last.progress) / (sample.progress - last.progress)
         crossing = _Sample._make(a + (b - a) * part for a, b in zip(last, sample))
         crossing = crossing._replace(progress=at)
+        while len(self._samples) and self._samples[-len(_Sample._fields)] >= crossing.t:
+            del self._samples[-len(_Sample._fields) :]
         self._samples.extend(crossing)
         if self._line is None:
             self._close("out-lap", complete=False)
@@ -340,7 +350,7 @@ class LapEvaluator:
         dt = np.diff(t)
         begin = progress[0] if self._line is None else self._line * self.raceline.length
         curve = self.raceline.sample(progress + self._start_s)
-        v, reference = _speed(t, x, y, v), command
+        v, reference = speed_of(t, x, y, v), command
         source = "command"
         if np.isnan(command).all():
             reference, source = curve.speed, "raceline" if curve.speed is not None else ""
@@ -505,7 +515,11 @@ def evaluate(
         result = replace(result, laps=laps)
     progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
-    doubts = [frame_warning(recording.topic, recording.frame)]
+    doubts = [
+        frame_warning(recording.topic, recording.frame),
+        alternation(recording.topic, recording.x, recording.y),
+        bunches(recording.topic, recording.t),
+    ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)
     notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts if doubt)]
@@ -568,30 +582,3 @@ def _driven(x, y):
         if step > _JITTER:
             driven, x0, y0 = driven + step, x1, y1
     return driven
-
-
-def _speed(t, x, y, v):
-    """Measured speed or, where some of it is missing, the speed of the pose."""
-    if np.isfinite(v).all():
-        return v
-    steps, dt = np.hypot(np.diff(x), np.diff(y)), np.diff(t)
-    # Stamps that come in bunches would make any speed: it is taken over the time between bunches.
-    kept = _apart(t, 0.05 * float(np.mean(dt)))
-    if kept.size == t.size:
-        moving = steps / dt
-        return 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
-    path = np.append(0.0, np.cumsum(steps))
-    moving = np.diff(path[kept]) / np.diff(t[kept])
-    speed = 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
-    return np.interp(t, t[kept], speed)
-
-
-def _apart(t, least):
-    """Indices of samples at least so far apart [s]; all, if only the ends, crossings, are not."""
-    if not np.any(np.diff(t[1:-1]) < least):
-        return np.arange(t.size)
-    kept = [0]
-    for index, time in enumerate(t.tolist()):
-        if time - t[kept[-1]] >= least and (t[-1] - time >= least or index == t.size - 1):
-            kept.append(index)
-    return np.array(kept)

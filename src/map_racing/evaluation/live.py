@@ -19,7 +19,7 @@ from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
-from ..bags.clocks import LATENCY_NS
+from ..bags.clocks import COMMAND_DELAY_NS, LATENCY_NS
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
@@ -172,7 +172,8 @@ class _CommandClock:
         # Of equal clocks, the topic that ended is the newer one: zero lies between these two.
         one, other = np.median(self._ends_of_commands), np.median(self._ends_of_poses)
         constant = one * other > 0.0 and min(abs(one), abs(other)) > abs(one - other)
-        self.offset_ns = offset if constant and abs(offset) > LATENCY_NS else 0
+        other = constant and not -LATENCY_NS <= offset <= COMMAND_DELAY_NS
+        self.offset_ns = offset if other else 0
 
 
 class LiveEvaluation:

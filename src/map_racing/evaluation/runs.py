@@ -55,7 +55,7 @@ def evaluate_runs(
         origin = recording.waypoints.topic
     runs, errors = [], []
     for part, raceline in parts:
-        doubts = raceline_warnings(raceline)
+        doubts = raceline_warnings(raceline, origin)
         said = [str(finding) for finding in raceline.findings if finding.severity != WARNING]
         notes = [*part.notes, "; ".join([f"raceline: {origin}", *said])]
         notes += [f"warning: {doubt}" for doubt in doubts]

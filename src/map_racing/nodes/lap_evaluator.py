@@ -86,14 +86,15 @@ class LapEvaluatorNode:
                 lambda raceline: self._put(self._set_raceline, raceline),
                 lambda error: rospy.logwarn("%s", error),
             )
-        self._subscribe("drive", AckermannDriveStamped, self._add_command)
+        sender = FirstSender(rospy.resolve_name("drive"), self._queue_doubt)
+        self._subscribe("drive", AckermannDriveStamped, self._add_command, sender.sent)
         self._subscribe(BELIEF_TOPIC, Belief, self._add_belief)
         kind, add = (
             (Odometry, self._add_odometry) if pose == "odom" else (PoseStamped, self._add_pose)
         )
         self._pose_topic = rospy.resolve_name(pose), kind._type
         self._no_poses = f"no poses on {self._pose_topic[0]}"
-        sender = FirstSender(self._pose_topic[0], lambda text: self._put(self._doubt, text))
+        sender = FirstSender(self._pose_topic[0], self._queue_doubt)
         self._subscribe(pose, kind, add, sender.sent)
 
     def _subscribe(self, topic, kind, handle, counts=lambda _: True):
@@ -158,8 +159,8 @@ class LapEvaluatorNode:
         name = raceline.name or raceline.source
         rospy.loginfo("%s %s, %.2f m", "raceline" if first else "now on", name, raceline.length)
 
-    def _doubt(self, text, *_):
-        self._laps.doubt(text)
+    def _queue_doubt(self, text):
+        self._put(lambda *_: self._laps.doubt(text), None)
 
     def _add_odometry(self, message, received_ns, received):
         at, velocity = message.pose.pose.position, message.twist.twist.linear

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import signal
@@ -16,6 +17,7 @@ import rosgraph
 import rospy
 
 from ..errors import MapRacingError, ParameterError
+from ..printing import printable
 from ..validation import meaning
 
 __all__ = [
@@ -108,6 +110,7 @@ def run(name: str, make: Callable[[], object]) -> None:
         `MapRacingError` ends the node with one line and exit code 1.
     """
     to_launch_folder()
+    logging.getLogger("rosout").addFilter(_harmless)
     _wait_for_master()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # A node started with nohup outlives its terminal.
@@ -129,6 +132,12 @@ def run(name: str, make: Callable[[], object]) -> None:
         expected = node is None or isinstance(error, rospy.ROSException)
         if not (expected and rospy.core.is_shutdown_requested()):
             raise
+
+
+def _harmless(record):
+    """Take a line of the log, with what a terminal would obey written out."""
+    record.msg, record.args = printable(record.getMessage(), lines=True), ()
+    return True
 
 
 def _wait_for_master():
@@ -284,6 +293,9 @@ class FirstSender:
                 rospy.logerr_throttle(10.0, text)
                 self._on_other(text)
                 return False
+            if self._sender is not None:
+                text = f"{self._topic}: {self._sender} fell silent, and {sender} took its place"
+                self._on_other(text)
             self._sender = sender
         self._heard = now
         return True

@@ -10,9 +10,10 @@ from .shared import add_join_option, add_number
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Identify the tires of a car from recordings of steady cornering: ramps of the steering "
-        "angle or circles at steady speeds. Writes the vehicle file and, beside it, its lookup "
-        "table (.csv). Data that cannot identify tires are refused with the reason."
+        "Identify the tires of a car from recordings of steady cornering (ramps of the steering "
+        "angle or circles at steady speeds), of ordinary laps, or of both. Writes the vehicle file "
+        "and, beside it, its lookup table (.csv). Data that cannot identify tires are refused with "
+        "the reason."
     )
     parser.add_argument(
         "data",
@@ -31,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--linear-output",
         metavar="YAML",
-        help="also write the car with linear tires, by regression",
+        help="also write the car with linear tires (regression; of laps the slope at no slip)",
     )
     parser.add_argument("--name", help="name of the identified car (default: the name of the file)")
     add_recording_options(parser)
