@@ -49,8 +49,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     check.add_argument(
         "--controller",
         default="map",
-        help="with --raceline, whose grip_use tells where it would drive slower than the raceline "
-        "at a speed scale of 1: shipped controller or YAML file (default: %(default)s)",
+        help="with --raceline: also list where the grip_use of this controller (shipped, or YAML "
+        "file) makes it slower than the raceline at a speed scale of 1 (default: %(default)s)",
     )
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run="lookup.run_check")
