@@ -3,7 +3,7 @@
 import argparse
 
 from ...vehicle.comparison import LARGEST_DIFFERENCE
-from .recording import add_recording_options, add_replay_window
+from .recording import add_replay_window, add_signal_options
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +51,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     check.add_argument(
         "--controller",
         default="map",
-        help="with --raceline, whose grip_use tells where it would drive slower than the raceline "
-        "at a speed scale of 1: shipped controller or YAML file (default: %(default)s)",
+        help="with --raceline: also list where the grip_use of this controller (shipped, or YAML "
+        "file) makes it slower than the raceline at a speed scale of 1 (default: %(default)s)",
     )
     check.add_argument(
         "--bag",
@@ -63,6 +63,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "steering and drive are fitted to them",
     )
     add_replay_window(check)
-    add_recording_options(check)
+    add_signal_options(check)
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run="lookup.run_check")
