@@ -11,7 +11,14 @@ from ..bags.samples import Recording
 from ..errors import EvaluationError
 from ..track.findings import WARNING
 from ..track.raceline import Raceline
-from .doubts import alternation, bunches, frame_warning, raceline_warnings, uncommanded
+from .doubts import (
+    alternation,
+    bunches,
+    frame_warning,
+    raceline_warnings,
+    speed_warning,
+    uncommanded,
+)
 from .laps import NO_WALLS, LapEvaluator, LapLimits
 from .recordings import recorded_runs
 from .results import RunResult
@@ -138,6 +145,7 @@ def evaluate(
         frame_warning(recording.topic, recording.frame),
         alternation(recording.topic, recording.x, recording.y),
         bunches(recording.topic, recording.t),
+        speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
     ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)

@@ -361,6 +361,15 @@ def test_a_localization_slower_than_its_messages(drive, line, repeats):
         assert lap.max_speed_mps == pytest.approx(V, rel=0.02)
 
 
+def test_odometry_without_velocity(drive, line):
+    """Nobody filled it in: the speed is that of the poses."""
+    lap = run(line, *drive(12.0), 0.0).laps[1]
+    # 0.1 m to the left the lap is shorter.
+    expected = V * (1.0 - 0.1 * math.tau / line.length)
+    assert lap.mean_speed_mps == pytest.approx(expected, rel=1e-3)
+    assert run(line, np.arange(5.0), np.zeros(5), np.zeros(5), 0.0).laps[0].mean_speed_mps == 0.0
+
+
 @pytest.mark.parametrize("stood", [0.4, 3.0])
 def test_speed_of_a_car_that_stands_between_poses(drive, track, line, stood):
     """Repeated poses of a standing car are no slow localization."""
