@@ -17,7 +17,6 @@ import numpy as np
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
-from ..vehicle.size import ONE_TENTH, size_of
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
 from .cornering import ProcessedRun, motion_of
@@ -248,8 +247,8 @@ def _fit_axles(motions, vehicle, limits, front_force):
 
 
 def _threshold(vehicle):
-    """Where rejection begins [N]: the paper's 10 N, and in a larger car 0.3 times its weight."""
-    return 10.0 if size_of(vehicle) is ONE_TENTH else 0.3 * vehicle.m * GRAVITY
+    """Where rejection begins [N]: the paper's 10 N of a car of 3.5 kg, by weight."""
+    return 10.0 * vehicle.m / 3.5
 
 
 def leave_one_out(runs: Iterable[Run], base_vehicle: Vehicle, **options: Any) -> list[Prediction]:

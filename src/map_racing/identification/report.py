@@ -12,6 +12,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.steady_state import steady_state_table
 from .identify import Identification, Prediction
 from .limits import RATE_HZ
+from .tire_fit import AT_PEAK
 
 __all__ = [
     "comparison",
@@ -67,6 +68,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
             "static_load_n": points.load,
             "covered_slip_rad": fit.covered_slip,
             "rise_at_covered_slip": fit.rise,
+            "share_of_peak": fit.reach,
             "peak_reached": bool(fit.saturated),
             "parameters": {key: value._asdict() for key, value in fit.parameters.items()},
             "linear": {
@@ -157,11 +159,15 @@ def survey_data(found: Any) -> dict[str, Any]:
 def _axle(name, axle, base):
     points, fit, linear = axle
     p = fit.parameters
-    reach = (
-        "the peak was reached"
-        if fit.saturated
-        else f"not saturated: there the curve still rises with {fit.rise:.0%} of its first slope"
-    )
+    if fit.saturated:
+        reach = "the peak was reached"
+    elif fit.reach >= AT_PEAK:
+        reach = "whether that is the peak they do not tell: they scatter, or do not rise to it"
+    else:
+        reach = (
+            f"not saturated: the forces end at {fit.reach:.0%} of the curve's peak, where it "
+            f"still rises with {fit.rise:.0%} of its first slope"
+        )
     lines = [
         f"{name} axle: {fit.inlier.size} points, {fit.rejected_share:.1%} rejected, mean residual "
         f"{fit.mean_residual_n:.2f} N at {points.load:.1f} N of load",

@@ -19,7 +19,13 @@ from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
 from .data import SensorSetup
-from .kinematic_checks import both_sides, check_front_slip, check_pose_point, check_steering_gain
+from .kinematic_checks import (
+    both_sides,
+    check_front_slip,
+    check_lock,
+    check_pose_point,
+    check_steering_gain,
+)
 from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = ["check", "correct", "reason_to_refuse", "reason_unsteady"]
@@ -141,6 +147,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
         check_pose_point,
         check_steering_gain,
         check_front_slip,
+        check_lock,
         _lateral_velocity,
         _sides,
         _localization,
