@@ -56,6 +56,12 @@ class IdentifiedCar:
         return linearized(self.vehicle) if self.laps else self.steady.linear_vehicle
 
     @property
+    def runs(self) -> list[Run]:
+        """The runs used, with the setup of their sensors."""
+        steady = [motion.run for motion in self.steady.motions] if self.steady else []
+        return [*steady, *(self.survey.ordinary if self.laps else [])]
+
+    @property
     def setup(self) -> SensorSetup:
         """Of the sensors, as used."""
         return self.survey.setup

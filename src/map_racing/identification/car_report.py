@@ -10,6 +10,7 @@ from .car import IdentifiedCar
 from .delay import delay_data, delay_text
 from .identify import Prediction
 from .laps import LapTires
+from .replay import Replay, replay_data, replay_lines
 from .report import comparison, report_data, report_text, survey_data, survey_lines, tables
 
 __all__ = ["car_data", "car_text", "provenance"]
@@ -26,9 +27,15 @@ SHOWN = (
 )
 
 
-def car_text(found: IdentifiedCar, left_out: list[Prediction] | None = None) -> str:
+def car_text(
+    found: IdentifiedCar,
+    left_out: list[Prediction] | None = None,
+    validated: Replay | None = None,
+) -> str:
     """The identification as text; arguments as for `car_data`."""
     parts = []
+    if validated:
+        parts.append("\n".join(replay_lines(validated)))
     if found.steady:
         parts.append(report_text(found.steady, left_out))
     if found.laps:
@@ -68,7 +75,11 @@ def parameter_text(laps: LapTires, name: str, unit: str, form: str) -> str:
     return f"not determined by these data: stays {value:{form}}{unit} {interval}"
 
 
-def car_data(found: IdentifiedCar, left_out: list[Prediction] | None = None) -> dict[str, Any]:
+def car_data(
+    found: IdentifiedCar,
+    left_out: list[Prediction] | None = None,
+    validated: Replay | None = None,
+) -> dict[str, Any]:
     """The identification as plain dictionaries, lists and numbers; None for missing values.
 
     Parameters
@@ -76,6 +87,8 @@ def car_data(found: IdentifiedCar, left_out: list[Prediction] | None = None) -> 
     found : IdentifiedCar
     left_out : list of Prediction, optional
         From `map_racing.identification.identify.leave_one_out`.
+    validated : Replay, optional
+        Recordings that the car was not fitted to, replayed.
     """
     if found.steady:
         data = report_data(found.steady, left_out)
@@ -93,6 +106,7 @@ def car_data(found: IdentifiedCar, left_out: list[Prediction] | None = None) -> 
         tables=tables(found.base, found.vehicle),
         largest_lateral_acceleration_mps2=found.largest_a_y,
         laps=None,
+        validation=replay_data(validated) if validated else None,
     )
     if found.laps:
         data["laps"] = laps_data(found.laps)
@@ -114,7 +128,7 @@ def laps_data(laps: LapTires) -> dict[str, Any]:
     }
 
 
-def provenance(found: IdentifiedCar) -> str:
+def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
     """Comment for the head of the vehicle file: what its tires rest on."""
     lines = []
     if found.steady:
@@ -152,6 +166,8 @@ def provenance(found: IdentifiedCar) -> str:
         f"Steering: wheel angle = {found.setup.steering_gain:.4f} * signal "
         f"{found.setup.steering_offset_rad:+.4f} rad."
     )
+    if validated:
+        lines.append(f"Validated by replay: {validated.headline}.")
     lines += [note for note in found.notes if "warning: " in note]
     lines += [f"check: {finding.text}" for finding in found.findings if finding.critical]
     return "\n".join(lines)

@@ -17,7 +17,7 @@ from ..errors import IdentificationError
 from .cornering import low_passed
 from .data import Run
 
-__all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of"]
+__all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
 
 # Clock on which speed and yaw rate are smoothed [Hz], and their low-pass: a drive is no faster.
 GRID_HZ, SMOOTH_HZ = 100.0, 6.0
@@ -145,7 +145,7 @@ def driving_of(run: Run) -> Driving:
         )
     t = np.arange(begin, end, 1.0 / GRID_HZ)
     smooth = low_passed(
-        np.stack([np.interp(t, *_without_outliers(*signal)) for signal in (v, r)]),
+        np.stack([np.interp(t, *without_outliers(*signal)) for signal in (v, r)]),
         *(GRID_HZ, SMOOTH_HZ),
     )
     measured = {"r": Measured(*r), "v_x": Measured(*v)}
@@ -362,7 +362,7 @@ def _speed_of_path(run, scaled):
     return 0.5 * (t[1:] + t[:-1]), np.hypot(np.diff(x), np.diff(y)) / np.diff(t)
 
 
-def _without_outliers(t, value):
+def without_outliers(t, value):
     """Samples far from the median of their neighbors left out (Hampel's filter)."""
     if value.size < 2 * NEIGHBORS:
         return t, value

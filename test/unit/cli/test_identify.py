@@ -236,6 +236,30 @@ def test_laps_make_a_car(tmp_path, capsys):
     assert "front axle:" in printed
 
 
+def test_a_car_is_validated_by_replay(tmp_path, identified, capsys, refused):
+    bag, output, report = tmp_path / "a.bag", tmp_path / "car.yaml", tmp_path / "report.json"
+    race = ["race", "--laps", "1", "--speed-scale", "0.6", "--output", str(bag)]
+    assert main(race) == 0
+    arguments = ["nuc4_ramps", "--vehicle", "nuc4", "--output", str(output), "--json", str(report)]
+    capsys.readouterr()
+    assert main(["identify", *arguments, "--validate", str(bag), "--window", "1.5"]) == 0
+    validation = json.loads(report.read_text())["validation"]
+    assert validation["window_s"] == 1.5 and validation["worst_share"] < 0.12
+    assert f"Validated by replay: {validation['headline']}" in output.read_text()
+    assert validation["headline"] in capsys.readouterr().out
+    (run,) = validation["runs"]
+    assert run["channels"]["yaw_rate"]["share"] < 0.04
+
+    check = ["lookup", "check", identified / "my_car.csv"]
+    vehicle = ["--vehicle", identified / "my_car.yaml"]
+    assert main([*map(str, [*check, *vehicle]), "--bag", str(bag)]) == 0
+    printed = capsys.readouterr().out
+    assert "replay by the commands alone, worst channel of 1 run" in printed
+    assert "s of dead time and lag, fitted with my_car's tires held" in printed
+    assert "expected --vehicle" in refused(*check, "--bag", bag)
+    assert "--window: expected" in refused(*check, *vehicle, "--bag", bag, "--window", "0")
+
+
 def test_a_servos_position_is_the_steering_angle(tmp_path, capsys, servo_bag):
     output = tmp_path / "a.yaml"
     arguments = ["--vehicle", "nuc4", "--output", str(output)]

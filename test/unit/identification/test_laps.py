@@ -4,49 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from driven_laps import QUIET, laps_of
 
-from map_racing.control.controller import build_controller
-from map_racing.control.parameters import load_controller_parameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.car import identify_car
-from map_racing.identification.data import Run, Signal
+from map_racing.identification.data import Signal
 from map_racing.identification.laps import tires_from_laps
-from map_racing.simulation.plants import build_plant, load_plant
-from map_racing.simulation.race import race
-from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.single_track import GRAVITY
 
 NUC4 = load_vehicle("nuc4")
-RACELINE = load_raceline("reference")
-
-
-def laps_of(scale, seed=1, **changes):
-    """Twenty seconds of laps of the simulated car, as a run, and its true vehicle."""
-    parameters = dataclasses.replace(load_plant("nuc4"), **changes)
-    plant, localization = build_plant(parameters, seed=seed)
-    settings = load_controller_parameters("map").with_(speed_scale=scale)
-    controller = build_controller(settings, NUC4, RACELINE)
-    samples = race(plant, controller, RACELINE, localization, laps=1).samples
-    samples = [sample for sample in samples if sample.measured.t < 20.0]
-    t = np.array([sample.measured.t for sample in samples])
-    issued = np.array([sample.arrival for sample in samples])
-
-    def signal(of, t=t):
-        return Signal(t, np.array([of(sample) for sample in samples]))
-
-    signals = {
-        "x": signal(lambda s: s.measured.x),
-        "y": signal(lambda s: s.measured.y),
-        "psi": signal(lambda s: s.measured.psi),
-        "v_x": signal(lambda s: s.measured.v_x),
-        "v_y": signal(lambda s: s.measured.v_y),
-        "yaw_rate": signal(lambda s: s.measured.r),
-        "a_y": signal(lambda s: s.acceleration[1]),
-        "steering": signal(lambda s: s.result.steering_angle, issued),
-        "speed_command": signal(lambda s: s.result.speed, issued),
-    }
-    return Run("laps.bag", signals, pose_lag=(0.02, 0.02, 0.02)), plant.vehicle
 
 
 def stiffness(vehicle, axle):
@@ -102,9 +69,7 @@ def test_far_from_the_limit_friction_stays_as_it_was():
 
 def test_perfect_measurements_do_not_tell_it_there_either():
     """At small slip a wrong shape of the curve looks like another friction."""
-    quiet = {name: 0.0 for name in ("position_noise_m", "heading_noise_rad")}
-    quiet.update(velocity_noise_mps=0.0, yaw_rate_noise_radps=0.0, acceleration_noise_mps2=0.0)
-    run, _ = laps_of(0.45, mu_scale=0.88, **quiet)
+    run, _ = laps_of(0.45, mu_scale=0.88, **QUIET)
     assert not tires_from_laps([run], NUC4).parameters["friction"].determined
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from ...identification.limits import SteadyLimits
-from .recording import add_signal_options
+from .recording import add_replay_window, add_signal_options
 from .shared import add_join_option, add_number
 
 
@@ -47,6 +47,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also predict each run from the others, and report the error",
     )
+    parser.add_argument(
+        "--validate",
+        nargs="+",
+        default=[],
+        metavar="DATA",
+        help="recordings that the car is not fitted to: it is driven open loop by their commands, "
+        "and the worst channel of the worst run heads the report",
+    )
+    add_replay_window(parser)
     parser.add_argument(
         "--acceleration",
         choices=("imu", "yaw_rate"),

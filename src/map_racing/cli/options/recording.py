@@ -2,10 +2,11 @@
 
 import argparse
 
+from ...identification.limits import REPLAY_WINDOW_S
 from ...resources import list_config
 from .shared import add_number
 
-__all__ = ["add_signal_options"]
+__all__ = ["add_signal_options", "add_replay_window"]
 
 
 def add_signal_options(parser: argparse.ArgumentParser) -> None:
@@ -34,4 +35,11 @@ def add_signal_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="latency of the steering [s]; a channel map may hold it, too (default: 0; on a ramp "
         "of 0.02 rad/s, 50 ms shift the angle by 1 mrad)",
+    )
+
+
+def add_replay_window(parser: argparse.ArgumentParser) -> None:
+    """Add the length of the windows of a replay."""
+    add_number(
+        parser, "--window", REPLAY_WINDOW_S, "length of the windows of a replay [s]", metavar="S"
     )
