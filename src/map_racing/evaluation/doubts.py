@@ -10,8 +10,16 @@ from ..bags.samples import is_odometry_frame
 from ..track.findings import WARNING
 from ..track.raceline import Raceline
 from .results import Lap
+from .speed import speed_of
 
-__all__ = ["alternation", "bunches", "frame_warning", "raceline_warnings", "uncommanded"]
+__all__ = [
+    "alternation",
+    "bunches",
+    "frame_warning",
+    "raceline_warnings",
+    "speed_warning",
+    "uncommanded",
+]
 
 
 # Frames that racelines are in; poses without a frame are taken to be in the map, too.
@@ -20,6 +28,8 @@ _MAPS = ("", "map", "world")
 _ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
+# Speed [m/s] of a car that drives; and how far the wheels may be off, typically, as they slip.
+_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.4
 
 
 def frame_warning(topic: str, frame: str) -> str:
@@ -57,6 +67,22 @@ def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
     if not (odd < -_ALIKE and even > _ALIKE):
         return ""
     return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
+
+
+def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
+    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty."""
+    if not (np.isfinite(v).all() and v.any()):
+        return ""
+    moved = speed_of(t, x, y, np.full(v.size, math.nan))
+    moving = (moved > _MOVING) | (v > _MOVING)
+    if np.count_nonzero(moving) < 10:
+        return ""
+    with np.errstate(divide="ignore"):
+        ratio = float(np.median(v[moving] / moved[moving]))
+    if _SLOWEST < ratio < _FASTEST:
+        return ""
+    hint = ": in km/h?" if abs(ratio / 3.6 - 1.0) < 0.1 else ""
+    return f"{topic}: the measured speed is {ratio:.2f} times the motion of the poses{hint}"
 
 
 def bunches(topic: str, t: np.ndarray) -> str:

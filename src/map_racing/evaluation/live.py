@@ -20,11 +20,12 @@ from typing import Callable, NamedTuple, Sequence
 import numpy as np
 
 from ..bags.clocks import COMMAND_DELAY_NS, LATENCY_NS
+from ..bags.samples import COMMAND_HOLD_S
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
 from .doubts import raceline_warnings, uncommanded
-from .laps import COMMAND_HOLD_S, LapEvaluator, LapLimits, check_options
+from .laps import LapEvaluator, LapLimits, check_options
 from .recordings import same_raceline
 from .report import csv_cells
 from .results import Lap, RunResult

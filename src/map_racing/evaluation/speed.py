@@ -8,6 +8,8 @@ __all__ = ["speed_of"]
 
 # A pose that is repeated for longer [s] is of a car that stands.
 _REPEATED = 0.25
+# A car that moved farther [m] was not standing.
+_MOVED = 1.0
 
 
 def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -22,7 +24,8 @@ def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.n
     -------
     ndarray, shape (n,)
     """
-    if np.isfinite(v).all():
+    # Odometry whose velocity nobody fills in has 0 in it.
+    if np.isfinite(v).all() and (v.any() or np.hypot(np.ptp(x), np.ptp(y)) < _MOVED):
         return v
     # Poses that are repeated while the car drives on, and stamps that come in bunches, would make
     # any speed: it is taken over the time between the others.

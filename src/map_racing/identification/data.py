@@ -348,10 +348,12 @@ def _load_csv(path, channel_map):
 
 
 def _with_units(channels, units):
-    """Channels with the units that the file states, where the channel map does not."""
+    """Channels with the units that the file states, where the channel map has neither these nor a
+    scale.
+    """
     return {
         name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
-        if channel and not channel.unit
+        if channel and not channel.unit and abs(channel.scale) == 1.0
         else channel
         for name, channel in channels.items()
     }

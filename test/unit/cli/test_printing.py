@@ -31,9 +31,7 @@ def bag(folder, track):
             x, y, psi = (float(value) for value in track.place(5.0 * 0.025 * i - 3.0, 0.1))
             for k in range(2):
                 frame = f"map{NASTY}" if k == 0 or i % 2 else f"odom{NASTY}"
-                bag.odometry(
-                    *(t, x, y, psi, 5.0, 0.1, 0.2), topic=f"/odom{k}{NASTY}", frame=frame
-                )
+                bag.odometry(*(t, x, y, psi, 5.0, 0.1, 0.2), topic=f"/odom{k}{NASTY}", frame=frame)
             bag.drive(t, 0.05, 5.0)
     return path
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from map_racing.evaluation.doubts import alternation, bunches, frame_warning
+from map_racing.evaluation.doubts import alternation, bunches, frame_warning, speed_warning
 
 T = np.arange(0.0, 30.0, 0.0125)
 
@@ -48,3 +48,14 @@ def test_bunches():
     assert "0.05 s apart" in bunches("/pose", four)
     jitter = T + 0.004 * np.random.default_rng(1).uniform(size=T.size)
     assert bunches("/pose", jitter) == ""
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1.0, ""), (0.8, ""), (1.3, ""), (3.6, "in km/h?"), (0.1, " 0.10 times"), (0.0, "")],
+)
+def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
+    doubt = speed_warning("/odom", T, *circling(), np.full(T.size, factor * 4.8))
+    assert said in doubt and bool(doubt) == bool(said)
+    still = np.zeros(T.size)
+    assert speed_warning("/odom", T, still, still, still) == ""

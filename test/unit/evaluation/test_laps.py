@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from map_racing.bags.reader import read_recording
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, ParameterError
-from map_racing.evaluation.laps import LapEvaluator, LapLimits, evaluate
+from map_racing.evaluation.laps import LapEvaluator, LapLimits
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.evaluation.results import Summary
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 
@@ -358,6 +359,15 @@ def test_a_localization_slower_than_its_messages(drive, line, repeats):
     for lap in laps:
         assert lap.lap_time_s == pytest.approx(expected, abs=1e-3)
         assert lap.max_speed_mps == pytest.approx(V, rel=0.02)
+
+
+def test_odometry_without_velocity(drive, line):
+    """Nobody filled it in: the speed is that of the poses."""
+    lap = run(line, *drive(12.0), 0.0).laps[1]
+    # 0.1 m to the left the lap is shorter.
+    expected = V * (1.0 - 0.1 * math.tau / line.length)
+    assert lap.mean_speed_mps == pytest.approx(expected, rel=1e-3)
+    assert run(line, np.arange(5.0), np.zeros(5), np.zeros(5), 0.0).laps[0].mean_speed_mps == 0.0
 
 
 @pytest.mark.parametrize("stood", [0.4, 3.0])

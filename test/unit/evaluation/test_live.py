@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.live import LapLog, LiveEvaluation
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.findings import NOTE, WARNING, Finding
 
 T0_NS = 1_600_000_000_123_456_789
