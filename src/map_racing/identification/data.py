@@ -20,6 +20,7 @@ from ..bags.reader import read_recording, read_signals
 from ..bags.samples import Recording, in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
+from ..printing import printable
 from ..resources import find_config
 from ..tables import UNITS, column_index, read_columns
 from ..validation import finite
@@ -197,7 +198,7 @@ class Run:
     def label(self) -> str:
         """Short name: the file with its folder."""
         path = Path(self.name)
-        return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
+        return printable(f"{path.parent.name}/{path.name}" if path.parent.name else path.name)
 
 
 def load_channel_map(source: str | Path) -> ChannelMap:
@@ -340,10 +341,21 @@ def _load_csv(path, channel_map):
             raise ParameterError(f"{path}: {name}: missing in the channel map of a CSV file")
     clocks = {"time": channels.pop("time"), "pose_time": channels.pop("pose_time", None)}
     wanted = [channel.source for channel in (*clocks.values(), *channels.values()) if channel]
-    columns = read_columns(
-        path, lambda names: {column: column_index(path, names, column) for column in wanted}
-    )
+    command = channels.get("speed_command")
+
+    def locate(names):
+        return {
+            column: column_index(path, names, column)
+            for column in wanted
+            # Only replays and delays of the drive need it.
+            if column in names or not command or column != command.source
+        }
+
+    columns = read_columns(path, locate)
     table, notes = columns.values, columns.notes
+    if command and command.source not in table:
+        del channels["speed_command"]
+        notes = [*notes, f"speed_command: no column {command.source!r}: left out"]
     clocks, channels = (_with_units(some, columns.units) for some in (clocks, channels))
     t = clocks["time"].to_si(table[clocks["time"].source])
     values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}
@@ -364,10 +376,12 @@ def _load_csv(path, channel_map):
 
 
 def _with_units(channels, units):
-    """Channels with the units that the file states, where the channel map does not."""
+    """Channels with the units that the file states, where the channel map has neither these nor a
+    scale.
+    """
     return {
         name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
-        if channel and not channel.unit
+        if channel and not channel.unit and abs(channel.scale) == 1.0
         else channel
         for name, channel in channels.items()
     }
