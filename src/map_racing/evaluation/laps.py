@@ -94,6 +94,12 @@ class LapLimits:
     max_stop: float = 0.3
     max_deceleration: float = 25.0
 
+    def on(self, raceline: Raceline) -> LapLimits:
+        """These limits with a `max_speed` of at least 1.5 times the raceline's largest speed."""
+        if raceline.speed is None:
+            return self
+        return replace(self, max_speed=max(self.max_speed, 1.5 * float(np.max(raceline.speed))))
+
 
 class _Sample(NamedTuple):
     """A pose with its place on the track, and the command in force."""
@@ -170,7 +176,7 @@ class LapEvaluator:
         keep_traces: bool = False,
     ):
         check_options(start_s, car_width, sectors)
-        self.raceline, self.limits = raceline, limits or LapLimits()
+        self.raceline, self.limits = raceline, (limits or LapLimits()).on(raceline)
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)
         self._keep_traces = keep_traces

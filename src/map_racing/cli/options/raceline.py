@@ -112,7 +112,13 @@ def add_optimize(actions):
     line.add_argument(
         "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
     )
-    add_number(line, "--margin", 0.1, "between the car's side and the walls [m]", metavar="M")
+    line.add_argument(
+        "--margin",
+        type=float,
+        metavar="M",
+        help="between the car's side and the walls [m] (default: 0.1 for a 1:10 car, and with its "
+        "length for a larger one)",
+    )
     line.add_argument(
         "--compare",
         metavar="FILE",
@@ -124,7 +130,12 @@ def add_optimize(actions):
         action="store_true",
         help="least squared curvature, even where a shorter line is faster",
     )
-    add_number(line, "--step", 0.1, "distance of the points that are moved [m]", metavar="M")
+    line.add_argument(
+        "--step",
+        type=float,
+        metavar="M",
+        help="distance of the points that are moved [m] (default: as of --margin)",
+    )
 
     speed = parser.add_argument_group("speed")
     speed.add_argument(
