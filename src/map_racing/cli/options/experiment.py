@@ -80,11 +80,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     rivals.add_argument(
         "--plants",
         nargs="+",
-        default=["nuc4", "public_simulator"],
+        default=["nuc4", "public_simulator", "f1tenth_drift"],
         metavar="NAME",
-        help="plants, as in map-racing race (default: nuc4 public_simulator)",
+        help="plants, as in map-racing race (default: nuc4 public_simulator f1tenth_drift)",
     )
-    rivals.add_argument("--conditions", default="paper", help="as in velocity-scaling")
+    rivals.add_argument(
+        "--conditions", default="rivals", help="as in velocity-scaling (default: %(default)s)"
+    )
     rivals.add_argument("--track", help="instead of the track of the conditions")
     rivals.add_argument(
         "--seeds", type=int, nargs="+", metavar="N", help="race days, instead of the conditions'"
@@ -92,9 +94,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     rivals.add_argument(
         "--tuning-scale",
         type=float,
-        default=0.8,
         metavar="SCALE",
-        help="scale of the speeds at which all are tuned (default: %(default)s)",
+        help="scale of the speeds at which all are tuned, instead of the conditions'",
     )
     rivals.add_argument("--no-tuning", action="store_true", help="race all as shipped")
     rivals.add_argument(
