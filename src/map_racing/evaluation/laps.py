@@ -71,7 +71,8 @@ class LapLimits:
     max_gap : float
         Longest time between two samples [s]; at 11 m/s the default is 2.75 m.
     max_speed : float
-        Fastest motion of the pose [m/s]; a step longer by `jump_margin` is a jump.
+        Fastest motion of the pose [m/s], unless 1.5 times the measured speed is more; a step longer
+        by `jump_margin` is a jump.
     jump_margin : float
         Largest correction of the localization that is no jump [m].
     max_reverse : float
@@ -294,7 +295,10 @@ class LapEvaluator:
             gap = since
         if gap > limits.max_gap:
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
-        if moved > limits.max_speed * since + limits.jump_margin:
+        fastest = 1.5 * min(last.v, sample.v)
+        if not fastest > limits.max_speed:  # nor where no speed is measured
+            fastest = limits.max_speed
+        if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
         elif self._tracker.reacquired and gap <= limits.max_gap:
             along = abs(sample.progress - last.progress)

@@ -22,6 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_race_options(scaling)
     add_number(scaling, "--laps", 10, "timed laps of a race")
+    add_number(scaling, "--from", 0.6, "first scale", dest="first", metavar="SCALE")
     add_number(scaling, "--to", 1.5, "last scale, unless all crash before", metavar="SCALE")
     add_number(scaling, "--step", 0.025, "from scale to scale", metavar="SCALE")
     scaling.set_defaults(run="experiment.run_scaling")
