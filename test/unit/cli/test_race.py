@@ -168,6 +168,6 @@ def test_a_full_size_car_is_driven_by_the_shipped_controllers(tmp_path, capsys):
     table = tmp_path / "laps.json"
     assert main(["evaluate", str(bag), "--car-width", "1.61", "--json", str(table)]) == 0
     (lap,) = [lap for lap in json.loads(table.read_text())["runs"][0]["laps"] if lap["valid"]]
-    assert lap["rms_lateral_error_m"] < 0.1
+    assert lap["rms_lateral_error_m"] < 0.3
     # 0.86 of the grip on bends of 43 m radius, and more beside them.
     assert lap["mean_speed_mps"] > 18.0
