@@ -685,14 +685,17 @@ def test_sliders_are_those_of_the_parameters(rig):
     for name in expected:
         field = known[name if name in known else name[-3:]]
         assert (offered[name]["min"], offered[name]["max"]) == field.metadata["tuning"], name
+        switch = isinstance(field.default, bool)
+        assert offered[name]["type"] == ("bool" if switch else "double"), name
         assert offered[name]["description"] == meaning(field)
 
 
 def test_the_latency_script(roscore, processes, request):
     """Only that it measures; whether a busy machine keeps to the limits is no matter of a test."""
     script = request.config.rootpath / "scripts" / "latency"
-    run = processes([sys.executable, script, "--seconds", "2"])
+    options = ["--seconds", "2", "--tuning", "--dropouts", "1", "--load", "1"]
+    run = processes([sys.executable, script, *options])
     assert run.wait(60.0) in (0, 1)
     assert "200 poses, " in run.output
-    for line in ("in the node: ", "both ways by TCP: ", "share of a core: "):
+    for line in ("in the node: ", "both ways by TCP: ", "live tuning, ", "of 1: ", "a core: "):
         assert line in run.output

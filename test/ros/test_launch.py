@@ -45,7 +45,7 @@ def nodes_of(folder):
         config = ROSLaunchConfig()
         path = str(folder / f"{file}.launch")
         XmlLoader(resolve_anon=False).load(path, config, argv=arguments, verbose=False)
-        return {node.name for node in config.nodes}
+        return {node.name: node for node in config.nodes}
 
     return load
 
@@ -94,6 +94,11 @@ def test_another_stack_is_refused(nodes_of):
     text = "stack: expected race_stack, f1tenth_system or f1tenth_simulator, got autoware"
     with pytest.raises(RLException, match=text):
         nodes_of("race", "stack:=autoware")
+
+
+def test_the_controller_may_have_priority(nodes_of):
+    assert nodes_of("race", "prefix:=chrt --rr 1")["controller"].launch_prefix == "chrt --rr 1"
+    assert not nodes_of("race")["controller"].launch_prefix
 
 
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])

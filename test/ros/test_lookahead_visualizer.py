@@ -1,11 +1,12 @@
 """The visualizer draws the guidance that it is told of, and cleans up after itself."""
 
+import itertools
 import math
 import time
 
 import pytest
 from harness import wait_for, waypoints
-from map_racing.msg import Guidance
+from map_racing.msg import Belief, Guidance
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -134,6 +135,18 @@ def test_more_than_the_grip_is_said_and_taken_back(drawing):
     assert screen.arc.color != color
     screen = drawing([guidance(8002, mode=Guidance.MODE_STOPPING, reason="pose too old")])
     assert screen.label.text == "stopping: pose too old"
+
+
+def test_the_grip_that_is_believed_is_written_as_long_as_it_is_told(drawing, advertise):
+    publisher, steps = advertise("/map_racing/belief", Belief), itertools.count(0, 2)
+    belief = Belief(grip=0.93, friction=0.97, friction_low=0.944, friction_high=1.0)
+    belief.header.stamp = guidance(8000).header.stamp
+    publisher.publish(belief)
+    wait_for(lambda: ("label", 0) in drawing([guidance(8000 + next(steps))]), what="the label")
+    assert drawing([guidance(8018)]).label.text == "grip 0.93, friction 0.94 to 1.00"
+    screen = drawing([guidance(8019, saturated=True, a_lat=-9.12)])
+    assert screen.label.text == "9.1 of 7.0 m/s2\ngrip 0.93, friction 0.94 to 1.00"
+    assert ("label", 0) not in drawing([guidance(8040)])
 
 
 def test_what_is_not_finite_is_not_drawn(drawing):

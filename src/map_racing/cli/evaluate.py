@@ -14,6 +14,7 @@ from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs
 from ..files import write_json
+from ..printing import printable
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .figures import draw_runs
@@ -41,7 +42,7 @@ def run(arguments):
         names += [name] if len(runs) == 1 else [f"{name} ({i})" for i in range(1, len(runs) + 1)]
 
     for result in results:
-        print(f"{result.source}")
+        print(printable(result.source))
         for note in result.notes:
             print(f"  {note}")
         print(lap_table(result), end="\n\n")
@@ -99,4 +100,4 @@ def run_names(sources):
         folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]
         names = [os.path.relpath(str(source), os.path.commonpath(folders)) for source in sources]
     # Figures can show only text.
-    return [os.fsencode(str(name)).decode("utf-8", "replace") for name in names]
+    return [printable(os.fsencode(str(name)).decode("utf-8", "replace")) for name in names]

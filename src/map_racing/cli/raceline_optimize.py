@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
+from ..printing import printable
 from ..track.centerline import track_from_map
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
@@ -181,7 +182,7 @@ def load(arguments, vehicle):
                 raise ParameterError(
                     f"{source}: {finding} Repair it with map-racing raceline convert --repair"
                 )
-    print(f"{source}: {track.length:.2f} m")
+    print(f"{printable(source)}: {track.length:.2f} m")
     if track.length / arguments.step > MOST_POINTS:
         raise ParameterError(
             f"{source}: expected at most {MOST_POINTS} points {arguments.step:g} m apart, "

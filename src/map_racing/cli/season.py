@@ -13,6 +13,7 @@ from ..experiments.season import COLUMNS, BagOptions, evaluate_season, find_bags
 from ..files import make_folder, replacing
 from ..pages.html import plotly_script
 from ..pages.season import season_page
+from ..printing import printable
 from ..track.files.load import load_raceline
 from .evaluate import check_evaluation
 
@@ -46,7 +47,7 @@ def run(arguments):
         file.write(season_page(heats))
     unread = [heat for heat in heats if heat["reason"]]
     for heat in unread[:20]:
-        print(f"not evaluated: {heat['reason']}")
+        print(f"not evaluated: {printable(heat['reason'])}")
     if len(unread) > 20:
         print(f"... and {len(unread) - 20} more, see the table")
     print(

@@ -16,7 +16,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..vehicle.parameters import scaled_tires
+from .. import __version__
+from ..vehicle.parameters import parameter_hash, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tire_steering import TireSteering
 
@@ -41,6 +42,9 @@ STEP, LONGEST_PAUSE = 0.0125, 0.1
 # car slides at a larger angle than this [rad], or from a measurement that the belief calls a 1 in
 # 16000 event: a curb, a jump of the localization.
 SLOWEST, LEAST_USE, SLIDE, OUTLIER = 1.5, 0.2, 0.5, 4.0
+# Why a pose taught nothing.
+NO_POSE, SLOW, STRAIGHT = "no earlier pose", "too slow", "too little grip in use"
+SLIDING, UNLIKELY = "sliding", "a pose that the belief cannot explain"
 
 # A yaw rate that stays this many deviations short of the model's, on average over about 0.1 s,
 # means that the floor has changed: the friction is as uncertain again as this (of its logarithm).
@@ -128,6 +132,10 @@ class Adaptation:
         As in `Belief`.
     slowest : float
         Least speed of a bend [m/s], from which on the lateral limit matters; it may be set.
+    frozen : str
+        Why the latest pose taught nothing; empty if it did.
+    learned_s : float
+        Time from which was learned [s].
     """
 
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
@@ -150,11 +158,12 @@ class Adaptation:
             self._P[i][i] = deviation * deviation
         self.steering, self._used = self.file_steering, self._x[:]
         self.grip = math.exp(-CAUTION * PRIOR[0])
+        self.learned_s = 0.0
         self.restart()
 
     def restart(self):
         """Forget the motion, after a pause or when the car was moved; the belief stays."""
-        self._t = None
+        self._t, self.frozen = None, NO_POSE
         self._angle = self._angle_slope = 0.0
         self._times, self._angles = [], []
         self._short = 0.0
@@ -186,6 +195,19 @@ class Adaptation:
         """The vehicle with the believed tires."""
         return scaled_tires(self.vehicle, *self.belief.factors)
 
+    def summary(self):
+        """What was learned and from how much, as some lines of text."""
+        b = self.belief
+        return (
+            f"Tires learned by map_racing {__version__} from {self.learned_s:.0f} s of driving; "
+            f"the rest is of {self.vehicle.name} ({parameter_hash(self.vehicle)}).\n"
+            f"Relative to it (95 %): friction {b.friction:.3f} ({b.friction_low:.3f} to "
+            f"{b.friction_high:.3f}), cornering stiffness in front {b.front_stiffness:.3f} "
+            f"({b.front_stiffness_low:.3f} to {b.front_stiffness_high:.3f}), behind "
+            f"{b.rear_stiffness:.3f} ({b.rear_stiffness_low:.3f} to {b.rear_stiffness_high:.3f}).\n"
+            f"Delay {b.delay:.3f} s ({b.delay_low:.3f} to {b.delay_high:.3f} s)."
+        )
+
     def update(self, state, steering_angle):
         """Learn from a pose; then note the command that answers it.
 
@@ -208,6 +230,8 @@ class Adaptation:
         if last is None or not 0.0 < t - last <= LONGEST_PAUSE or v_x < SLOWEST:
             if last is None or not 0.0 < t - last <= LONGEST_PAUSE:
                 self.restart()
+            else:
+                self.frozen = SLOW
             self._settle(t, v_x, v_y, r)
         else:
             elapsed = t - last
@@ -353,7 +377,9 @@ class Adaptation:
         P[1][1] += MODEL_R * MODEL_R * elapsed
         slides = abs(x[0]) > SLIDE * v_x
         learning = use > LEAST_USE and not slides
+        self.frozen = "" if learning else SLIDING if slides else STRAIGHT
         if learning:
+            self.learned_s += elapsed
             walked = use * use if use < 1.0 else 1.0
             for k, walk in enumerate(WALK, 2):
                 P[k][k] += (walk * walked) ** 2 * elapsed
@@ -380,7 +406,8 @@ class Adaptation:
         x, P = self._x, self._P
         if difference * difference > OUTLIER * OUTLIER * variance:
             variance = abs(difference) * math.sqrt(variance) / OUTLIER
-            learning = False
+            if learning:
+                learning, self.frozen = False, UNLIKELY
         gains = [c / variance for c in column]
         if not learning:
             # Only the motion; the belief stays, but no longer goes with it (Schmidt's filter).

@@ -253,6 +253,11 @@ class Controller:
         """What learns the tires while driving, an `Adaptation`; None if that is off."""
         return self._adaptation
 
+    @property
+    def learned(self):
+        """As `adaptation`, also while that is off; None if it never was on."""
+        return self._learned
+
     def max_lateral_acceleration(self, v):
         """Largest lateral acceleration [m/s^2] of the steering map in use, at a speed [m/s]."""
         return self._steering_map.max_lateral_acceleration(v)

@@ -12,9 +12,9 @@ controller's `SpeedPlan`; states are relative to the raceline::
     delta' = u                         the input, up to the servo's rate
 
 The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost
-of a stage is ``d^2 + (w_h d' / v)^2 + (w_u (u - u_r))^2``, all in meters: lateral error, direction of
-motion, and steering rate beside that of a car on the raceline. The program has the rates alone as
-its variables and is solved by OSQP.
+of a stage is ``d^2 + (w_h d' / v)^2 + (w_u (u - u_r))^2``, all in meters: lateral error, direction
+of motion, and steering rate beside that of a car on the raceline. The program has the rates alone
+as its variables and is solved by OSQP.
 """
 
 from __future__ import annotations

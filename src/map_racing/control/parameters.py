@@ -170,6 +170,7 @@ class ControllerParameters:
     adaptation: bool = parameter(
         "Learn grip, cornering stiffness and delay while driving: steering map, speeds and delay "
         "compensation follow",
+        tuning=(False, True),
         default=False,
     )
     adaptation_share: float = parameter(

@@ -19,7 +19,7 @@ from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
 from ..vehicle.lookup import LookupTable
 from ..vehicle.parameters import Vehicle
-from .laps import held, passage_times, places_of
+from .laps import passage_times
 from .results import Lap, RunResult
 
 __all__ = [
@@ -200,7 +200,7 @@ def profiles_of(
     for lap in complete or result.laps:
         s = np.maximum.accumulate(lap.trace.s)
         if not complete:
-            s = np.maximum.accumulate(places_of(lap, result) - result.start_s)
+            s = np.maximum.accumulate(result.places_of(lap) - result.start_s)
             if s[-1] - s[0] < _WORTH * track.length:
                 continue
         laps.append(_lap_profile(lap, s, track, signals, recording, limits))
@@ -267,8 +267,8 @@ def _lap_profile(lap, s, track, signals, recording, limits):
     values = {"time": time - trace.t[0], "v": at_places(trace.v), "d": at_places(trace.d)}
     speed = steering = np.full(trace.t.size, np.nan)
     if recording.commands is not None:
-        speed = held(trace.t, recording.commands, recording.commands.speed)
-        steering = held(trace.t, recording.commands, recording.commands.steering_angle)
+        speed = recording.commands.held(trace.t, recording.commands.speed)
+        steering = recording.commands.held(trace.t, recording.commands.steering_angle)
     values["v_command"], values["steering"] = at_places(speed), at_places(steering)
     for name, signal in signals.items():
         values[name] = at_places(np.interp(trace.t, recording.t, signal))

@@ -14,6 +14,7 @@ from ..errors import ParameterError
 from ..resources import find_config
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
+from ..track.findings import WARNING
 from ..track.generator import TrackShape, draw_track
 from ..validation import finite, read_parameters
 from ..vehicle.parameters import load_vehicle
@@ -174,6 +175,24 @@ class Grid:
         ]
 
     @property
+    def notes(self):
+        """What the user should know about tracks and cars."""
+        given = self.conditions
+        notes = [
+            f"{source}: {finding}"
+            for source, track in zip(given.tracks, self.tracks)
+            for finding in track.findings
+            if finding.severity == WARNING
+        ]
+        notes += [
+            f"{source}: no walls are known, so no crash is seen"
+            for source, track in zip(given.tracks, self.tracks)
+            if track.d_left is None
+        ]
+        cars = {(car.name, note) for car in self.cars for note in car.vehicle.notes}
+        return notes + [f"car {name}: its vehicle: {note}" for name, note in sorted(cars)]
+
+    @property
     def names(self):
         """Track and car of each job, as in `jobs`."""
         return [(track.name, car.name) for track in self.tracks for car in self.cars]
@@ -314,6 +333,7 @@ def grid_provenance(grid, controllers):
     """What the results of a grid depend on, as plain values."""
     return {
         **software(),
+        "notes": grid.notes,
         "conditions": plain(grid.conditions),
         "track": {
             "name": f"{len(grid.tracks)} tracks",

@@ -20,6 +20,7 @@ from ..bags.reader import read_recording, read_signals
 from ..bags.samples import in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
+from ..printing import printable
 from ..resources import find_config
 from ..tables import UNITS, column_index, read_columns
 from ..validation import finite
@@ -196,7 +197,7 @@ class Run:
     def label(self) -> str:
         """Short name: the file with its folder."""
         path = Path(self.name)
-        return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
+        return printable(f"{path.parent.name}/{path.name}" if path.parent.name else path.name)
 
 
 def load_channel_map(source: str | Path) -> ChannelMap:
@@ -336,10 +337,12 @@ def _load_csv(path, channel_map):
 
 
 def _with_units(channels, units):
-    """Channels with the units that the file states, where the channel map does not."""
+    """Channels with the units that the file states, where the channel map has neither these nor a
+    scale.
+    """
     return {
         name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
-        if channel and not channel.unit
+        if channel and not channel.unit and abs(channel.scale) == 1.0
         else channel
         for name, channel in channels.items()
     }

@@ -16,17 +16,18 @@ import numpy as np
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
 from .data import Run
+from .drive import drive_windows, fit_drive
 from .driving import LONGEST_DELAY_S, driving_of, windows_of
 from .output_error import believed, fit_car
-from .robust_fit import CONFIDENCE, Believed, fit
+from .robust_fit import CONFIDENCE
 from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
 
 __all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
 
 ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
-# A window tells a delay of the steering where the yaw rate varies by so much, one of the drive
-# where the speed does; and so many windows are needed.
-LEAST_TURNING_RADPS, LEAST_CHANGE_MPS, FEWEST_WINDOWS = 0.3, 0.15, 5
+# A window tells a delay of the steering where the yaw rate varies by so much, and so many windows
+# are needed.
+LEAST_TURNING_RADPS, FEWEST_WINDOWS = 0.3, 5
 MOST_WINDOWS = 30
 # A wider interval to either side is no answer [s].
 WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
@@ -111,6 +112,7 @@ def estimate_delays(
     """
     drives, notes = [], []
     for run in runs:
+        notes += [f"{run.label}: {note}" for note in run.notes]
         try:
             drive = driving_of(run)
         except IdentificationError as error:
@@ -236,39 +238,10 @@ def _drive(drives):
     drives = [drive for drive in drives if drive.speed_command is not None]
     if not drives:
         return (Part(reason="no speed commands"),) * 2
-    windows = windows_of(
-        drives,
-        length=1.5,
-        burn_in=0.0,
-        step=0.01,
-        channels=("v_x",),
-        excited="v_x",
-        least=LEAST_CHANGE_MPS,
-        most=MOST_WINDOWS,
-    )
+    windows = drive_windows(drives)
     if windows.count < FEWEST_WINDOWS:
         return (Part(reason="the speed hardly changes"),) * 2
-    beliefs = {
-        "delay": Believed(0.03, 0.1, 0.0, 0.29, 1e-3),
-        "lag": Believed(0.1, 0.3, 0.005, 2.0, 1e-3),
-        "a_max": Believed(7.0, 20.0, 0.5, 30.0, 1e-2),
-        "a_brake_max": Believed(8.0, 20.0, 0.5, 30.0, 1e-2),
-        "gain": Believed(1.0, 0.05, 0.7, 1.4, 1e-3),
-    }
-
-    def predict(lanes):
-        delay, lag, most, least, gain = lanes.T[:, :, None]
-        command = gain * windows.commands("speed_command", lanes[:, 0])
-        v = np.empty((windows.steps + 1, *command.shape[1:]))
-        v[0] = windows.v_x[0]
-        # Exactly over a step, as far as the limits allow.
-        follow = -np.expm1(-windows.step / lag)
-        up, down = most * windows.step, -least * windows.step
-        for k in range(windows.steps):
-            v[k + 1] = v[k] + np.clip((command[k] - v[k]) * follow, down, up)
-        return {"v_x": windows.at("v_x", v)}
-
-    found = fit(predict, windows.observed, beliefs, [{"delay": 0.02}, {"lag": 0.4}], {"v_x": 0.1})
+    found = fit_drive(windows)
     explained = 1.0 - (found.noise["v_x"] / _spread(windows.observed["v_x"])) ** 2
     parts = []
     for name in ("delay", "lag"):

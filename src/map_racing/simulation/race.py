@@ -13,12 +13,12 @@ import numpy as np
 from ..control.safety import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
-from .car import SimulatedCar, hits_wall
+from .car import Sample, SimulatedCar, hits_wall
 from .driver import DirectDriver, SupervisedDriver
 from .faults import Faults
 from .grip import Grip
 
-__all__ = ["Outcome", "RaceLog", "Sample", "Work", "race"]
+__all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
 # The race begins and ends so far past the line [m] that noise does not take the car back over it.
@@ -37,25 +37,6 @@ class Outcome(Enum):
     COMPLETED = "completed"
     CRASHED = "crashed"  # touched a wall
     STALLED = "stalled"  # made no headway, or ran out of time
-
-
-class Sample(NamedTuple):
-    """One control step: what was true, what was measured, what was commanded.
-
-    `true` and `measured` are :class:`~map_racing.control.state.CarState` of the same instant;
-    `arrival` [s] is when the measurement reached the controller; `acceleration` is the IMU's
-    (longitudinal, lateral) [m/s^2]; `result` is the controller's
-    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad];
-    `belief` the controller's of the tires after the step, None if it does not learn them.
-    """
-
-    true: tuple
-    measured: tuple
-    arrival: float
-    acceleration: tuple
-    steering_angle: float
-    result: tuple
-    belief: tuple | None = None
 
 
 class Work(NamedTuple):

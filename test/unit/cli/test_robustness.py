@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
 from map_racing.experiments import tuning
+from map_racing.experiments.robustness import Grid, Robustness
 
 GRID = """\
 plant: nuc4
@@ -80,6 +82,16 @@ def test_table_provenance_and_figures(results):
         "robustness_map.png",
         "robustness_bold.png",
     }
+
+
+def test_doubts_about_tracks_stand_in_the_provenance(results, tmp_path):
+    content = json.loads((results / "results.json").read_text())
+    assert content["provenance"]["notes"] == []
+    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    x, y, v = 5.0 * np.cos(angle), 4.0 * np.sin(angle), 4.0 + np.sin(angle) ** 2
+    np.savetxt(tmp_path / "line.csv", np.stack((x, y, v), axis=1), delimiter=",")
+    notes = Grid(Robustness("nuc4", {"a": {}}, tracks=(str(tmp_path / "line.csv"),))).notes
+    assert len(notes) == 2 and "3 unnamed columns" in notes[0] and "no walls" in notes[1]
 
 
 def test_the_same_again_drives_nothing(folder, results, capsys):

@@ -16,7 +16,7 @@ from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline
-from map_racing.vehicle.parameters import load_vehicle, scaled_tires
+from map_racing.vehicle.parameters import load_vehicle, save_vehicle, scaled_tires
 from map_racing.vehicle.tire_steering import TireSteering
 
 NUC4 = load_vehicle("nuc4")
@@ -119,6 +119,26 @@ def test_straights_say_nothing():
     assert untouched(driven(steer=lambda t: 0.0))
 
 
+def test_it_says_why_a_pose_taught_nothing_and_from_how_much_it_learned(drive):
+    adaptation = learned([])
+    assert (adaptation.frozen, adaptation.learned_s) == ("no earlier pose", 0.0)
+    reasons = set()
+    for k, (state, angle) in enumerate(drive):
+        adaptation.update(state._replace(r=state.r + 6.0) if k == 600 else state, angle)
+        assert k != 600 or adaptation.frozen == "a pose that the belief cannot explain"
+        reasons.add(adaptation.frozen)
+    assert "" in reasons and "too slow" in reasons
+    assert 10.0 < adaptation.learned_s < drive[-1][0].t
+    t = drive[-1][0].t + 5.0  # a pause, after which the motion is taken as measured
+    for k in range(2):
+        adaptation.update(CarState(t + 0.025 * k, 0.0, 0.0, 0.0, 3.0, -4.0, 6.0), 0.1)
+    assert adaptation.frozen == "sliding"
+    adaptation.forget()
+    assert (adaptation.frozen, adaptation.learned_s) == ("no earlier pose", 0.0)
+    straight = learned(driven(steer=lambda t: 0.0))
+    assert (straight.frozen, straight.learned_s) == ("too little grip in use", 0.0)
+
+
 def test_walking_pace_and_stops_say_nothing():
     assert untouched(driven(speed=1.0))
     still = CarState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -212,6 +232,23 @@ def test_a_pause_restarts_the_model_and_keeps_the_belief(drive):
 def test_the_believed_vehicle_is_the_files_with_other_tires(drive):
     adaptation = learned(drive)
     assert adaptation.believed_vehicle() == scaled_tires(NUC4, *adaptation.belief.factors)
+    belief, text = adaptation.belief, adaptation.summary()
+    assert f"friction {belief.friction:.3f} ({belief.friction_low:.3f} to" in text
+    assert f"from {adaptation.learned_s:.0f} s of driving" in text and "NUC4" in text
+
+
+def test_it_starts_from_a_saved_vehicle_as_well(tmp_path):
+    """What was learned in one run is the prior of the next, which then has little to learn."""
+    samples = driven({"mu_scale": 0.85})
+    first = learned(samples)
+    save_vehicle(first.believed_vehicle(), tmp_path / "day.yaml", first.summary())
+    saved = load_vehicle(tmp_path / "day.yaml")
+    assert saved == first.believed_vehicle()
+    again = Adaptation(saved, 12.0, first.delay)
+    for state, angle in samples:
+        again.update(state, angle)
+    assert again.belief.friction == pytest.approx(1.0, abs=0.02)
+    assert again.believed_vehicle().mu == pytest.approx(0.85 * NUC4.mu, rel=0.03)
 
 
 # -- the controller ------------------------------------------------------------------------------

@@ -59,18 +59,22 @@ SHORTER = {
     "tune --robust": ON_A_SMALL_GRID,
     "experiment tire-models": RACED_ON_THE_RING,
     "experiment velocity-scaling": [*RACED_ON_THE_RING, "--to", "0.6"],
+    "raceline optimize circuit": ["--step", "8"],
     "experiment robustness": ON_A_SMALL_GRID,
 }
 # The README prints what these give, so they run as they are.
 WHOLE = ("README.md",)
 
-# Not run: what prepares the car's workspace or an environment of one's own.
+# Not run: what prepares the car's workspace or an environment of one's own, and what takes long, of
+# which other tests run a little.
 PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
+    "./scripts/soak",
     "./scripts/test",
     "catkin build map_racing",
+    "chrt --rr 1 ./scripts/latency --tuning --dropouts 40",
     "cd ..",
     "cd ~/catkin_ws/src",
     "git clone <this repository> map_racing",

@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import importlib.util
 import re
+import shlex
 from xml.etree import ElementTree
 
 import pytest
@@ -117,7 +118,7 @@ def launch_arguments(name):
 def test_launch_commands_have_such_files_and_arguments(page):
     for line in command_lines(page):
         if "roslaunch" in line:
-            words = line.split("roslaunch ")[1].replace("--ros-args ", "").split()
+            words = shlex.split(line.split("roslaunch ")[1].replace("--ros-args ", ""))
             assert words[0] == "map_racing"
             given = {word.partition(":=")[0] for word in words[2:]}
             assert given <= launch_arguments(words[1]), line

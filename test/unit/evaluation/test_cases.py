@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.files.load import load_raceline
 
 LAP = math.tau / 0.8

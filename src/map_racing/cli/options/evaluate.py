@@ -31,7 +31,7 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     add_join_option(parser)
     add_recording_options(parser)
     parser.add_argument(
-        "--reverse", action="store_true", help="the raceline was driven in reverse direction"
+        "--reverse", action="store_true", help="the raceline was driven in the opposite direction"
     )
     parser.add_argument(
         "--start-line",
@@ -52,6 +52,6 @@ def add_limit_options(parser: argparse.ArgumentParser) -> None:
         "--max-deviation",
         type=float,
         metavar="M",
-        help="a larger lateral error of the car's center is off track [m] (default: the walls or, "
-        "without walls, 2 m)",
+        help="largest lateral error of the car's center that is still on the track [m] (default: "
+        "up to the walls or, without walls, 2 m)",
     )

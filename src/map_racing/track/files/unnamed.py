@@ -256,7 +256,12 @@ def _counts_along(values):
     if first.size < 4 or not np.all(steps > 0.0):
         return False
     # An open course may have an x that only increases; then its steps are not even.
-    return _is_arc_length(*values.T[:3]) or np.all(steps == 1.0)
+    if _is_arc_length(*values.T[:3]) or np.all(steps == 1.0):
+        return True
+    # Time: the next two columns come back to where they began.
+    way = np.hypot(*np.diff(values[:, 1:3], axis=0).T)
+    back = np.hypot(*(values[-1, 1:3] - values[0, 1:3]))
+    return bool(values.shape[1] > 3 and 0.0 < back < 3.0 * np.max(way) < 0.1 * np.sum(way))
 
 
 def _is_arc_length(s, x, y):
