@@ -10,7 +10,6 @@ from ..bags.samples import Recording
 from ..control.adaptation import PRIOR, Adaptation, Belief
 from ..control.state import CarState
 from ..vehicle.parameters import Vehicle
-from .laps import held
 from .results import Lap
 
 __all__ = ["DayGrip", "grip_of_day"]
@@ -87,7 +86,7 @@ def _feed(learner, recording, laps):
         chosen |= (t >= lap.start_time_s) & (t <= lap.end_time_s)
     # The command that answers a pose is the one before the next pose.
     following = np.append(t[1:], t[-1] + 0.02) - 1e-6
-    angles = held(following, commands, commands.steering_angle)
+    angles = commands.held(following, commands.steering_angle)
     chosen &= np.isfinite(angles) & np.isfinite(recording.v_x) & np.isfinite(recording.yaw_rate)
     index = np.flatnonzero(chosen)[-_MOST_POSES:]
     states = (t, recording.x, recording.y, recording.psi, recording.v_x, recording.v_y)
