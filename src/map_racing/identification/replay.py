@@ -232,7 +232,7 @@ def _replayed(vehicle, run, actuators, length):
     if not notes:
         path = _path(run, drive.t, motion.clock_offset_s)
     if drive.speed_command is None or actuators.drive is None:
-        notes.append("speed as measured: no speed commands, or nothing tells of the drive")
+        notes.append("speed as measured: no speed commands, or the drive is not known")
     else:
         lane = actuators.drive[None]
         v_x = driven_speed(windows, lane, windows.burn_in)[:, 0, :]
