@@ -313,10 +313,21 @@ def _load_csv(path, channel_map):
             raise ParameterError(f"{path}: {name}: missing in the channel map of a CSV file")
     clocks = {"time": channels.pop("time"), "pose_time": channels.pop("pose_time", None)}
     wanted = [channel.source for channel in (*clocks.values(), *channels.values()) if channel]
-    columns = read_columns(
-        path, lambda names: {column: column_index(path, names, column) for column in wanted}
-    )
+    command = channels.get("speed_command")
+
+    def locate(names):
+        return {
+            column: column_index(path, names, column)
+            for column in wanted
+            # Only replays and delays of the drive need it.
+            if column in names or not command or column != command.source
+        }
+
+    columns = read_columns(path, locate)
     table, notes = columns.values, columns.notes
+    if command and command.source not in table:
+        del channels["speed_command"]
+        notes = [*notes, f"speed_command: no column {command.source!r}: left out"]
     clocks, channels = (_with_units(some, columns.units) for some in (clocks, channels))
     t = clocks["time"].to_si(table[clocks["time"].source])
     values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}

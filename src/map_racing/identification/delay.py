@@ -33,8 +33,9 @@ MOST_WINDOWS = 30
 WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
 # The model must explain this share of the variance.
 LEAST_SHARE = 0.8
-# A servo that steps must leave less than this share of the residuals that one with a lag leaves.
-STEPPING = 0.8
+# A servo that steps, behind so many samples, must leave less than this share of the residuals that
+# one sample more or less leaves, and less than one with a lag.
+STEPPING = 0.9
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
@@ -222,16 +223,27 @@ def _stepping(drives, vehicle, beliefs, found):
         name: belief._replace(center=0.0, spread=0.0) if name in ("delay", "share") else belief
         for name, belief in beliefs.items()
     }
-    noise = {}
-    about = round(found["delay"] / SAMPLE_S) - 1
-    for samples in range(max(about - 1, 0), about + 2):
+
+    def noise_behind(samples):
+        if samples < 0:
+            return np.inf
         stepped = [
             behind_stepping_servo(drive, vehicle.delta_rate_max, vehicle.delta_max, samples)
             for drive in drives
         ]
-        noise[samples] = fit_car(free, _windows(stepped), held).noise["r"]
-    best = min(noise, key=noise.get)
-    return best if noise[best] < STEPPING * found.noise["r"] else None
+        return fit_car(free, _windows(stepped), held).noise["r"]
+
+    about = round(found["delay"] / SAMPLE_S)
+    noise = {samples: noise_behind(samples) for samples in range(about - 1, about + 2)}
+    while True:
+        best = min(noise, key=noise.get)
+        beside = [samples for samples in (best - 1, best + 1) if samples not in noise]
+        if not beside or noise[best] > found.noise["r"]:
+            break
+        noise[beside[0]] = noise_behind(beside[0])
+    others = min(noise[samples] for samples in (best - 1, best + 1) if samples in noise)
+    clear = noise[best] < min(STEPPING * others, found.noise["r"])
+    return best if clear else None
 
 
 def _drive(drives):
