@@ -11,6 +11,7 @@ from ..bags.remarks import Remarks
 from ..bags.samples import Recording
 from ..control.settings import Settings
 from .driving import PoseTiming, SpeedTracking, pose_timing, speed_tracking
+from .laps import LapLimits
 from .places import (
     Corner,
     Ideal,
@@ -110,7 +111,7 @@ def analyze(
         profile,
         corners_of(track),
         ideal_lap(profile) if profile.counted else None,
-        pose_timing(recording),
+        pose_timing(recording, LapLimits().on(result.raceline)),
         speed_tracking(recording),
         remarks or Remarks([], []),
         settings,
