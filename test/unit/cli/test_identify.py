@@ -71,14 +71,14 @@ def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypat
 
     def doubtful(path, channels):
         run = load_run(path, channels)
-        run.notes.append("warning: /drive: the stamps are of another clock")
+        run.notes.append("warning: /drive: the stamps are from another clock")
         return run
 
     monkeypatch.setattr("map_racing.cli.identify.load_run", doubtful)
     output = tmp_path / "a.yaml"
     arguments = ["--vehicle", "nuc4", "--output", str(output), "--json", str(tmp_path / "r.json")]
     assert main(["identify", "nuc4_ramps", *arguments]) == 0
-    doubt = "recordings/nuc4_ramps.bag: warning: /drive: the stamps are of another clock"
+    doubt = "recordings/nuc4_ramps.bag: warning: /drive: the stamps are from another clock"
     assert f"# {doubt}\n" in output.read_text()
     assert doubt in json.loads((tmp_path / "r.json").read_text())["notes"]
     assert load_vehicle(output).front == load_vehicle(identified / "my_car.yaml").front

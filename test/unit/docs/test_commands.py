@@ -62,6 +62,7 @@ SHORTER = {
     "tune --robust": ON_A_SMALL_GRID,
     "experiment tire-models": RACED_ON_THE_RING,
     "experiment velocity-scaling": [*RACED_ON_THE_RING, "--to", "0.6"],
+    "raceline optimize circuit": ["--step", "8"],
     "experiment robustness": ON_A_SMALL_GRID,
 }
 # The README prints what these give, so they run as they are.
@@ -73,6 +74,7 @@ PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
+    "./scripts/heats",
     "./scripts/soak",
     "./scripts/test",
     "catkin build map_racing",
