@@ -67,7 +67,7 @@ class Clock(NamedTuple):
         stamps, received : ndarray of int64, shape (k,)
             Stamps and times of receipt [ns].
         notes : list of str
-            Gets a warning if the stamps are of another clock.
+            Gets a warning if the stamps are from another clock.
         topic : str
         delay_ns : int, optional
             How much longer than the poses the messages may take from stamp to receipt [ns].
@@ -100,7 +100,8 @@ class Clock(NamedTuple):
             return stamps
         steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
         notes.append(
-            f"warning: {topic}: the stamps are of another clock, {_seconds(offset)} than the poses'"
+            f"warning: {topic}: the stamps are from another clock, {_seconds(offset)} than the "
+            "poses'"
             + (": shifted" if steady else ", and not steadily: times of receipt used")
         )
         return stamps + offset if steady else received - expected

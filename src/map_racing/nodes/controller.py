@@ -61,7 +61,7 @@ def _build():
     for note in vehicle.notes:
         rospy.logwarn("~vehicle: %s", note)
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
-    parameters = overridden(load_controller_parameters(source))
+    parameters = overridden(load_controller_parameters(source, vehicle))
     if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     if table and parameters.adaptation:

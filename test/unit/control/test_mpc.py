@@ -97,7 +97,7 @@ def test_a_circle_is_held_with_the_steady_state_angle():
 
 
 def test_a_step_without_solution_follows_the_last_plan():
-    controller = build_law(GIVEN, NUC4, circle(4.0, 3.0))
+    controller = build_law(GIVEN.with_(stages=20, stage_s=0.05), NUC4, circle(4.0, 3.0))
     state = on_circle(4.0, 3.0, 0.0, -NUC4.l_r)
     angle = controller.step(state).steering_angle
     planned = controller._program._rates.copy()

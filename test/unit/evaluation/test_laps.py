@@ -811,3 +811,16 @@ def test_real_laps(shared_data):
     assert len(times) == 10
     assert min(times) > 6.6
     assert max(times) < 9.4
+
+
+def test_a_lap_of_a_full_size_car_has_no_jumps():
+    """50 m/s are a meter from pose to pose at 50 Hz; the speeds of the line say that cars do."""
+    track = load_raceline("circuit")
+    ends = np.cumsum(track.ds / track.speed)
+    t = np.arange(-3.0, ends[-1] + 3.0, 0.02)
+    at = track.sample(np.interp(t % ends[-1], ends, track.s + track.ds) % track.length)
+    result = run(track, t, at.x, at.y)
+    (lap,) = [lap for lap in result.laps if lap.valid]
+    assert lap.lap_time_s == pytest.approx(ends[-1], abs=0.1)
+    slow = Raceline(track.x, track.y)
+    assert not any(lap.valid for lap in run(slow, t, at.x, at.y).laps)

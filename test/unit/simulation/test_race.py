@@ -203,7 +203,7 @@ def test_a_slow_race_is_no_stall(kind):
 
 @pytest.mark.parametrize("laps", [0, -1])
 def test_no_laps_are_no_race(laps):
-    with pytest.raises(ParameterError, match=f"laps must be at least 1, not {laps}"):
+    with pytest.raises(ParameterError, match=f"laps: expected at least 1, got {laps}"):
         drive(laps=laps)
 
 
