@@ -98,7 +98,8 @@ def make(monkeypatch, no_master):
     monkeypatch.setattr(controller, "TuningServer", lambda *_: None)
     monkeypatch.setattr(controller, "Watchdog", lambda *_: None)
     monkeypatch.setattr(controller, "TransformListener", lambda _: SimpleNamespace())
-    monkeypatch.setattr(controller.gc, "freeze", lambda: None)
+    for name in ("collect", "freeze"):
+        monkeypatch.setattr(controller.gc, name, lambda: None)
 
     def build(**given):
         no_master.update({"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}})
@@ -349,7 +350,8 @@ def test_poses_without_velocity(make):
 @pytest.fixture
 def guard(monkeypatch):
     """Run the watchdog for some rounds: times of its calls, and how long it slept after them."""
-    monkeypatch.setattr(threading.Thread, "start", lambda thread: None)
+    threads = []
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: threads.append(thread))
 
     def run(deadlines, fails=()):
         clock, calls, slept, short = Clock(), [], [], []
@@ -372,7 +374,9 @@ def guard(monkeypatch):
         monkeypatch.setattr(watchdog.rospy, "is_shutdown", lambda: len(calls) == len(deadlines))
         monkeypatch.setattr(watchdog.rospy, "sleep", sleep)
         monkeypatch.setattr(watchdog.time, "sleep", short.append)
-        watchdog.Watchdog(lock, clock, supervisor, watch)._run()
+        watchdog.Watchdog(lock, clock, supervisor, watch)
+        assert [thread.daemon for thread in threads] == [True]
+        threads[0].run()
         return calls, slept, short
 
     return run
