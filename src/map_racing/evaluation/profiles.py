@@ -60,6 +60,7 @@ class CarLimits:
 
     Attributes
     ----------
+    vehicle : Vehicle
     table : LookupTable
         Of its own tires.
     delta_max : float
@@ -70,6 +71,7 @@ class CarLimits:
         Largest speed [m/s].
     """
 
+    vehicle: Vehicle
     table: LookupTable
     delta_max: float
     a_drive_max: float
@@ -85,7 +87,7 @@ def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None)
         brake = min(brake, parameters.a_brake_max_mps2)
         v_max = min(v_max, parameters.v_max_mps)
     table = build_steering_map("table", vehicle, v_max)
-    return CarLimits(table, vehicle.delta_max, drive, brake, v_max)
+    return CarLimits(vehicle, table, vehicle.delta_max, drive, brake, v_max)
 
 
 @dataclass(frozen=True)
