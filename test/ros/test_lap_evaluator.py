@@ -15,8 +15,8 @@ from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
+from map_racing.evaluation.runs import evaluate
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
@@ -178,7 +178,7 @@ def test_a_replay_without_stamps_is_offline(log, launch, tmp_path):
     assert [row["valid"] for row in expected] == [False, True, True, False]
     assert expected[1]["speed_reference"] == "command"
     assert_same(rows(table), expected)
-    assert "stamps missing or of another clock" in replay.output
+    assert "stamps missing or from another clock" in replay.output
 
 
 def relative(row):

@@ -20,11 +20,12 @@ from typing import Callable, NamedTuple, Sequence
 import numpy as np
 
 from ..bags.clocks import COMMAND_DELAY_NS, LATENCY_NS
+from ..bags.samples import COMMAND_HOLD_S
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
 from .doubts import raceline_warnings, uncommanded
-from .laps import COMMAND_HOLD_S, LapEvaluator, LapLimits, check_options
+from .laps import LapEvaluator, LapLimits, check_options
 from .recordings import same_raceline
 from .report import csv_cells
 from .results import Lap, RunResult
@@ -376,7 +377,7 @@ class LiveEvaluation:
         offset = self.command_offset_s
         if offset:
             self._doubts["clock"] = (
-                f"drive commands: the stamps are of another clock, {abs(offset):.3f} s "
+                f"drive commands: the stamps are from another clock, {abs(offset):.3f} s "
                 f"{'earlier' if offset > 0.0 else 'later'} than the poses': shifted"
             )
         t, command = map(np.array, self._driven)

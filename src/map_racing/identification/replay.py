@@ -44,6 +44,10 @@ FEWEST_WINDOWS, MOST_WINDOWS = 5, 40
 SLOWEST_MPS = 0.3
 HEADING_HZ = 3.0
 
+# Shares are of what was measured, or of this where it was less: an error on a straight is no large
+# share of a turn.
+LEAST_MEASURED = {"yaw rate": 0.3, "lateral acceleration": 1.0, "speed": 1.0}
+
 UNITS = {
     "yaw rate": "rad/s",
     "lateral acceleration": "m/s^2",
@@ -83,7 +87,8 @@ class ChannelError(NamedTuple):
     noise : float
         What is left of the sensor's noise in what was measured, roughly; 0 for the drift [SI].
     share : float
-        `rms` as a share of the RMS of what was measured; the drift's of the distance driven.
+        `rms` as a share of the RMS of what was measured, see `LEAST_MEASURED`; the drift's of the
+        distance driven.
     """
 
     rms: float
@@ -223,15 +228,18 @@ def _replayed(vehicle, run, actuators, length):
         reason = reason_to_refuse(motion)
         if reason:
             raise IdentificationError(reason)
-    drive = driving_of(run)
+    drive = _commanded(driving_of(run), notes)
     windows = windows_of(
         [drive], length=length, burn_in=BURN_IN_S, step=STEP_S, channels=(), most=ALL
     )
     if not windows.count:
-        raise IdentificationError(f"expected {length + BURN_IN_S:g} s of driving at a time")
-    if not notes:
+        raise IdentificationError(
+            "; ".join([*notes, f"expected {length + BURN_IN_S:g} s of commanded driving at a time"])
+        )
+    if not any(note.startswith("no drift") for note in notes):
         path = _path(run, drive.t, motion.clock_offset_s)
-    if drive.speed_command is None or actuators.drive is None:
+    driven = drive.speed_command is not None and actuators.drive is not None
+    if not driven:
         notes.append("speed as measured: no speed commands, or nothing tells of the drive")
     else:
         lane = actuators.drive[None]
@@ -245,9 +253,21 @@ def _replayed(vehicle, run, actuators, length):
     return RunReplay(
         run.label,
         windows.count,
-        _errors(vehicle, drive, windows, simulated, path, "speed" not in " ".join(notes)),
+        _errors(vehicle, drive, windows, simulated, path, driven),
         notes,
     )
+
+
+def _commanded(drive, notes):
+    """The drive without stops: a command of 0 m/s does not say whether the car brakes or rolls."""
+    if drive.speed_command is None:
+        return drive
+    at = np.searchsorted(drive.speed_command.t, drive.t, side="right") - 1
+    stopping = drive.usable & (drive.speed_command.value[np.maximum(at, 0)] <= 0.0)
+    if stopping.any():
+        seconds = np.count_nonzero(stopping) / GRID_HZ
+        notes.append(f"{seconds:.1f} s with a speed command of 0 left out: braking or rolling?")
+    return replace(drive, usable=drive.usable & ~stopping)
 
 
 def _errors(vehicle, drive: Driving, windows, simulated, path, with_speed):
@@ -263,7 +283,7 @@ def _errors(vehicle, drive: Driving, windows, simulated, path, with_speed):
         each_window = np.sqrt(np.mean(error**2, axis=0))
         at = int(np.argmax(each_window))
         rms = float(np.sqrt(np.mean(error**2)))
-        share = rms / max(float(np.sqrt(np.mean(value**2))), 1e-9)
+        share = rms / max(float(np.sqrt(np.mean(value**2))), LEAST_MEASURED[name])
         channels[name] = ChannelError(rms, float(each_window[at]), _when(windows, at), noise, share)
 
     r = simulated["r"][::each]

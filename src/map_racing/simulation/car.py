@@ -1,5 +1,7 @@
 """A simulated car on a track, between a command and the next pose."""
 
+from __future__ import annotations
+
 import math
 from collections import deque
 from typing import NamedTuple

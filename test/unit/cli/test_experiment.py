@@ -13,8 +13,8 @@ import pytest
 from map_racing.bags.reader import read_recording
 from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
+from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
 from map_racing.vehicle.parameters import load_vehicle
 

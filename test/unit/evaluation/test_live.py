@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.live import LapLog, LiveEvaluation
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.findings import NOTE, WARNING, Finding
 
 T0_NS = 1_600_000_000_123_456_789
@@ -242,7 +242,8 @@ def test_doubts_stand_beside_the_laps(track, drive):
     taken.evaluation.finish()
     common = (
         "raceline bean: column 4 is a guess",
-        "drive commands: the stamps are of another clock, 3.000 s earlier than the poses': shifted",
+        "drive commands: the stamps are from another clock, 3.000 s earlier than the poses': "
+        "shifted",
     )
     assert [lap.lap.valid for lap in taken.laps] == [False, True, True, False]
     missing = (

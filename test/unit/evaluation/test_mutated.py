@@ -10,8 +10,8 @@ import pytest
 from map_racing.bags.reader import read_signals
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import MapRacingError
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_runs
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.files.waypoints import waypoint_rows
 
 T0 = 1600000000.0

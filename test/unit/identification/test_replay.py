@@ -8,14 +8,15 @@ import pytest
 from driven_laps import QUIET, laps_of
 
 from map_racing.errors import IdentificationError, ParameterError
-from map_racing.identification.data import Signal
+from map_racing.identification.car import identify_car
+from map_racing.identification.data import Signal, load_channel_map, load_run
 from map_racing.identification.replay import (
     actuators_of,
     replay,
     replay_data,
     replay_lines,
 )
-from map_racing.vehicle.parameters import scaled_tires
+from map_racing.vehicle.parameters import load_vehicle, scaled_tires
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +101,29 @@ def test_worst_of_several_runs_is_the_headline(quiet):
         replay(true, [still], actuators)
     with pytest.raises(ParameterError, match="--window"):
         replay(true, [run], actuators, 0.0)
+
+
+def test_pieces_with_a_command_to_stop_are_left_out(quiet):
+    """A car told 0 m/s may brake or roll; the log does not say."""
+    run, true, actuators = quiet
+    t, speed = run.signals["speed_command"]
+    stop = Signal(t, np.where(t < 12.0, speed, 0.0))
+    stopped = dataclasses.replace(run, signals={**run.signals, "speed_command": stop})
+    (only,) = replay(true, [stopped], actuators).runs
+    assert only.windows <= 5 and only.channels["speed"].share < 0.01
+    assert any("s with a speed command of 0 left out" in note for note in only.notes)
+
+
+def test_a_real_car_from_its_other_circles(shared_data):
+    channels = load_channel_map("circles_log")
+    folder = shared_data / "tyre_id"
+    names = ("circles_055329", "circles_055502", "circles_055600", "circles_061435")
+    runs = [load_run(folder / name / "cmd.csv", channels) for name in names]
+    base = dataclasses.replace(load_vehicle("nuc4"), m=3.548, I_z=0.06, l_f=0.16, l_r=0.16)
+    car = identify_car(runs[:-1], base, fix=True)
+    held = dataclasses.replace(runs[-1], setup=car.setup)
+    (only,) = replay(car.vehicle, [held], actuators_of(car.runs, car.vehicle)).runs
+    assert only.windows >= 12
+    for name, most in (("yaw rate", 0.08), ("lateral acceleration", 0.1), ("speed", 0.02)):
+        assert only.channels[name].share < most
+    assert only.channels["lateral drift"].share < 0.05

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from map_racing.control.controller import build_steering_map
 from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.control.steering import build_steering_map
 from map_racing.simulation.faults import KINDS, kinds_table
 from map_racing.simulation.rehearsal import BEGIN, HEADER, SCENARIOS, rehearse
 from map_racing.vehicle.parameters import load_vehicle
