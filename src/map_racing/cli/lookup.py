@@ -45,15 +45,15 @@ def run_check(arguments):
     if arguments.bag and not arguments.vehicle:
         raise ParameterError("--bag: expected --vehicle, the car to drive by its commands")
     table = load_table(arguments.table)
+    vehicle = _vehicle(arguments) if arguments.vehicle else None
     _describe(arguments.table, table)
     if arguments.raceline:
         raceline = load_raceline(arguments.raceline)
         _describe_corners(raceline, table)
-        _describe_speeds(raceline, table, arguments.controller)
+        _describe_speeds(raceline, table, arguments.controller, vehicle)
     _draw(arguments.plots, table)
-    if not arguments.vehicle:
+    if vehicle is None:
         return
-    vehicle = _vehicle(arguments)
     if table.provenance and table.provenance.parameter_hash != parameter_hash(vehicle):
         print(
             f"  made from other parameters ({table.provenance.vehicle} "
@@ -156,9 +156,9 @@ def _describe_corners(raceline, table):
         )
 
 
-def _describe_speeds(raceline, table, controller):
+def _describe_speeds(raceline, table, controller, vehicle):
     """Where a controller with this table would drive slower than the raceline."""
-    parameters = load_controller_parameters(controller).with_(speed_scale=1.0)
+    parameters = load_controller_parameters(controller, vehicle).with_(speed_scale=1.0)
     if parameters.grip_use:
         plan = SpeedPlan(raceline, parameters, table)
         print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")

@@ -28,6 +28,7 @@ from ..track.speed_profile import raceline_speeds
 from ..track.walls import clearance_of
 from ..vehicle.limits import speed_limits
 from ..vehicle.lookup import load_table
+from ..vehicle.size import size_of
 from .figures import draw_optimized
 from .inputs import read_vehicle
 from .outputs import check_outputs
@@ -35,6 +36,8 @@ from .outputs import check_outputs
 # Findings that make the walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
+# Defaults for a 1:10 car.
+MARGIN_M, STEP_M = 0.1, 0.1
 # Beyond these the search takes all day: positions in mm, or placeholder wall distances.
 MOST_POINTS, WIDEST_M = 20000, 100.0
 
@@ -47,6 +50,11 @@ def run_optimize(arguments):
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = read_vehicle(arguments.vehicle)
+    size = size_of(vehicle)
+    if arguments.margin is None:
+        arguments.margin = MARGIN_M * size.length
+    if arguments.step is None:
+        arguments.step = STEP_M * size.length
     limits = speed_limits(
         vehicle,
         load_table(arguments.lookup_table) if arguments.lookup_table else None,

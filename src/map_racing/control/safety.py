@@ -33,7 +33,7 @@ REST = 3.0
 # A command this far below the measured speed [m/s] is more than a raceline's braking.
 SUDDEN = 2.0
 
-# No car of this size drives or turns faster [m/s, rad/s].
+# Unless twice its largest speed is more, no car drives or turns faster [m/s, rad/s].
 FASTEST, FASTEST_TURN = 50.0, 100.0
 
 # Slower than this a car stands, but for noise [m/s].
@@ -281,7 +281,8 @@ class Supervisor:
         t, x, y, psi, v_x, _, r = state
         # A NaN fails every comparison.
         finite = math.isfinite(t + x + y + psi)
-        if not (finite and abs(v_x) <= FASTEST and abs(r) <= FASTEST_TURN):
+        fastest = max(FASTEST, 2.0 * self._max_speed)
+        if not (finite and abs(v_x) <= fastest and abs(r) <= FASTEST_TURN):
             self._seen[Reason.INVALID_POSE] = now
             return False
         last = self._pose

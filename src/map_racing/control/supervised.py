@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Callable, NamedTuple
 
-from .controller import Controller, ControlResult, build_steering_maps
+from .controller import Controller, ControlResult
 from .safety import Decision, SafetyLimits, Supervisor
 from .slowing import Slowing
+from .steering import build_steering_maps
 
 if TYPE_CHECKING:
     from ..track.raceline import Raceline

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +59,8 @@ class LapLimits:
     max_gap : float
         Longest time between two samples [s]; at 11 m/s the default is 2.75 m.
     max_speed : float
-        Fastest motion of the pose [m/s]; a step longer by `jump_margin` is a jump.
+        Fastest motion of the pose [m/s], unless 1.5 times the measured speed is more; a step longer
+        by `jump_margin` is a jump.
     jump_margin : float
         Largest correction of the localization that is no jump [m].
     max_reverse : float
@@ -81,6 +82,12 @@ class LapLimits:
     max_deviation: float | None = None
     max_stop: float = 0.3
     max_deceleration: float = 25.0
+
+    def on(self, raceline: Raceline) -> LapLimits:
+        """These limits with a `max_speed` of at least 1.5 times the raceline's largest speed."""
+        if raceline.speed is None:
+            return self
+        return replace(self, max_speed=max(self.max_speed, 1.5 * float(np.max(raceline.speed))))
 
 
 class _Sample(NamedTuple):
@@ -158,7 +165,7 @@ class LapEvaluator:
         keep_traces: bool = False,
     ):
         check_options(start_s, car_width, sectors)
-        self.raceline, self.limits = raceline, limits or LapLimits()
+        self.raceline, self.limits = raceline, (limits or LapLimits()).on(raceline)
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)
         self._keep_traces = keep_traces
@@ -283,7 +290,10 @@ class LapEvaluator:
             gap = since
         if gap > limits.max_gap:
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
-        if moved > limits.max_speed * since + limits.jump_margin:
+        fastest = 1.5 * min(last.v, sample.v)
+        if not fastest > limits.max_speed:  # nor where no speed is measured
+            fastest = limits.max_speed
+        if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
         elif self._tracker.reacquired and gap <= limits.max_gap:
             along = abs(sample.progress - last.progress)

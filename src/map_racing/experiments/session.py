@@ -254,7 +254,8 @@ class Session(Races):
         Called again, it races the controllers it has.
         """
         if not self.controllers:
-            shipped = {c.label: load_law(c.controller) for c in self._contenders}
+            car = self.setting.vehicle
+            shipped = {c.label: load_law(c.controller, car) for c in self._contenders}
             to_tune = {c.label: c.controller for c in self._contenders if c.tuned and self._tuning}
             given = {label: (stem, shipped[label]) for label, stem in to_tune.items()}
             self.tuned = self.tune(given)

@@ -25,7 +25,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from ..control.parameters import growth
 from ..errors import MapRacingError, ParameterError
+from ..vehicle.size import ONE_TENTH
 
 __all__ = [
     "ROBUST_STEPS",
@@ -130,7 +132,7 @@ def frame_of(tuned):
     return pd.DataFrame(rows)
 
 
-def tune(jobs_for, controller):
+def tune(jobs_for, controller, size=ONE_TENTH):
     """Plan that tunes a controller, for `map_racing.experiments.campaign.carry_out`.
 
     Parameters
@@ -138,6 +140,8 @@ def tune(jobs_for, controller):
     jobs_for : callable
         ``jobs_for(controller) -> list of RaceJob``: the races that judge it.
     controller : ControllerParameters
+    size : Size, optional
+        Of the car; the steps of the search grow with it.
 
     Returns
     -------
@@ -152,9 +156,10 @@ def tune(jobs_for, controller):
     errors, given_up = {}, set()
 
     first, second = controller.TUNED
+    step_m, step_q = STEP_M * growth(first, size), STEP_Q * growth(second, size)
 
     def with_pair(i, j):
-        return controller.with_(**{first: round(i * STEP_M, 6), second: round(j * STEP_Q, 6)})
+        return controller.with_(**{first: round(i * step_m, 6), second: round(j * step_q, 6)})
 
     def measure(cells):
         new = [cell for cell in cells if cell not in errors]

@@ -40,8 +40,8 @@ LEAST_EXPLAINED = 0.8
 PRIOR = {"front": 0.4, "rear": 0.6, "grip": 0.15, "shape": 0.15, "inertia": 0.15}
 # A factor is determined with a smaller standard deviation.
 DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.05, "shape": 0.075}
-# Friction is never told of a drive that used less than this share of it, whatever the fit says: at
-# small slip the curve of a tire bends so little that errors of its assumed shape decide.
+# Friction is never taken from a drive that used less than this share of it, whatever the fit says:
+# at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
 # The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
 SUSTAINED_HZ, SUSTAINED_PERCENT = 2.0, 99.0
@@ -141,7 +141,7 @@ def tires_from_laps(
         raise IdentificationError(
             f"{', '.join(labels)}: expected at least {FEWEST_WINDOWS} s in which the yaw rate "
             f"varies by {LEAST_TURNING_RADPS:g} rad/s at 1 m/s or more, got {windows.count} s: "
-            "straight driving tells nothing of tires"
+            "straight driving says nothing about tires"
         )
     prior = {**PRIOR, **(spreads or {})}
     if not isinstance(base.front, PacejkaTire):

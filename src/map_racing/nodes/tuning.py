@@ -11,8 +11,9 @@ from dynamic_reconfigure.server import Server
 
 from map_racing.cfg import ControllerConfig
 
-from ..control.controller import Controller, build_steering_map
+from ..control.controller import Controller
 from ..control.parameters import STEERING_MAPS, load_controller_parameters
+from ..control.steering import build_steering_map
 from ..errors import MapRacingError, ParameterError
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ class TuningServer:
         parameters = controller.parameters
         self._v_max = parameters.v_max_mps
         self._maps = {parameters.steering_map: controller.steering_map}
-        shipped = {kind: load_controller_parameters(f) for kind, f in STEERING_MAPS.items()}
+        car = controller.vehicle
+        shipped = {kind: load_controller_parameters(f, car) for kind, f in STEERING_MAPS.items()}
         shipped[parameters.steering_map] = parameters
         self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
         # Start with the values in use, not with those that an earlier run left on the parameter

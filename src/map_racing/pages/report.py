@@ -13,6 +13,7 @@ from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_tra
 from ..evaluation.places import costliest
 from ..vehicle.single_track import GRAVITY
 from .html import document, escape, pack, table
+from .next_heat import advice_of, car_section, speeds_section
 
 __all__ = ["report_page"]
 
@@ -48,6 +49,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
     title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
     compared = [_comparisons(run, runs) for run in runs]
     shown = _chosen(runs)
+    advices = [advice_of(run) for run in runs]
     parts = [
         _head(title, runs),
         '<main>\n<div id="left">\n',
@@ -56,8 +58,10 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
         "</div>\n",
         _map(),
         "</main>\n",
+        speeds_section(runs, advices),
         _corners(runs),
         _grip(runs),
+        car_section(runs, advices),
         _laps(runs),
         _poses(runs),
         _driven_with(runs),

@@ -320,3 +320,9 @@ def test_a_clock_set_back_begins_anew_but_keeps_the_request():
 def test_impossible_limits_are_refused_by_name(changes):
     with pytest.raises(ParameterError, match=next(iter(changes))):
         SafetyLimits(**changes)
+
+
+def test_what_is_absurdly_fast_depends_on_the_fastest_speed_of_the_car():
+    small, large = Car(speed=60.0), Car(speed=60.0, max_speed=50.0)
+    assert small.drive(0.2)[-1].reason is Reason.INVALID_POSE
+    assert large.drive(0.2)[-1].mode is Mode.DRIVING

@@ -33,7 +33,9 @@ def _add_scaling(kinds):
     )
     add_race_options(parser)
     add_number(parser, "--laps", 10, "timed laps of a race")
+    add_number(parser, "--from", 0.6, "first scale", dest="first", metavar="SCALE")
     add_number(parser, "--to", 1.5, "last scale, unless all crash earlier", metavar="SCALE")
+    add_number(parser, "--step", 0.025, "from scale to scale", metavar="SCALE")
     parser.set_defaults(run="experiment.run_scaling")
 
 
@@ -92,17 +94,23 @@ def _add_mpc(kinds):
     parser.add_argument(
         "--plants",
         nargs="+",
-        default=["nuc4", "public_simulator"],
+        default=["nuc4", "public_simulator", "f1tenth_drift"],
         metavar="NAME",
-        help="plants, as in map-racing race (default: nuc4 public_simulator)",
+        help="plants, as in map-racing race (default: nuc4 public_simulator f1tenth_drift)",
     )
-    parser.add_argument("--conditions", default="paper", help="as in velocity-scaling")
+    parser.add_argument(
+        "--conditions", default="rivals", help="as in velocity-scaling (default: %(default)s)"
+    )
     parser.add_argument("--track", help="instead of the track of the conditions")
     parser.add_argument(
         "--seeds", type=int, nargs="+", metavar="N", help="race days, instead of the conditions'"
     )
-    scale = "scale of the raceline's speeds at which all are tuned"
-    add_number(parser, "--tuning-scale", 0.8, scale, metavar="SCALE")
+    parser.add_argument(
+        "--tuning-scale",
+        type=float,
+        metavar="SCALE",
+        help="scale of the raceline's speeds at which all are tuned, instead of the conditions'",
+    )
     parser.add_argument("--no-tuning", action="store_true", help="race all as shipped")
     slowdown = "factor on the computing time, as of a slower processor"
     add_number(parser, "--slowdown", 1.0, slowdown, metavar="FACTOR")

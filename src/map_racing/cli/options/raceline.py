@@ -120,7 +120,13 @@ def _add_line(line):
     line.add_argument(
         "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
     )
-    add_number(line, "--margin", 0.1, "between the sides of the car and the walls [m]", metavar="M")
+    line.add_argument(
+        "--margin",
+        type=float,
+        metavar="M",
+        help="between the sides of the car and the walls [m] (default: 0.1 for a 1:10 car, more "
+        "for a larger one)",
+    )
     line.add_argument(
         "--compare",
         metavar="FILE",
@@ -132,7 +138,12 @@ def _add_line(line):
         action="store_true",
         help="keep to the least squared curvature, even where a shorter line is faster",
     )
-    add_number(line, "--step", 0.1, "distance between the points that are moved [m]", metavar="M")
+    line.add_argument(
+        "--step",
+        type=float,
+        metavar="M",
+        help="distance between the points that are moved [m] (default: as of --margin)",
+    )
 
 
 def _add_speed(speed):
