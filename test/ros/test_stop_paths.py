@@ -4,7 +4,6 @@ Here the nodes have neither a master nor threads, so that faults can be put betw
 the other tests run them as processes.
 """
 
-import copy
 import threading
 from types import SimpleNamespace
 
@@ -23,19 +22,6 @@ from map_racing.track.files.load import load_raceline
 
 RACELINE = load_raceline("reference")
 SPEED, PERIOD, START = 4.0, 0.03125, 100.0
-
-
-class Publisher:
-    """Keeps what is published."""
-
-    def __init__(self, name, kind, **options):
-        self.name, self.sent = name, []
-
-    def publish(self, *message, **fields):
-        self.sent.append(copy.deepcopy(message[0] if message else fields))
-
-    def get_num_connections(self):
-        return 0
 
 
 class Clock:
@@ -61,8 +47,7 @@ class Spy:
 class Car:
     """The node, and a car on the reference track that feeds it poses."""
 
-    def __init__(self, params):
-        self.params = {"~raceline": "reference", **params}
+    def __init__(self):
         self.node = controller.ControllerNode()
         self.node._clock = self.clock = Clock()
         self.s = 2.0
@@ -108,31 +93,17 @@ class Car:
 
 
 @pytest.fixture
-def make(monkeypatch):
+def make(monkeypatch, no_master):
     """``make(pose_source="tf")``: the node with these parameters."""
-    params = {}
-    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    for name, fake in {
-        "Publisher": Publisher,
-        "Subscriber": lambda *_, **__: SimpleNamespace(resolved_name="/global_waypoints"),
-        "Service": lambda *_: None,
-        "Timer": lambda *_, **__: None,
-        "on_shutdown": lambda _: None,
-        "get_param": lambda name, default=None: params.get(name, default),
-        "has_param": lambda name: name in params,
-        "get_name": lambda: "/controller",
-        "resolve_name": lambda name: "/" + name,
-        **dict.fromkeys(("loginfo", "logwarn", "logerr_throttle"), lambda *_: None),
-    }.items():
-        monkeypatch.setattr(rospy, name, fake)
     monkeypatch.setattr(controller, "TuningServer", lambda *_: None)
     monkeypatch.setattr(controller, "Watchdog", lambda *_: None)
     monkeypatch.setattr(controller, "TransformListener", lambda _: SimpleNamespace())
-    monkeypatch.setattr(controller.gc, "freeze", lambda: None)
+    for name in ("collect", "freeze"):
+        monkeypatch.setattr(controller.gc, name, lambda: None)
 
     def build(**given):
-        params.update({"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}})
-        return Car(params)
+        no_master.update({"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}})
+        return Car()
 
     return build
 
@@ -379,7 +350,8 @@ def test_poses_without_velocity(make):
 @pytest.fixture
 def guard(monkeypatch):
     """Run the watchdog for some rounds: times of its calls, and how long it slept after them."""
-    monkeypatch.setattr(threading.Thread, "start", lambda thread: None)
+    threads = []
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: threads.append(thread))
 
     def run(deadlines, fails=()):
         clock, calls, slept, short = Clock(), [], [], []
@@ -402,7 +374,9 @@ def guard(monkeypatch):
         monkeypatch.setattr(watchdog.rospy, "is_shutdown", lambda: len(calls) == len(deadlines))
         monkeypatch.setattr(watchdog.rospy, "sleep", sleep)
         monkeypatch.setattr(watchdog.time, "sleep", short.append)
-        watchdog.Watchdog(lock, clock, supervisor, watch)._run()
+        watchdog.Watchdog(lock, clock, supervisor, watch)
+        assert [thread.daemon for thread in threads] == [True]
+        threads[0].run()
         return calls, slept, short
 
     return run
