@@ -184,7 +184,7 @@ class _Heat:
         known = {
             name: getattr(controller, key)
             for name, key in (("delay", "delay_s"), ("share", "adaptation_share"))
-            if hasattr(controller, key)
+            if getattr(controller, key, 0.0)  # a delay of 0 is none that is known
         }
         if getattr(controller, "reference_point", "") == "center_of_gravity":
             known["behind"] = 0.0
