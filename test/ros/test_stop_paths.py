@@ -335,6 +335,26 @@ def test_each_transform_is_one_pose(make):
             assert (header.stamp.to_sec(), header.frame_id) == (stamp, "map")
 
 
+@pytest.mark.parametrize("source", ["odom", "pose", "tf"])
+def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
+    """A queue of them, or a delay to fill a packet, would make all poses old."""
+    subscribed = {}
+    monkeypatch.setattr(
+        rospy,
+        "Subscriber",
+        lambda topic, *how, **options: subscribed.update({topic: (how, options)}),
+    )
+    node = make(pose_source=source).node
+    del subscribed["stop_driving"]
+    if source == "tf":
+        assert subscribed == {} and node._transforms
+        return
+    kind = Odometry if source == "odom" else PoseStamped
+    read = node._reader.odometry if source == "odom" else node._reader.pose
+    latest = {"queue_size": 1, "tcp_nodelay": True}
+    assert subscribed == {source: ((kind, node._on_pose, read), latest)}
+
+
 def test_poses_without_velocity(make):
     car = make(pose_source="pose")
     message = car.message()
