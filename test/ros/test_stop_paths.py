@@ -102,8 +102,12 @@ def make(monkeypatch, no_master):
         monkeypatch.setattr(controller.gc, name, lambda: None)
 
     def build(**given):
-        no_master.update({"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}})
-        return Car()
+        no_master.params.update(
+            {"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}}
+        )
+        car = Car()
+        car.said = no_master.said
+        return car
 
     return build
 
@@ -134,6 +138,7 @@ def test_another_frame_stops(car):
     angle = car.drive().drive.steering_angle
     (command,) = car.pose(frame="odom")
     assert car.state == (Mode.STOPPING, Reason.FRAME)
+    assert "/odom: expected poses in the frame map, got one in odom (~map_frame)" in car.said[-2]
     assert command.drive.steering_angle == angle and command.header.frame_id == "odom"
 
 
@@ -164,6 +169,8 @@ def test_a_failure_of_the_controller_stops_by_a_ramp_until_resumed(car, monkeypa
     assert car.state == (Mode.STOPPING, Reason.FAILURE)
     assert command.drive.steering_angle == pytest.approx(angle, abs=0.05)
     assert command.drive.speed == SPEED - 4.0 * PERIOD
+    assert "the control step failed: ZeroDivisionError" in car.said[-2]
+    assert "(test_stop_paths.py:" in car.said[-2] and "in failing)" in car.said[-2]
     # The controller works again, but is not asked.
     steps = Spy(monkeypatch, car.node._controller, "step")
     car.drive(3.0)
@@ -189,6 +196,7 @@ def test_a_failure_of_the_watch_stops_the_car_at_once(car, monkeypatch):
     monkeypatch.setattr(car.node._supervisor, "watch", failing)
     car.node._watch(car.clock.time)
     assert car.last == (angle, 0.0) and car.sent[-1].header.frame_id == "map"
+    assert "the watchdog failed: ZeroDivisionError" in car.said[-1]
 
 
 # -- the watch -----------------------------------------------------------------------------------
@@ -225,6 +233,7 @@ def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
     car.clock.time = 50.0
     car.pose() if by == "pose" else car.node._watch(50.0)
     assert all(len(spy.calls) == 1 for spy in spies)
+    assert "time was set back: starting over" in car.said
 
 
 def test_a_jump_restarts_the_estimate_of_velocities(car, monkeypatch):
@@ -287,6 +296,7 @@ def test_a_raceline_that_cannot_be_driven_stops_along_the_old_one(car):
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.INVALID_RACELINE)
     assert car.node._controller.raceline is old and car.node._diagnosis.refused == "topic: NaN"
+    assert "topic: NaN" in car.said[-2]
     car.node._set_raceline(RACELINE)
     assert car.node._diagnosis.refused == "" and car.node._controller.raceline is RACELINE
     car.drive(1.0)
@@ -304,16 +314,15 @@ def test_a_raceline_that_the_controller_refuses(car, monkeypatch):
     assert car.state[1] is Reason.INVALID_RACELINE and car.node._diagnosis.refused == "too short"
 
 
-def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car, monkeypatch):
+def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car):
     car.drive()
     count = len(car.node._driven.sent)
-    lines = Spy(monkeypatch, rospy, "loginfo")
     car.node._set_raceline(reversed_raceline(RACELINE))
-    assert "has to stand first" in lines.calls[-1][0] and len(car.node._driven.sent) == count
+    assert "has to stand first" in car.said[-1] and len(car.node._driven.sent) == count
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.OPPOSED_RACELINE)
     car.node._set_raceline(RACELINE)
-    assert "stand" not in "".join(str(c[0]) for c in lines.calls[1:])
+    assert car.said[-1].startswith("raceline of ") and "stand" not in car.said[-1]
     assert len(car.node._driven.sent) == count + 1
     assert car.node._driven.sent[-1].header.frame_id == "map" and car.node._settings.sent
 
