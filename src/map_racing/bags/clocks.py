@@ -16,7 +16,8 @@ __all__ = ["COMMAND_DELAY_NS", "LATENCY_NS", "Clock", "stamps_are_unusable"]
 LATENCY_NS = 15 * 10**7
 """Larger differences between the lags of two topics [ns] are no latency."""
 COMMAND_DELAY_NS = 5 * 10**7
-"""Commands are stamped when they are sent, and are not received later than that [ns]."""
+"""Commands are stamped when they are sent, sensors when they measure, and none is received later
+than that [ns]; only localization computes for longer."""
 
 _SECOND = 10**9
 # The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
