@@ -1,7 +1,7 @@
 """Damaged inputs of every reader: a result or one clear error, never a traceback.
 
-``python test/unit/test_mutated.py COUNT`` tries as many, and prints some that gave a result; modules of
-other tests must be on the path (see pythonpath in pyproject.toml).
+``PYTHONPATH=test/unit/bags python test/unit/test_mutated.py COUNT`` tries as many, and prints some
+that gave a result.
 """
 
 import gzip
