@@ -699,3 +699,13 @@ def test_the_latency_script(roscore, processes, request):
     assert "200 poses, " in run.output
     for line in ("in the node: ", "both ways by TCP: ", "live tuning, ", "of 1: ", "a core: "):
         assert line in run.output
+
+
+def test_the_soak_script(roscore, processes, request):
+    """Only that it measures; what grows takes an hour to show."""
+    script = request.config.rootpath / "scripts" / "soak"
+    run = processes([sys.executable, script, "--minutes", "0.5", "--samples", "2"])
+    assert run.wait(120.0) in (0, 1)
+    assert "largest growth: " in run.output
+    lines = [line.split() for line in run.output.splitlines() if "/" in line]
+    assert [float(line[0]) >= 0.25 for line in lines[-2:]] == [True, True]

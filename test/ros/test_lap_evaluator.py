@@ -178,7 +178,7 @@ def test_a_replay_without_stamps_is_offline(log, launch, tmp_path):
     assert [row["valid"] for row in expected] == [False, True, True, False]
     assert expected[1]["speed_reference"] == "command"
     assert_same(rows(table), expected)
-    assert "stamps missing or of another clock" in replay.output
+    assert "stamps missing or from another clock" in replay.output
 
 
 def relative(row):

@@ -16,7 +16,8 @@ __all__ = ["COMMAND_DELAY_NS", "LATENCY_NS", "Clock", "stamps_are_unusable"]
 LATENCY_NS = 15 * 10**7
 """Larger differences between the lags of two topics [ns] are no latency."""
 COMMAND_DELAY_NS = 5 * 10**7
-"""Commands are stamped when they are sent, and are not received later than that [ns]."""
+"""Commands are stamped when they are sent, sensors when they measure, and none is received later
+than that [ns]; only localization computes for longer."""
 
 _SECOND = 10**9
 # The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
@@ -66,7 +67,7 @@ class Clock(NamedTuple):
         stamps, received : ndarray of int64, shape (k,)
             Stamps and times of receipt [ns].
         notes : list of str
-            Gets a warning if the stamps are of another clock.
+            Gets a warning if the stamps are from another clock.
         topic : str
         delay_ns : int, optional
             How much longer than the poses the messages may take from stamp to receipt [ns].
@@ -99,8 +100,8 @@ class Clock(NamedTuple):
             return stamps
         steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
         notes.append(
-            f"warning: {topic}: the stamps are of another clock, {_seconds(offset)} than the poses'"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            f"warning: {topic}: the stamps are from another clock, {_seconds(offset)} than the "
+            "poses'" + (": shifted" if steady else ", and not steadily: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 

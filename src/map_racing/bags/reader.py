@@ -203,7 +203,8 @@ def read_signals(source: Source, recording: Recording, topics: dict[str, str]) -
         for topic in found.values():
             if topic not in signals:
                 numbers, decode, columns = _signal_connections(bag, topic)
-                signals[topic] = Series(decode), columns
+                # Sensors are stamped when they measure, and are sent at once like commands.
+                signals[topic] = Series(decode, delay_ns=COMMAND_DELAY_NS), columns
                 owners.update(dict.fromkeys(numbers, signals[topic][0]))
         for message in bag.messages(set(owners)):
             owners[message.connection].add(message)

@@ -45,7 +45,7 @@ class Commands:
     topic : str
         Topic or columns they came from.
     shifted : bool
-        Whether their stamps were of another clock, and were brought to the poses' by the times of
+        Whether their stamps were from another clock, and were brought to the poses' by the times of
         receipt; then they are earlier than they were given by the age of the poses.
     """
 

@@ -20,6 +20,7 @@ COMMANDS = {
     "race": "race a simulated car, write a ROS 1 bag",
     "evaluate": "lap times and lateral errors from bags of ROS 1 or 2, or CSV files",
     "report": "one HTML page on runs: where the time goes, and why",
+    "advise": "speed sectors for the next heat, from the last one",
     "season": "evaluate all bags below folders: table of heats, page of trends",
     "lookup": "make or check a steering lookup table",
     "raceline": "check, convert, optimize and record racelines",

@@ -219,4 +219,4 @@ def remove_stale(folder: str, pattern: str, drawn: list[str]) -> None:
     for path in sorted(Path(folder).glob(pattern)):
         if path.is_file() and path.name not in drawn:
             path.unlink()
-            print(f"{path}: removed, it was of an earlier call")
+            print(f"{path}: removed: left over from an earlier call")

@@ -8,6 +8,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..control.parameters import (
+    load_controller_parameters,
+    load_safety_limits,
+    save_controller_parameters,
+)
 from ..errors import ParameterError
 from ..files import make_folder, write_json
 from ..identification.car import identify_car
@@ -23,6 +28,8 @@ from .figures import draw_identification
 from .inputs import channel_map, joined, read_vehicle
 from .outputs import check_outputs
 
+CONTROLLER = "map"
+
 
 def run(arguments: argparse.Namespace) -> None:
     """Identify, report, write."""
@@ -31,6 +38,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--output: expected a vehicle file (.yaml), got {output}")
     table_path = output.with_suffix(".csv")
     outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
+    outputs.append(arguments.controller_output)
     recordings = [*arguments.data, *arguments.validate]
     check_outputs(outputs, [*recordings, arguments.vehicle, arguments.channels])
     base = read_vehicle(arguments.vehicle)
@@ -68,6 +76,8 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.linear_output:
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
+    if arguments.controller_output:
+        _write_controller(arguments.controller_output, found)
     if arguments.json:
         write_json(arguments.json, car_data(found, left_out, validated))
         print(f"report written to {arguments.json}")
@@ -86,3 +96,17 @@ def _validated(arguments, found, channels):
         for path in joined(arguments.validate, arguments.join)
     ]
     return replay(found.vehicle, runs, actuators, arguments.window)
+
+
+def _write_controller(path, found):
+    """The shipped controller with the delay that was found."""
+    parameters = load_controller_parameters(CONTROLLER)
+    delay = found.laps.delays.delay if found.laps else None
+    if delay is None or delay.value is None:
+        reason = delay.reason if delay else "it takes ordinary driving"
+        text = f"with its own delay_s of {parameters.delay_s:g} s, as none was determined: {reason}"
+    else:
+        parameters = parameters.with_(delay_s=round(delay.value, 4))
+        text = f"with delay_s of {parameters.delay_s:g} s"
+    save_controller_parameters(parameters, path, load_safety_limits(CONTROLLER))
+    print(f"controller {CONTROLLER} written to {path}, {text}")

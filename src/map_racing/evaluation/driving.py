@@ -63,7 +63,7 @@ class PoseTiming(NamedTuple):
         The longest of these [m]; 0 without any.
     age_s, oldest_s : float
         Median and 99th percentile of the time from stamp to receipt [s]; NaN where the stamps are
-        of another clock or the file does not have both.
+        from another clock or the file does not have both.
     """
 
     rate_hz: float
@@ -144,7 +144,7 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     if clock is not None and not clock.use_receipt and clock.lag.size:
         lag = 1e-9 * clock.lag
         age, oldest = float(np.median(lag)), float(np.percentile(lag, 99))
-        # Stamps of another clock say nothing about age; nor does a lag of 0, which is a receipt.
+        # Stamps from another clock say nothing about age; nor does a lag of 0, which is a receipt.
         if not 0.0 < age < 1.0:
             age = oldest = math.nan
     return PoseTiming(

@@ -377,7 +377,7 @@ class LiveEvaluation:
         offset = self.command_offset_s
         if offset:
             self._doubts["clock"] = (
-                f"drive commands: the stamps are of another clock, {abs(offset):.3f} s "
+                f"drive commands: the stamps are from another clock, {abs(offset):.3f} s "
                 f"{'earlier' if offset > 0.0 else 'later'} than the poses': shifted"
             )
         t, command = map(np.array, self._driven)

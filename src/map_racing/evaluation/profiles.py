@@ -13,8 +13,8 @@ import numpy as np
 from scipy import ndimage
 
 from ..bags.samples import Recording
-from ..control.controller import build_steering_map
 from ..control.parameters import ControllerParameters
+from ..control.steering import build_steering_map
 from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
 from ..vehicle.lookup import LookupTable
@@ -60,6 +60,7 @@ class CarLimits:
 
     Attributes
     ----------
+    vehicle : Vehicle
     table : LookupTable
         Of its own tires.
     delta_max : float
@@ -70,6 +71,7 @@ class CarLimits:
         Largest speed [m/s].
     """
 
+    vehicle: Vehicle
     table: LookupTable
     delta_max: float
     a_drive_max: float
@@ -85,7 +87,7 @@ def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None)
         brake = min(brake, parameters.a_brake_max_mps2)
         v_max = min(v_max, parameters.v_max_mps)
     table = build_steering_map("table", vehicle, v_max)
-    return CarLimits(table, vehicle.delta_max, drive, brake, v_max)
+    return CarLimits(vehicle, table, vehicle.delta_max, drive, brake, v_max)
 
 
 @dataclass(frozen=True)

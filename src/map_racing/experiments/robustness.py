@@ -75,17 +75,17 @@ class Robustness:
         for name in ("tracks", "generated_seeds"):
             values = getattr(self, name)
             if not isinstance(values, (list, tuple)):
-                raise ParameterError(f"{name} must be a list, not {values!r}")
+                raise ParameterError(f"{name}: expected a list, got {values!r}")
             object.__setattr__(self, name, tuple(values))
         for seed in (*self.generated_seeds, self.seed):
             if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-                raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
+                raise ParameterError(f"seeds: expected whole numbers from 0, got {seed!r}")
         if not self.tracks and not self.generated_seeds:
-            raise ParameterError("tracks or generated_seeds must name a track")
+            raise ParameterError("tracks, generated_seeds: expected at least one track, got none")
         if not isinstance(self.cars, dict) or not self.cars:
-            raise ParameterError("cars must map names to what they differ in")
+            raise ParameterError("cars: expected names and what each car differs in")
         if isinstance(self.laps, bool) or not isinstance(self.laps, int) or self.laps < 1:
-            raise ParameterError(f"laps must be at least 1, not {self.laps!r}")
+            raise ParameterError(f"laps: expected at least 1, got {self.laps!r}")
         finite("speed_scale", self.speed_scale)
 
 

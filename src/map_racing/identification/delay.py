@@ -2,7 +2,7 @@
 
 A model of the car stands between the commands and what they cause, because the yaw of a car lags
 behind its wheels by itself; the lag depends on the tires, which are fitted with the delays
-(`output_error`). A delay is only told where the commands move: pieces without turning, or without
+(`output_error`). A delay shows only where the commands move: pieces without turning, or without
 change of speed, do not count.
 """
 
@@ -25,7 +25,7 @@ from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
 __all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
 
 ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
-# A window tells a delay of the steering where the yaw rate varies by so much, and so many windows
+# A window shows a delay of the steering where the yaw rate varies by so much, and so many windows
 # are needed.
 LEAST_TURNING_RADPS, FEWEST_WINDOWS = 0.3, 5
 MOST_WINDOWS = 30
@@ -39,7 +39,7 @@ STEPPING = 0.9
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
-# Poses as old as this are of another clock [s], and synchronized clocks differ by the other.
+# Poses as old as this are from another clock [s], and synchronized clocks differ by the other.
 OLDEST_S, FUTURE_S = 0.15, 0.02
 
 
@@ -159,7 +159,8 @@ def _pose_age(runs):
         return Part(reason="the recording does not say when poses were received"), shifted
     low, middle, high = (float(np.median(values)) for values in zip(*stamped))
     if not -FUTURE_S <= middle <= OLDEST_S:
-        return Part(reason=f"the stamps of the poses are of another clock ({middle:+.3f} s)"), True
+        reason = f"the stamps of the poses are from another clock ({middle:+.3f} s)"
+        return Part(reason=reason), True
     if low == high == 0.0:
         return Part(reason="poses are stamped when they are received"), shifted
     return Part(middle, low, high), shifted
@@ -174,7 +175,7 @@ def _steering(drives, models, notes):
         return (
             Part(
                 reason=f"the yaw rate varies by {LEAST_TURNING_RADPS:g} rad/s in {windows.count} s "
-                f"of the {FEWEST_WINDOWS} s needed: straight or steady driving tells no delay"
+                f"of the {FEWEST_WINDOWS} s needed: straight or steady driving shows no delay"
             ),
         ) * 3
     found, vehicle, beliefs = min(

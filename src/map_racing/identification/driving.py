@@ -32,7 +32,7 @@ SLOPES = (0.7, 1.4)
 # An outlier is farther from the median of so many samples around it than so many usual distances,
 # and than this [m/s, rad/s].
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
-# Shorter than this nothing is told from it [s].
+# Shorter pieces [s] are of no use.
 SHORTEST_S = 3.0
 
 

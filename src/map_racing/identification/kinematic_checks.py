@@ -172,7 +172,7 @@ def check_front_slip(
         return [SensorFinding("front slip", text, critical=True)]
     gain, error, _, _ = _steering(low, vehicle, with_offset=False)
     if not 0.0 < 10.0 * error < gain:
-        text += "; how much more these data do not tell"
+        text += "; these data do not show how much more"
         return [SensorFinding("front slip", text, critical=True)]
     text += f"; if they have no offset, {gain:.3f} +- {error:.3f} times as much"
     fix = {"steering_gain": round(setup.steering_gain * gain, 4)}

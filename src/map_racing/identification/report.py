@@ -162,7 +162,7 @@ def _axle(name, axle, base):
     if fit.saturated:
         reach = "the peak was reached"
     elif fit.reach >= AT_PEAK:
-        reach = "whether that is the peak they do not tell: they scatter, or do not rise to it"
+        reach = "they do not show whether that is the peak: they scatter, or do not rise to it"
     else:
         reach = (
             f"not saturated: the forces end at {fit.reach:.0%} of the curve's peak, where it "

@@ -34,6 +34,7 @@ LEAST_USABLE_S = 2.0
 # Of a drive for steady cornering at least this share is steady; else it is ordinary driving.
 LEAST_STEADY_SHARE = 0.2
 LEAST_STANDING_S = 0.4
+MOST_APART_S = 0.08  # between yaw rates and poses
 LARGEST_ANGLE = 1.0  # largest plausible road-wheel angle [rad]
 # Spread of the ratios of localization to sensors in one run beyond which no constant explains them.
 LARGEST_SPREAD = 0.35
@@ -135,7 +136,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
     if not motions:
         return []
     findings = []
-    for checker in (_heading, _rates):
+    for checker in (_clocks, _heading, _rates):
         findings += checker(motions, setup, vehicle)
         if any(finding.critical for finding in findings):
             # Everything else is judged by speed, yaw rate and heading.
@@ -183,6 +184,21 @@ def correct(
         corrections.append(todo)
         setup = dataclasses.replace(setup, **todo.fix)
     return setup, corrections
+
+
+def _clocks(motions, setup, vehicle):
+    """Do the poses turn when the yaw rate says so?"""
+    return [
+        SensorFinding(
+            "clock",
+            f"clock: {motion.run.label}: the yaw rate comes {abs(motion.clocks_apart_s):.2f} s "
+            f"{'later' if motion.clocks_apart_s > 0.0 else 'earlier'} than the poses turn, and no "
+            "times of receipt tell which of their clocks is wrong",
+            critical=True,
+        )
+        for motion in motions
+        if abs(motion.clocks_apart_s) > MOST_APART_S
+    ]
 
 
 def _heading(motions, setup, vehicle):

@@ -206,7 +206,7 @@ class LapEvaluatorNode:
         offset = self._laps.command_offset_s
         if offset:
             rospy.logwarn_throttle(
-                30.0, f"drive commands are of another clock, {offset:.3f} s behind: shifted"
+                30.0, f"drive commands are from another clock, {offset:.3f} s behind: shifted"
             )
 
     # -- output --------------------------------------------------------------------------------

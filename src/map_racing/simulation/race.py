@@ -165,7 +165,7 @@ def race(
     RaceLog
     """
     if laps < 1:
-        raise ParameterError(f"laps must be at least 1, not {laps}")
+        raise ParameterError(f"laps: expected at least 1, got {laps}")
     if slowdown is not None and not 0.0 <= slowdown < math.inf:
         raise ParameterError(f"slowdown: expected 0 or more, got {slowdown}")
     if time_limit is None:

@@ -45,7 +45,7 @@ def test_topics_of_another_clock_are_brought_to_the_pose(tmp_path, topic, offset
     said = [note for note in recording.notes if note.startswith("warning: ")]
     named = {"drive": DRIVE_TOPIC, "imu": "/vesc/sensors/imu/raw"}
     assert len(said) == (2 if topic == "pose" else 1)
-    assert all("of another clock" in note for note in said)
+    assert all("from another clock" in note for note in said)
     assert topic == "pose" or named[topic] in said[0]
 
 
@@ -210,7 +210,7 @@ def test_links_of_another_timescale(tmp_path):
     recording = read_recording(tmp_path / "a.bag")
     assert recording.t.size == COUNT - 3
     np.testing.assert_allclose(recording.y, 0.1 * np.arange(COUNT - 3), atol=1e-6)
-    assert any("the stamps are of another clock" in note for note in recording.notes)
+    assert any("the stamps are from another clock" in note for note in recording.notes)
 
 
 def test_a_localization_and_a_static_transform(tmp_path):

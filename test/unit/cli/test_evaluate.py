@@ -70,7 +70,7 @@ def test_runs_on_different_tracks_have_no_difference(bags, tmp_path, capsys):
     assert main(["evaluate", str(bags["map"]), str(other), "--plots", str(tmp_path / "two")]) == 0
     printed = capsys.readouterr().out
     assert "no difference.png: club: expected the raceline" in printed
-    assert "difference.png: removed, it was of an earlier call" in printed
+    assert "difference.png: removed: left over from an earlier call" in printed
     names = {path.name for path in (tmp_path / "two").iterdir()}
     assert {"boxes.png", "mine.png"} <= names and "difference.png" not in names
 

@@ -12,6 +12,7 @@ from map_racing.bags.messages import decode_drive
 from map_racing.bags.reader import read_recording, read_signals
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.cli import main
+from map_racing.control.parameters import load_controller_parameters, load_safety_limits
 from map_racing.identification.data import load_run
 from map_racing.resources import config_directory
 from map_racing.simulation.plants import load_plant
@@ -70,14 +71,14 @@ def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypat
 
     def doubtful(path, channels):
         run = load_run(path, channels)
-        run.notes.append("warning: /drive: the stamps are of another clock")
+        run.notes.append("warning: /drive: the stamps are from another clock")
         return run
 
     monkeypatch.setattr("map_racing.cli.identify.load_run", doubtful)
     output = tmp_path / "a.yaml"
     arguments = ["--vehicle", "nuc4", "--output", str(output), "--json", str(tmp_path / "r.json")]
     assert main(["identify", "nuc4_ramps", *arguments]) == 0
-    doubt = "recordings/nuc4_ramps.bag: warning: /drive: the stamps are of another clock"
+    doubt = "recordings/nuc4_ramps.bag: warning: /drive: the stamps are from another clock"
     assert f"# {doubt}\n" in output.read_text()
     assert doubt in json.loads((tmp_path / "r.json").read_text())["notes"]
     assert load_vehicle(output).front == load_vehicle(identified / "my_car.yaml").front
@@ -214,9 +215,11 @@ def test_laps_make_a_car(tmp_path, capsys):
     race = ["race", "--laps", "1", "--speed-scale", "0.7", "--output", str(bag)]
     assert main(race) == 0
     true = load_plant("nuc4").build_vehicle()
+    controller = tmp_path / "controller.yaml"
     for data in ([str(bag)], ["nuc4_ramps", str(bag)]):
         output, report = tmp_path / "car.yaml", tmp_path / "report.json"
         arguments = [*data, "--vehicle", "nuc4", "--output", str(output), "--json", str(report)]
+        arguments += ["--controller-output", str(controller)]
         assert main(["identify", *arguments]) == 0
         printed = capsys.readouterr().out
         found = load_vehicle(output)
@@ -233,7 +236,12 @@ def test_laps_make_a_car(tmp_path, capsys):
         assert load_table(output.with_suffix(".csv")).provenance.parameter_hash == parameter_hash(
             found
         )
+        changed = load_controller_parameters("map").with_(
+            delay_s=round(laps["delays"]["delay_s"], 4)
+        )
+        assert load_controller_parameters(controller) == changed
     assert "front axle:" in printed
+    assert load_safety_limits(controller) == load_safety_limits("map")
 
 
 def test_a_car_is_validated_by_replay(tmp_path, identified, capsys, refused):

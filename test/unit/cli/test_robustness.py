@@ -105,10 +105,10 @@ def test_the_same_again_drives_nothing(folder, results, capsys):
 @pytest.mark.parametrize(
     "text, expected",
     [
-        ("plant: nuc4\ncars: {a: {}}\n", "tracks or generated_seeds must name a track"),
+        ("plant: nuc4\ncars: {a: {}}\n", "expected at least one track, got none"),
         (GRID.replace("x 0.9", "x much"), "cars: slippery: mu_scale: expected x and a number"),
         (GRID.replace("mu_scale", "mu"), "cars: slippery: unknown parameter mu"),
-        (GRID.replace("laps: 1", "laps: 0"), "laps must be at least 1"),
+        (GRID.replace("laps: 1", "laps: 0"), "laps: expected at least 1"),
         (GRID.replace("plant: nuc4", "plant: nuc5"), "nuc5: no such file"),
         (GRID + "day: 1\n", "unknown parameter day"),
     ],

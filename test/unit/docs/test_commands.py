@@ -35,7 +35,10 @@ from map_racing.track.raceline import Raceline
 
 READERS = {
     "README.md": ["map_racing_2025.bag"],
-    "doc/race_day.md": ["map_racing_2025.bag"],
+    "doc/race_day.md": [
+        *("map_racing_2025.bag", "TRACK.csv", "MY_BASE.yaml"),
+        *("LAPS.bag", "OTHER_LAPS.bag"),
+    ],
     "doc/safety.md": ["FAULTS.yaml"],
     "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv", "ROSBAG2", "LONG_0.bag", "LONG_1.bag"],
     "doc/racelines.md": ["HALL.yaml", "BY_HAND.bag"],
@@ -71,6 +74,7 @@ PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
+    "./scripts/heats",
     "./scripts/soak",
     "./scripts/test",
     "catkin build map_racing",
@@ -179,6 +183,11 @@ def ramps(path):
     path.write_bytes(find_config("recordings", "nuc4_ramps", (".bag",)).read_bytes())
 
 
+def laps(path):
+    """Laps of the simulated car, with its commands."""
+    assert main(["race", "--laps", "1", "--speed-scale", "0.7", "--output", str(path)]) == 0
+
+
 def circles(path):
     """The shipped ramps as a log with the columns of the channel map circles_log."""
     signals = load_run(find_config("recordings", "nuc4_ramps", (".bag",))).signals
@@ -206,6 +215,8 @@ MAKERS = {
     "CIRCLES.csv": circles,
     "FAULTS.yaml": faults,
     "HALL.yaml": hall,
+    "LAPS.bag": laps,
+    "OTHER_LAPS.bag": laps,
     "LOG.csv.gz": log,
     "MY_BASE.yaml": vehicle,
     "TRACK.csv": raceline,

@@ -242,7 +242,8 @@ def test_doubts_stand_beside_the_laps(track, drive):
     taken.evaluation.finish()
     common = (
         "raceline bean: column 4 is a guess",
-        "drive commands: the stamps are of another clock, 3.000 s earlier than the poses': shifted",
+        "drive commands: the stamps are from another clock, 3.000 s earlier than the poses': "
+        "shifted",
     )
     assert [lap.lap.valid for lap in taken.laps] == [False, True, True, False]
     missing = (

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from map_racing.control.controller import Controller, build_controller, build_steering_map
+from map_racing.control.controller import Controller, build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import SpeedSectors
+from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError
 from map_racing.evaluation.laps import LapEvaluator
 from map_racing.simulation.plant import (
@@ -203,7 +204,7 @@ def test_a_slow_race_is_no_stall(kind):
 
 @pytest.mark.parametrize("laps", [0, -1])
 def test_no_laps_are_no_race(laps):
-    with pytest.raises(ParameterError, match=f"laps must be at least 1, not {laps}"):
+    with pytest.raises(ParameterError, match=f"laps: expected at least 1, got {laps}"):
         drive(laps=laps)
 
 

@@ -35,6 +35,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="also write the car with linear tires (a regression; from laps, the slope "
         "at zero slip)",
     )
+    parser.add_argument(
+        "--controller-output",
+        metavar="YAML",
+        help="also write the controller map with the delay_s that ordinary driving tells",
+    )
     parser.add_argument("--name", help="name of the identified car (default: the name of the file)")
     add_signal_options(parser)
     parser.add_argument(

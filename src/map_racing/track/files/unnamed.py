@@ -360,5 +360,5 @@ class _Curve:
         if known:
             return "speed", "files with more than positions and widths have speeds"
         if falling == 0.0:
-            return "width", "it or the curvature is constant, which tells nothing"
+            return "width", "it or the curvature is constant, which decides nothing"
         return "width", f"it does not drop where the track bends {evidence}"
