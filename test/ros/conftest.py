@@ -325,10 +325,14 @@ class Published:
 
 @pytest.fixture
 def no_master(monkeypatch):
-    """Lets nodes be made in this process without a master; gives their parameters to fill in."""
+    """Lets nodes be made in this process without a master; their parameters, and what they log."""
     import rospy
 
-    params = {}
+    params, said = {}, []
+
+    def log(*words):
+        said.append(" ".join(map(str, words)))
+
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
     for name, fake in {
         "Publisher": Published,
@@ -340,7 +344,7 @@ def no_master(monkeypatch):
         "has_param": lambda name: name in params,
         "get_name": lambda: "/controller",
         "resolve_name": lambda name: "/" + name,
-        **dict.fromkeys(("loginfo", "logwarn", "logerr_throttle"), lambda *_: None),
+        **dict.fromkeys(("loginfo", "logwarn", "logerr_throttle"), log),
     }.items():
         monkeypatch.setattr(rospy, name, fake)
-    return params
+    return SimpleNamespace(params=params, said=said)

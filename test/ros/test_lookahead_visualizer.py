@@ -265,7 +265,7 @@ def test_what_cannot_be_is_one_line_and_exit_code_1(parameters, text, refusal):
 
 def test_guidance_and_poses_that_come_at_once(no_master, monkeypatch):
     """Each topic has a thread of its own: a pose may come while the trail is being drawn."""
-    no_master["~rate"] = 1000.0
+    no_master.params["~rate"] = 1000.0
     node = lookahead_visualizer.LookaheadVisualizer()
     node._draw_raceline(load_raceline("reference"))
     raceline, color, threads = load_raceline("reference"), lookahead_visualizer.error_color, []

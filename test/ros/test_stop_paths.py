@@ -102,8 +102,12 @@ def make(monkeypatch, no_master):
         monkeypatch.setattr(controller.gc, name, lambda: None)
 
     def build(**given):
-        no_master.update({"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}})
-        return Car()
+        no_master.params.update(
+            {"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}}
+        )
+        car = Car()
+        car.said = no_master.said
+        return car
 
     return build
 
@@ -113,8 +117,11 @@ def car(make):
     return make()
 
 
-def test_each_pose_makes_one_command_with_its_header(car):
+def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
+    steps = Spy(monkeypatch, car.node._diagnosis, "add")
     (command,) = car.pose()
+    ((latency, result),) = steps.calls
+    assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._guidance.sent
     assert command.header.stamp.to_sec() == START and command.header.frame_id == "map"
     assert car.state == (Mode.DRIVING, Reason.NONE) and command.drive.speed > 1.0
 
@@ -134,6 +141,7 @@ def test_another_frame_stops(car):
     angle = car.drive().drive.steering_angle
     (command,) = car.pose(frame="odom")
     assert car.state == (Mode.STOPPING, Reason.FRAME)
+    assert "/odom: expected poses in the frame map, got one in odom (~map_frame)" in car.said[-2]
     assert command.drive.steering_angle == angle and command.header.frame_id == "odom"
 
 
@@ -164,6 +172,8 @@ def test_a_failure_of_the_controller_stops_by_a_ramp_until_resumed(car, monkeypa
     assert car.state == (Mode.STOPPING, Reason.FAILURE)
     assert command.drive.steering_angle == pytest.approx(angle, abs=0.05)
     assert command.drive.speed == SPEED - 4.0 * PERIOD
+    assert "the control step failed: ZeroDivisionError" in car.said[-2]
+    assert "(test_stop_paths.py:" in car.said[-2] and "in failing)" in car.said[-2]
     # The controller works again, but is not asked.
     steps = Spy(monkeypatch, car.node._controller, "step")
     car.drive(3.0)
@@ -189,6 +199,7 @@ def test_a_failure_of_the_watch_stops_the_car_at_once(car, monkeypatch):
     monkeypatch.setattr(car.node._supervisor, "watch", failing)
     car.node._watch(car.clock.time)
     assert car.last == (angle, 0.0) and car.sent[-1].header.frame_id == "map"
+    assert "the watchdog failed: ZeroDivisionError" in car.said[-1]
 
 
 # -- the watch -----------------------------------------------------------------------------------
@@ -225,6 +236,7 @@ def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
     car.clock.time = 50.0
     car.pose() if by == "pose" else car.node._watch(50.0)
     assert all(len(spy.calls) == 1 for spy in spies)
+    assert "time was set back: starting over" in car.said
 
 
 def test_a_jump_restarts_the_estimate_of_velocities(car, monkeypatch):
@@ -287,6 +299,7 @@ def test_a_raceline_that_cannot_be_driven_stops_along_the_old_one(car):
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.INVALID_RACELINE)
     assert car.node._controller.raceline is old and car.node._diagnosis.refused == "topic: NaN"
+    assert "topic: NaN" in car.said[-2]
     car.node._set_raceline(RACELINE)
     assert car.node._diagnosis.refused == "" and car.node._controller.raceline is RACELINE
     car.drive(1.0)
@@ -304,16 +317,16 @@ def test_a_raceline_that_the_controller_refuses(car, monkeypatch):
     assert car.state[1] is Reason.INVALID_RACELINE and car.node._diagnosis.refused == "too short"
 
 
-def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car, monkeypatch):
+def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car):
     car.drive()
     count = len(car.node._driven.sent)
-    lines = Spy(monkeypatch, rospy, "loginfo")
     car.node._set_raceline(reversed_raceline(RACELINE))
-    assert "has to stand first" in lines.calls[-1][0] and len(car.node._driven.sent) == count
+    assert "has to stand first" in car.said[-1] and len(car.node._driven.sent) == count
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.OPPOSED_RACELINE)
     car.node._set_raceline(RACELINE)
-    assert "stand" not in "".join(str(c[0]) for c in lines.calls[1:])
+    (line,) = (line for line in car.said[-2:] if line.startswith("raceline of "))
+    assert "stand" not in line
     assert len(car.node._driven.sent) == count + 1
     assert car.node._driven.sent[-1].header.frame_id == "map" and car.node._settings.sent
 
@@ -333,6 +346,26 @@ def test_each_transform_is_one_pose(make):
         if commands:
             header = car.sent[-1].header
             assert (header.stamp.to_sec(), header.frame_id) == (stamp, "map")
+
+
+@pytest.mark.parametrize("source", ["odom", "pose", "tf"])
+def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
+    """A queue of them, or a delay to fill a packet, would make all poses old."""
+    subscribed = {}
+    monkeypatch.setattr(
+        rospy,
+        "Subscriber",
+        lambda topic, *how, **options: subscribed.update({topic: (how, options)}),
+    )
+    node = make(pose_source=source).node
+    del subscribed["stop_driving"]
+    if source == "tf":
+        assert subscribed == {} and node._transforms
+        return
+    kind = Odometry if source == "odom" else PoseStamped
+    read = node._reader.odometry if source == "odom" else node._reader.pose
+    latest = {"queue_size": 1, "tcp_nodelay": True}
+    assert subscribed == {source: ((kind, node._on_pose, read), latest)}
 
 
 def test_poses_without_velocity(make):

@@ -342,10 +342,11 @@ def plot_robustness(races, title):
     shown = axes.imshow(1000.0 * error, cmap="viridis_r", vmin=0.0, aspect="auto")
     for down, across in ended:
         axes.plot(across, down, "x", color=COLORS[1], ms=9, mew=2.2)
-    if np.isfinite(error).any():
-        down, across = np.unravel_index(np.nanargmax(error), error.shape)
-        worst = f"{1000.0 * error[down, across]:.0f}"
-        axes.text(across, down, worst, ha="center", va="center", color="w", fontsize="small")
+    for down, across in np.argwhere(np.isfinite(error)):
+        dark = error[down, across] > 0.5 * np.nanmax(error)
+        text = f"{1000.0 * error[down, across]:.0f}"
+        style = {"ha": "center", "va": "center", "fontsize": "small"}
+        axes.text(across, down, text, color="w" if dark else "k", **style)
     axes.set_xticks(range(len(tracks)))
     axes.set_xticklabels(tracks, rotation=60, ha="right", fontsize="small")
     axes.set_yticks(range(len(cars)))
