@@ -101,8 +101,7 @@ class Clock(NamedTuple):
         steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
         notes.append(
             f"warning: {topic}: the stamps are from another clock, {_seconds(offset)} than the "
-            "poses'"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            "poses'" + (": shifted" if steady else ", and not steadily: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
