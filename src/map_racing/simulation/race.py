@@ -13,6 +13,7 @@ import numpy as np
 from ..control.safety import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
+from ..vehicle.size import size_of
 from .car import Sample, SimulatedCar, hits_wall
 from .driver import DirectDriver, SupervisedDriver
 from .faults import Faults
@@ -21,7 +22,8 @@ from .grip import Grip
 __all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
-# The race begins and ends so far past the line [m] that noise does not take the car back over it.
+# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over it,
+# and that the last pose to arrive is beyond it.
 START_S = 0.3
 
 # A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
@@ -171,7 +173,8 @@ def race(
     if time_limit is None:
         time_limit = math.inf
 
-    start = raceline.pose(START_S)
+    start_s = START_S * size_of(plant.vehicle).length
+    start = raceline.pose(start_s)
     faults = Faults(faults, plant, "race") if faults else None
     car = SimulatedCar(plant, localization, rate, faults)
     car.put(start.x, start.y, start.psi)
@@ -183,7 +186,7 @@ def race(
     steering, speed = 0.0, 0.0
     samples, truth = [], []
     processor = _Processor(driver.step, slowdown)
-    driven, last_s = START_S, None
+    driven, last_s = start_s, None
     headway, headway_at = driven, 0.0
     poses = 0
     longest = round(LOOK / plant.time_step)
@@ -206,7 +209,7 @@ def race(
             if hits_wall(raceline, s, d, plant.vehicle.width):
                 outcome = Outcome.CRASHED
                 break
-            if driven > (laps + 1) * raceline.length + START_S:
+            if driven > (laps + 1) * raceline.length + start_s:
                 outcome = Outcome.COMPLETED
                 break
             if driven > headway + HEADWAY:
