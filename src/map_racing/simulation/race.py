@@ -22,8 +22,8 @@ from .grip import Grip
 __all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
-# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over it,
-# and that the last pose to arrive is beyond it.
+# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over
+# it, and that the last pose to arrive is beyond it.
 START_S = 0.3
 
 # A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
