@@ -514,7 +514,9 @@ def test_a_sector_ends_at_its_first_passage(drive, track, line):
     knots = [0.0, (third + 3.2) / V, (third + 3.2) / V + 0.4, 12.0]
     places = [-3.0, third + 0.2, third - 0.2, third - 0.2 + V * (12.0 - knots[2])]
     limits = LapLimits(max_deceleration=1000.0)
-    lap = run(line, *drive(12.0, s=lambda t: np.interp(t, knots, places)), limits=limits).laps[1]
+    samples = drive(12.0, s=lambda t: np.interp(t, knots, places))
+    out, lap = run(line, *samples, limits=limits).laps[:2]
+    assert len(out.sector_times_s) == 3 and all(map(math.isnan, out.sector_times_s))
     assert lap.valid
     assert lap.sector_times_s[0] == pytest.approx(third / V, abs=2e-3)
     assert sum(lap.sector_times_s) == pytest.approx(lap.lap_time_s, abs=1e-9)
