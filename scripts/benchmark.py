@@ -24,8 +24,9 @@ from distributed import LocalCluster
 from scipy.integrate import odeint
 
 from map_racing.bags.writer import BagWriter
-from map_racing.control.controller import Controller, build_controller, build_steering_map
+from map_racing.control.controller import Controller, build_controller
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.steering import build_steering_map
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.evaluation.runs import evaluate
 from map_racing.experiments.executors import open_executor

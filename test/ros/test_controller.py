@@ -1,6 +1,7 @@
 """The running controller: its commands, and each case in which it must stop."""
 
 import math
+import re
 import sys
 import threading
 import time
@@ -699,3 +700,13 @@ def test_the_latency_script(roscore, processes, request):
     assert "200 poses, " in run.output
     for line in ("in the node: ", "both ways by TCP: ", "live tuning, ", "of 1: ", "a core: "):
         assert line in run.output
+
+
+def test_the_soak_script(roscore, processes, request):
+    """Only that it measures; what grows takes an hour to show."""
+    script = request.config.rootpath / "scripts" / "soak"
+    run = processes([sys.executable, script, "--minutes", "0.5", "--samples", "2"])
+    assert run.wait(120.0) in (0, 1)
+    assert "largest growth: " in run.output
+    minutes = re.findall(r"^ +([\d.]+) +\d+ +\d+ ", run.output, re.MULTILINE)
+    assert len(minutes) == 2 and float(minutes[-1]) >= 0.5

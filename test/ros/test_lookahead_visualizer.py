@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import threading
 import time
 
 import pytest
@@ -10,6 +11,7 @@ from map_racing.msg import Belief, Guidance
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
+from map_racing.nodes import lookahead_visualizer
 from map_racing.nodes.conversions import set_plane_pose, to_time
 from map_racing.nodes.lookahead_visualizer import ERROR_COLORS
 from map_racing.nodes.waypoints import waypoint_array_class
@@ -259,3 +261,32 @@ def test_the_raceline_has_the_colors_of_the_speeds_that_are_driven(start, listen
 )
 def test_what_cannot_be_is_one_line_and_exit_code_1(parameters, text, refusal):
     assert text in refusal("lookahead_visualizer", parameters)
+
+
+def test_guidance_and_poses_that_come_at_once(no_master, monkeypatch):
+    """Each topic has a thread of its own: a pose may come while the trail is being drawn."""
+    no_master.params["~rate"] = 1000.0
+    node = lookahead_visualizer.LookaheadVisualizer()
+    node._draw_raceline(load_raceline("reference"))
+    raceline, color, threads = load_raceline("reference"), lookahead_visualizer.error_color, []
+
+    def receive(i):
+        point, message = raceline.pose(0.1 * i), Odometry()
+        message.header.stamp = to_time(10**12 + 10**9 * i)
+        set_plane_pose(message.pose.pose, point.x, point.y, point.psi)
+        node._receive_pose(message, lookahead_visualizer._pose_of_odometry)
+
+    def interrupted(fraction):
+        if not threads:
+            threads.append(threading.Thread(target=receive, args=(20,)))
+            threads[0].start()
+            threads[0].join(0.2)
+        return color(fraction)
+
+    monkeypatch.setattr(lookahead_visualizer, "error_color", interrupted)
+    for i in range(10):
+        receive(i)
+    threads[0].join()
+    trails = [m for array in node._markers.sent for m in array.markers if m.ns == "trail"]
+    assert len(trails) >= 9
+    assert all(len(trail.points) == len(trail.colors) for trail in trails)

@@ -4,7 +4,6 @@ Here the nodes have neither a master nor threads, so that faults can be put betw
 the other tests run them as processes.
 """
 
-import copy
 import threading
 from types import SimpleNamespace
 
@@ -23,19 +22,6 @@ from map_racing.track.files.load import load_raceline
 
 RACELINE = load_raceline("reference")
 SPEED, PERIOD, START = 4.0, 0.03125, 100.0
-
-
-class Publisher:
-    """Keeps what is published."""
-
-    def __init__(self, name, kind, **options):
-        self.name, self.sent = name, []
-
-    def publish(self, *message, **fields):
-        self.sent.append(copy.deepcopy(message[0] if message else fields))
-
-    def get_num_connections(self):
-        return 0
 
 
 class Clock:
@@ -61,8 +47,7 @@ class Spy:
 class Car:
     """The node, and a car on the reference track that feeds it poses."""
 
-    def __init__(self, params):
-        self.params = {"~raceline": "reference", **params}
+    def __init__(self):
         self.node = controller.ControllerNode()
         self.node._clock = self.clock = Clock()
         self.s = 2.0
@@ -108,31 +93,21 @@ class Car:
 
 
 @pytest.fixture
-def make(monkeypatch):
+def make(monkeypatch, no_master):
     """``make(pose_source="tf")``: the node with these parameters."""
-    params = {}
-    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    for name, fake in {
-        "Publisher": Publisher,
-        "Subscriber": lambda *_, **__: SimpleNamespace(resolved_name="/global_waypoints"),
-        "Service": lambda *_: None,
-        "Timer": lambda *_, **__: None,
-        "on_shutdown": lambda _: None,
-        "get_param": lambda name, default=None: params.get(name, default),
-        "has_param": lambda name: name in params,
-        "get_name": lambda: "/controller",
-        "resolve_name": lambda name: "/" + name,
-        **dict.fromkeys(("loginfo", "logwarn", "logerr_throttle"), lambda *_: None),
-    }.items():
-        monkeypatch.setattr(rospy, name, fake)
     monkeypatch.setattr(controller, "TuningServer", lambda *_: None)
     monkeypatch.setattr(controller, "Watchdog", lambda *_: None)
     monkeypatch.setattr(controller, "TransformListener", lambda _: SimpleNamespace())
-    monkeypatch.setattr(controller.gc, "freeze", lambda: None)
+    for name in ("collect", "freeze"):
+        monkeypatch.setattr(controller.gc, name, lambda: None)
 
     def build(**given):
-        params.update({"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}})
-        return Car(params)
+        no_master.params.update(
+            {"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}}
+        )
+        car = Car()
+        car.said = no_master.said
+        return car
 
     return build
 
@@ -142,8 +117,13 @@ def car(make):
     return make()
 
 
-def test_each_pose_makes_one_command_with_its_header(car):
+def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
+    steps = Spy(monkeypatch, car.node._diagnosis, "add")
+    reports = Spy(monkeypatch, car.node._diagnosis, "report")
     (command,) = car.pose()
+    assert len(reports.calls) == 1
+    ((latency, result),) = steps.calls
+    assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._guidance.sent
     assert command.header.stamp.to_sec() == START and command.header.frame_id == "map"
     assert car.state == (Mode.DRIVING, Reason.NONE) and command.drive.speed > 1.0
 
@@ -163,6 +143,7 @@ def test_another_frame_stops(car):
     angle = car.drive().drive.steering_angle
     (command,) = car.pose(frame="odom")
     assert car.state == (Mode.STOPPING, Reason.FRAME)
+    assert "/odom: expected poses in the frame map, got one in odom (~map_frame)" in car.said[-2]
     assert command.drive.steering_angle == angle and command.header.frame_id == "odom"
 
 
@@ -193,6 +174,8 @@ def test_a_failure_of_the_controller_stops_by_a_ramp_until_resumed(car, monkeypa
     assert car.state == (Mode.STOPPING, Reason.FAILURE)
     assert command.drive.steering_angle == pytest.approx(angle, abs=0.05)
     assert command.drive.speed == SPEED - 4.0 * PERIOD
+    assert "the control step failed: ZeroDivisionError" in car.said[-2]
+    assert "(test_stop_paths.py:" in car.said[-2] and "in failing)" in car.said[-2]
     # The controller works again, but is not asked.
     steps = Spy(monkeypatch, car.node._controller, "step")
     car.drive(3.0)
@@ -218,6 +201,7 @@ def test_a_failure_of_the_watch_stops_the_car_at_once(car, monkeypatch):
     monkeypatch.setattr(car.node._supervisor, "watch", failing)
     car.node._watch(car.clock.time)
     assert car.last == (angle, 0.0) and car.sent[-1].header.frame_id == "map"
+    assert "the watchdog failed: ZeroDivisionError" in car.said[-1]
 
 
 # -- the watch -----------------------------------------------------------------------------------
@@ -254,6 +238,7 @@ def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
     car.clock.time = 50.0
     car.pose() if by == "pose" else car.node._watch(50.0)
     assert all(len(spy.calls) == 1 for spy in spies)
+    assert "time was set back: starting over" in car.said
 
 
 def test_a_jump_restarts_the_estimate_of_velocities(car, monkeypatch):
@@ -271,6 +256,10 @@ def test_the_topic_stops_and_lets_drive(car):
     car.node._on_stop_topic(Bool(True))
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
+    car.node._on_stop_topic(Bool(False))
+    car.pose()
+    assert car.state == (Mode.DRIVING, Reason.NONE)
+    car.node._on_stop_topic(Bool(True))
     car.node._on_stop(None)
     car.node._on_stop_topic(Bool(False))
     car.pose()
@@ -316,6 +305,7 @@ def test_a_raceline_that_cannot_be_driven_stops_along_the_old_one(car):
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.INVALID_RACELINE)
     assert car.node._controller.raceline is old and car.node._diagnosis.refused == "topic: NaN"
+    assert "topic: NaN" in car.said[-2]
     car.node._set_raceline(RACELINE)
     assert car.node._diagnosis.refused == "" and car.node._controller.raceline is RACELINE
     car.drive(1.0)
@@ -333,16 +323,16 @@ def test_a_raceline_that_the_controller_refuses(car, monkeypatch):
     assert car.state[1] is Reason.INVALID_RACELINE and car.node._diagnosis.refused == "too short"
 
 
-def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car, monkeypatch):
+def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car):
     car.drive()
     count = len(car.node._driven.sent)
-    lines = Spy(monkeypatch, rospy, "loginfo")
     car.node._set_raceline(reversed_raceline(RACELINE))
-    assert "has to stand first" in lines.calls[-1][0] and len(car.node._driven.sent) == count
+    assert "has to stand first" in car.said[-1] and len(car.node._driven.sent) == count
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.OPPOSED_RACELINE)
     car.node._set_raceline(RACELINE)
-    assert "stand" not in "".join(str(c[0]) for c in lines.calls[1:])
+    (line,) = (line for line in car.said[-2:] if line.startswith("raceline of "))
+    assert "stand" not in line
     assert len(car.node._driven.sent) == count + 1
     assert car.node._driven.sent[-1].header.frame_id == "map" and car.node._settings.sent
 
@@ -364,6 +354,26 @@ def test_each_transform_is_one_pose(make):
             assert (header.stamp.to_sec(), header.frame_id) == (stamp, "map")
 
 
+@pytest.mark.parametrize("source", ["odom", "pose", "tf"])
+def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
+    """A queue of them, or a delay to fill a packet, would make all poses old."""
+    subscribed = {}
+    monkeypatch.setattr(
+        rospy,
+        "Subscriber",
+        lambda topic, *how, **options: subscribed.update({topic: (how, options)}),
+    )
+    node = make(pose_source=source).node
+    del subscribed["stop_driving"]
+    if source == "tf":
+        assert subscribed == {} and node._transforms
+        return
+    kind = Odometry if source == "odom" else PoseStamped
+    read = node._reader.odometry if source == "odom" else node._reader.pose
+    latest = {"queue_size": 1, "tcp_nodelay": True}
+    assert subscribed == {source: ((kind, node._on_pose, read), latest)}
+
+
 def test_poses_without_velocity(make):
     car = make(pose_source="pose")
     message = car.message()
@@ -379,7 +389,8 @@ def test_poses_without_velocity(make):
 @pytest.fixture
 def guard(monkeypatch):
     """Run the watchdog for some rounds: times of its calls, and how long it slept after them."""
-    monkeypatch.setattr(threading.Thread, "start", lambda thread: None)
+    threads = []
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: threads.append(thread))
 
     def run(deadlines, fails=()):
         clock, calls, slept, short = Clock(), [], [], []
@@ -402,7 +413,9 @@ def guard(monkeypatch):
         monkeypatch.setattr(watchdog.rospy, "is_shutdown", lambda: len(calls) == len(deadlines))
         monkeypatch.setattr(watchdog.rospy, "sleep", sleep)
         monkeypatch.setattr(watchdog.time, "sleep", short.append)
-        watchdog.Watchdog(lock, clock, supervisor, watch)._run()
+        watchdog.Watchdog(lock, clock, supervisor, watch)
+        assert [thread.daemon for thread in threads] == [True]
+        threads[0].run()
         return calls, slept, short
 
     return run

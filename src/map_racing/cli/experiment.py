@@ -121,7 +121,8 @@ def run_robustness(arguments):
     print("\n".join(robustness_lines(races)), end="\n\n")
     print("\n".join(not_completed_lines(races)))
     print("\n".join(grid_lines(table)))
-    title = f"Robustness: {scale:.0%} speed, {session.grid.conditions.laps} timed laps"
+    laps = session.grid.conditions.laps
+    title = f"Robustness: {scale:.0%} speed, {laps} timed lap{'s' if laps > 1 else ''}"
     drawn = []
     for label in controllers:
         own, stem = races[races.controller == label], Path(label).stem

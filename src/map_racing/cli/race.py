@@ -3,11 +3,12 @@
 import math
 from pathlib import Path
 
-from ..control.controller import Controller, build_steering_maps
+from ..control.controller import Controller
 from ..control.laws import build_law
 from ..control.parameters import MpcParameters, load_law, load_safety_limits
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
+from ..control.steering import build_steering_maps
 from ..errors import ParameterError
 from ..simulation.faults import load_faults
 from ..simulation.plants import build_plant

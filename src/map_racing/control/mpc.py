@@ -28,9 +28,11 @@ from scipy import sparse
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..vehicle.single_track import V_EPS, axle_loads, single_track_derivatives
-from .controller import ControlResult, SideslipEstimate, Status, build_steering_map
+from .controller import ControlResult, Status
+from .sideslip import SideslipEstimate
 from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, moved, predicted
+from .steering import build_steering_map
 
 __all__ = ["ModelPredictiveController", "solver_library"]
 

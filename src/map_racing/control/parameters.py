@@ -41,8 +41,12 @@ REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 # and on times. Delays are those of sensors and actuators, and do not.
 _GROWTH = {
     **dict.fromkeys(("m_m", "lookahead_min_m", "lookahead_max_m", "heading_weight_m"), (1, 0)),
-    **dict.fromkeys(("q_s", "yaw_rate_gain_s", "speed_lookahead_s", "stage_s"), (0, 1)),
+    **dict.fromkeys(("speed_lookahead_s", "stage_s"), (0, 1)),
     "steering_rate_weight_ms": (1, 1),
+    # Delays bound these. For a larger car's size its delays are shorter, so it may look less far
+    # ahead and feed back more of the yaw rate: each by the root of that.
+    "q_s": (0, 0.5),
+    "yaw_rate_gain_s": (0, 1.5),
 }
 # Shares of a car's driving and braking that the shipped controllers ask for, as of nuc4's.
 _DRIVE_SHARE, _BRAKE_SHARE = 0.93, 0.73

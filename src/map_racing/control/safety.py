@@ -471,9 +471,9 @@ class Supervisor:
             return angle, 0.0
         last_angle, speed = self._command
         elapsed = 0.0 if self._commanded is None else now - self._commanded
-        v, deceleration = abs(self._speed), self.limits.stop_deceleration_mps2
+        v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows) or v - wanted > SUDDEN
-        if (slows and not self._slows) or (self.mode is Mode.DRIVING and not drives):
+        if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
             speed = min(speed, self._speed)
         if self._slowing is not None and self._slowing.always:

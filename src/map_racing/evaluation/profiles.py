@@ -13,8 +13,8 @@ import numpy as np
 from scipy import ndimage
 
 from ..bags.samples import Recording
-from ..control.controller import build_steering_map
 from ..control.parameters import ControllerParameters
+from ..control.steering import build_steering_map
 from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
 from ..vehicle.lookup import LookupTable

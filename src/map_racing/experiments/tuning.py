@@ -89,11 +89,14 @@ class Tuned(NamedTuple):
         Its mean RMS lateral error [m].
     pairs : list of Pair
         All that were driven, by m and q.
+    races : int
+        Driven for it.
     """
 
     controller: object
     error: float
     pairs: list
+    races: int
 
 
 def lap_error(results):
@@ -153,7 +156,7 @@ def tune(jobs_for, controller, size=ONE_TENTH):
     MapRacingError
         From the generator, if no pair of the grid is feasible.
     """
-    errors, given_up = {}, set()
+    errors, races, given_up = {}, {}, set()
 
     first, second = controller.TUNED
     step_m, step_q = STEP_M * growth(first, size), STEP_Q * growth(second, size)
@@ -165,7 +168,7 @@ def tune(jobs_for, controller, size=ONE_TENTH):
         new = [cell for cell in cells if cell not in errors]
         found = yield from _compare([jobs_for(with_pair(*cell)) for cell in new], reference)
         for cell, results in zip(new, found):
-            errors[cell] = lap_error(results)
+            races[cell], errors[cell] = len(results), lap_error(results)
             if len(results) < len(jobs_for(controller)):
                 given_up.add(cell)
             elif errors[cell] < min([errors[c] for c in complete] or [math.inf]):
@@ -206,7 +209,7 @@ def tune(jobs_for, controller, size=ONE_TENTH):
         )
         for cell in sorted(errors)
     ]
-    return Tuned(with_pair(*best), errors[best], pairs)
+    return Tuned(with_pair(*best), errors[best], pairs, sum(races.values()))
 
 
 def _compare(groups, reference, first=1, measure=lap_error):

@@ -6,7 +6,7 @@ near the limit, the friction. Together the curves are what is believed before th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Iterable
 
 from ..errors import IdentificationError
@@ -144,6 +144,17 @@ def identify_car(
             raise IdentificationError(f"no usable run: {reasons}; {error}") from None
         refused = [(label, f"{reason}; {error}") for label, reason in surveyed.refused]
         return IdentifiedCar(base_vehicle, steady, None, surveyed._replace(refused=refused))
+    finding = laps.steering_finding
+    if finding and fix and finding.fix and steady is None:
+        setup = replace(surveyed.setup, **finding.fix)
+        surveyed = surveyed._replace(
+            setup=setup,
+            corrections=[*surveyed.corrections, finding],
+            ordinary=[replace(run, setup=setup) for run in surveyed.ordinary],
+        )
+        laps = tires_from_laps(surveyed.ordinary, before, name, _spreads(steady))
+    elif finding:
+        surveyed = surveyed._replace(findings=[*surveyed.findings, finding])
     return IdentifiedCar(base_vehicle, steady, laps, surveyed)
 
 

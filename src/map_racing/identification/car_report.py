@@ -55,10 +55,7 @@ def laps_lines(laps: LapTires) -> list[str]:
     ]
     for name, label, unit, form in SHOWN:
         lines.append(f"  {label}: {parameter_text(laps, name, unit, form)}")
-    lines.append(
-        f"  grip demonstrated: {laps.largest_a_y:.2f} m/s^2, friction at least "
-        f"{laps.least_friction:.3f}"
-    )
+    lines.append(f"  grip demonstrated: {demonstrated_text(laps)}")
     noise = {"r": "yaw rate {:.3f} rad/s", "a_y": "lateral acceleration {:.2f} m/s^2"}
     noise["v_y"] = "lateral velocity {:.3f} m/s"
     left = ", ".join(noise[name].format(value) for name, value in laps.noise.items())
@@ -68,11 +65,21 @@ def laps_lines(laps: LapTires) -> list[str]:
 
 def parameter_text(laps: LapTires, name: str, unit: str, form: str) -> str:
     """Value and interval of a parameter, or that it stayed as it was and what it may be."""
+    if name == "friction" and laps.least_friction is None:
+        return "linear tires have no limit that could be determined"
     value, low, high, determined = laps.parameters[name]
     interval = f"(95 %: {low:{form}} to {high:{form}})"
     if determined:
         return f"{value:{form}}{unit} {interval}"
     return f"not determined by these data: stays {value:{form}}{unit} {interval}"
+
+
+def demonstrated_text(laps: LapTires) -> str:
+    """The lateral acceleration that was held, and what that says of the friction."""
+    text = f"{laps.largest_a_y:.2f} m/s^2"
+    if laps.least_friction is None:
+        return text
+    return f"{text}, friction at least {laps.least_friction:.3f}"
 
 
 def car_data(
@@ -152,10 +159,7 @@ def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
         for name, label, unit, form in SHOWN:
             text = parameter_text(laps, name, unit, form)
             lines.append(f"{label[0].upper()}{label[1:]}: {text}.")
-        lines.append(
-            f"Demonstrated {laps.largest_a_y:.2f} m/s^2: friction at least "
-            f"{laps.least_friction:.3f}."
-        )
+        lines.append(f"Grip demonstrated: {demonstrated_text(laps)}.")
         delay = laps.delays.delay
         if delay.value is not None:
             lines.append(

@@ -22,11 +22,13 @@ from ..vehicle.parameters import Vehicle, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
 from .cornering import low_passed
-from .data import Run
+from .data import Run, SensorSetup
 from .delay import Delays, estimate_delays
 from .driving import GRID_HZ, Driving, Windows, driving_of, windows_of
+from .kinematic_checks import LOCK_MARGIN
 from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE, Fitted
+from .sensor_findings import SensorFinding
 from .tire_fit import Parameter
 
 __all__ = ["LapTires", "tires_from_laps"]
@@ -36,15 +38,19 @@ __all__ = ["LapTires", "tires_from_laps"]
 LEAST_TURNING_RADPS, FEWEST_WINDOWS, MOST_WINDOWS = 0.15, 5, 60
 # The model must explain this share of the variance of the yaw rate.
 LEAST_EXPLAINED = 0.8
-# Standard deviations of what is believed before: logarithms of stiffness, friction, shape, inertia.
-PRIOR = {"front": 0.4, "rear": 0.6, "grip": 0.15, "shape": 0.15, "inertia": 0.15}
+# Standard deviations of what is believed before, all of logarithms of factors.
+PRIOR = {"front": 0.4, "rear": 0.6, "grip": 0.15, "shape": 0.15, "inertia": 0.15, "gain": 0.02}
+# A gain so many of its standard deviations off is then looked for within this one.
+DOUBT, ANY_GAIN = 2.0, 0.2
 # A factor is determined with a smaller standard deviation.
 DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.05, "shape": 0.075}
 # Friction is never taken from a drive that used less than this share of it, whatever the fit says:
 # at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
+# Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
+LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
 # The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
-SUSTAINED_HZ, SUSTAINED_PERCENT = 2.0, 99.0
+SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,9 @@ class LapTires:
         Largest sustained lateral acceleration [m/s^2].
     explained : float
         Share of the variance of the yaw rate.
+    setup : SensorSetup
+    widest : float
+        Largest angle asked of the wheels [rad]: 99th percentile.
     noise : dict of str to float
         Standard deviation of what the model leaves, by quantity [SI].
     fitted : Fitted
@@ -83,14 +92,56 @@ class LapTires:
     parameters: dict[str, Parameter]
     largest_a_y: float
     explained: float
+    setup: SensorSetup
+    widest: float
     noise: dict[str, float]
     fitted: Fitted
     delays: Delays
 
     @property
-    def least_friction(self) -> float:
-        """Lower bound of the friction coefficient [-]: what the demonstrated grip takes."""
-        return self.largest_a_y / GRAVITY
+    def least_friction(self) -> float | None:
+        """Lower bound of the vehicle's `mu` [-]: what the demonstrated grip takes.
+
+        None for linear tires, which have no limit.
+        """
+        peak = min(self.vehicle.front.peak, self.vehicle.rear.peak)
+        return self.largest_a_y / (GRAVITY * peak) if math.isfinite(peak) else None
+
+    @property
+    def steering_finding(self) -> SensorFinding | None:
+        """That the wheels turn otherwise than commanded, with its repair, if they do so clearly."""
+        gain, offset = self.parameters["gain"], self.parameters["offset_rad"]
+        off = [
+            abs(value - right) > max(least, 0.75 * (high - low))
+            for (value, low, high, _), right, least in (
+                (gain, 1.0, LEAST_GAIN_ERROR),
+                (offset, 0.0, LEAST_OFFSET_RAD),
+            )
+        ]
+        if not any(off):
+            return None
+        text = (
+            f"steering: in ordinary driving the wheels turn {gain.value:.3f} "
+            f"({gain.low:.3f} to {gain.high:.3f}) times the commanded angle "
+            f"{offset.value:+.4f} rad ({offset.low:+.4f} to {offset.high:+.4f}); the "
+            "table is for the angle of the wheels"
+        )
+        if gain.value * self.widest > LOCK_MARGIN * self.base.delta_max:
+            return SensorFinding(
+                "steering",
+                f"{text}; but that is {gain.value * self.widest:.3f} rad, beyond their lock of "
+                f"{self.base.delta_max:.3f} rad (delta_max), so another reason must be found",
+            )
+        return SensorFinding(
+            "steering",
+            text,
+            {
+                "steering_gain": round(self.setup.steering_gain * gain.value, 4),
+                "steering_offset_rad": round(
+                    self.setup.steering_offset_rad * gain.value + offset.value, 4
+                ),
+            },
+        )
 
 
 def tires_from_laps(
@@ -155,6 +206,7 @@ def tires_from_laps(
             f"yaw rate, expected {LEAST_EXPLAINED:.0%}: not the commands of this drive, or not the "
             "size of this car"
         )
+    angles = [drive.steering.value for drive in drives]
     vehicle = replace(car_of(base, fitted), name=name or base.name + "_identified")
     return LapTires(
         vehicle=vehicle,
@@ -165,6 +217,8 @@ def tires_from_laps(
         parameters=_parameters(vehicle, base, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
+        setup=used[0].setup,
+        widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
         noise=fitted.noise,
         fitted=fitted,
         delays=estimate_delays(used, vehicle),
@@ -190,7 +244,20 @@ def _fitted(base, windows, prior, demonstrated):
 
     In the one that counts what is not determined stays as believed.
     """
-    free = fit_car(base, windows, believed(**prior))
+    # There is at least the grip that was demonstrated.
+    least = math.log(max(demonstrated / _limit(base), 1e-6))
+
+    def beliefs(spreads):
+        result = believed(**spreads)
+        grip = result["grip"]
+        result["grip"] = grip._replace(low=max(grip.low, least), center=max(grip.center, least))
+        return result
+
+    free = fit_car(base, windows, beliefs(prior))
+    if abs(free["gain"]) > DOUBT * prior["gain"]:
+        # The belief in the linkage was wrong: let the data tell it.
+        prior = {**prior, "gain": ANY_GAIN}
+        free = fit_car(base, windows, beliefs(prior), near=free)
     unknown = {
         name
         for name, enough in DETERMINED.items()
@@ -201,7 +268,7 @@ def _fitted(base, windows, prior, demonstrated):
     held = {**prior, **dict.fromkeys(unknown, 0.0)}
     if held == prior:
         return free, free, unknown
-    return free, fit_car(base, windows, believed(**held), near=free), unknown
+    return free, fit_car(base, windows, beliefs(held), near=free), unknown
 
 
 def _limit(vehicle: Vehicle) -> float:

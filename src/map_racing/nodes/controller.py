@@ -21,11 +21,12 @@ from tf2_msgs.msg import TFMessage
 from map_racing.msg import Belief, Guidance, Tracking
 
 from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
-from ..control.controller import Controller, Status, build_steering_maps
+from ..control.controller import Controller, Status
 from ..control.parameters import load_controller_parameters, load_safety_limits
 from ..control.safety import Mode
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
+from ..control.steering import build_steering_maps
 from ..control.supervised import SupervisedController, build_supervisor
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping

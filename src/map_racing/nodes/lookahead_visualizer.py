@@ -82,7 +82,8 @@ class LookaheadVisualizer:
         self._l_wb = vehicle.l_wb
         self._trail_length = trail
         self._trail = deque()
-        self._coloring = threading.Lock()
+        # Each topic has a thread of its own.
+        self._coloring, self._drawing = threading.Lock(), threading.Lock()
         self._tracker = self._shown = self._driven = None
         self._guided_ns = -_UNGUIDED_NS
         self._belief = None
@@ -110,6 +111,10 @@ class LookaheadVisualizer:
         at = guidance.x + guidance.y + guidance.lookahead_x + guidance.lookahead_y
         if not math.isfinite(at + guidance.d + guidance.eta + guidance.steering_angle):
             return
+        with self._drawing:
+            self._draw_guidance(guidance)
+
+    def _draw_guidance(self, guidance):
         self._guided_ns = stamp = guidance.header.stamp.to_nsec()
         if not self._is_due(stamp, guidance.x, guidance.y, guidance.d):
             return
@@ -130,10 +135,11 @@ class LookaheadVisualizer:
         x, y, psi = plane_pose(pose_of(message))
         if not math.isfinite(x + y + psi):
             return
-        deviation = self._tracker.update(x, y, psi).d
-        if self._is_due(stamp, x, y, deviation) and self._markers.get_num_connections():
-            frame = plain_frame(message.header.frame_id) or self._map
-            self._draw([self._drawn_car()], stamp, frame)
+        with self._drawing:
+            deviation = self._tracker.update(x, y, psi).d
+            if self._is_due(stamp, x, y, deviation) and self._markers.get_num_connections():
+                frame = plain_frame(message.header.frame_id) or self._map
+                self._draw([self._drawn_car()], stamp, frame)
 
     def _is_due(self, stamp, x, y, deviation):
         """Extend the trail; whether markers are due."""

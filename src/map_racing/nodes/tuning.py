@@ -11,8 +11,9 @@ from dynamic_reconfigure.server import Server
 
 from map_racing.cfg import ControllerConfig
 
-from ..control.controller import Controller, build_steering_map
+from ..control.controller import Controller
 from ..control.parameters import STEERING_MAPS, load_controller_parameters
+from ..control.steering import build_steering_map
 from ..errors import MapRacingError, ParameterError
 
 if TYPE_CHECKING:

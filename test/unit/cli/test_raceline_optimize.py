@@ -9,9 +9,10 @@ import yaml
 from PIL import Image
 
 from map_racing.cli import main
-from map_racing.control.controller import Controller, build_steering_map
+from map_racing.control.controller import Controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import load_speed_sectors
+from map_racing.control.steering import build_steering_map
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race

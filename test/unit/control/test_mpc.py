@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from map_racing.control import mpc
-from map_racing.control.controller import Status, build_steering_map
+from map_racing.control.controller import Status
 from map_racing.control.laws import build_law
 from map_racing.control.parameters import (
     MPC_MODELS,
@@ -19,6 +19,7 @@ from map_racing.control.parameters import (
 )
 from map_racing.control.safety import SafetyLimits
 from map_racing.control.state import CarState, moved
+from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError
 from map_racing.simulation import race as races
 from map_racing.simulation.plants import build_plant, load_plant

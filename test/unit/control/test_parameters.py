@@ -249,17 +249,24 @@ def test_1_10_cars_are_driven_with_the_values_of_the_file(name):
 
 
 @pytest.mark.parametrize("name", ["map", "map_paper", "pure_pursuit"])
-def test_a_larger_car_looks_as_much_farther_ahead_at_the_speed_of_the_same_acceleration(name):
+def test_a_larger_car_is_driven_with_values_of_its_size(name):
+    """At speeds of equal accelerations, distances are so much longer, and times by the root."""
     car = load_vehicle("bmw_320i")
     length = car.l_wb / 0.32
+    time = math.sqrt(length)
     small, large = load_controller_parameters(name), load_controller_parameters(name, car)
-    small, large = small.with_(slip_lookahead=0.0), large.with_(slip_lookahead=0.0)
-    for v in (0.5, 3.0, 8.0, 30.0):
-        at = large.lookahead(car).distance(v * math.sqrt(length))
-        assert at == pytest.approx(length * small.lookahead(car).distance(v), rel=1e-5)
-    # Sensors and actuators are as late as they are.
-    assert large.delay_s == small.delay_s
-    assert large.v_max_mps == large.table_v_max_mps == car.v_max or name != "map_paper"
+    for names, factor in (
+        (("m_m", "lookahead_min_m", "lookahead_max_m"), length),
+        (("speed_lookahead_s",), time),
+        # Sensors and actuators are as late as they are, and so relatively fast.
+        (("delay_s",), 1.0),
+        (("q_s",), math.sqrt(time)),
+        (("yaw_rate_gain_s",), time * math.sqrt(time)),
+    ):
+        for each in names:
+            expected = factor * getattr(small, each)
+            assert getattr(large, each) == pytest.approx(expected, rel=1e-4), each
+    assert large.v_max_mps == car.v_max <= large.table_v_max_mps
     assert large.a_drive_max_mps2 < car.a_max and large.a_brake_max_mps2 < car.a_brake_max
 
 

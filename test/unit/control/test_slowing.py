@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from map_racing.control.controller import ControlResult, Status, build_steering_map
+from map_racing.control.controller import ControlResult, Status
 from map_racing.control.safety import Mode, Reason, SafetyLimits, Supervisor
 from map_racing.control.slowing import MOST_BRAKING, STEERING_RATE, Slowing
 from map_racing.control.state import CarState
+from map_racing.control.steering import build_steering_map
 from map_racing.vehicle.parameters import load_vehicle
 
 PERIOD = 1 / 40

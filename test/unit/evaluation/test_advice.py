@@ -15,9 +15,9 @@ from map_racing.errors import EvaluationError, ParameterError
 from map_racing.evaluation.advice import _Drive, _stretches, advise
 from map_racing.evaluation.analysis import analyze
 from map_racing.evaluation.day_grip import grip_of_day
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.profiles import car_limits
 from map_racing.evaluation.recordings import load_recording
+from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race

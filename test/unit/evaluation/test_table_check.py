@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.profiles import car_limits, profiles_of
+from map_racing.evaluation.runs import evaluate
 from map_racing.evaluation.table_check import table_check
 from map_racing.vehicle.parameters import load_vehicle
 

@@ -67,6 +67,7 @@ def test_finds_the_bottom_of_a_valley(m, q, v):
     found, asked = tuned_by(error_at)
     assert len(set(asked)) == len(asked)  # nothing is driven twice
     assert {race[:2] for race in asked} == {pair[:2] for pair in found.pairs}
+    assert found.races == len(asked)
     lowest = min(pair.error for pair in found.pairs if not pair.given_up)
     assert all(pair.error >= lowest for pair in found.pairs)
     assert found.error == lowest == pytest.approx(0.01, abs=1e-3)

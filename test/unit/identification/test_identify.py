@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.controller import Controller, build_steering_map
+from map_racing.control.controller import Controller
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.steering import build_steering_map
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.data import Signal, load_channel_map, load_run

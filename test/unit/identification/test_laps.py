@@ -97,10 +97,47 @@ def test_without_lateral_velocity_or_imu(low):
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
 
 
+def test_no_less_grip_than_was_demonstrated(low):
+    """A file that promises less than the car did is wrong, determined or not."""
+    run, true = low
+    slippery = dataclasses.replace(NUC4, mu=0.4)
+    found = tires_from_laps([run], slippery, spreads={"grip": 0.01})
+    limit = found.vehicle.mu * GRAVITY * found.vehicle.front.peak
+    assert limit >= found.largest_a_y * (1.0 - 1e-9)
+    assert 0.4 < found.least_friction <= found.vehicle.mu * (1.0 + 1e-9) < 1.05 * true.mu
+
+
+@pytest.mark.parametrize("gain", [0.85, 1.12])
+def test_wheels_that_turn_otherwise_than_commanded(low, gain):
+    run, true = low
+    t, angle = run.signals["steering"]
+    wrong = Signal(t, (angle - 0.015) / gain)
+    run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
+    fixed = identify_car([run], dataclasses.replace(NUC4, delta_max=0.6), fix=True)
+    (finding,) = [f for f in fixed.corrections if f.text.startswith("steering: in ordinary")]
+    assert finding.fix["steering_offset_rad"] == pytest.approx(0.015, abs=0.003)
+    assert fixed.setup.steering_gain == pytest.approx(gain, rel=0.03)
+    assert fixed.laps.parameters["gain"].value == pytest.approx(1.0, abs=0.01)
+    assert stiffness(fixed.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
+
+
+def test_not_beyond_their_lock(low):
+    run, _ = low
+    t, angle = run.signals["steering"]
+    wrong = Signal(t, angle / 1.3)
+    run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
+    widest = float(np.percentile(np.abs(angle), 99.0))
+    car = dataclasses.replace(NUC4, delta_max=0.9 * widest)
+    found = identify_car([run], car, fix=True)
+    assert found.setup.steering_gain == 1.0
+    assert any("beyond their lock" in finding.text for finding in found.findings)
+
+
 def test_linear_tires_have_no_friction_to_tell(low):
     found = tires_from_laps([low[0]], linearized(NUC4))
     assert found.vehicle.front.model == "linear"
     assert not found.parameters["friction"].determined and found.vehicle.mu == NUC4.mu
+    assert found.least_friction is None
 
 
 def test_refusals(low):
