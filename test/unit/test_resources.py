@@ -46,7 +46,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones(source):
         find_config("vehicles", source, (".yaml",))
     assert str(caught.value) == (
         f"{source}: no such file, nor one of the shipped vehicles "
-        "(bmw_320i, f1tenth_drift, nuc4, sim)"
+        "(bmw_320i, f1tenth_drift, nuc4, sim, sim_identified)"
     )
 
 
