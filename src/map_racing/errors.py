@@ -1,5 +1,7 @@
 """Errors that a user can cause."""
 
+from .printing import printable
+
 
 class MapRacingError(Exception):
     """Base of all errors: one line for the user that says what was expected, what came, and where.
@@ -9,7 +11,7 @@ class MapRacingError(Exception):
 
     def __str__(self):
         # Names of files and keys may hold line breaks.
-        return " ".join(super().__str__().splitlines())
+        return printable(" ".join(super().__str__().splitlines()))
 
 
 class ParameterError(MapRacingError):

@@ -16,6 +16,7 @@ import numpy as np
 
 from .errors import FileFormatError
 from .files import refuse_special
+from .printing import printable
 
 __all__ = [
     "UNITS",
@@ -26,6 +27,7 @@ __all__ = [
     "parse_rows",
     "read_columns",
     "some_names",
+    "without_unit",
 ]
 
 
@@ -51,7 +53,8 @@ class Columns(NamedTuple):
     notes : list of str
         What was left out.
     units : dict of str to str
-        Of `UNITS`, from a row of units below the names; empty where the file does not say.
+        Of `UNITS`, from a row of units below the names or in brackets behind them; empty where the
+        file does not say.
     """
 
     values: dict
@@ -97,7 +100,11 @@ def read_columns(
         units, rows = _split_units(rows, len(names))
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
-    stated = {key: units[index] for key, index in where.items()} if units else {}
+    units = units or [_unit_of(name) for name in names]
+    stated = {key: units[index] for key, index in where.items() if units[index] in UNITS}
+    for key, name in named.items():
+        if key not in stated and units[where[key]]:
+            notes.append(f"warning: column {name}: the unit is not understood: taken as SI")
     return Columns(dict(zip(where, table.T)), named, lines, notes, stated)
 
 
@@ -133,13 +140,29 @@ def _split_header(path, file, unnamed):
     numeric = is_number(_cells(path, *first, delimiter)[0])
     header = comment if numeric else first[1]
     count = len(_cells(path, *first, delimiter))
-    names = [name.strip() for name in _cells(path, first[0], header, delimiter)] if header else []
+    cells = _cells(path, first[0], header, delimiter) if header else []
+    names = [printable(name.strip()) for name in cells]
     if numeric and len(names) != count and count in unnamed:
         names = list(unnamed[count])
     if not names:
         raise FileFormatError(f"{path}: expected names of columns above the numbers, got none")
     data = (row for row in lines if not row[1].startswith("#"))
     return names, _rows(path, chain([first], data) if numeric else data, delimiter)
+
+
+_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+
+
+def without_unit(name: str) -> str:
+    """Name of a column without the unit in brackets behind it."""
+    return _UNIT.sub("", name) or name
+
+
+def _unit_of(name):
+    """Unit in brackets behind the name of a column; empty without."""
+    found = _UNIT.search(name)
+    unit = found.group(1).strip().lower() if found and found.start() else ""
+    return "" if unit in ("-", "1") else unit
 
 
 def _split_units(rows, count):
@@ -225,8 +248,8 @@ def parse_rows(
     picked : sequence of int, optional
         Indices of the columns to read; all by default.
     recorded : bool, optional
-        Whether the table was recorded: cells may be empty (NaN) or quoted, rows may be longer, and
-        the last may be short, since the recorder was stopped while writing it.
+        Whether the table was recorded: cells may be empty (NaN) or quoted, rows may end with empty
+        cells, and the last may be short, since the recorder was stopped while writing it.
 
     Returns
     -------
@@ -246,11 +269,13 @@ def parse_rows(
     for number, cells in rows:
         if short is not None:
             break
-        if len(cells) < len(names) or (len(cells) > len(names) and not recorded):
+        count = len(names)
+        if len(cells) != count and not (recorded and not any(map(str.strip, cells[count:]))):
             short = number, len(cells)
-            if recorded:
-                continue
             break
+        if len(cells) < count:
+            short = number, len(cells)
+            continue
         values = []
         for index in picked:
             cell = cells[index]

@@ -16,6 +16,7 @@ from dataclasses import fields
 
 from .errors import ParameterError
 from .files import read_yaml_mapping
+from .printing import printable
 
 __all__ = [
     "FARTHEST",
@@ -94,7 +95,7 @@ def parameter(
     choices : tuple of str, optional
         Valid values of a text.
     tuning : tuple of float, optional
-        Range of the slider in live tuning; without it there is none.
+        Range of the slider in live tuning, of a switch False and True; without it there is none.
     default : optional
         Without one the parameter is required.
     """
@@ -121,7 +122,7 @@ def check(values: object) -> None:
             continue
         good = type(value).__name__ == kind
         if good and kind == "str":
-            good = value in data["choices"] if data["choices"] else value != ""
+            good = value in data["choices"] if data["choices"] else value == printable(value) != ""
         elif good:
             good = data["low"] <= value <= data["high"]
         if not good:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import signal
 import socket
@@ -9,6 +10,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -306,3 +308,43 @@ def rig(ros, start, advertise, listen):
     yield make
     for car in cars:
         car.stop()
+
+
+class Published:
+    """A publisher that keeps what is published."""
+
+    def __init__(self, name, kind, **options):
+        self.name, self.sent = name, []
+
+    def publish(self, *message, **fields):
+        self.sent.append(copy.deepcopy(message[0] if message else fields))
+
+    def get_num_connections(self):
+        return 1
+
+
+@pytest.fixture
+def no_master(monkeypatch):
+    """Lets nodes be made in this process without a master; their parameters, and what they log."""
+    import rospy
+
+    params, said = {}, []
+
+    def log(*words):
+        said.append(" ".join(map(str, words)))
+
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    for name, fake in {
+        "Publisher": Published,
+        "Subscriber": lambda *_, **__: SimpleNamespace(resolved_name="/global_waypoints"),
+        "Service": lambda *_: None,
+        "Timer": lambda *_, **__: None,
+        "on_shutdown": lambda _: None,
+        "get_param": lambda name, default=None: params.get(name, default),
+        "has_param": lambda name: name in params,
+        "get_name": lambda: "/controller",
+        "resolve_name": lambda name: "/" + name,
+        **dict.fromkeys(("loginfo", "logwarn", "logerr_throttle"), log),
+    }.items():
+        monkeypatch.setattr(rospy, name, fake)
+    return SimpleNamespace(params=params, said=said)

@@ -1,6 +1,7 @@
 """The running controller: its commands, and each case in which it must stop."""
 
 import math
+import re
 import sys
 import threading
 import time
@@ -17,8 +18,9 @@ from harness import Car, Rig, wait_for, waypoints
 from map_racing.msg import Belief, Guidance, Tracking
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, String
 
+from map_racing.bags.topics import SETTINGS_TOPIC
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import (
     STEERING_MAPS,
@@ -27,6 +29,7 @@ from map_racing.control.parameters import (
     load_safety_limits,
 )
 from map_racing.control.safety import SafetyLimits
+from map_racing.control.settings import parse_settings
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.files.load import load_raceline
@@ -76,6 +79,17 @@ def test_the_commands_are_those_of_the_core(rig, listen):
     assert last.a_lat == pytest.approx(
         lateral_acceleration(last.v_x, last.lookahead_distance, eta), abs=1e-9
     )
+
+
+def test_settings_wait_for_whoever_comes_late(rig, listen):
+    rig = rig({"speed_scale": 0.5})
+    rig.driving()
+    message = listen(SETTINGS_TOPIC, String).wait()
+    assert message._connection_header["latching"] == "1"
+    settings = parse_settings(message.data)
+    assert settings.notes == () and settings.controller.speed_scale == 0.5
+    assert settings.vehicle == load_vehicle(settings.values["vehicle"]["name"].lower())
+    assert settings.values["safety"] and settings.values["raceline"]["length_m"] > 1.0
 
 
 def test_numbers_for_plots(rig, listen):
@@ -685,14 +699,27 @@ def test_sliders_are_those_of_the_parameters(rig):
     for name in expected:
         field = known[name if name in known else name[-3:]]
         assert (offered[name]["min"], offered[name]["max"]) == field.metadata["tuning"], name
+        switch = isinstance(field.default, bool)
+        assert offered[name]["type"] == ("bool" if switch else "double"), name
         assert offered[name]["description"] == meaning(field)
 
 
 def test_the_latency_script(roscore, processes, request):
     """Only that it measures; whether a busy machine keeps to the limits is no matter of a test."""
     script = request.config.rootpath / "scripts" / "latency"
-    run = processes([sys.executable, script, "--seconds", "2"])
+    options = ["--seconds", "2", "--tuning", "--dropouts", "1", "--load", "1"]
+    run = processes([sys.executable, script, *options])
     assert run.wait(60.0) in (0, 1)
     assert "200 poses, " in run.output
-    for line in ("in the node: ", "both ways by TCP: ", "share of a core: "):
+    for line in ("in the node: ", "both ways by TCP: ", "live tuning, ", "of 1: ", "a core: "):
         assert line in run.output
+
+
+def test_the_soak_script(roscore, processes, request):
+    """Only that it measures; what grows takes an hour to show."""
+    script = request.config.rootpath / "scripts" / "soak"
+    run = processes([sys.executable, script, "--minutes", "0.5", "--samples", "2"])
+    assert run.wait(120.0) in (0, 1)
+    assert "largest growth: " in run.output
+    minutes = re.findall(r"^ +([\d.]+) +\d+ +\d+ ", run.output, re.MULTILINE)
+    assert len(minutes) == 2 and float(minutes[-1]) >= 0.5

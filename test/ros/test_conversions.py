@@ -36,6 +36,16 @@ def test_plane_pose_round_trip(psi):
     assert plane_pose(pose) == pytest.approx((1.0, -2.0, psi))
 
 
+@pytest.mark.parametrize("length", [0.5, 1.05, 2.0, 3.0])
+@pytest.mark.parametrize("psi", [-3.0, -0.1, 0.0, 2.5])
+def test_quaternions_of_any_length_are_the_same_heading(psi, length):
+    pose = Pose()
+    set_plane_pose(pose, 1.0, 2.0, psi)
+    q = pose.orientation
+    q.z, q.w = length * q.z, length * q.w
+    assert plane_pose(pose) == pytest.approx((1.0, 2.0, psi))
+
+
 def test_a_quaternion_that_nobody_filled_in_is_no_heading():
     assert math.isnan(plane_pose(Pose())[2])
 

@@ -15,8 +15,8 @@ from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
+from map_racing.evaluation.runs import evaluate
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
@@ -178,7 +178,7 @@ def test_a_replay_without_stamps_is_offline(log, launch, tmp_path):
     assert [row["valid"] for row in expected] == [False, True, True, False]
     assert expected[1]["speed_reference"] == "command"
     assert_same(rows(table), expected)
-    assert "stamps missing or of another clock" in replay.output
+    assert "stamps missing or from another clock" in replay.output
 
 
 def relative(row):
@@ -247,6 +247,61 @@ def test_poses_without_twist_or_command(race_bag, evaluator, processes, tmp_path
             [row[name] for row in expected], abs=SAME, nan_ok=True
         )
     assert laps[1]["speed_reference"] == "raceline"
+
+
+def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, listen, tmp_path):
+    """Poses in a frame of odometry, and some in another frame in between."""
+    bag, table = tmp_path / "odom.bag", tmp_path / "laps.csv"
+    line, v = load_raceline("reference"), 6.0
+    with BagWriter(bag) as writer:
+        for i in range(int(2.2 * line.length / v * 40.0)):
+            at, s = T0 + i / 40.0, v * i / 40.0 - 2.0
+            x, y, psi, *_ = line.pose(s)
+            writer.odometry(at, x, y, psi, v, 0.0, 0.0, frame="odom", received=at)
+            if i % 5 == 1:
+                writer.odometry(at + 0.01, x + 0.2, y, psi, v, 0.0, 0.0, received=at + 0.01)
+    node = evaluator({"csv": str(table), "raceline": "reference"})
+    results = listen("/lap_result", LapResult)
+    play(processes, bag, "--rate=10")
+    output = stop(node)
+    laps = rows(table)
+    assert [row["valid"] for row in laps] == ["False", "True", "True", "False"]
+    doubts = (
+        "/car_state/odom is in frame odom, which drifts against the map: the lateral errors are "
+        "not those on the track; /car_state/odom: messages in another frame, map, left out: only "
+        "the first, odom, counts"
+    )
+    assert [row["warnings"] for row in laps] == [doubts] * 4
+    assert {result.warnings for result in results} == {doubts}
+    assert doubts in output
+    assert all(row["rms_lateral_error_m"] < 1e-3 for row in laps[1:3])
+
+
+@pytest.mark.parametrize(
+    ("name", "odom", "doubt"),
+    [
+        ("cmd_clock_1s_early.bag", "/car_state/odom", "another clock, 1.00"),
+        ("one_topic_two_frames.bag", "/odom", "messages in another frame, odom, left out"),
+    ],
+)
+def test_recordings_that_went_wrong(
+    shared_cases, evaluator, processes, tmp_path, name, odom, doubt
+):
+    """A lap takes 2 pi / 0.8 s, with d = 0.1 sin(3 theta); the speed is the one commanded."""
+    table = tmp_path / "laps.csv"
+    line = str(shared_cases / "circle.csv")
+    remaps = {"odom": odom, "pose": "/pose", "drive": "/drive"}
+    node = evaluator({"csv": str(table), "raceline": line}, remaps)
+    play(processes, shared_cases / name, "--rate=10")
+    stop(node)
+    laps = [row for row in rows(table) if row["valid"] == "True"]
+    assert len(laps) == 5
+    for lap in laps:
+        assert lap["lap_time_s"] == pytest.approx(math.tau / 0.8, abs=1e-3)
+        assert lap["rms_lateral_error_m"] == pytest.approx(0.1 / math.sqrt(2.0), abs=2e-4)
+        assert doubt in lap["warnings"]
+        if lap["speed_reference"] == "command":
+            assert lap["rms_speed_error_mps"] < 0.1
 
 
 def test_no_lap_is_lost_when_the_node_is_killed(race_bag, evaluator, processes, tmp_path):

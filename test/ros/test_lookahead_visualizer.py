@@ -1,14 +1,17 @@
 """The visualizer draws the guidance that it is told of, and cleans up after itself."""
 
+import itertools
 import math
+import threading
 import time
 
 import pytest
 from harness import wait_for, waypoints
-from map_racing.msg import Guidance
+from map_racing.msg import Belief, Guidance
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
+from map_racing.nodes import lookahead_visualizer
 from map_racing.nodes.conversions import set_plane_pose, to_time
 from map_racing.nodes.lookahead_visualizer import ERROR_COLORS
 from map_racing.nodes.waypoints import waypoint_array_class
@@ -136,6 +139,18 @@ def test_more_than_the_grip_is_said_and_taken_back(drawing):
     assert screen.label.text == "stopping: pose too old"
 
 
+def test_the_grip_that_is_believed_is_written_as_long_as_it_is_told(drawing, advertise):
+    publisher, steps = advertise("/map_racing/belief", Belief), itertools.count(0, 2)
+    belief = Belief(grip=0.93, friction=0.97, friction_low=0.944, friction_high=1.0)
+    belief.header.stamp = guidance(8000).header.stamp
+    publisher.publish(belief)
+    wait_for(lambda: ("label", 0) in drawing([guidance(8000 + next(steps))]), what="the label")
+    assert drawing([guidance(8018)]).label.text == "grip 0.93, friction 0.94 to 1.00"
+    screen = drawing([guidance(8019, saturated=True, a_lat=-9.12)])
+    assert screen.label.text == "9.1 of 7.0 m/s2\ngrip 0.93, friction 0.94 to 1.00"
+    assert ("label", 0) not in drawing([guidance(8040)])
+
+
 def test_what_is_not_finite_is_not_drawn(drawing):
     screen = drawing(
         [guidance(8000), guidance(8001, steering_angle=math.inf), guidance(8002, lookahead_y=1.0)]
@@ -246,3 +261,32 @@ def test_the_raceline_has_the_colors_of_the_speeds_that_are_driven(start, listen
 )
 def test_what_cannot_be_is_one_line_and_exit_code_1(parameters, text, refusal):
     assert text in refusal("lookahead_visualizer", parameters)
+
+
+def test_guidance_and_poses_that_come_at_once(no_master, monkeypatch):
+    """Each topic has a thread of its own: a pose may come while the trail is being drawn."""
+    no_master.params["~rate"] = 1000.0
+    node = lookahead_visualizer.LookaheadVisualizer()
+    node._draw_raceline(load_raceline("reference"))
+    raceline, color, threads = load_raceline("reference"), lookahead_visualizer.error_color, []
+
+    def receive(i):
+        point, message = raceline.pose(0.1 * i), Odometry()
+        message.header.stamp = to_time(10**12 + 10**9 * i)
+        set_plane_pose(message.pose.pose, point.x, point.y, point.psi)
+        node._receive_pose(message, lookahead_visualizer._pose_of_odometry)
+
+    def interrupted(fraction):
+        if not threads:
+            threads.append(threading.Thread(target=receive, args=(20,)))
+            threads[0].start()
+            threads[0].join(0.2)
+        return color(fraction)
+
+    monkeypatch.setattr(lookahead_visualizer, "error_color", interrupted)
+    for i in range(10):
+        receive(i)
+    threads[0].join()
+    trails = [m for array in node._markers.sent for m in array.markers if m.ns == "trail"]
+    assert len(trails) >= 9
+    assert all(len(trail.points) == len(trail.colors) for trail in trails)

@@ -32,7 +32,8 @@ ALLOWED = {
     },
 }
 GROUND = {
-    *("errors", "angles", "files", "resources", "tables", "transforms", "validation"),
+    *("printing", "errors", "angles", "files", "resources", "tables", "transforms"),
+    "validation",
     "__version__",
 }
 # Starting points of the programs, above all rooms.

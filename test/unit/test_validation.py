@@ -53,6 +53,7 @@ def test_numbers_become_floats_and_the_rest_stays():
         ({"kind": ["gear"]}, r"kind: expected piston or gear, got \['gear'\]"),
         ({"maker": ""}, "maker: expected a text, got ''"),
         ({"maker": 3}, "maker: expected a text, got 3"),
+        ({"maker": "a\nb"}, r"maker: expected a text, got 'a\\nb'"),
         ({"pressure_pa": 0}, "pressure_pa: expected a positive number, got 0"),
         ({"pressure_pa": math.inf}, "pressure_pa: expected a finite number, got inf"),
         ({"pressure_pa": True}, "pressure_pa: expected a finite number, got True"),

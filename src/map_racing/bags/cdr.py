@@ -16,6 +16,7 @@ from typing import Callable
 
 import numpy as np
 
+from ..printing import printable
 from . import messages as msg
 from .bag import Connection
 
@@ -228,7 +229,7 @@ def connection_of(topic: str, kind: str, definition: str) -> Connection:
     -------
     Connection
     """
-    kind = kind.replace("/msg/", "/")
+    topic, kind = printable(topic), printable(kind).replace("/msg/", "/")
     md5sum = msg.MD5.get(kind, "")
     if kind == msg.WAYPOINTS and definition and _fields_of_waypoint(definition) != _WAYPOINT_FIELDS:
         md5sum = ""

@@ -11,10 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["LATENCY_NS", "Clock", "stamps_are_unusable"]
+__all__ = ["COMMAND_DELAY_NS", "LATENCY_NS", "Clock", "stamps_are_unusable"]
 
 LATENCY_NS = 15 * 10**7
 """Larger differences between the lags of two topics [ns] are no latency."""
+COMMAND_DELAY_NS = 5 * 10**7
+"""Commands are stamped when they are sent, sensors when they measure, and none is received later
+than that [ns]; only localization computes for longer."""
 
 _SECOND = 10**9
 # The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
@@ -28,6 +31,8 @@ _MOST_STEPS = 200
 # Share of different stamps below which they are too coarse, and of receipts above which they are
 # good.
 _COARSE, _FINE = 0.5, 0.9
+# Steps shorter than this share of the mean are none.
+_SAME = 0.05
 
 
 class Clock(NamedTuple):
@@ -48,7 +53,12 @@ class Clock(NamedTuple):
     use_receipt: bool = False
 
     def times(
-        self, stamps: np.ndarray, received: np.ndarray, notes: list[str], topic: str
+        self,
+        stamps: np.ndarray,
+        received: np.ndarray,
+        notes: list[str],
+        topic: str,
+        delay_ns: int = LATENCY_NS,
     ) -> np.ndarray:
         """Times on this clock [ns] of the messages of a topic.
 
@@ -57,8 +67,10 @@ class Clock(NamedTuple):
         stamps, received : ndarray of int64, shape (k,)
             Stamps and times of receipt [ns].
         notes : list of str
-            Gets a warning if the stamps are of another clock.
+            Gets a warning if the stamps are from another clock.
         topic : str
+        delay_ns : int, optional
+            How much longer than the poses the messages may take from stamp to receipt [ns].
 
         Returns
         -------
@@ -84,12 +96,12 @@ class Clock(NamedTuple):
         offset = int(np.median(apart))
         ahead, sound = sorted((np.median(lag), np.median(expected)))
         impossible = ahead < -_FUTURE and abs(sound) <= _FUTURE
-        if abs(offset) <= LATENCY_NS and not impossible:
+        if -LATENCY_NS <= offset <= delay_ns and not impossible:
             return stamps
         steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
         notes.append(
-            f"warning: {topic}: the stamps are of another clock, {_seconds(offset)} than the poses'"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            f"warning: {topic}: the stamps are from another clock, {_seconds(offset)} than the "
+            "poses'" + (": shifted" if steady else ", and not steadily: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
@@ -115,9 +127,8 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
     if stamps.size < 10 or np.any(np.diff(received) < 0):
         return None
     ahead, past = np.diff(stamps), np.diff(received)
-    if np.count_nonzero(past) > _FINE * past.size and np.count_nonzero(ahead) < (
-        _COARSE * ahead.size
-    ):
+    fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in (past, ahead))
+    if fine > _FINE * past.size and coarse < _COARSE * ahead.size:
         return "header stamps are too coarse, with several messages on each"
     # Time was set forward, or back by so little that it might pass for transport.
     forward = (ahead > _STEP) & (past < _STEP)

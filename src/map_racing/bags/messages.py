@@ -14,6 +14,7 @@ from typing import NamedTuple, Tuple
 import numpy as np
 
 from ..angles import yaw_from_quaternion
+from ..printing import printable
 
 __all__ = [
     "ACKERMANN",
@@ -40,6 +41,7 @@ __all__ = [
     "decode_belief",
     "decode_drive",
     "decode_float64",
+    "decode_frame",
     "decode_frames",
     "decode_header",
     "decode_imu",
@@ -187,11 +189,16 @@ class Transform(NamedTuple):
     length: float = 1.0
 
 
+def decode_frame(data: bytes) -> str:
+    """Name of a frame, without a leading slash."""
+    return printable(data.decode("utf-8", "replace")).lstrip("/")
+
+
 def decode_header(data: bytes, at: int = 0) -> tuple[int, str, int]:
     """Stamp [ns], frame (without a leading slash) and end of the header that begins at ``at``."""
     _, sec, nsec, length = _HEADER.unpack_from(data, at)
     at += 16
-    frame = data[at : at + length].decode("utf-8", "replace").lstrip("/")
+    frame = decode_frame(data[at : at + length])
     return sec * 1000000000 + nsec, frame, at + length
 
 
@@ -201,7 +208,7 @@ def decode_frames(data: bytes, has_child: bool) -> tuple[str, str]:
     if not has_child:
         return frame, ""
     (length,) = _U32.unpack_from(data, at)
-    child = data[at + 4 : at + 4 + length].decode("utf-8", "replace").lstrip("/")
+    child = decode_frame(data[at + 4 : at + 4 + length])
     return frame, child
 
 
@@ -353,7 +360,7 @@ def decode_transforms(data: bytes) -> list[Transform]:
     for _ in range(count):
         stamp_ns, parent, at = decode_header(data, at)
         (length,) = _U32.unpack_from(data, at)
-        child = data[at + 4 : at + 4 + length].decode("utf-8", "replace").lstrip("/")
+        child = decode_frame(data[at + 4 : at + 4 + length])
         at += 4 + length
         x, y, q_x, q_y, q_z, q_w = _PLANE_POSE.unpack_from(data, at)
         at += _POSE.size

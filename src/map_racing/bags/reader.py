@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import BagError
 from . import messages as msg
-from .clocks import stamps_are_unusable
+from .clocks import COMMAND_DELAY_NS, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording
 from .series import Series
@@ -83,7 +83,9 @@ def _read(path, bag, source, notes):
     """The recording with the pose of a source."""
     notes = list(notes)
     drive_topic, drives = drive_connections(bag)
-    pose, command = source.series(bag), Series(msg.decode_drive)
+    senders = {number: bag.connections[number] for number in drives}
+    pose = source.series(bag)
+    command = Series(msg.decode_drive, connections=senders, delay_ns=COMMAND_DELAY_NS)
     waypoints = WaypointCollection(bag)
     believed, belief_topic = Series(msg.decode_belief), ""
     believing = {n for n, c in bag.connections.items() if c.md5sum == msg.MD5[msg.BELIEF]}
@@ -116,7 +118,8 @@ def _read(path, bag, source, notes):
     if drives:
         at, (angle, speed) = command.columns(notes, drive_topic, clock)
         stamps, received = command.stamps()
-        shifted = not clock.use_receipt and stamps is not clock.times(stamps, received, [], "")
+        own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)
+        shifted = not clock.use_receipt and stamps is not own
         commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic, shifted)
         if at.size and (at[-1] < times[0] or at[0] > times[-1]):
             when = "before" if at[-1] < times[0] else "after"
@@ -200,7 +203,8 @@ def read_signals(source: Source, recording: Recording, topics: dict[str, str]) -
         for topic in found.values():
             if topic not in signals:
                 numbers, decode, columns = _signal_connections(bag, topic)
-                signals[topic] = Series(decode), columns
+                # Sensors are stamped when they measure, and are sent at once like commands.
+                signals[topic] = Series(decode, delay_ns=COMMAND_DELAY_NS), columns
                 owners.update(dict.fromkeys(numbers, signals[topic][0]))
         for message in bag.messages(set(owners)):
             owners[message.connection].add(message)

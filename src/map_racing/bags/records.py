@@ -18,6 +18,7 @@ from typing import Callable, Iterator, NamedTuple
 import numpy as np
 
 from ..errors import BagError
+from ..printing import printable
 from .bag import Bag, Connection, Message, time_span
 from .compression import decompress
 
@@ -85,6 +86,10 @@ class _Header(dict):
     def text(self, name: bytes) -> str:
         """A text; empty without the field."""
         return self.get(name, b"").decode("utf-8", "replace")
+
+    def name(self, name: bytes) -> str:
+        """A text that is a name."""
+        return printable(self.text(name))
 
 
 class _Record(NamedTuple):
@@ -267,13 +272,13 @@ class BagFile(Bag):
             return False
         # The header's topic is after remapping, the data's before. Recorders that were given names
         # without a slash write them so.
-        topic = header.text(b"topic") or about.text(b"topic")
+        topic = header.name(b"topic") or about.name(b"topic")
         self.connections[number] = Connection(
             topic="/" + topic.lstrip("/"),
-            type=about.text(b"type"),
+            type=about.name(b"type"),
             md5sum=about.text(b"md5sum"),
             definition=about.text(b"message_definition"),
-            sender=about.text(b"callerid"),
+            sender=about.name(b"callerid"),
             latching=about.text(b"latching") == "1",
         )
         return True

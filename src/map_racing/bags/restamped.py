@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .clocks import COMMAND_DELAY_NS
 from .reader import read_recording
 from .records import BagFile
 from .writer import copy_bag
@@ -78,7 +79,7 @@ def _changed(bag, topic, clock, is_pose):
     if is_pose and clock.use_receipt:
         times = received
     elif not is_pose:
-        times = clock.times(times, received, [], topic)
+        times = clock.times(times, received, [], topic, COMMAND_DELAY_NS)
     return {
         key: divmod(int(time), 10**9)
         for key, time, stamp in zip(keys, times, stamps.tolist())

@@ -11,6 +11,7 @@ from ..validation import FARTHEST
 from .clocks import Clock
 
 __all__ = [
+    "COMMAND_HOLD_S",
     "Beliefs",
     "Commands",
     "Recording",
@@ -20,6 +21,9 @@ __all__ = [
     "jump_back",
     "usable",
 ]
+
+COMMAND_HOLD_S = 1.5
+"""An older drive command [s] is not in force: no driver heeds it."""
 
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
@@ -41,7 +45,7 @@ class Commands:
     topic : str
         Topic or columns they came from.
     shifted : bool
-        Whether their stamps were of another clock, and were brought to the poses' by the times of
+        Whether their stamps were from another clock, and were brought to the poses' by the times of
         receipt; then they are earlier than they were given by the age of the poses.
     """
 
@@ -50,6 +54,14 @@ class Commands:
     speed: np.ndarray
     topic: str = ""
     shifted: bool = False
+
+    def held(self, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Those of `values`, one for each command, that are in force at each time; else NaN."""
+        # Index -1, before the first, is the NaN behind the last.
+        index = np.searchsorted(self.t, t, side="right") - 1
+        with np.errstate(invalid="ignore"):
+            fresh = t - np.append(self.t, np.nan)[index] <= COMMAND_HOLD_S
+        return np.where(fresh, np.append(values, np.nan)[index], np.nan)
 
 
 class Beliefs(NamedTuple):

@@ -7,8 +7,8 @@ from typing import Callable
 import numpy as np
 
 from .bag import Connection, Message
-from .clocks import Clock
-from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION
+from .clocks import LATENCY_NS, Clock
+from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
 from .samples import in_order, jump_back, usable
 
 __all__ = ["PoseSeries", "Series", "quaternion_note"]
@@ -16,6 +16,42 @@ __all__ = ["PoseSeries", "Series", "quaternion_note"]
 _BATCH = 2048
 # After so long without a message [ns] a node is gone, and another may take its place.
 _SENDER_GONE = 10**9
+
+
+class _Senders:
+    """Picks the first of several nodes that publish on one topic, for as long as it publishes."""
+
+    def __init__(self, connections):
+        self._names = {n: c.sender or f"connection {n}" for n, c in connections.items()}
+        self._several = len(set(self._names.values())) > 1
+        self._sender, self._heard = None, -_SENDER_GONE
+        self._left_out, self._followed = {}, []
+
+    def counts(self, message):
+        """Whether a message is of the node that counts."""
+        if not self._several:
+            return True
+        sender = self._names[message.connection]
+        if sender != self._sender:
+            pair = sender, self._sender
+            if message.time_ns - self._heard < _SENDER_GONE:
+                self._left_out[pair] = self._left_out.get(pair, 0) + 1
+                return False
+            if self._sender is not None:
+                self._followed.append(pair)
+            self._sender = sender
+        self._heard = message.time_ns
+        return True
+
+    def say(self, notes, topic):
+        """Say which were left out, and which took the place of another."""
+        for (sender, first), count in self._left_out.items():
+            notes.append(
+                f"warning: {topic}: {count} messages of a second sender, {sender}, left out: "
+                f"only the first, {first}, counts"
+            )
+        for sender, before in self._followed:
+            notes.append(f"warning: {topic}: {before} fell silent, and {sender} took its place")
 
 
 class Series:
@@ -27,16 +63,29 @@ class Series:
         A decoder of `map_racing.bags.messages`.
     coordinates : int, optional
         The first columns that are required coordinates, see `in_order`.
+    connections : dict of int to Connection, optional
+        By number; only the messages of the first sender count, for as long as it sends.
+    delay_ns : int, optional
+        See `map_racing.bags.clocks.Clock.times`.
     """
 
-    def __init__(self, decode: Callable, coordinates: int = 0):
-        self._decode, self._coordinates = decode, coordinates
+    def __init__(
+        self,
+        decode: Callable,
+        coordinates: int = 0,
+        connections: dict[int, Connection] | None = None,
+        delay_ns: int = LATENCY_NS,
+    ):
+        self._decode, self._coordinates, self._delay_ns = decode, coordinates, delay_ns
+        self._senders = _Senders(connections) if connections else None
         self._data, self._received = [], []
         self._stamps, self._times, self._values = [], [], []
         self._unstamped = self._broken = 0
 
     def add(self, message: Message) -> None:
         """Add a message."""
+        if self._senders is not None and not self._senders.counts(message):
+            return
         self._data.append(message.data)
         self._received.append(message.time_ns)
         if len(self._data) == _BATCH:
@@ -113,7 +162,9 @@ class Series:
         if self._unstamped and not (clock and clock.use_receipt):
             notes.append(f"{topic}: {self._unstamped} of {times.size} stamps are 0: receive time")
         if clock is not None:
-            stamps = clock.times(stamps, times, notes, topic)
+            stamps = clock.times(stamps, times, notes, topic, self._delay_ns)
+        if self._senders is not None:
+            self._senders.say(notes, topic)
         columns = [np.ascontiguousarray(column) for column in values.T]
         return in_order(stamps, columns, notes, topic, self._coordinates)
 
@@ -130,24 +181,8 @@ class PoseSeries(Series):
     """
 
     def __init__(self, decode: Callable, connections: dict[int, Connection]):
-        super().__init__(decode, coordinates=2)
-        self._senders = {n: c.sender or f"connection {n}" for n, c in connections.items()}
-        self._sender, self._heard = None, -_SENDER_GONE
-        self._frame = None
-        self._others, self._elsewhere = {}, {}
-        if len(set(self._senders.values())) == 1:
-            self.add = super().add  # a third of the time
-
-    def add(self, message: Message) -> None:
-        """Add a message."""
-        sender = self._senders[message.connection]
-        if sender != self._sender:
-            if message.time_ns - self._heard < _SENDER_GONE:
-                self._others[sender] = self._others.get(sender, 0) + 1
-                return
-            self._sender = sender
-        self._heard = message.time_ns
-        super().add(message)
+        super().__init__(decode, coordinates=2, connections=connections)
+        self._frame, self._elsewhere = None, {}
 
     def _flush(self):
         if self._data:
@@ -163,7 +198,7 @@ class PoseSeries(Series):
         """Leave out messages in another frame; those that are cut off are found by the decoder."""
         for keep, data in zip(same, self._data):
             if not keep:
-                name = _frame_bytes(data)[4:].decode("utf-8", "replace")
+                name = decode_frame(_frame_bytes(data)[4:])
                 self._elsewhere[name] = self._elsewhere.get(name, 0) + 1
         self._data = [data for data, keep in zip(self._data, same) if keep]
         self._received = [at for at, keep in zip(self._received, same) if keep]
@@ -172,13 +207,8 @@ class PoseSeries(Series):
         """Samples in strict order of time: ``x y psi v_x v_y yaw_rate``."""
         times, columns = super().columns(notes, topic, clock)
         quaternion_note(notes, topic, columns.pop(3))
-        for sender, count in self._others.items():
-            notes.append(
-                f"warning: {topic}: {count} messages of a second sender, {sender}, left out: "
-                f"only the first, {self._sender}, counts"
-            )
         for frame, count in self._elsewhere.items():
-            first = self._frame[4:].decode("utf-8", "replace")
+            first = decode_frame(self._frame[4:])
             notes.append(
                 f"warning: {topic}: {count} messages in another frame, {frame or '(unnamed)'}, "
                 f"left out: only the first, {first or '(unnamed)'}, counts"

@@ -153,7 +153,7 @@ class RecordedTransforms:
             offset = offsets.get((above, below), 0) if not static else 0
             if offset:
                 notes.append(
-                    f"warning: {what}: the stamps are of another clock, by "
+                    f"warning: {what}: the stamps are from another clock, by "
                     f"{abs(offset) * 1e-9:.6g} s: brought to the others by the times of receipt"
                 )
             if static and (above, below, False) in self._samples:

@@ -7,12 +7,12 @@ are imported only when the command is chosen.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from importlib import import_module
 
 from .. import __version__
 from ..errors import MapRacingError
+from ..printing import printing
 
 __all__ = ["main"]
 
@@ -20,6 +20,7 @@ COMMANDS = {
     "race": "race a simulated car, write a ROS 1 bag",
     "evaluate": "lap times and lateral errors from bags of ROS 1 or 2, or CSV files",
     "report": "one HTML page on runs: where the time goes, and why",
+    "advise": "speed sectors for the next heat, from the last one",
     "season": "evaluate all bags below folders: table of heats, page of trends",
     "lookup": "make or check a steering lookup table",
     "raceline": "check, convert, optimize and record racelines",
@@ -75,7 +76,11 @@ def main(argv: list[str] | None = None) -> int:
         Exit code: 0, or 1 after an error, which is one line on stderr. argparse itself exits with 2
         on arguments that it cannot take.
     """
-    _prepare_streams()
+    with printing():
+        return _run(argv)
+
+
+def _run(argv):
     try:
         arguments = build_parser().parse_args(argv)
         module, function = arguments.run.split(".")
@@ -94,13 +99,3 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("map-racing: interrupted", file=sys.stderr)
         return 130
-
-
-def _prepare_streams():
-    """Print any file name on any terminal, and run without a stderr."""
-    if sys.stderr is None:
-        # Progress bars ask whether it is a terminal.
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")

@@ -24,9 +24,6 @@ def run(arguments: argparse.Namespace) -> None:
     sources = joined(arguments.data, arguments.join)
     runs = [load_run(path, channels) for path in tqdm(sources, "read", disable=None, leave=False)]
     delays = estimate_delays(runs, vehicle, others)
-    for recorded in runs:
-        for note in recorded.notes:
-            print(f"{recorded.label}: {note}")
     print(delay_text(delays))
     if arguments.json:
         write_json(arguments.json, delay_data(delays))

@@ -14,6 +14,7 @@ from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs
 from ..files import write_json
+from ..printing import printable
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .figures import draw_runs
@@ -41,7 +42,7 @@ def run(arguments):
         names += [name] if len(runs) == 1 else [f"{name} ({i})" for i in range(1, len(runs) + 1)]
 
     for result in results:
-        print(f"{result.source}")
+        print(printable(result.source))
         for note in result.notes:
             print(f"  {note}")
         print(lap_table(result), end="\n\n")
@@ -67,6 +68,11 @@ def check_evaluation(arguments):
         raise ParameterError(
             f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
         )
+    for name in ("max_stop", "max_deceleration"):
+        value = getattr(arguments, name, 1.0)
+        if not value > 0.0:
+            option = "--" + name.replace("_", "-")
+            raise ParameterError(f"{option}: expected more than 0, got {value}")
 
 
 def evaluate_one(source, track, arguments):
@@ -85,7 +91,11 @@ def evaluate_one(source, track, arguments):
         start_s=arguments.start_line,
         car_width=arguments.car_width,
         sectors=arguments.sectors,
-        limits=LapLimits(max_deviation=arguments.max_deviation),
+        limits=LapLimits(
+            max_deviation=arguments.max_deviation,
+            max_stop=arguments.max_stop,
+            max_deceleration=arguments.max_deceleration,
+        ),
     )
 
 
@@ -99,4 +109,4 @@ def run_names(sources):
         folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]
         names = [os.path.relpath(str(source), os.path.commonpath(folders)) for source in sources]
     # Figures can show only text.
-    return [os.fsencode(str(name)).decode("utf-8", "replace") for name in names]
+    return [printable(os.fsencode(str(name)).decode("utf-8", "replace")) for name in names]

@@ -31,7 +31,6 @@ from ..experiments.robustness import grid_table
 from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
 from .session import open_grid, open_session, rival_sessions
 
-FIRST_SCALE, SCALE_STEP = 0.6, 0.025
 TIRE_SCALES = (0.7, 0.8)
 RIVAL_SCALES = (0.6, 0.7, 0.8, 0.9, 1.0)
 # Pairs to compare on the days that both completed.
@@ -46,10 +45,15 @@ PAIRS = (
 def run_scaling(arguments: argparse.Namespace) -> None:
     """Run the experiment on velocity scaling."""
     check_laps(arguments.laps)
-    if not FIRST_SCALE <= arguments.to <= 2.0:
-        raise ParameterError(f"--to: expected {FIRST_SCALE:g} to 2, got {arguments.to}")
-    count = 1 + math.floor((arguments.to - FIRST_SCALE) / SCALE_STEP + 1e-9)
-    scales = [round(FIRST_SCALE + SCALE_STEP * k, 6) for k in range(count)]
+    first = arguments.first
+    if not 0.1 <= first <= 2.0:
+        raise ParameterError(f"--from: expected 0.1 to 2, got {first}")
+    if not first <= arguments.to <= 2.0:
+        raise ParameterError(f"--to: expected {first:g} to 2, got {arguments.to}")
+    if not 0.001 <= arguments.step <= 1.0:
+        raise ParameterError(f"--step: expected 0.001 to 1, got {arguments.step}")
+    count = 1 + math.floor((arguments.to - first) / arguments.step + 1e-9)
+    scales = [round(first + arguments.step * k, 6) for k in range(count)]
     session = open_session(arguments, "velocity-scaling")
     races = session.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
@@ -117,7 +121,8 @@ def run_robustness(arguments):
     print("\n".join(robustness_lines(races)), end="\n\n")
     print("\n".join(not_completed_lines(races)))
     print("\n".join(grid_lines(table)))
-    title = f"Robustness: {scale:.0%} speed, {session.grid.conditions.laps} timed laps"
+    laps = session.grid.conditions.laps
+    title = f"Robustness: {scale:.0%} speed, {laps} timed lap{'s' if laps > 1 else ''}"
     drawn = []
     for label in controllers:
         own, stem = races[races.controller == label], Path(label).stem
@@ -161,13 +166,13 @@ def frame_rows(frame):
     return rows
 
 
-def named_controllers(names):
-    """Controllers of files or shipped names, by the stems of these."""
+def named_controllers(names, vehicle=None):
+    """Controllers of files or shipped names, these for the size of a car, by their stems."""
     names = list(dict.fromkeys(names))
     stems = [Path(name).stem for name in names]
     if len(set(stems)) < len(stems):
         raise ParameterError("--controller: two files of one name would give one result")
-    return {stem: load_law(name) for stem, name in zip(stems, names)}
+    return {stem: load_law(name, vehicle) for stem, name in zip(stems, names)}
 
 
 def _laps(arguments):

@@ -2,7 +2,7 @@
 
 from ..errors import ParameterError
 from ..simulation.faults import KINDS, kinds_table
-from ..simulation.rehearsal import SCENARIOS, rehearse, table
+from ..simulation.rehearsal import SCENARIOS, bounds_text, rehearse, table
 from .progress import progress_bar
 
 
@@ -24,4 +24,5 @@ def run(arguments):
         for scenario in chosen:
             rehearsals.append(rehearse(scenario, arguments.plant, arguments.seed))
             show(len(rehearsals))
-    print(table(rehearsals), end="")
+    print(table(rehearsals), end="\n")
+    print(bounds_text(rehearsals))

@@ -92,7 +92,8 @@ def draw_identification(folder: str, found, left_out, table) -> None:
     Parameters
     ----------
     folder : str
-    found : Identification
+    found : Identification or None
+        Without one only the table is drawn.
     left_out : list of Prediction or None
         Runs predicted from the others; None draws the predictions of the fitted data.
     table : LookupTable
@@ -100,6 +101,9 @@ def draw_identification(folder: str, found, left_out, table) -> None:
     """
     from ..plots import identification as plots
 
+    if found is None:
+        _save(folder, _table_figures(table))
+        return
     axles = []
     for name, (points, fit, linear) in found.axles.items():
         axles.append(
@@ -215,4 +219,4 @@ def remove_stale(folder: str, pattern: str, drawn: list[str]) -> None:
     for path in sorted(Path(folder).glob(pattern)):
         if path.is_file() and path.name not in drawn:
             path.unlink()
-            print(f"{path}: removed, it was of an earlier call")
+            print(f"{path}: removed: left over from an earlier call")

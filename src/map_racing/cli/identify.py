@@ -8,19 +8,27 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from .. import __version__
+from ..control.parameters import (
+    load_controller_parameters,
+    load_safety_limits,
+    save_controller_parameters,
+)
 from ..errors import ParameterError
 from ..files import make_folder, write_json
+from ..identification.car import identify_car
+from ..identification.car_report import car_data, car_text, provenance
 from ..identification.data import load_run
-from ..identification.identify import Identification, identify, leave_one_out
+from ..identification.identify import leave_one_out
 from ..identification.limits import SteadyLimits
-from ..identification.report import report_data, report_text
+from ..identification.replay import actuators_of, replay
 from ..vehicle.lookup import default_grid
 from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
 from .inputs import channel_map, joined, read_vehicle
 from .outputs import check_outputs
+
+CONTROLLER = "map"
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -30,7 +38,9 @@ def run(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--output: expected a vehicle file (.yaml), got {output}")
     table_path = output.with_suffix(".csv")
     outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
-    check_outputs(outputs, [*arguments.data, arguments.vehicle, arguments.channels])
+    outputs.append(arguments.controller_output)
+    recordings = [*arguments.data, *arguments.validate]
+    check_outputs(outputs, [*recordings, arguments.vehicle, arguments.channels])
     base = read_vehicle(arguments.vehicle)
     channels = channel_map(arguments)
     sources = joined(arguments.data, arguments.join)
@@ -43,43 +53,60 @@ def run(arguments: argparse.Namespace) -> None:
         "acceleration": arguments.acceleration,
         "name": arguments.name or output.stem,
     }
-    found = identify(runs, base, **options)
-    left_out = leave_one_out(runs, base, **options) if arguments.leave_one_out else None
+    found = identify_car(runs, base, **options)
+    left_out = None
+    if arguments.leave_one_out:
+        if found.steady is None:
+            raise ParameterError("--leave-one-out: expected steady cornering, got ordinary driving")
+        left_out = leave_one_out(runs, base, **options)
+    validated = _validated(arguments, found, channels)
     for recorded in runs:
         for note in recorded.notes:
             print(f"{recorded.label}: {note}")
-    print(report_text(found, left_out))
+    print(car_text(found, left_out, validated))
 
     if arguments.plots:
         # First: if the folder cannot be made, no other output is left behind.
         make_folder(arguments.plots)
     print()
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
-    save_vehicle(found.vehicle, output, provenance(found))
+    save_vehicle(found.vehicle, output, provenance(found, validated))
     table.save(table_path)
     print(f"vehicle written to {output} ({parameter_hash(found.vehicle)}), table to {table_path}")
     if arguments.linear_output:
-        save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found))
+        save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
+    if arguments.controller_output:
+        _write_controller(arguments.controller_output, found)
     if arguments.json:
-        write_json(arguments.json, report_data(found, left_out))
+        write_json(arguments.json, car_data(found, left_out, validated))
         print(f"report written to {arguments.json}")
     if arguments.plots:
-        draw_identification(arguments.plots, found, left_out, table)
+        draw_identification(arguments.plots, found.steady, left_out, table)
         print(f"figures are in {arguments.plots}")
 
 
-def provenance(found: Identification) -> str:
-    """Comment for the head of the vehicle file."""
-    runs = ", ".join(motion.run.label for motion in found.motions)
-    front, rear = (axle.pacejka for axle in found.axles.values())
-    return (
-        f"Tires identified by map_racing {__version__} from {runs}; the rest is of "
-        f"{found.base.name}.\n"
-        f"Reached {found.largest_a_y:.2f} m/s^2; slip angles to {front.covered_slip:.3f} rad in "
-        f"front and {rear.covered_slip:.3f} rad behind; peak "
-        f"{'reached' if front.saturated else 'not reached'} in front, "
-        f"{'reached' if rear.saturated else 'not reached'} behind.\n"
-        f"Steering: wheel angle = {found.setup.steering_gain:.4f} * signal "
-        f"{found.setup.steering_offset_rad:+.4f} rad."
-    )
+def _validated(arguments, found, channels):
+    """Replays of the recordings for validation, if there are any."""
+    if not arguments.validate:
+        return None
+    actuators = actuators_of(found.runs, found.vehicle)
+    runs = [
+        dataclasses.replace(load_run(path, channels), setup=found.setup)
+        for path in joined(arguments.validate, arguments.join)
+    ]
+    return replay(found.vehicle, runs, actuators, arguments.window)
+
+
+def _write_controller(path, found):
+    """The shipped controller with the delay that was found."""
+    parameters = load_controller_parameters(CONTROLLER)
+    delay = found.laps.delays.delay if found.laps else None
+    if delay is None or delay.value is None:
+        reason = delay.reason if delay else "it takes ordinary driving"
+        text = f"with its own delay_s of {parameters.delay_s:g} s, as none was determined: {reason}"
+    else:
+        parameters = parameters.with_(delay_s=round(delay.value, 4))
+        text = f"with delay_s of {parameters.delay_s:g} s"
+    save_controller_parameters(parameters, path, load_safety_limits(CONTROLLER))
+    print(f"controller {CONTROLLER} written to {path}, {text}")

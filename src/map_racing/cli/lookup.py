@@ -9,6 +9,8 @@ import numpy as np
 from ..control.parameters import load_controller_parameters
 from ..control.speed_plan import SpeedPlan
 from ..errors import FileFormatError, ParameterError
+from ..identification.data import load_run
+from ..identification.replay import actuators_of, replay, replay_lines
 from ..track.corners import corners
 from ..track.files.load import load_raceline
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
@@ -16,7 +18,7 @@ from ..vehicle.lookup import default_grid, load_table, published_grid
 from ..vehicle.parameters import linearized, parameter_hash
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table
-from .inputs import read_vehicle
+from .inputs import channel_map, read_vehicle
 from .outputs import check_outputs
 
 
@@ -40,16 +42,18 @@ def run_generate(arguments):
 
 def run_check(arguments):
     """Report on a table; compare it with a vehicle."""
+    if arguments.bag and not arguments.vehicle:
+        raise ParameterError("--bag: expected --vehicle, the car to drive by its commands")
     table = load_table(arguments.table)
+    vehicle = _vehicle(arguments) if arguments.vehicle else None
     _describe(arguments.table, table)
     if arguments.raceline:
         raceline = load_raceline(arguments.raceline)
         _describe_corners(raceline, table)
-        _describe_speeds(raceline, table, arguments.controller)
+        _describe_speeds(raceline, table, arguments.controller, vehicle)
     _draw(arguments.plots, table)
-    if not arguments.vehicle:
+    if vehicle is None:
         return
-    vehicle = _vehicle(arguments)
     if table.provenance and table.provenance.parameter_hash != parameter_hash(vehicle):
         print(
             f"  made from other parameters ({table.provenance.vehicle} "
@@ -70,6 +74,21 @@ def run_check(arguments):
             f"{arguments.table}: not a table of {vehicle.name}: off by "
             f"{found.largest:.2f} m/s^2 {where}"
         )
+    if arguments.bag:
+        _replay(arguments, vehicle)
+
+
+def _replay(arguments, vehicle):
+    """Drive the vehicle by the commands of recordings."""
+    channels = channel_map(arguments)
+    runs = [load_run(path, channels) for path in arguments.bag]
+    actuators = actuators_of(runs, vehicle)
+    print(
+        f"  steering of these recordings: {actuators.delay:.3f} s of dead time and lag, fitted "
+        f"with {vehicle.name}'s tires held"
+    )
+    for line in replay_lines(replay(vehicle, runs, actuators, arguments.window)):
+        print(f"  {line}")
 
 
 def _draw(folder, table):
@@ -137,9 +156,9 @@ def _describe_corners(raceline, table):
         )
 
 
-def _describe_speeds(raceline, table, controller):
+def _describe_speeds(raceline, table, controller, vehicle):
     """Where a controller with this table would drive slower than the raceline."""
-    parameters = load_controller_parameters(controller).with_(speed_scale=1.0)
+    parameters = load_controller_parameters(controller, vehicle).with_(speed_scale=1.0)
     if parameters.grip_use:
         plan = SpeedPlan(raceline, parameters, table)
         print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")

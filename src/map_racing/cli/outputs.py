@@ -41,7 +41,7 @@ def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = 
             raise ParameterError(f"{path}: is also {taken[_identity(path)]}")
         taken[_identity(path)] = "another output"
         if name.suffix != ".bag" and name.is_file() and is_bag(name):
-            raise ParameterError(f"{path}: is a bag, which would be lost")
+            raise ParameterError(f"{path}: is a bag, which would be overwritten")
 
 
 def _identity(path):

@@ -3,11 +3,12 @@
 import math
 from pathlib import Path
 
-from ..control.controller import Controller, build_steering_maps
+from ..control.controller import Controller
 from ..control.laws import build_law
 from ..control.parameters import MpcParameters, load_law, load_safety_limits
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
+from ..control.steering import build_steering_maps
 from ..errors import ParameterError
 from ..simulation.faults import load_faults
 from ..simulation.plants import build_plant
@@ -17,13 +18,14 @@ from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import parameter_hash
+from ..vehicle.size import ONE_TENTH, size_of
 from .inputs import read_plant, read_vehicle
 from .outputs import check_outputs
 from .progress import progress_bar
 
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
-LONGEST_LAP = 5000.0  # [m]
+LONGEST_LAP = 5000.0  # of a 1:10 car [m]
 
 
 def run(arguments):
@@ -41,14 +43,18 @@ def run(arguments):
     ]
     check_outputs([arguments.output], inputs)
     parameters = load_law(arguments.controller)
-    if arguments.speed_scale is not None:
-        parameters = parameters.with_(speed_scale=arguments.speed_scale)
     if arguments.faults and isinstance(parameters, MpcParameters):
         raise ParameterError(
             f"--faults: expected a controller that the node drives, got {arguments.controller}"
         )
-    raceline = load_track(arguments.track)
     plant_parameters = read_plant(arguments.plant)
+    size = size_of(plant_parameters.vehicle)
+    raceline = load_track(arguments.track, LONGEST_LAP * size.length)
+    parameters = load_law(arguments.controller, plant_parameters.vehicle)
+    if size != ONE_TENTH and parameters != load_law(arguments.controller):
+        print(f"{arguments.controller}: for 1:10 cars; {size}")
+    if arguments.speed_scale is not None:
+        parameters = parameters.with_(speed_scale=arguments.speed_scale)
     plant, localization = build_plant(plant_parameters, arguments.seed)
     if plant_parameters.reference_point != "rear_axle":
         parameters = parameters.with_(reference_point=plant_parameters.reference_point)
@@ -84,12 +90,12 @@ def run(arguments):
     )
 
 
-def load_track(source):
+def load_track(source, longest):
     """The raceline to drive, with its findings printed."""
     raceline = load_raceline(source)
-    if raceline.length > LONGEST_LAP:
+    if raceline.length > longest:
         raise ParameterError(
-            f"{source}: expected a lap of at most {LONGEST_LAP:g} m, got "
+            f"{source}: expected a lap of at most {longest:.0f} m, got "
             f"{raceline.length:.0f} m: is it in meters?"
         )
     for finding in raceline.findings:

@@ -6,6 +6,7 @@ import json
 
 from ..errors import MapRacingError, ParameterError
 from ..files import write_json
+from ..printing import printable
 from ..track.files.checks import examine, raceline_of
 from ..track.files.formats import choose_format
 from ..track.files.load import read_raceline, save_raceline
@@ -49,7 +50,7 @@ def run_check(arguments):
     if alone:
         print(json.dumps(report, indent=2))
     else:
-        print(arguments.source)
+        print(printable(arguments.source))
         for line in ([table.layout] if table else []) + (facts_text(facts) if facts else []):
             print(f"  {line}")
         print_findings(findings)
@@ -72,7 +73,7 @@ def run_convert(arguments):
     if arguments.spacing is not None and not 0.001 <= arguments.spacing <= 100.0:
         raise ParameterError(f"--spacing: expected 0.001 to 100 m, got {arguments.spacing:g}")
     table = read_raceline(arguments.source)
-    print(f"{arguments.source}\n  {table.layout}")
+    print(f"{printable(arguments.source)}\n  {table.layout}")
     if arguments.repair:
         print_findings(examine(table).findings)
         table, repairs = repaired(table)

@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
+from ..printing import printable
 from ..track.centerline import track_from_map
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
@@ -27,6 +28,7 @@ from ..track.speed_profile import raceline_speeds
 from ..track.walls import clearance_of
 from ..vehicle.limits import speed_limits
 from ..vehicle.lookup import load_table
+from ..vehicle.size import size_of
 from .figures import draw_optimized
 from .inputs import read_vehicle
 from .outputs import check_outputs
@@ -34,6 +36,8 @@ from .outputs import check_outputs
 # Findings that make the walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
+# Defaults for a 1:10 car.
+MARGIN_M, STEP_M = 0.1, 0.1
 # Beyond these the search takes all day: positions in mm, or placeholder wall distances.
 MOST_POINTS, WIDEST_M = 20000, 100.0
 
@@ -46,6 +50,11 @@ def run_optimize(arguments):
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = read_vehicle(arguments.vehicle)
+    size = size_of(vehicle)
+    if arguments.margin is None:
+        arguments.margin = MARGIN_M * size.length
+    if arguments.step is None:
+        arguments.step = STEP_M * size.length
     limits = speed_limits(
         vehicle,
         load_table(arguments.lookup_table) if arguments.lookup_table else None,
@@ -173,7 +182,7 @@ def load(arguments, vehicle):
                 raise ParameterError(
                     f"{source}: {finding} Repair it with map-racing raceline convert --repair"
                 )
-    print(f"{source}: {track.length:.2f} m")
+    print(f"{printable(source)}: {track.length:.2f} m")
     if track.length / arguments.step > MOST_POINTS:
         raise ParameterError(
             f"{source}: expected at most {MOST_POINTS} points {arguments.step:g} m apart, "

@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import EvaluationError, ParameterError
 from ..evaluation.driven_line import driven_laps, line_of_lap
 from ..evaluation.recordings import load_recording, recorded_raceline
+from ..printing import printable
 from ..track.centerline import walls_from_map
 from ..track.files.checks import raceline_of
 from ..track.files.load import load_raceline, save_raceline
@@ -28,7 +29,7 @@ def run_record(arguments):
     if len(sources) > 1:
         raise ParameterError("expected one recording, or --join for the parts of one")
     recording = load_recording(sources[0], arguments.pose_topic, arguments.columns)
-    print(recording.source)
+    print(printable(recording.source))
     for note in recording.notes:
         print(f"  {note}")
     raceline = None

@@ -14,6 +14,8 @@ from ..evaluation.analysis import analyze
 from ..evaluation.profiles import car_limits
 from ..evaluation.results import Summary
 from ..files import replacing
+from ..identification.data import run_of
+from ..identification.delay import delay_data, estimate_delays
 from ..pages.html import plotly_script
 from ..pages.report import report_page
 from ..track.files.load import load_raceline
@@ -31,7 +33,7 @@ def run(arguments):
     check_evaluation(arguments)
     given = split_source(arguments.raceline or "")[0]
     check_outputs([arguments.output], [*arguments.recordings, given, arguments.vehicle])
-    runs, failed = analyses(arguments)
+    runs, failed = analyses(arguments, delays=True)
     if not runs:
         return 1
     with replacing(arguments.output) as file:
@@ -42,8 +44,11 @@ def run(arguments):
     return failed
 
 
-def analyses(arguments):
-    """Analyses of all recordings that can be read, and whether any could not."""
+def analyses(arguments, delays=False):
+    """Analyses of all recordings that can be read, and whether any could not.
+
+    With `delays` also what they say of the delays of their cars.
+    """
     chosen = parse_laps(arguments.laps) if arguments.laps else None
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
@@ -77,9 +82,17 @@ def analyses(arguments):
                     limits=None if car is None else limits_of(car, parameters),
                     settings=settings,
                     remarks=remarks,
+                    delays=delays_of(recording, car) if delays and car is not None else None,
                 )
             )
     return found, failed
+
+
+def delays_of(recording, vehicle):
+    """Delays of a car that is known, as plain data; None without commands."""
+    if recording.commands is None:
+        return None
+    return delay_data(estimate_delays([run_of(recording)], vehicle))
 
 
 def _only(result, chosen):

@@ -62,7 +62,7 @@ def open_grid(arguments, kind):
         "laps": "laps",
     }
     conditions = _changed(load_robustness(arguments.grid), arguments, options)
-    return GridSession(kind, arguments.output, conditions, **_where(arguments))
+    return _with_notes(GridSession(kind, arguments.output, conditions, **_where(arguments)))
 
 
 def _changed(conditions, arguments, options):

@@ -24,8 +24,9 @@ def run(arguments):
         if getattr(arguments, option) is not None:
             raise ParameterError(f"--{option.replace('_', '-')} belongs to --robust")
     stems = list(given)
-    controllers = {stem: (stem, parameters) for stem, parameters in given.items()}
     session = open_session(arguments, "tune")
+    given = named_controllers(arguments.controller, session.setting.vehicle)
+    controllers = {stem: (stem, parameters) for stem, parameters in given.items()}
     tuned = session.tune(controllers)
     session.controllers = {label: found.controller for label, found in tuned.items()}
     conditions = session.setting.conditions

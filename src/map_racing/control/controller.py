@@ -5,33 +5,25 @@ One guidance law, one controller, three steering maps (see :mod:`map_racing.cont
 
 import math
 from enum import Enum
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
-from ..vehicle.lookup import default_grid
-from ..vehicle.parameters import linearized
-from ..vehicle.single_track import GRAVITY
-from ..vehicle.steady_state import steady_state_table
 from .adaptation import Adaptation
 from .grip_guard import GripGuard
 from .guidance import bearing, lateral_acceleration, missing_curvature
+from .sideslip import SideslipEstimate
 from .speed_plan import WALKING_PACE, AdaptiveSpeedPlan, SpeedPlan, requested_speed
 from .state import CarState, predicted
-from .steering import AckermannSteering
+from .steering import build_steering_maps
 
 __all__ = [
     "ControlResult",
     "Controller",
-    "SideslipEstimate",
     "Status",
     "build_controller",
-    "build_steering_map",
-    "build_steering_maps",
 ]
 
 # The law uses at least this speed [m/s]; at standstill the map from acceleration to angle would be
@@ -253,6 +245,11 @@ class Controller:
         """What learns the tires while driving, an `Adaptation`; None if that is off."""
         return self._adaptation
 
+    @property
+    def learned(self):
+        """As `adaptation`, also while that is off; None if it never was on."""
+        return self._learned
+
     def max_lateral_acceleration(self, v):
         """Largest lateral acceleration [m/s^2] of the steering map in use, at a speed [m/s]."""
         return self._steering_map.max_lateral_acceleration(v)
@@ -463,64 +460,6 @@ def _plan_key(setup):
     )
 
 
-class SideslipEstimate:
-    """Steady-state lateral velocity of a point of the car from speed and yaw rate.
-
-    The slip angle of the rear axle follows from its share of ``a = v r``; axle loads cancel,
-    ``F_yr / F_zr = a / g``. A point `ahead` [m] of the rear axle adds ``ahead * r``.
-    """
-
-    CELLS = 256
-
-    def __init__(self, vehicle, ahead):
-        self._ahead = ahead
-        # The linear tire has no peak; no car of this size corners with 5 g.
-        self._a_end = GRAVITY * min(0.999 * vehicle.mu * vehicle.rear.peak, 5.0)
-        forces = np.linspace(0.0, self._a_end, self.CELLS + 1) / (GRAVITY * vehicle.mu)
-        self._tangents = np.tan(vehicle.rear.slip(forces)).tolist()
-
-    def __call__(self, v_x, r):
-        a_lat = v_x * r
-        cell = min(abs(a_lat) / self._a_end, 1.0) * self.CELLS
-        i = min(int(cell), self.CELLS - 1)
-        low, high = self._tangents[i], self._tangents[i + 1]
-        tangent = math.copysign(low + (high - low) * (cell - i), a_lat)
-        return self._ahead * r - abs(v_x) * tangent
-
-
-@lru_cache(maxsize=16)
-def build_steering_map(kind, vehicle, v_max):
-    """Steering map of a vehicle; the same object for the same arguments, as it never changes.
-
-    Parameters
-    ----------
-    kind : {"ackermann", "linear_table", "table"}
-        See :class:`~map_racing.control.parameters.ControllerParameters`.
-    vehicle : Vehicle
-    v_max : float
-        Largest speed in the table [m/s]; it extrapolates beyond.
-
-    Returns
-    -------
-    AckermannSteering or LookupTable
-
-    Raises
-    ------
-    ParameterError
-        If there is no such steering map.
-    """
-    if kind == "ackermann":
-        return AckermannSteering(vehicle.l_wb, vehicle.delta_max)
-    if kind == "linear_table":
-        vehicle = linearized(vehicle)
-    elif kind != "table":
-        raise ParameterError(
-            f"steering_map: expected ackermann, linear_table or table, got {kind!r}"
-        )
-    v_max = min(max(v_max, 1.0), 100.0)
-    return steady_state_table(vehicle, *default_grid(vehicle, v_max=v_max))
-
-
 def build_controller(parameters, vehicle, raceline=None, sectors=None):
     """Controller with the steering map named by its parameters.
 
@@ -537,27 +476,3 @@ def build_controller(parameters, vehicle, raceline=None, sectors=None):
     """
     steering_map, grip = build_steering_maps(parameters, vehicle)
     return Controller(parameters, steering_map, vehicle, raceline, sectors, grip)
-
-
-def build_steering_maps(parameters, vehicle):
-    """Steering map that parameters name, and the table of the tires that limits the speeds.
-
-    What the tires hold does not depend on how the steering angle is found: also with linear tires
-    or none in the steering map it is the table of the vehicle's own.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    vehicle : Vehicle
-
-    Returns
-    -------
-    steering_map : AckermannSteering or LookupTable
-    grip : LookupTable
-        The same object where the steering map is that table.
-    """
-    kind, v_max = parameters.steering_map, parameters.v_max_mps
-    steering_map = build_steering_map(kind, vehicle, v_max)
-    if kind == "table":
-        return steering_map, steering_map
-    return steering_map, build_steering_map("table", vehicle, v_max)

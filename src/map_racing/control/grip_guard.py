@@ -13,7 +13,7 @@ __all__ = ["GripGuard"]
 TIME_CONSTANT = 0.05
 # The speed gives way from all of the grip on, and completely at this share of it.
 COMPLETE = 1.3
-# More than this share counts as this: a car that points the wrong way shall brake at once, and
+# More than this share counts as this: a car that points the wrong way should brake at once, and
 # drive on as soon as it can.
 MOST = 2.0
 

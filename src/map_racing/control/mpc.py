@@ -12,8 +12,9 @@ controller's `SpeedPlan`; states are relative to the raceline::
     delta' = u                         the input, up to the servo's rate
 
 The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost
-of a stage is ``d^2 + (w_h d' / v)^2 + (w_u u)^2``: lateral error, direction of motion, and steering
-rate, all in meters. The program has the rates alone as its variables and is solved by OSQP.
+of a stage is ``d^2 + (w_h d' / v)^2 + (w_u (u - u_r))^2``, all in meters: lateral error, direction
+of motion, and steering rate beside that of a car on the raceline. The program has the rates alone
+as its variables and is solved by OSQP.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ from scipy import sparse
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..vehicle.single_track import V_EPS, axle_loads, single_track_derivatives
-from .controller import ControlResult, SideslipEstimate, Status, build_steering_map
+from .controller import ControlResult, Status
+from .sideslip import SideslipEstimate
 from .speed_plan import WALKING_PACE, SpeedPlan, requested_speed
 from .state import CarState, moved, predicted
+from .steering import build_steering_map
 
 __all__ = ["ModelPredictiveController", "solver_library"]
 
@@ -85,6 +88,16 @@ class ModelPredictiveController:
         s = np.arange(count) * raceline.length / count
         self._kappa = raceline.sample(s).kappa
         self._planned = self.planned_speed(s)
+        steady = build_steering_map(
+            *("table" if parameters.model == "single_track" else "ackermann", vehicle),
+            parameters.v_max_mps,
+        )
+        self._angles = np.array(
+            [
+                steady.steering(v, v * v * kappa)[0]
+                for v, kappa in zip(self._planned.tolist(), self._kappa.tolist())
+            ]
+        )
         self._cells = count / raceline.length
         at_center = parameters.reference_point == "center_of_gravity"
         self._ahead = 0.0 if at_center else -vehicle.l_r
@@ -152,13 +165,18 @@ class ModelPredictiveController:
         return profile[(np.asarray(s) * self._cells).astype(int) % profile.size]
 
     def _stages(self, s, v):
-        """Speed [m/s], acceleration [m/s^2] and curvature [1/m] of the raceline in each stage."""
+        """What the raceline asks for in each stage.
+
+        Speed [m/s], acceleration [m/s^2], curvature [1/m], and rate of the angle that holds the
+        car on it [rad/s].
+        """
         p = self.parameters
         dt, v = p.stage_s, max(v, SLOWEST)
-        speeds, places = [], []
+        speeds, places, begins = [], [], []
         planned, cells, count = self._planned, self._cells, self._planned.size
         up, down = p.a_drive_max_mps2 * dt, -p.a_brake_max_mps2 * dt
         for _ in range(p.stages):
+            begins.append(s)
             places.append(s + 0.5 * dt * v)
             speeds.append(v)
             s += dt * v
@@ -167,7 +185,8 @@ class ModelPredictiveController:
                 v = SLOWEST
         speeds = np.array(speeds)
         accelerations = np.append(np.diff(speeds), 0.0) / dt
-        return speeds, accelerations, self._read(self._kappa, places)
+        rates = np.diff(self._read(self._angles, [*begins, s])) / dt
+        return speeds, accelerations, self._read(self._kappa, places), rates
 
     def _after_delay(self, state):
         """State when the next command acts, and the steering angle then."""
@@ -319,7 +338,7 @@ class _Program:
         self._rates, self._motion = np.zeros(self._parameters.stages), None
         self._planned_at = 0.0
 
-    def solve(self, model, t, z0, v, a, kappa):
+    def solve(self, model, t, z0, v, a, kappa, rates):
         """Steering rate [rad/s] at the time `t` [s], and whether the program was solved.
 
         If not, the rate is that of the last plan for this time, and 0 beyond its end.
@@ -350,7 +369,7 @@ class _Program:
             fastest = np.full(n, fastest)
             self._solver.update(
                 Px=P[self._upper],
-                q=rows.T @ offset,
+                q=rows.T @ offset - p.steering_rate_weight_ms**2 * rates,
                 l=np.concatenate([-fastest, np.full(n, -lock - z0[-1])]),
                 u=np.concatenate([fastest, np.full(n, lock - z0[-1])]),
             )

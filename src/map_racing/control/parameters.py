@@ -9,16 +9,18 @@ import yaml
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
-from ..resources import find_config
+from ..resources import config_directory, find_config
 from ..validation import POSITIVE, check, documented, parameter, read_parameters
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
+from ..vehicle.size import ONE_TENTH, Size, size_of
 from .guidance import LookaheadLaw
 from .safety import SafetyLimits
 
 __all__ = [
     "ControllerParameters",
     "MpcParameters",
+    "growth",
     "load_controller_parameters",
     "load_law",
     "load_safety_limits",
@@ -34,6 +36,20 @@ ETA_FROM = ("velocity", "heading")
 LOOKAHEAD_FROM = ("car", "path")
 MPC_MODELS = ("single_track", "kinematic")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
+
+# What is given for 1:10 cars and changes with the size of the car: powers of the factors on lengths
+# and on times. Delays are those of sensors and actuators, and do not.
+_GROWTH = {
+    **dict.fromkeys(("m_m", "lookahead_min_m", "lookahead_max_m", "heading_weight_m"), (1, 0)),
+    **dict.fromkeys(("speed_lookahead_s", "stage_s"), (0, 1)),
+    "steering_rate_weight_ms": (1, 1),
+    # Delays bound these. For a larger car's size its delays are shorter, so it may look less far
+    # ahead and feed back more of the yaw rate: each by the root of that.
+    "q_s": (0, 0.5),
+    "yaw_rate_gain_s": (0, 1.5),
+}
+# Shares of a car's driving and braking that the shipped controllers ask for, as of nuc4's.
+_DRIVE_SHARE, _BRAKE_SHARE = 0.93, 0.73
 
 
 @documented
@@ -158,6 +174,7 @@ class ControllerParameters:
     adaptation: bool = parameter(
         "Learn grip, cornering stiffness and delay while driving: steering map, speeds and delay "
         "compensation follow",
+        tuning=(False, True),
         default=False,
     )
     adaptation_share: float = parameter(
@@ -200,6 +217,34 @@ class ControllerParameters:
     def with_(self, **changes) -> ControllerParameters:
         """A checked copy with some values changed."""
         return replace(self, **changes)
+
+    def of_size(self, vehicle: Vehicle) -> ControllerParameters:
+        """These values, given for a 1:10 car, for a car of another size, see `size_of`.
+
+        Distances and times grow with it; speeds and accelerations are bounded by the vehicle's
+        limits instead. Nothing changes for 1:10 cars.
+        """
+        return self if size_of(vehicle) == ONE_TENTH else self.with_(**_sized(self, vehicle))
+
+
+def growth(name: str, size: Size) -> float:
+    """Factor on a parameter for a car of another size."""
+    of_length, of_time = _GROWTH[name]
+    return size.length**of_length * size.time**of_time
+
+
+def _sized(parameters, vehicle):
+    """The values that differ for a car of another size."""
+    values, size = vars(parameters), size_of(vehicle)
+    changes = {n: round(values[n] * growth(n, size), 6) for n in _GROWTH if n in values}
+    if "table_v_max_mps" in values:  # the authors' tables end earlier, not those of this car
+        changes["table_v_max_mps"] = max(values["table_v_max_mps"], vehicle.v_max)
+    return {
+        **changes,
+        "v_max_mps": vehicle.v_max,
+        "a_drive_max_mps2": min(values["a_drive_max_mps2"], _DRIVE_SHARE * vehicle.a_max),
+        "a_brake_max_mps2": min(values["a_brake_max_mps2"], _BRAKE_SHARE * vehicle.a_brake_max),
+    }
 
 
 def _as_in_map(name):
@@ -252,6 +297,10 @@ class MpcParameters:
         """A checked copy with some values changed."""
         return replace(self, **changes)
 
+    def of_size(self, vehicle: Vehicle) -> MpcParameters:
+        """As `ControllerParameters.of_size`."""
+        return self if size_of(vehicle) == ONE_TENTH else self.with_(**_sized(self, vehicle))
+
 
 LAWS = {"l1": ControllerParameters, "mpc": MpcParameters}
 
@@ -277,21 +326,30 @@ def parameter_values(parameters: ControllerParameters | MpcParameters) -> dict:
     return {"law": "mpc", **values} if isinstance(parameters, MpcParameters) else values
 
 
-def load_law(source: str | Path) -> ControllerParameters | MpcParameters:
+def load_law(
+    source: str | Path, vehicle: Vehicle | None = None
+) -> ControllerParameters | MpcParameters:
     """Read a controller file of any law; see `load_controller_parameters` and `parameters_of`."""
     path = find_config("controllers", source, (".yaml",))
     values = read_yaml_mapping(path)
     values.pop("safety", None)
-    return parameters_of(path, values)
+    parameters = parameters_of(path, values)
+    shipped = path.parent == config_directory() / "controllers"
+    return parameters.of_size(vehicle) if shipped and vehicle is not None else parameters
 
 
-def load_controller_parameters(source: str | Path) -> ControllerParameters:
+def load_controller_parameters(
+    source: str | Path, vehicle: Vehicle | None = None
+) -> ControllerParameters:
     """Read controller parameters from YAML.
 
     Parameters
     ----------
     source : str or pathlib.Path
         Shipped name (``"map"``, ``"pure_pursuit"``, ...) or path of a YAML file.
+    vehicle : Vehicle, optional
+        The car. The shipped files are for 1:10 cars and, with it, scaled to its size by
+        `ControllerParameters.of_size`; other files are taken as they stand.
 
     Returns
     -------
@@ -303,7 +361,7 @@ def load_controller_parameters(source: str | Path) -> ControllerParameters:
         If a parameter is missing, unknown or impossible, or the file is for another law than L1
         guidance; the message names file and parameter.
     """
-    parameters = load_law(source)
+    parameters = load_law(source, vehicle)
     if not isinstance(parameters, ControllerParameters):
         raise ParameterError(f"{source}: law: expected l1 here, got 'mpc', which only races know")
     return parameters

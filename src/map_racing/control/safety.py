@@ -33,7 +33,7 @@ REST = 3.0
 # A command this far below the measured speed [m/s] is more than a raceline's braking.
 SUDDEN = 2.0
 
-# No car of this size drives or turns faster [m/s, rad/s].
+# Unless twice its largest speed is more, no car drives or turns faster [m/s, rad/s].
 FASTEST, FASTEST_TURN = 50.0, 100.0
 
 # Slower than this a car stands, but for noise [m/s].
@@ -243,11 +243,11 @@ class Supervisor:
 
     def opposes(self, raceline: Raceline) -> bool:
         """Whether a raceline runs against the motion of the car, which then has to stand first."""
-        if self._pose is None or self.stands:
+        if self.stands:  # as one without a pose
             return False
-        psi = self._pose.psi if self._speed >= 0.0 else self._pose.psi + math.pi
         beside = raceline.project(self._pose.x, self._pose.y)
-        return math.cos(raceline.pose(beside.s).psi - psi) < 0.0
+        along = math.cos(raceline.pose(beside.s).psi - self._pose.psi)
+        return (along if self._speed >= 0.0 else -along) < 0.0
 
     @property
     def stands(self) -> bool:
@@ -281,7 +281,8 @@ class Supervisor:
         t, x, y, psi, v_x, _, r = state
         # A NaN fails every comparison.
         finite = math.isfinite(t + x + y + psi)
-        if not (finite and abs(v_x) <= FASTEST and abs(r) <= FASTEST_TURN):
+        fastest = max(FASTEST, 2.0 * self._max_speed)
+        if not (finite and abs(v_x) <= fastest and abs(r) <= FASTEST_TURN):
             self._seen[Reason.INVALID_POSE] = now
             return False
         last = self._pose
@@ -416,7 +417,7 @@ class Supervisor:
             self._seen[Reason.NO_RACELINE] = now
         elif not abs(result.d) <= self.limits.max_deviation_m:
             self._seen[Reason.DEVIATION] = now
-        if result.status is not Status.SATURATED or abs(self._pose.v_x) < MOVING:
+        if result.status is not Status.SATURATED or self._pose.v_x < MOVING:
             self._saturated_since = None
         elif self._saturated_since is None:
             self._saturated_since = now
@@ -426,12 +427,11 @@ class Supervisor:
     def _obeys(self, now, pose):
         """Note the causes to stop in what the car does after it was told."""
         obedience, driving = self._obedience, self.mode is Mode.DRIVING
-        onwards = driving and pose.v_x > -ROLLING
+        onwards = pose.v_x >= -ROLLING
         obedience.update(now, pose.x, pose.y, self._command[1] if onwards else 0.0)
         if obedience.blocked(now, self.limits.max_blocked_m, self.limits.max_pose_age_s):
             self._seen[Reason.BLOCKED] = now
             self._blocked = True
-            obedience.restart()
         elif obedience.moves:
             self._blocked = False
         excess = pose.v_x - self._command[1] if driving else 0.0
@@ -471,14 +471,14 @@ class Supervisor:
             return angle, 0.0
         last_angle, speed = self._command
         elapsed = 0.0 if self._commanded is None else now - self._commanded
-        v, deceleration = abs(self._speed), self.limits.stop_deceleration_mps2
+        v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows) or v - wanted > SUDDEN
-        if (slows and not self._slows) or (self.mode is Mode.DRIVING and not drives):
+        if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
-            speed = min(speed, max(self._speed, 0.0))
+            speed = min(speed, self._speed)
         if self._slowing is not None and self._slowing.always:
             most = self._slowing.largest(v)
-            angle = most if angle > most else -most if angle < -most else angle
+            angle = min(max(angle, -most), most)
         asked, slowest = angle, -math.inf
         if self._slowing is not None and (slows or self._slows):
             deceleration = self._slowing.bounded(deceleration)
@@ -488,7 +488,7 @@ class Supervisor:
         if drives:
             self.mode, self._stopped_since = Mode.DRIVING, None
             speed = max(wanted, slowest)
-            self._slows = slows or angle != asked or speed != wanted
+            self._slows = angle != asked or speed != wanted
             return angle, speed
         self._slows = True
         if self.mode is Mode.DRIVING:

@@ -170,28 +170,32 @@ def corners_and_straights(raceline: Raceline) -> list:
     return [(a, b - 1, names[int(kind[a])]) for a, b in zip(starts, starts[1:])]
 
 
-def save_speed_sectors(path: str | Path, sectors: list) -> None:
-    """Write the public stack's ``speed_scaling.yaml`` with every scale 1.
+def save_speed_sectors(path: str | Path, sectors: list, notes: Iterable[str] = ()) -> None:
+    """Write the public stack's ``speed_scaling.yaml``.
 
     Parameters
     ----------
     path : str or pathlib.Path
         Replaced in one step if it exists.
-    sectors : list of (int, int, str)
-        As from `corners_and_straights`; the words become comments.
+    sectors : list of (int, int, str) or (int, int, str, float)
+        As from `corners_and_straights`, with a scale or with 1; the words become comments.
+    notes : iterable of str, optional
+        Comments on top.
     """
-    lines = [
+    rows = [(*sector, 1.0)[:4] for sector in sectors]
+    lines = [f"# {note}" for note in notes]
+    lines += [
         "# Scale of the raceline's speed from waypoint start to end, for each sector; none exceeds",
         "# the global limit.",
-        "global_limit: 1.0",
-        f"n_sectors: {len(sectors)}",
+        f"global_limit: {max([1.0, *(scale for *_, scale in rows)])}",
+        f"n_sectors: {len(rows)}",
     ]
-    for index, (start, end, what) in enumerate(sectors):
+    for index, (start, end, what, scale) in enumerate(rows):
         lines += [
             f"Sector{index}:  # {what}",
             f"  start: {start}",
             f"  end: {end}",
-            "  scaling: 1.0",
+            f"  scaling: {scale}",
             "  only_FTG: false",
             "  no_FTG: false",
         ]

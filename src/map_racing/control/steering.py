@@ -5,14 +5,21 @@ The only difference between pure pursuit and MAP. Each map has
 [m/s^2] at speed `v` [m/s], and whether that exceeds what the car can reach, in which case `delta`
 is the angle of the tightest turn.
 
-:class:`map_racing.vehicle.lookup.LookupTable` is such a map; this module has the kinematic one.
+:class:`map_racing.vehicle.lookup.LookupTable` is such a map; this module has the kinematic one, and
+builds the one that parameters name.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
-__all__ = ["AckermannSteering"]
+from ..errors import ParameterError
+from ..vehicle.lookup import default_grid
+from ..vehicle.parameters import linearized
+from ..vehicle.steady_state import steady_state_table
+
+__all__ = ["AckermannSteering", "build_steering_map", "build_steering_maps"]
 
 
 class AckermannSteering:
@@ -42,3 +49,60 @@ class AckermannSteering:
     def max_lateral_acceleration(self, v: float) -> float:
         """Lateral acceleration at full lock [m/s^2] at a speed [m/s], from kinematics alone."""
         return v * v * math.tan(self.delta_max) / self.l_wb
+
+
+@lru_cache(maxsize=16)
+def build_steering_map(kind, vehicle, v_max):
+    """Steering map of a vehicle; the same object for the same arguments, as it never changes.
+
+    Parameters
+    ----------
+    kind : {"ackermann", "linear_table", "table"}
+        See :class:`~map_racing.control.parameters.ControllerParameters`.
+    vehicle : Vehicle
+    v_max : float
+        Largest speed in the table [m/s]; it extrapolates beyond.
+
+    Returns
+    -------
+    AckermannSteering or LookupTable
+
+    Raises
+    ------
+    ParameterError
+        If there is no such steering map.
+    """
+    if kind == "ackermann":
+        return AckermannSteering(vehicle.l_wb, vehicle.delta_max)
+    if kind == "linear_table":
+        vehicle = linearized(vehicle)
+    elif kind != "table":
+        raise ParameterError(
+            f"steering_map: expected ackermann, linear_table or table, got {kind!r}"
+        )
+    v_max = min(max(v_max, 1.0), 100.0)
+    return steady_state_table(vehicle, *default_grid(vehicle, v_max=v_max))
+
+
+def build_steering_maps(parameters, vehicle):
+    """Steering map that parameters name, and the table of the tires that limits the speeds.
+
+    What the tires hold does not depend on how the steering angle is found: also with linear tires
+    or none in the steering map it is the table of the vehicle's own.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    vehicle : Vehicle
+
+    Returns
+    -------
+    steering_map : AckermannSteering or LookupTable
+    grip : LookupTable
+        The same object where the steering map is that table.
+    """
+    kind, v_max = parameters.steering_map, parameters.v_max_mps
+    steering_map = build_steering_map(kind, vehicle, v_max)
+    if kind == "table":
+        return steering_map, steering_map
+    return steering_map, build_steering_map("table", vehicle, v_max)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Callable, NamedTuple
 
-from .controller import Controller, ControlResult, build_steering_maps
+from .controller import Controller, ControlResult
 from .safety import Decision, SafetyLimits, Supervisor
 from .slowing import Slowing
+from .steering import build_steering_maps
 
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
+    from ..vehicle.parameters import Vehicle
+    from .parameters import ControllerParameters
     from .state import CarState
 
-__all__ = ["SupervisedController", "SupervisedStep", "build_supervisor"]
+__all__ = ["SupervisedController", "SupervisedStep", "build_slowing", "build_supervisor"]
 
 
 class SupervisedStep(NamedTuple):
@@ -106,11 +109,16 @@ def build_supervisor(controller: Controller, limits: SafetyLimits, grip=None) ->
     grip : LookupTable, optional
         By default the table of the vehicle.
     """
-    parameters, vehicle = controller.parameters, controller.vehicle
+    parameters = controller.parameters
+    slowing = build_slowing(parameters, controller.vehicle, grip)
+    return Supervisor(limits, parameters.v_max_mps, slowing)
+
+
+def build_slowing(parameters: ControllerParameters, vehicle: Vehicle, grip=None) -> Slowing:
+    """Grip of a car for its supervisor; by default the table of the vehicle."""
     if grip is None:
         grip = build_steering_maps(parameters, vehicle)[1]
-    slowing = Slowing(
+    return Slowing(
         *(grip, parameters.a_brake_max_mps2, vehicle.delta_max),
         always=parameters.steering_map != "ackermann",
     )
-    return Supervisor(limits, parameters.v_max_mps, slowing)

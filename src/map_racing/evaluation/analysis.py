@@ -11,6 +11,7 @@ from ..bags.remarks import Remarks
 from ..bags.samples import Recording
 from ..control.settings import Settings
 from .driving import PoseTiming, SpeedTracking, pose_timing, speed_tracking
+from .laps import LapLimits
 from .places import (
     Corner,
     Ideal,
@@ -52,6 +53,8 @@ class RunAnalysis:
         None if the car is not known.
     planned : ndarray, shape (n,), or None
         Speed that the controller meant to drive, at the places of the profile [m/s].
+    delays : dict or None
+        Delays of the car, as `map_racing.identification.delay.delay_data` has them.
     notes : list of str
     """
 
@@ -66,6 +69,7 @@ class RunAnalysis:
     settings: Settings | None
     limits: CarLimits | None
     planned: np.ndarray | None
+    delays: dict | None = None
     notes: list = field(default_factory=list)
 
     @property
@@ -82,6 +86,7 @@ def analyze(
     limits: CarLimits | None = None,
     settings: Settings | None = None,
     remarks: Remarks | None = None,
+    delays: dict | None = None,
 ) -> RunAnalysis:
     """Analyze an evaluated run.
 
@@ -96,6 +101,7 @@ def analyze(
     settings : Settings, optional
         What the controller said that it drives with.
     remarks : Remarks, optional
+    delays : dict, optional
 
     Returns
     -------
@@ -110,12 +116,13 @@ def analyze(
         profile,
         corners_of(track),
         ideal_lap(profile) if profile.counted else None,
-        pose_timing(recording),
+        pose_timing(recording, LapLimits().on(result.raceline)),
         speed_tracking(recording),
         remarks or Remarks([], []),
         settings,
         limits,
         None if planned is None else planned(track.s + track.start_s),
+        delays,
         list(settings.notes) if settings is not None else [],
     )
 

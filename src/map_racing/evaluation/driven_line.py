@@ -14,7 +14,8 @@ import numpy as np
 from ..bags.samples import Recording
 from ..errors import EvaluationError, ParameterError
 from ..track.files.table import RacelineTable
-from .laps import LapLimits, evaluate
+from .laps import LapLimits
+from .runs import evaluate
 
 __all__ = ["DrivenLap", "driven_laps", "line_of_lap"]
 
@@ -46,7 +47,7 @@ def driven_laps(recording: Recording, raceline=None) -> list[DrivenLap]:
     ----------
     recording : Recording
     raceline : Raceline, optional
-        Laps are those of `map_racing.evaluation.laps.evaluate` on it, numbers included; without it
+        Laps are those of `map_racing.evaluation.runs.evaluate` on it, numbers included; without it
         they are found by the path alone.
 
     Returns

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..bags.samples import Recording
-from .laps import LapLimits, held
+from .laps import LapLimits
 
 __all__ = ["PoseTiming", "SpeedTracking", "pose_timing", "speed_tracking"]
 
@@ -63,7 +63,7 @@ class PoseTiming(NamedTuple):
         The longest of these [m]; 0 without any.
     age_s, oldest_s : float
         Median and 99th percentile of the time from stamp to receipt [s]; NaN where the stamps are
-        of another clock or the file does not have both.
+        from another clock or the file does not have both.
     """
 
     rate_hz: float
@@ -90,8 +90,8 @@ def speed_tracking(recording: Recording) -> SpeedTracking | None:
     commands, t, v = recording.commands, recording.t, recording.v_x
     if commands is None or not commands.t.size:
         return None
-    now = held(t, commands, commands.speed)
-    before = held(t - _LONGEST_LAG, commands, commands.speed)
+    now = commands.held(t, commands.speed)
+    before = commands.held(t - _LONGEST_LAG, commands.speed)
     with np.errstate(invalid="ignore"):  # numpy 1.17 warns of NaN
         driven = np.minimum(np.minimum(np.abs(v), now), before) > _MOVING
     if np.count_nonzero(driven) < _FEWEST:
@@ -100,7 +100,7 @@ def speed_tracking(recording: Recording) -> SpeedTracking | None:
     lag, lagged = math.nan, now
     if np.ptp(now) > _VARIED:
         lags = np.arange(0.0, _LONGEST_LAG + _LAG_STEP, _LAG_STEP)
-        delayed = [held(t - lag, commands, commands.speed) for lag in lags]
+        delayed = [commands.held(t - lag, commands.speed) for lag in lags]
         errors = [float(np.mean((v - command) ** 2)) for command in delayed]
         best = int(np.argmin(errors))
         lag, lagged = _vertex(lags, errors, best), delayed[best]
@@ -144,7 +144,7 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     if clock is not None and not clock.use_receipt and clock.lag.size:
         lag = 1e-9 * clock.lag
         age, oldest = float(np.median(lag)), float(np.percentile(lag, 99))
-        # Stamps of another clock say nothing about age; nor does a lag of 0, which is a receipt.
+        # Stamps from another clock say nothing about age; nor does a lag of 0, which is a receipt.
         if not 0.0 < age < 1.0:
             age = oldest = math.nan
     return PoseTiming(

@@ -24,34 +24,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bags.samples import Commands, Recording, is_odometry_frame
-from ..errors import EvaluationError, ParameterError
+from ..errors import ParameterError
 from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
 from .results import Lap, LapTrace, RunResult, Summary
+from .speed import speed_of
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 
-__all__ = [
-    "COMMAND_HOLD_S",
-    "LapEvaluator",
-    "LapLimits",
-    "evaluate",
-    "held",
-    "passage_times",
-    "places_of",
-]
+__all__ = ["NO_WALLS", "LapEvaluator", "LapLimits", "passage_times"]
 
-COMMAND_HOLD_S = 1.5
-"""An older drive command [s] is not in force: no driver heeds it."""
+NO_WALLS = 2.0
+"""Largest deviation [m] where neither walls nor a limit are known."""
 
 _NAN = math.nan
 # Shorter stretches [m], [s] are jitter of a car parked on the line.
 _JITTER, _JITTER_TIME = 0.5, 1.0
-# Largest deviation [m] where neither walls nor a limit are known.
-_NO_WALLS = 2.0
-# A median this far beyond the walls [m] means another track.
-_ELSEWHERE = 0.5
 _MOST_SECTORS = 1000
 _WIDEST_CAR = 10.0
 _FAULTS = {"gap": "s", "jump": "m", "shortcut": "m", "reverse": "m"}  # with their units
@@ -71,7 +59,8 @@ class LapLimits:
     max_gap : float
         Longest time between two samples [s]; at 11 m/s the default is 2.75 m.
     max_speed : float
-        Fastest motion of the pose [m/s]; a step longer by `jump_margin` is a jump.
+        Fastest motion of the pose [m/s], unless 1.5 times the measured speed is more; a step longer
+        by `jump_margin` is a jump.
     jump_margin : float
         Largest correction of the localization that is no jump [m].
     max_reverse : float
@@ -93,6 +82,12 @@ class LapLimits:
     max_deviation: float | None = None
     max_stop: float = 0.3
     max_deceleration: float = 25.0
+
+    def on(self, raceline: Raceline) -> LapLimits:
+        """These limits with a `max_speed` of at least 1.5 times the raceline's largest speed."""
+        if raceline.speed is None:
+            return self
+        return replace(self, max_speed=max(self.max_speed, 1.5 * float(np.max(raceline.speed))))
 
 
 class _Sample(NamedTuple):
@@ -170,7 +165,7 @@ class LapEvaluator:
         keep_traces: bool = False,
     ):
         check_options(start_s, car_width, sectors)
-        self.raceline, self.limits = raceline, limits or LapLimits()
+        self.raceline, self.limits = raceline, (limits or LapLimits()).on(raceline)
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)
         self._keep_traces = keep_traces
@@ -251,19 +246,26 @@ class LapEvaluator:
         if last is None:
             self._tracker.reset()
             self._changed = t
-        place = self._tracker.update(x, y)
-        progress = (place.s - self._start_s) % length
+        if last is not None and x == last.x and y == last.y:
+            progress, d = last.progress, last.d
+        else:
+            place = self._tracker.update(x, y)
+            progress, d = (place.s - self._start_s) % length, place.d
+            if last is not None:
+                step = progress - last.progress % length
+                step -= length * round(step / length)
+                progress = last.progress + step
+        sample = _Sample(t, x, y, progress, d, v, speed_command, steering)
         if last is not None:
-            step = progress - last.progress % length
-            step -= length * round(step / length)
-            progress = last.progress + step
-        sample = _Sample(t, x, y, progress, place.d, v, speed_command, steering)
-        if last is not None:
+            changed = self._changed
             faults = self._step_faults(last, sample)
             if faults:
                 self._faults.update(faults)
             crossed = math.floor(progress / length)
             if crossed > math.floor(last.progress / length):
+                # A localization slower than its messages repeats its pose while the car drives on.
+                if changed < last.t and t - changed <= self.limits.max_gap:
+                    last = last._replace(t=changed)
                 self._cross(crossed, last, sample, faults)
         self._last = sample
         self._samples.extend(sample)
@@ -288,7 +290,10 @@ class LapEvaluator:
             gap = since
         if gap > limits.max_gap:
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
-        if moved > limits.max_speed * since + limits.jump_margin:
+        fastest = 1.5 * min(last.v, sample.v)
+        if not fastest > limits.max_speed:  # nor where no speed is measured
+            fastest = limits.max_speed
+        if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
         elif self._tracker.reacquired and gap <= limits.max_gap:
             along = abs(sample.progress - last.progress)
@@ -302,6 +307,8 @@ class LapEvaluator:
         part = (at - last.progress) / (sample.progress - last.progress)
         crossing = _Sample._make(a + (b - a) * part for a, b in zip(last, sample))
         crossing = crossing._replace(progress=at)
+        while len(self._samples) and self._samples[-len(_Sample._fields)] >= crossing.t:
+            del self._samples[-len(_Sample._fields) :]
         self._samples.extend(crossing)
         if self._line is None:
             self._close("out-lap", complete=False)
@@ -339,7 +346,7 @@ class LapEvaluator:
         dt = np.diff(t)
         begin = progress[0] if self._line is None else self._line * self.raceline.length
         curve = self.raceline.sample(progress + self._start_s)
-        v, reference = _speed(t, x, y, v), command
+        v, reference = speed_of(t, x, y, v), command
         source = "command"
         if np.isnan(command).all():
             reference, source = curve.speed, "raceline" if curve.speed is not None else ""
@@ -384,7 +391,7 @@ class LapEvaluator:
         if self.limits.max_deviation is not None:
             outside = largest - self.limits.max_deviation
         else:
-            outside = largest - _NO_WALLS if math.isnan(clearance) else -clearance
+            outside = largest - NO_WALLS if math.isnan(clearance) else -clearance
         if outside > 0.0:
             reasons.append(f"off track by {outside:.2f} m")
         return reasons
@@ -448,178 +455,3 @@ class LapEvaluator:
 def passage_times(t: np.ndarray, s: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Times [s] at which a lap first passes places, from its times and distances [s, m]."""
     return np.interp(places, np.maximum.accumulate(s), t)
-
-
-def evaluate(
-    recording: Recording,
-    raceline: Raceline,
-    *,
-    start_s: float = 0.0,
-    car_width: float = 0.3,
-    sectors: int = 3,
-    limits: LapLimits | None = None,
-) -> RunResult:
-    """Find and evaluate the laps of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        Commands, where it has them, are held until the next one.
-    raceline : Raceline
-    start_s, car_width, sectors, limits
-        See `LapEvaluator`.
-
-    Returns
-    -------
-    RunResult
-        With traces.
-
-    Raises
-    ------
-    EvaluationError
-        If the car drove on another track: more than half of the samples are far outside of the
-        walls, or it made no progress along the raceline.
-    """
-    evaluator = LapEvaluator(
-        raceline,
-        start_s=start_s,
-        car_width=car_width,
-        sectors=sectors,
-        limits=limits,
-        keep_traces=True,
-    )
-    speed_command = steering = None
-    if recording.commands is not None:
-        speed_command = held(recording.t, recording.commands, recording.commands.speed)
-        steering = held(recording.t, recording.commands, recording.commands.steering_angle)
-    # Lateral speed is often not measured; without it the longitudinal speed is the speed.
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    evaluator.update(recording.t, recording.x, recording.y, v, speed_command, steering)
-    result = evaluator.finish()
-    if not result.laps:
-        raise EvaluationError(f"{recording.source}: expected at least two samples")
-    if recording.beliefs is not None:
-        times, values = recording.beliefs
-        laps = [lap.believed(times.tolist(), values) for lap in result.laps]
-        result = replace(result, laps=laps)
-    progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
-    _check_followed(recording, result, progress, limits.max_deviation if limits else None)
-    notes = list(recording.notes)
-    if speed_command is not None:
-        notes += _uncommanded(recording.t, speed_command, result.laps)
-    if is_odometry_frame(recording.frame):
-        notes.append(
-            f"warning: {recording.topic} is in frame {recording.frame}, which drifts against the "
-            "map: the lateral errors are not those on the track"
-        )
-    if progress < -0.5 * raceline.length:
-        notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
-    return replace(result, source=recording.source, notes=tuple(notes))
-
-
-def _uncommanded(t, command, laps):
-    """Warning about complete laps in which there were no commands for a time."""
-    without, partly = [], []
-    for lap in laps:
-        if math.isnan(lap.lap_time_s):
-            continue
-        missing = np.isnan(command[(t >= lap.start_time_s) & (t <= lap.end_time_s)])
-        if missing.all():
-            without.append(str(lap.lap))
-        elif missing.mean() > 0.02:
-            partly.append(str(lap.lap))
-    notes = []
-    if without:
-        notes.append(
-            f"warning: no drive commands in laps {', '.join(without)}: their speed error, if any, "
-            "is to the raceline"
-        )
-    if partly:
-        notes.append(
-            f"warning: drive commands are missing for a part of laps {', '.join(partly)}: their "
-            "speed error and steering rate are of the rest"
-        )
-    return notes
-
-
-def _check_followed(recording, result, progress, max_deviation):
-    """Refuse driving on another track than the raceline."""
-    raceline = result.raceline
-    d = np.concatenate([lap.trace.d for lap in result.laps])
-    deviation = np.abs(d)
-    allowed = max_deviation
-    if allowed is None and raceline.d_left is not None:
-        curve = raceline.sample(np.concatenate([places_of(lap, result) for lap in result.laps]))
-        allowed = np.where(d > 0.0, curve.d_left, curve.d_right)
-    elif allowed is None:
-        allowed = _NO_WALLS
-    if float(np.median(deviation - allowed)) > _ELSEWHERE:
-        raise EvaluationError(
-            f"{recording.source}: the car drove elsewhere: half of the time more than "
-            f"{np.median(deviation):.1f} m off the raceline {_name(raceline)}"
-        )
-    driven = _driven(recording.x.tolist(), recording.y.tolist())
-    followed = result.summary.laps_completed or abs(progress) > 0.5 * driven
-    if driven > 0.5 * raceline.length and not followed:
-        raise EvaluationError(
-            f"{recording.source}: the car drove elsewhere: of {driven:.0f} m it came "
-            f"{abs(progress):.0f} m along the raceline {_name(raceline)}"
-        )
-
-
-def places_of(lap: Lap, result: RunResult) -> np.ndarray:
-    """Arc lengths [m] along the raceline of the samples of a lap, unwrapped."""
-    trace, begin = lap.trace, result.start_s
-    if lap.reason.startswith("out-lap"):
-        begin = result.raceline.project(trace.x[0], trace.y[0]).s
-    return begin + trace.s
-
-
-def _name(raceline):
-    return raceline.name or raceline.source or "raceline"
-
-
-def held(t: np.ndarray, commands: Commands, values: np.ndarray) -> np.ndarray:
-    """Command in force at each time, NaN before the first."""
-    # Index -1, before the first, is the NaN behind the last.
-    index = np.searchsorted(commands.t, t, side="right") - 1
-    with np.errstate(invalid="ignore"):
-        fresh = t - np.append(commands.t, _NAN)[index] <= COMMAND_HOLD_S
-    return np.where(fresh, np.append(values, _NAN)[index], _NAN)
-
-
-def _driven(x, y):
-    """Distance driven [m], in steps too long for the noise of a parked car."""
-    driven, x0, y0 = 0.0, x[0], y[0]
-    for x1, y1 in zip(x, y):
-        step = math.hypot(x1 - x0, y1 - y0)
-        if step > _JITTER:
-            driven, x0, y0 = driven + step, x1, y1
-    return driven
-
-
-def _speed(t, x, y, v):
-    """Measured speed or, where some of it is missing, the speed of the pose."""
-    if np.isfinite(v).all():
-        return v
-    steps, dt = np.hypot(np.diff(x), np.diff(y)), np.diff(t)
-    # Stamps that come in bunches would make any speed: it is taken over the time between bunches.
-    kept = _apart(t, 0.05 * float(np.mean(dt)))
-    if kept.size == t.size:
-        moving = steps / dt
-        return 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
-    path = np.append(0.0, np.cumsum(steps))
-    moving = np.diff(path[kept]) / np.diff(t[kept])
-    speed = 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
-    return np.interp(t, t[kept], speed)
-
-
-def _apart(t, least):
-    """Indices of samples at least so far apart [s]; all, if only the ends, crossings, are not."""
-    if not np.any(np.diff(t[1:-1]) < least):
-        return np.arange(t.size)
-    kept = [0]
-    for index, time in enumerate(t.tolist()):
-        if time - t[kept[-1]] >= least and (t[-1] - time >= least or index == t.size - 1):
-            kept.append(index)
-    return np.array(kept)

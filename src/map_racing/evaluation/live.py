@@ -13,17 +13,19 @@ import math
 import os
 from bisect import bisect_right
 from collections import deque
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
-from ..bags.clocks import LATENCY_NS
+from ..bags.clocks import COMMAND_DELAY_NS, LATENCY_NS
+from ..bags.samples import COMMAND_HOLD_S
 from ..errors import FileFormatError, MapRacingError, ParameterError
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
-from .laps import COMMAND_HOLD_S, LapEvaluator, LapLimits, check_options
+from .doubts import raceline_warnings, uncommanded
+from .laps import LapEvaluator, LapLimits, check_options
 from .recordings import same_raceline
 from .report import csv_cells
 from .results import Lap, RunResult
@@ -42,12 +44,14 @@ class LiveLap(NamedTuple):
     """A lap or other stretch that ended.
 
     ``run`` counts from 1, ``end_ns`` is the time stamp of the end [ns], ``lap`` a
-    `map_racing.evaluation.results.Lap`.
+    `map_racing.evaluation.results.Lap`, ``warnings`` what makes it doubtful, as far as it was known
+    at its end.
     """
 
     run: int
     end_ns: int
     lap: Lap
+    warnings: tuple = ()
 
 
 class _Pose(NamedTuple):
@@ -92,6 +96,11 @@ class _Commands:
             self._values.insert(at, value)
             if len(self._stamps) > 2 * _LONGEST_WAIT:
                 self._forget(_LONGEST_WAIT)
+
+    @property
+    def any(self):
+        """Whether there are commands at all."""
+        return bool(self._stamps)
 
     def beyond(self, stamp_ns):
         """Whether a later command has arrived."""
@@ -164,7 +173,8 @@ class _CommandClock:
         # Of equal clocks, the topic that ended is the newer one: zero lies between these two.
         one, other = np.median(self._ends_of_commands), np.median(self._ends_of_poses)
         constant = one * other > 0.0 and min(abs(one), abs(other)) > abs(one - other)
-        self.offset_ns = offset if constant and abs(offset) > LATENCY_NS else 0
+        other = constant and not -LATENCY_NS <= offset <= COMMAND_DELAY_NS
+        self.offset_ns = offset if other else 0
 
 
 class LiveEvaluation:
@@ -228,6 +238,8 @@ class LiveEvaluation:
         self._commands, self._clock = _Commands(self._gap_ns), _CommandClock()
         self._believed_ns, self._beliefs = [], []
         self._reported = 0
+        # Doubts of the run by kind; times of the samples of the present lap, and their commands.
+        self._doubts, self._driven = {}, ([], [])
         if raceline is not None:
             self.set_raceline(raceline)
 
@@ -251,6 +263,10 @@ class LiveEvaluation:
             self.finish()
         self._evaluator = LapEvaluator(raceline, **self._options)
         self._raceline = raceline
+
+    def doubt(self, text: str) -> None:
+        """Say what makes the numbers of the present run doubtful; it stands beside its laps."""
+        self._doubts[text] = text
 
     @property
     def command_offset_s(self) -> float:
@@ -352,33 +368,54 @@ class LiveEvaluation:
 
     def _evaluate(self, batch):
         if batch:
+            for values, column in zip(self._driven, (0, 4)):
+                values.extend(sample[column] for sample in batch)
             self._report(self._evaluator.update(*zip(*batch)))
+
+    def _warnings(self, laps):
+        """What makes laps doubtful that ended."""
+        offset = self.command_offset_s
+        if offset:
+            self._doubts["clock"] = (
+                f"drive commands: the stamps are from another clock, {abs(offset):.3f} s "
+                f"{'earlier' if offset > 0.0 else 'later'} than the poses': shifted"
+            )
+        t, command = map(np.array, self._driven)
+        missing = uncommanded(t, command, laps) if self._commands.any else []
+        return *raceline_warnings(self._raceline), *self._doubts.values(), *missing
 
     def _report(self, laps):
         times = [(stamp - self._t0_ns) * 1e-9 for stamp in self._believed_ns] if laps else []
         for lap in laps:
             end_ns = self._t0_ns + int(round(lap.end_time_s * 1e9))
-            self._on_lap(LiveLap(self._run, end_ns, lap.believed(times, self._beliefs)))
+            believed = lap.believed(times, self._beliefs)
+            self._on_lap(LiveLap(self._run, end_ns, believed, self._warnings([lap])))
             passed = bisect_right(self._believed_ns, end_ns) - 1
             if passed > 0:
                 del times[:passed], self._believed_ns[:passed], self._beliefs[:passed]
+        if laps:
+            over = bisect_right(self._driven[0], laps[-1].end_time_s) - 1
+            for values in self._driven:
+                del values[: max(over, 0)]
         self._reported += len(laps)
 
     def _end_run(self):
         result = self._evaluator.finish()
         self._report(result.laps[self._reported :])
-        self._on_run(self._run, result)
+        notes = tuple(f"warning: {doubt}" for doubt in self._warnings([]))
+        self._on_run(self._run, replace(result, notes=notes))
         self._run += 1
         self._reported = 0
+        self._doubts, self._driven = {}, ([], [])
         self._t0_ns = self._last_ns = None
 
 
 class LapLog:
     """CSV file to which laps are appended, each safe on the disk before `add` returns.
 
-    It has the columns of `map_racing.evaluation.report.write_csv`, with the number of the run
-    instead of the bag. An existing file is continued; a last line that was cut off by a power loss
-    is removed.
+    It has the columns of `map_racing.evaluation.report.write_csv`, ``warnings`` included, with the
+    number of the run instead of the bag. An existing file is continued; a last line that was cut
+    off by a power loss is removed.
 
     Parameters
     ----------
@@ -398,6 +435,7 @@ class LapLog:
         self.path = Path(path)
         names = [field.name for field in fields(Lap)[:-2]]
         self._names = ["run", *names, *(f"sector_{i}_s" for i in range(1, sectors + 1))]
+        self._names.append("warnings")
         header = ",".join(self._names)
         try:
             self._file = open(self.path, "a+b")  # noqa: SIM115 - it stays open for the next laps
@@ -418,7 +456,7 @@ class LapLog:
 
     def add(self, live_lap: LiveLap) -> None:
         """Append a `LiveLap`."""
-        row = {"run": live_lap.run, **live_lap.lap.row()}
+        row = {"run": live_lap.run, **live_lap.lap.row(), "warnings": "; ".join(live_lap.warnings)}
         self._append(csv_cells(row[name] for name in self._names))
 
     def close(self) -> None:

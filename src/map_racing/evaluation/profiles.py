@@ -13,13 +13,13 @@ import numpy as np
 from scipy import ndimage
 
 from ..bags.samples import Recording
-from ..control.controller import build_steering_map
 from ..control.parameters import ControllerParameters
+from ..control.steering import build_steering_map
 from ..track.raceline import Raceline
 from ..track.speed_profile import raceline_speeds
 from ..vehicle.lookup import LookupTable
 from ..vehicle.parameters import Vehicle
-from .laps import held, passage_times, places_of
+from .laps import passage_times
 from .results import Lap, RunResult
 
 __all__ = [
@@ -60,6 +60,7 @@ class CarLimits:
 
     Attributes
     ----------
+    vehicle : Vehicle
     table : LookupTable
         Of its own tires.
     delta_max : float
@@ -70,6 +71,7 @@ class CarLimits:
         Largest speed [m/s].
     """
 
+    vehicle: Vehicle
     table: LookupTable
     delta_max: float
     a_drive_max: float
@@ -85,7 +87,7 @@ def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None)
         brake = min(brake, parameters.a_brake_max_mps2)
         v_max = min(v_max, parameters.v_max_mps)
     table = build_steering_map("table", vehicle, v_max)
-    return CarLimits(table, vehicle.delta_max, drive, brake, v_max)
+    return CarLimits(vehicle, table, vehicle.delta_max, drive, brake, v_max)
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,7 @@ def profiles_of(
     for lap in complete or result.laps:
         s = np.maximum.accumulate(lap.trace.s)
         if not complete:
-            s = np.maximum.accumulate(places_of(lap, result) - result.start_s)
+            s = np.maximum.accumulate(result.places_of(lap) - result.start_s)
             if s[-1] - s[0] < _WORTH * track.length:
                 continue
         laps.append(_lap_profile(lap, s, track, signals, recording, limits))
@@ -267,8 +269,8 @@ def _lap_profile(lap, s, track, signals, recording, limits):
     values = {"time": time - trace.t[0], "v": at_places(trace.v), "d": at_places(trace.d)}
     speed = steering = np.full(trace.t.size, np.nan)
     if recording.commands is not None:
-        speed = held(trace.t, recording.commands, recording.commands.speed)
-        steering = held(trace.t, recording.commands, recording.commands.steering_angle)
+        speed = recording.commands.held(trace.t, recording.commands.speed)
+        steering = recording.commands.held(trace.t, recording.commands.steering_angle)
     values["v_command"], values["steering"] = at_places(speed), at_places(steering)
     for name, signal in signals.items():
         values[name] = at_places(np.interp(trace.t, recording.t, signal))

@@ -16,7 +16,7 @@ from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..bags.series import quaternion_note
 from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
 from ..files import refuse_special
-from ..tables import UNITS, column_index, read_columns, some_names
+from ..tables import UNITS, column_index, read_columns, some_names, without_unit
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
 from ..track.raceline import Raceline
@@ -235,12 +235,16 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     unknown = sorted(set(columns) - set(_ALIASES))
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
-    table = read_columns(path, partial(_locate, path, columns), _UNNAMED)
+    doubts = []
+    table = read_columns(path, partial(_locate, path, columns, doubts), _UNNAMED)
+    table.notes.extend(doubts)
     for name, unit in table.units.items():
         table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
     _bring_to_seconds(path, table)
     _check_times(path, table)
     _add_heading(path, table)
+    if "psi" in table.names:
+        _check_heading(table)
     nan = np.full(len(table.lines), math.nan)
     t, (x, y, psi, v_x, v_y, yaw_rate, steering, speed) = in_order(
         table.values["t"],
@@ -301,6 +305,23 @@ def _add_heading(path, table):
     with np.errstate(all="ignore"):
         values["psi"], length = yaw_and_length(q_x, q_y, q_z, q_w)
     quaternion_note(table.notes, "orientation", length)
+
+
+def _check_heading(table):
+    """Bring headings in degrees to radians."""
+    x, y, psi = (table.values[name] for name in ("x", "y", "psi"))
+    way = np.hypot(np.diff(x), np.diff(y))
+    with np.errstate(all="ignore"):
+        moving = (way > 0.0) & np.isfinite(way + psi[1:])
+        course = np.arctan2(np.diff(y), np.diff(x))[moving]
+        off = [np.exp(1j * (angle[1:][moving] - course)) for angle in (psi, np.radians(psi))]
+    if not moving.any():
+        return
+    # A heading keeps its angle to the course, whatever it is measured from.
+    radians, degrees = (abs(np.average(turn, weights=way[moving])) for turn in off)
+    if degrees > 0.9 and radians < 0.5:
+        table.values["psi"] = np.radians(psi)
+        table.notes.append(f"warning: column {table.names['psi']} is in degrees: converted")
 
 
 def _check_times(path, table):
@@ -365,12 +386,12 @@ def _is_csv(path):
 
 
 def _plain(name):
-    """Name of a column without case and what `rostopic echo -p` puts before it."""
-    name = name.lower()
+    """Name of a column without case, unit and what `rostopic echo -p` puts before it."""
+    name = without_unit(name).lower()
     return name[len("field.") :] if name.startswith("field.") else name
 
 
-def _locate(path, columns, names):
+def _locate(path, columns, doubts, names):
     """Index of the column of each field that the file has."""
     where, missing = {}, []
     plain = [_plain(name) for name in names]
@@ -381,6 +402,8 @@ def _locate(path, columns, names):
         found = next((alias for alias in aliases if alias in plain), None)
         if found is not None:
             where[name] = plain.index(found)
+            if plain.count(found) > 1:
+                doubts.append(f"warning: several columns are named {found}: the first is taken")
         elif name in _REQUIRED:
             missing.append(name)
     if missing:

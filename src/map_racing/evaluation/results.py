@@ -207,6 +207,13 @@ class RunResult:
     source: str = ""
     notes: tuple = ()
 
+    def places_of(self, lap: Lap) -> np.ndarray:
+        """Arc lengths [m] along the raceline of the samples of a lap with trace, unwrapped."""
+        begin = self.start_s
+        if lap.reason.startswith("out-lap"):
+            begin = self.raceline.project(lap.trace.x[0], lap.trace.y[0]).s
+        return begin + lap.trace.s
+
     @property
     def warnings(self) -> list[str]:
         """Notes on what makes the values doubtful."""

@@ -1,17 +1,34 @@
-"""From a recording to the laps of its runs."""
+"""From a recording to its laps, on a track or on its own racelines."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+
+import numpy as np
 
 from ..bags.samples import Recording
 from ..errors import EvaluationError
+from ..track.findings import WARNING
 from ..track.raceline import Raceline
-from .laps import evaluate
+from .doubts import (
+    alternation,
+    bunches,
+    frame_warning,
+    raceline_warnings,
+    speed_warning,
+    uncommanded,
+)
+from .laps import NO_WALLS, LapEvaluator, LapLimits
 from .recordings import recorded_runs
 from .results import RunResult
 
-__all__ = ["evaluate_runs"]
+__all__ = ["evaluate", "evaluate_runs"]
+
+# A median this far beyond the walls [m] means another track.
+_ELSEWHERE = 0.5
+# Shorter steps [m] are the noise of a parked car.
+_NOISE = 0.5
 
 
 def evaluate_runs(
@@ -32,7 +49,7 @@ def evaluate_runs(
     reverse : bool, optional
         Whether it was driven in reverse direction.
     **options
-        Of `map_racing.evaluation.laps.evaluate`.
+        Of `evaluate`.
 
     Returns
     -------
@@ -53,7 +70,10 @@ def evaluate_runs(
         origin = recording.waypoints.topic
     runs, errors = [], []
     for part, raceline in parts:
-        notes = [*part.notes, "; ".join([f"raceline: {origin}", *map(str, raceline.findings)])]
+        doubts = raceline_warnings(raceline, origin)
+        said = [str(finding) for finding in raceline.findings if finding.severity != WARNING]
+        notes = [*part.notes, "; ".join([f"raceline: {origin}", *said])]
+        notes += [f"warning: {doubt}" for doubt in doubts]
         if reverse:
             raceline = raceline.reversed()
             notes = [*notes, "raceline reversed"]
@@ -65,3 +85,110 @@ def evaluate_runs(
         raise errors[0]
     said = [f"warning: {error}" for error in errors]
     return [(part, replace(result, notes=(*result.notes, *said))) for part, result in runs]
+
+
+def evaluate(
+    recording: Recording,
+    raceline: Raceline,
+    *,
+    start_s: float = 0.0,
+    car_width: float = 0.3,
+    sectors: int = 3,
+    limits: LapLimits | None = None,
+) -> RunResult:
+    """Find and evaluate the laps of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Commands, where it has them, are held until the next one.
+    raceline : Raceline
+    start_s, car_width, sectors, limits
+        See `map_racing.evaluation.laps.LapEvaluator`.
+
+    Returns
+    -------
+    RunResult
+        With traces.
+
+    Raises
+    ------
+    EvaluationError
+        If the car drove on another track: more than half of the samples are far outside of the
+        walls, or it made no progress along the raceline.
+    """
+    evaluator = LapEvaluator(
+        raceline,
+        start_s=start_s,
+        car_width=car_width,
+        sectors=sectors,
+        limits=limits,
+        keep_traces=True,
+    )
+    speed_command = steering = None
+    if recording.commands is not None:
+        speed_command = recording.commands.held(recording.t, recording.commands.speed)
+        steering = recording.commands.held(recording.t, recording.commands.steering_angle)
+    # Lateral speed is often not measured; without it the longitudinal speed is the speed.
+    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    evaluator.update(recording.t, recording.x, recording.y, v, speed_command, steering)
+    result = evaluator.finish()
+    if not result.laps:
+        raise EvaluationError(f"{recording.source}: expected at least two samples")
+    if recording.beliefs is not None:
+        times, values = recording.beliefs
+        laps = [lap.believed(times.tolist(), values) for lap in result.laps]
+        result = replace(result, laps=laps)
+    progress = sum(float(lap.trace.s[-1]) for lap in result.laps)
+    _check_followed(recording, result, progress, limits.max_deviation if limits else None)
+    doubts = [
+        frame_warning(recording.topic, recording.frame),
+        alternation(recording.topic, recording.x, recording.y),
+        bunches(recording.topic, recording.t),
+        speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
+    ]
+    if speed_command is not None:
+        doubts += uncommanded(recording.t, speed_command, result.laps)
+    notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts if doubt)]
+    if progress < -0.5 * raceline.length:
+        notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
+    return replace(result, source=recording.source, notes=tuple(notes))
+
+
+def _check_followed(recording, result, progress, max_deviation):
+    """Refuse driving on another track than the raceline."""
+    raceline = result.raceline
+    d = np.concatenate([lap.trace.d for lap in result.laps])
+    deviation = np.abs(d)
+    allowed = max_deviation
+    if allowed is None and raceline.d_left is not None:
+        curve = raceline.sample(np.concatenate([result.places_of(lap) for lap in result.laps]))
+        allowed = np.where(d > 0.0, curve.d_left, curve.d_right)
+    elif allowed is None:
+        allowed = NO_WALLS
+    if float(np.median(deviation - allowed)) > _ELSEWHERE:
+        raise EvaluationError(
+            f"{recording.source}: the car drove elsewhere: half of the time more than "
+            f"{np.median(deviation):.1f} m off the raceline {_name(raceline)}"
+        )
+    driven = _driven(recording.x.tolist(), recording.y.tolist())
+    followed = result.summary.laps_completed or abs(progress) > 0.5 * driven
+    if driven > 0.5 * raceline.length and not followed:
+        raise EvaluationError(
+            f"{recording.source}: the car drove elsewhere: of {driven:.0f} m it came "
+            f"{abs(progress):.0f} m along the raceline {_name(raceline)}"
+        )
+
+
+def _name(raceline):
+    return raceline.name or raceline.source or "raceline"
+
+
+def _driven(x, y):
+    """Distance driven [m], in steps too long for the noise of a parked car."""
+    driven, x0, y0 = 0.0, x[0], y[0]
+    for x1, y1 in zip(x, y):
+        step = math.hypot(x1 - x0, y1 - y0)
+        if step > _NOISE:
+            driven, x0, y0 = driven + step, x1, y1
+    return driven

@@ -19,6 +19,7 @@ from ..simulation.plant import PlantParameters
 from ..simulation.public_simulator import PublicSimulatorParameters
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
+from ..vehicle.size import size_of
 from .campaign import Plan
 from .conditions import Conditions, Day, day_of
 from .jobs import RaceJob, RaceResult, lap_row
@@ -116,7 +117,8 @@ def tuning_plan(setting: Setting, label: str, controller: ControllerParameters) 
         return [setting.job(label, candidate, day, conditions.tuning_laps) for day in days]
 
     def steps():
-        tuned = yield from tune(jobs_for, controller.with_(speed_scale=conditions.tuning_scale))
+        start = controller.with_(speed_scale=conditions.tuning_scale)
+        tuned = yield from tune(jobs_for, start, size_of(setting.vehicle))
         as_given = tuned.controller.with_(speed_scale=controller.speed_scale)
         return tuned._replace(controller=as_given)
 

@@ -11,7 +11,7 @@ import json
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Sequence
 
 import numpy as np
 import pandas as pd
@@ -96,6 +96,7 @@ def provenance_of(
     identification: dict[str, Any],
     controllers: dict[str, ControllerParameters],
     laps: int,
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Everything a result depends on, as plain values.
 
@@ -107,6 +108,8 @@ def provenance_of(
     controllers : dict of str to ControllerParameters
         As raced, by label.
     laps : int
+    notes : sequence of str, optional
+        On track and car, see `map_racing.experiments.session.Session`.
     """
     conditions = setting.conditions
     days = {
@@ -120,6 +123,7 @@ def provenance_of(
     }
     return {
         **software(),
+        "notes": list(notes),
         "conditions": plain(conditions),
         "laps": laps,
         "track": plain(setting.raceline),

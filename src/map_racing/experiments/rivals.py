@@ -107,13 +107,12 @@ def work_frame(races, controllers, tuned, memory):
     pandas.DataFrame
         Processor time of a step in milliseconds (median over races of the median and the 99th
         percentile, and the largest 99th percentile), shares of steps failed and late, memory,
-        parameters of the controller, and pairs of them that were tried in tuning.
+        parameters of the controller, and races driven to tune two of them.
     """
     rows = []
     for label, controller in controllers.items():
         work = [r.result.work for r in races if r.label == label and r.result.work]
         steps = max(sum(each.steps for each in work), 1)
-        pairs = tuned[label].pairs if label in tuned else ()
         rows.append(
             {
                 "controller": label,
@@ -124,7 +123,7 @@ def work_frame(races, controllers, tuned, memory):
                 "late_share": sum(each.late for each in work) / steps,
                 "memory_mb": memory.get(label, math.nan),
                 "parameters": _numbers(controller),
-                "tuning_pairs": len(pairs),
+                "tuning_races": tuned[label].races if label in tuned else 0,
             }
         )
     return pd.DataFrame(rows)

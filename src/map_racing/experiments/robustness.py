@@ -14,6 +14,7 @@ from ..errors import ParameterError
 from ..resources import find_config
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
+from ..track.findings import WARNING
 from ..track.generator import TrackShape, draw_track
 from ..validation import finite, read_parameters
 from ..vehicle.parameters import load_vehicle
@@ -74,17 +75,17 @@ class Robustness:
         for name in ("tracks", "generated_seeds"):
             values = getattr(self, name)
             if not isinstance(values, (list, tuple)):
-                raise ParameterError(f"{name} must be a list, not {values!r}")
+                raise ParameterError(f"{name}: expected a list, got {values!r}")
             object.__setattr__(self, name, tuple(values))
         for seed in (*self.generated_seeds, self.seed):
             if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-                raise ParameterError(f"a seed must be a whole number from 0, not {seed!r}")
+                raise ParameterError(f"seeds: expected whole numbers from 0, got {seed!r}")
         if not self.tracks and not self.generated_seeds:
-            raise ParameterError("tracks or generated_seeds must name a track")
+            raise ParameterError("tracks, generated_seeds: expected at least one track, got none")
         if not isinstance(self.cars, dict) or not self.cars:
-            raise ParameterError("cars must map names to what they differ in")
+            raise ParameterError("cars: expected names and what each car differs in")
         if isinstance(self.laps, bool) or not isinstance(self.laps, int) or self.laps < 1:
-            raise ParameterError(f"laps must be at least 1, not {self.laps!r}")
+            raise ParameterError(f"laps: expected at least 1, got {self.laps!r}")
         finite("speed_scale", self.speed_scale)
 
 
@@ -172,6 +173,24 @@ class Grid:
             for track in self.tracks
             for car in self.cars
         ]
+
+    @property
+    def notes(self):
+        """What the user should know about tracks and cars."""
+        given = self.conditions
+        notes = [
+            f"{source}: {finding}"
+            for source, track in zip(given.tracks, self.tracks)
+            for finding in track.findings
+            if finding.severity == WARNING
+        ]
+        notes += [
+            f"{source}: no walls are known, so no crash is seen"
+            for source, track in zip(given.tracks, self.tracks)
+            if track.d_left is None
+        ]
+        cars = {(car.name, note) for car in self.cars for note in car.vehicle.notes}
+        return notes + [f"car {name}: its vehicle: {note}" for name, note in sorted(cars)]
 
     @property
     def names(self):
@@ -314,6 +333,7 @@ def grid_provenance(grid, controllers):
     """What the results of a grid depend on, as plain values."""
     return {
         **software(),
+        "notes": grid.notes,
         "conditions": plain(grid.conditions),
         "track": {
             "name": f"{len(grid.tracks)} tracks",

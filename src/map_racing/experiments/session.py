@@ -96,6 +96,7 @@ class GridSession(Races):
 
     def __init__(self, kind, folder, conditions, **where):
         self.grid = Grid(conditions)
+        self.notes = self.grid.notes
         super().__init__(kind, folder, **where)
 
     def race(self, controllers):
@@ -203,8 +204,13 @@ class Session(Races):
         }
         self.notes.append(
             f"identified {found.base.name} from steering ramps (seed {seed}): up to "
-            f"{found.largest_a_y:.1f} m/s^2, {self.folder / 'identified.yaml'}"
+            f"{found.largest_a_y:.1f} m/s^2 (identified.yaml)"
         )
+        self.notes += [
+            f"warning: identification: {finding.text}"
+            for finding in found.findings
+            if finding.critical
+        ]
         return found.vehicle, found.linear_vehicle
 
     def tune(self, controllers: dict[str, tuple[str, ControllerParameters]]) -> dict[str, Tuned]:
@@ -248,7 +254,8 @@ class Session(Races):
         Called again, it races the controllers it has.
         """
         if not self.controllers:
-            shipped = {c.label: load_law(c.controller) for c in self._contenders}
+            car = self.setting.vehicle
+            shipped = {c.label: load_law(c.controller, car) for c in self._contenders}
             to_tune = {c.label: c.controller for c in self._contenders if c.tuned and self._tuning}
             given = {label: (stem, shipped[label]) for label, stem in to_tune.items()}
             self.tuned = self.tune(given)
@@ -263,7 +270,9 @@ class Session(Races):
 
     def write(self, table: pd.DataFrame, timed_laps: int, **frames: pd.DataFrame) -> None:
         """Write the table of the results, further tables, and the provenance."""
-        provenance = provenance_of(self.setting, self.identification, self.controllers, timed_laps)
+        provenance = provenance_of(
+            self.setting, self.identification, self.controllers, timed_laps, self.notes
+        )
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 
     def memory(self, laps: int, scale: float) -> dict[str, float]:

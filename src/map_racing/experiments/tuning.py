@@ -25,7 +25,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from ..control.parameters import growth
 from ..errors import MapRacingError, ParameterError
+from ..vehicle.size import ONE_TENTH
 
 __all__ = [
     "ROBUST_STEPS",
@@ -90,11 +92,14 @@ class Tuned(NamedTuple):
         Its mean RMS lateral error [m].
     pairs : list of Pair
         All that were driven, by m and q.
+    races : int
+        Driven for it.
     """
 
     controller: object
     error: float
     pairs: list
+    races: int
 
 
 def lap_error(results):
@@ -133,7 +138,7 @@ def frame_of(tuned):
     return pd.DataFrame(rows)
 
 
-def tune(jobs_for, controller):
+def tune(jobs_for, controller, size=ONE_TENTH):
     """Plan that tunes a controller, for `map_racing.experiments.campaign.carry_out`.
 
     Parameters
@@ -141,6 +146,8 @@ def tune(jobs_for, controller):
     jobs_for : callable
         ``jobs_for(controller) -> list of RaceJob``: the races that judge it.
     controller : ControllerParameters
+    size : Size, optional
+        Of the car; the steps of the search grow with it.
 
     Returns
     -------
@@ -152,18 +159,19 @@ def tune(jobs_for, controller):
     MapRacingError
         From the generator, if no pair of the grid is feasible.
     """
-    errors, given_up = {}, set()
+    errors, races, given_up = {}, {}, set()
 
     first, second = controller.TUNED
+    step_m, step_q = STEP_M * growth(first, size), STEP_Q * growth(second, size)
 
     def with_pair(i, j):
-        return controller.with_(**{first: round(i * STEP_M, 6), second: round(j * STEP_Q, 6)})
+        return controller.with_(**{first: round(i * step_m, 6), second: round(j * step_q, 6)})
 
     def measure(cells):
         new = [cell for cell in cells if cell not in errors]
         found = yield from _compare([jobs_for(with_pair(*cell)) for cell in new], reference)
         for cell, results in zip(new, found):
-            errors[cell] = lap_error(results)
+            races[cell], errors[cell] = len(results), lap_error(results)
             if len(results) < len(jobs_for(controller)):
                 given_up.add(cell)
             elif errors[cell] < min([errors[c] for c in complete] or [math.inf]):
@@ -204,7 +212,7 @@ def tune(jobs_for, controller):
         )
         for cell in sorted(errors)
     ]
-    return Tuned(with_pair(*best), errors[best], pairs)
+    return Tuned(with_pair(*best), errors[best], pairs, sum(races.values()))
 
 
 def _compare(groups, reference, first=1, measure=lap_error):

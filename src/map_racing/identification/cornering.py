@@ -36,6 +36,8 @@ POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
 SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
 SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
 CLOCK_SEARCH_S = 1.5
+# Clocks are plainly apart if a shift leaves less than this share of the squared differences.
+PLAIN = 0.3
 # Longer only with a time in ms or with a jump [s].
 LONGEST_DRIVE_S = 36000.0
 # The low-pass smears a step over this many periods of its cutoff frequency.
@@ -75,6 +77,9 @@ class ProcessedRun:
         Standard deviations of the noise that the low-pass left.
     clock_offset_s : float
         Shift of the clock of the poses against the others.
+    clocks_apart_s : float
+        How much later the yaw rates come than the same turns of the heading, although they are said
+        to be of one clock; 0 where that is not plain.
     spikes : dict of str to float
         Share of each signal rejected as spikes.
     limits : SteadyLimits
@@ -100,6 +105,7 @@ class ProcessedRun:
     beta_noise: float
     a_y_noise: float
     clock_offset_s: float
+    clocks_apart_s: float
     spikes: dict[str, float]
     limits: SteadyLimits
     size: Size = ONE_TENTH
@@ -153,11 +159,15 @@ def motion_of(
     signals, spikes = _without_spikes(run, least)
     pose_t, *poses = _poses(run, signals, spikes, least)
     middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
-    offset = 0.0
-    if "yaw_rate" in signals and run.pose_clock:
+    offset, apart = 0.0, 0.0
+    if "yaw_rate" in signals:
         rate = setup.yaw_rate_scale * signals["yaw_rate"].value
-        offset = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
-        middle, pose_t = middle + offset, pose_t + offset
+        found, sure = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
+        if run.pose_clock:
+            offset = found
+            middle, pose_t = middle + offset, pose_t + offset
+        elif sure:
+            apart = found
     t, known = _common_clock(run, signals, pose_t)
     columns = dict(
         zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
@@ -192,6 +202,7 @@ def motion_of(
         beta_noise=0.0,
         a_y_noise=0.0,
         clock_offset_s=offset,
+        clocks_apart_s=apart,
         spikes={name: share for name, share in spikes.items() if share > 0.0},
         limits=limits,
         size=size,
@@ -386,14 +397,17 @@ def _velocities(t, x, y, psi, heading_offset):
 
 
 def _clock_offset(middle, turning, t, rate):
-    """Shift of the clock of the poses that aligns both yaw rates [s]."""
+    """Shift of the clock of the poses that aligns both yaw rates [s], and whether it is plain.
+
+    It is where the rates differ by far less with the shift than without, and by little.
+    """
     step = 1.0 / RATE_HZ
     grid = np.arange(max(middle[0], t[0]), min(middle[-1], t[-1]), step)
     if grid.size < 4 * RATE_HZ:
-        return 0.0
+        return 0.0, False
     own = low_passed(np.interp(grid, t, rate), RATE_HZ, 2.0)
     if np.std(own) < 0.1:
-        return 0.0
+        return 0.0, False
     other = low_passed(np.interp(grid, middle, turning), RATE_HZ, 2.0)
     most = min(round(CLOCK_SEARCH_S * RATE_HZ), grid.size // 4)
     inner = slice(most, grid.size - most)
@@ -402,8 +416,10 @@ def _clock_offset(middle, turning, t, rate):
     squares = np.append(0.0, np.cumsum(other**2))
     size = grid.size - 2 * most
     alike = np.abs(np.correlate(other, own[inner], "valid"))
-    errors = squares[size:] - squares[:-size] - 2.0 * alike
-    return float(step * (most - int(np.argmin(errors))))
+    errors = squares[size:] - squares[:-size] - 2.0 * alike + float(own[inner] @ own[inner])
+    best = int(np.argmin(errors))
+    plain = errors[best] < PLAIN * min(errors[most], size * float(np.var(own)))
+    return float(step * (most - best)), bool(plain)
 
 
 def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):

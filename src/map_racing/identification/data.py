@@ -17,9 +17,10 @@ import numpy as np
 
 from ..bags.opening import Source, is_bag, source_name
 from ..bags.reader import read_recording, read_signals
-from ..bags.samples import in_order, jump_back, usable
+from ..bags.samples import Recording, in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
+from ..printing import printable
 from ..resources import find_config
 from ..tables import UNITS, column_index, read_columns
 from ..validation import finite
@@ -32,6 +33,7 @@ __all__ = [
     "Signal",
     "load_channel_map",
     "load_run",
+    "run_of",
 ]
 
 POSE = ("x", "y", "psi")
@@ -196,7 +198,7 @@ class Run:
     def label(self) -> str:
         """Short name: the file with its folder."""
         path = Path(self.name)
-        return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
+        return printable(f"{path.parent.name}/{path.name}" if path.parent.name else path.name)
 
 
 def load_channel_map(source: str | Path) -> ChannelMap:
@@ -279,14 +281,10 @@ def _load_bag(source, channel_map):
     for name, channel in channel_map.channels.items():
         topics[name] = channel.source
     extra = read_signals(source, recording, topics)
-    signals = {name: (recording.t, getattr(recording, name)) for name in (*POSE, "v_x", "v_y")}
-    signals["yaw_rate"] = recording.t, recording.yaw_rate
+    signals = {}
     if "imu" in extra:
         t, columns = extra.pop("imu")
         signals.update((name, (t, columns[name])) for name in INERTIAL if columns[name].any())
-    if recording.commands is not None:
-        signals["steering"] = recording.commands.t, recording.commands.steering_angle
-        signals["speed_command"] = recording.commands.t, recording.commands.speed
     for name, (t, columns) in extra.items():
         channel = channel_map.channels[name]
         wanted = channel.field or (name if name in columns else next(iter(columns)))
@@ -295,8 +293,39 @@ def _load_bag(source, channel_map):
                 f"{path}: {name}: expected {', '.join(columns)} of {channel.source}, got {wanted!r}"
             )
         signals[name] = t, channel.to_si(columns[wanted])
-    run = _run(path, signals, channel_map.setup, recording.notes)
-    clock, commands = recording.clock, recording.commands
+    return run_of(recording, path, signals, channel_map.setup)
+
+
+def run_of(
+    recording: Recording,
+    name: str | Path = "",
+    others: dict | None = None,
+    setup: SensorSetup | None = None,
+) -> Run:
+    """A drive of a recording that was read already: poses, velocities and commands.
+
+    Parameters
+    ----------
+    recording : Recording
+    name : str or pathlib.Path, optional
+        Path of the recording.
+    others : dict of str to (ndarray, ndarray), optional
+        Further signals, or others in place of the recording's: times [s] and values [SI].
+    setup : SensorSetup, optional
+
+    Returns
+    -------
+    Run
+    """
+    signals = {key: (recording.t, getattr(recording, key)) for key in (*POSE, "v_x", "v_y")}
+    signals["yaw_rate"] = recording.t, recording.yaw_rate
+    commands, clock = recording.commands, recording.clock
+    if commands is not None:
+        signals["steering"] = commands.t, commands.steering_angle
+        signals["speed_command"] = commands.t, commands.speed
+    signals.update(others or {})
+    path = name or recording.source
+    run = _run(path, signals, setup or SensorSetup(), recording.notes)
     lag = None
     if clock is not None and not clock.use_receipt and clock.lag.size:
         lag = tuple(1e-9 * np.percentile(clock.lag, (2.5, 50.0, 97.5)))
@@ -312,10 +341,21 @@ def _load_csv(path, channel_map):
             raise ParameterError(f"{path}: {name}: missing in the channel map of a CSV file")
     clocks = {"time": channels.pop("time"), "pose_time": channels.pop("pose_time", None)}
     wanted = [channel.source for channel in (*clocks.values(), *channels.values()) if channel]
-    columns = read_columns(
-        path, lambda names: {column: column_index(path, names, column) for column in wanted}
-    )
+    command = channels.get("speed_command")
+
+    def locate(names):
+        return {
+            column: column_index(path, names, column)
+            for column in wanted
+            # Only replays and delays of the drive need it.
+            if column in names or not command or column != command.source
+        }
+
+    columns = read_columns(path, locate)
     table, notes = columns.values, columns.notes
+    if command and command.source not in table:
+        del channels["speed_command"]
+        notes = [*notes, f"speed_command: no column {command.source!r}: left out"]
     clocks, channels = (_with_units(some, columns.units) for some in (clocks, channels))
     t = clocks["time"].to_si(table[clocks["time"].source])
     values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}
@@ -336,10 +376,12 @@ def _load_csv(path, channel_map):
 
 
 def _with_units(channels, units):
-    """Channels with the units that the file states, where the channel map does not."""
+    """Channels with the units that the file states, where the channel map has neither these nor a
+    scale.
+    """
     return {
         name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
-        if channel and not channel.unit
+        if channel and not channel.unit and abs(channel.scale) == 1.0
         else channel
         for name, channel in channels.items()
     }

@@ -2,7 +2,7 @@
 
 A model of the car stands between the commands and what they cause, because the yaw of a car lags
 behind its wheels by itself; the lag depends on the tires, which are fitted with the delays
-(`output_error`). A delay is only told where the commands move: pieces without turning, or without
+(`output_error`). A delay shows only where the commands move: pieces without turning, or without
 change of speed, do not count.
 """
 
@@ -16,28 +16,30 @@ import numpy as np
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
 from .data import Run
+from .drive import drive_windows, fit_drive
 from .driving import LONGEST_DELAY_S, driving_of, windows_of
 from .output_error import believed, fit_car
-from .robust_fit import CONFIDENCE, Believed, fit
+from .robust_fit import CONFIDENCE
 from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
 
 __all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
 
 ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
-# A window tells a delay of the steering where the yaw rate varies by so much, one of the drive
-# where the speed does; and so many windows are needed.
-LEAST_TURNING_RADPS, LEAST_CHANGE_MPS, FEWEST_WINDOWS = 0.3, 0.15, 5
+# A window shows a delay of the steering where the yaw rate varies by so much, and so many windows
+# are needed.
+LEAST_TURNING_RADPS, FEWEST_WINDOWS = 0.3, 5
 MOST_WINDOWS = 30
 # A wider interval to either side is no answer [s].
 WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
 # The model must explain this share of the variance.
 LEAST_SHARE = 0.8
-# A servo that steps must leave less than this share of the residuals that one with a lag leaves.
-STEPPING = 0.8
+# A servo that steps, behind so many samples, must leave less than this share of the residuals that
+# one sample more or less leaves, and less than one with a lag.
+STEPPING = 0.9
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
-# Poses as old as this are of another clock [s], and synchronized clocks differ by the other.
+# Poses as old as this are from another clock [s], and synchronized clocks differ by the other.
 OLDEST_S, FUTURE_S = 0.15, 0.02
 
 
@@ -111,6 +113,7 @@ def estimate_delays(
     """
     drives, notes = [], []
     for run in runs:
+        notes += [f"{run.label}: {note}" for note in run.notes]
         try:
             drive = driving_of(run)
         except IdentificationError as error:
@@ -156,7 +159,8 @@ def _pose_age(runs):
         return Part(reason="the recording does not say when poses were received"), shifted
     low, middle, high = (float(np.median(values)) for values in zip(*stamped))
     if not -FUTURE_S <= middle <= OLDEST_S:
-        return Part(reason=f"the stamps of the poses are of another clock ({middle:+.3f} s)"), True
+        reason = f"the stamps of the poses are from another clock ({middle:+.3f} s)"
+        return Part(reason=reason), True
     if low == high == 0.0:
         return Part(reason="poses are stamped when they are received"), shifted
     return Part(middle, low, high), shifted
@@ -171,7 +175,7 @@ def _steering(drives, models, notes):
         return (
             Part(
                 reason=f"the yaw rate varies by {LEAST_TURNING_RADPS:g} rad/s in {windows.count} s "
-                f"of the {FEWEST_WINDOWS} s needed: straight or steady driving tells no delay"
+                f"of the {FEWEST_WINDOWS} s needed: straight or steady driving shows no delay"
             ),
         ) * 3
     found, vehicle, beliefs = min(
@@ -219,16 +223,27 @@ def _stepping(drives, vehicle, beliefs, found):
         name: belief._replace(center=0.0, spread=0.0) if name in ("delay", "share") else belief
         for name, belief in beliefs.items()
     }
-    noise = {}
-    about = round(found["delay"] / SAMPLE_S) - 1
-    for samples in range(max(about - 1, 0), about + 2):
+
+    def noise_behind(samples):
+        if samples < 0:
+            return np.inf
         stepped = [
             behind_stepping_servo(drive, vehicle.delta_rate_max, vehicle.delta_max, samples)
             for drive in drives
         ]
-        noise[samples] = fit_car(free, _windows(stepped), held).noise["r"]
-    best = min(noise, key=noise.get)
-    return best if noise[best] < STEPPING * found.noise["r"] else None
+        return fit_car(free, _windows(stepped), held).noise["r"]
+
+    about = round(found["delay"] / SAMPLE_S)
+    noise = {samples: noise_behind(samples) for samples in range(about - 1, about + 2)}
+    while True:
+        best = min(noise, key=noise.get)
+        beside = [samples for samples in (best - 1, best + 1) if samples not in noise]
+        if not beside or noise[best] > found.noise["r"]:
+            break
+        noise[beside[0]] = noise_behind(beside[0])
+    others = min(noise[samples] for samples in (best - 1, best + 1) if samples in noise)
+    clear = noise[best] < min(STEPPING * others, found.noise["r"])
+    return best if clear else None
 
 
 def _drive(drives):
@@ -236,39 +251,10 @@ def _drive(drives):
     drives = [drive for drive in drives if drive.speed_command is not None]
     if not drives:
         return (Part(reason="no speed commands"),) * 2
-    windows = windows_of(
-        drives,
-        length=1.5,
-        burn_in=0.0,
-        step=0.01,
-        channels=("v_x",),
-        excited="v_x",
-        least=LEAST_CHANGE_MPS,
-        most=MOST_WINDOWS,
-    )
+    windows = drive_windows(drives)
     if windows.count < FEWEST_WINDOWS:
         return (Part(reason="the speed hardly changes"),) * 2
-    beliefs = {
-        "delay": Believed(0.03, 0.1, 0.0, 0.29, 1e-3),
-        "lag": Believed(0.1, 0.3, 0.005, 2.0, 1e-3),
-        "a_max": Believed(7.0, 20.0, 0.5, 30.0, 1e-2),
-        "a_brake_max": Believed(8.0, 20.0, 0.5, 30.0, 1e-2),
-        "gain": Believed(1.0, 0.05, 0.7, 1.4, 1e-3),
-    }
-
-    def predict(lanes):
-        delay, lag, most, least, gain = lanes.T[:, :, None]
-        command = gain * windows.commands("speed_command", lanes[:, 0])
-        v = np.empty((windows.steps + 1, *command.shape[1:]))
-        v[0] = windows.v_x[0]
-        # Exactly over a step, as far as the limits allow.
-        follow = -np.expm1(-windows.step / lag)
-        up, down = most * windows.step, -least * windows.step
-        for k in range(windows.steps):
-            v[k + 1] = v[k] + np.clip((command[k] - v[k]) * follow, down, up)
-        return {"v_x": windows.at("v_x", v)}
-
-    found = fit(predict, windows.observed, beliefs, [{"delay": 0.02}, {"lag": 0.4}], {"v_x": 0.1})
+    found = fit_drive(windows)
     explained = 1.0 - (found.noise["v_x"] / _spread(windows.observed["v_x"])) ** 2
     parts = []
     for name in ("delay", "lag"):

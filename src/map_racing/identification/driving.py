@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
 from .cornering import low_passed
 from .data import Run
 
-__all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of"]
+__all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
 
 # Clock on which speed and yaw rate are smoothed [Hz], and their low-pass: a drive is no faster.
 GRID_HZ, SMOOTH_HZ = 100.0, 6.0
@@ -28,7 +29,10 @@ LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 LONGEST_DELAY_S = 0.3
 # An acceleration of the IMU counts as lateral if it follows speed times yaw rate with such a slope.
 SLOPES = (0.7, 1.4)
-# Shorter than this nothing is told from it [s].
+# An outlier is farther from the median of so many samples around it than so many usual distances,
+# and than this [m/s, rad/s].
+NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
+# Shorter pieces [s] are of no use.
 SHORTEST_S = 3.0
 
 
@@ -140,7 +144,10 @@ def driving_of(run: Run) -> Driving:
             f"got {max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / GRID_HZ)
-    smooth = low_passed(np.stack([np.interp(t, *v), np.interp(t, *r)]), GRID_HZ, SMOOTH_HZ)
+    smooth = low_passed(
+        np.stack([np.interp(t, *without_outliers(*signal)) for signal in (v, r)]),
+        *(GRID_HZ, SMOOTH_HZ),
+    )
     measured = {"r": Measured(*r), "v_x": Measured(*v)}
     a_y = _lateral_acceleration(run, scaled, t, smooth, notes)
     if a_y is not None:
@@ -353,6 +360,16 @@ def _speed_of_path(run, scaled):
     t, x = scaled["x"]
     y = np.interp(t, *scaled["y"])
     return 0.5 * (t[1:] + t[:-1]), np.hypot(np.diff(x), np.diff(y)) / np.diff(t)
+
+
+def without_outliers(t, value):
+    """Samples far from the median of their neighbors left out (Hampel's filter)."""
+    if value.size < 2 * NEIGHBORS:
+        return t, value
+    distance = np.abs(value - median_filter(value, NEIGHBORS, mode="nearest"))
+    usual = median_filter(distance, 5 * NEIGHBORS, mode="nearest")
+    good = distance <= np.maximum(OUTLIER * usual, LEAST_OUTLIER)
+    return t[good], value[good]
 
 
 def _near(t, samples, longest):

@@ -17,14 +17,13 @@ import numpy as np
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
-from ..vehicle.size import ONE_TENTH, size_of
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
 from .cornering import ProcessedRun, motion_of
 from .data import Run, SensorSetup
 from .limits import RATE_HZ, SteadyLimits
-from .sensor_checks import check, correct, reason_to_refuse
 from .sensor_findings import SensorFinding
+from .survey import Survey, survey
 from .tire_fit import AxlePoints, LinearFit, PacejkaFit, axle_points, fit_linear, fit_pacejka
 
 __all__ = [
@@ -37,6 +36,7 @@ __all__ = [
     "points_of",
     "predict",
     "steady_acceleration",
+    "steady_tires",
 ]
 
 POINT_RATE_HZ = 10.0
@@ -183,21 +183,22 @@ def identify(
         If no run has steady cornering, or sensors contradict each other (the message says what
         would repair it), or no tire curve fits the points.
     """
-    runs, limits = list(runs), limits or SteadyLimits()
-    if not runs:
-        raise IdentificationError("expected at least one run")
-    setup, corrections = runs[0].setup, []
+    limits = limits or SteadyLimits()
+    surveyed = survey(runs, base_vehicle, fix, limits, acceleration)
+    return steady_tires(surveyed, base_vehicle, limits, front_force, acceleration, name)
 
-    def motions_with(setup):
-        return _motions(runs, setup, base_vehicle, limits, acceleration)
 
-    if fix:
-        setup, corrections = correct(motions_with, setup, base_vehicle)
-    motions, refused = motions_with(setup)
-    findings = check([motion for motion, _ in motions], setup, base_vehicle)
-    used = [motion for motion, good in motions if good]
-    _require_evidence(findings, used, refused, fix)
-
+def steady_tires(
+    surveyed: Survey,
+    base_vehicle: Vehicle,
+    limits: SteadyLimits,
+    front_force: str = "model",
+    acceleration: str = "imu",
+    name: str | None = None,
+) -> Identification:
+    """Identify the tires from the steady cornering of a survey; see `identify`."""
+    used = surveyed.steady
+    _require_evidence(used, surveyed)
     axles = _fit_axles(used, base_vehicle, limits, front_force)
     name = name or base_vehicle.name + "_identified"
     tires = {key: axle.pacejka.tire for key, axle in axles.items()}
@@ -208,42 +209,19 @@ def identify(
         base=base_vehicle,
         axles=axles,
         motions=used,
-        refused=refused,
-        findings=findings,
-        corrections=corrections,
-        setup=setup,
+        refused=surveyed.refused,
+        findings=surveyed.findings,
+        corrections=surveyed.corrections,
+        setup=surveyed.setup,
         front_force=front_force,
         acceleration=acceleration,
     )
 
 
-def _motions(runs, setup, vehicle, limits, acceleration):
-    """Motions of the runs with a setup and whether each is usable, and the unusable runs."""
-    motions, refused = [], []
-    for run in runs:
-        changed = dataclasses.replace(run, setup=setup)
-        try:
-            motion = motion_of(changed, vehicle, limits, acceleration)
-            reason = reason_to_refuse(motion)
-        except IdentificationError as error:
-            motion, reason = None, str(error).replace(f"{run.name}: ", "")
-        if reason:
-            refused.append((run.label, reason))
-        if motion is not None:
-            motions.append((motion, not reason))
-    return motions, refused
-
-
-def _require_evidence(findings, used, refused, fixed):
-    """Raise an error where sensors contradict each other or no run says anything about tires."""
-    critical = [finding for finding in findings if finding.critical]
-    if critical:
-        raise IdentificationError(
-            "; ".join(finding.text for finding in critical)
-            + (" (--fix applies that)" if not fixed and critical[0].fix else "")
-        )
+def _require_evidence(used, surveyed):
+    """Raise an error where no run says anything about tires."""
     if not used:
-        reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)
+        reasons = "; ".join(f"{label}: {reason}" for label, reason in surveyed.refused)
         raise IdentificationError(f"no usable run: {reasons}")
     if largest_a_y(used) < SMALLEST_MPS2:
         raise IdentificationError(
@@ -269,8 +247,8 @@ def _fit_axles(motions, vehicle, limits, front_force):
 
 
 def _threshold(vehicle):
-    """Where rejection begins [N]: the paper's 10 N, and in a larger car 0.3 times its weight."""
-    return 10.0 if size_of(vehicle) is ONE_TENTH else 0.3 * vehicle.m * GRAVITY
+    """Where rejection begins [N]: the paper's 10 N of a car of 3.5 kg, by weight."""
+    return 10.0 * vehicle.m / 3.5
 
 
 def leave_one_out(runs: Iterable[Run], base_vehicle: Vehicle, **options: Any) -> list[Prediction]:

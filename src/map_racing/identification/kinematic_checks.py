@@ -12,10 +12,18 @@ from .cornering import ProcessedRun
 from .data import SensorSetup
 from .sensor_findings import SensorFinding, turning_rate
 
-__all__ = ["both_sides", "check_front_slip", "check_pose_point", "check_steering_gain"]
+__all__ = [
+    "both_sides",
+    "check_front_slip",
+    "check_lock",
+    "check_pose_point",
+    "check_steering_gain",
+]
 
 # Share of the largest acceleration below which understeer is nearly proportional.
 LOW_SHARE = 0.45
+# Angles this much beyond the lock are refused: offset and play of a linkage.
+LOCK_MARGIN = 1.05
 PICK = 5  # samples per point: the low-pass leaves neighbors dependent
 
 
@@ -99,9 +107,12 @@ def check_steering_gain(
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * scale + offset, 4)
     elif "steering_gain" in fix:
         fix["steering_offset_rad"] = round(setup.steering_offset_rad * gain, 4)
-    return [
-        SensorFinding("steering", text, fix, critical=abs(gain - 1.0) > 0.3 and gain_error < 0.1)
-    ]
+    critical = abs(gain - 1.0) > 0.3 and gain_error < 0.1
+    if "steering_gain" in fix:
+        beyond = _beyond_lock(motions, vehicle, gain, offset)
+        if beyond:
+            return [SensorFinding("steering", text + beyond, critical=True)]
+    return [SensorFinding("steering", text, fix, critical=critical)]
 
 
 def _steering(columns, vehicle, with_offset):
@@ -125,35 +136,92 @@ def _steering(columns, vehicle, with_offset):
 def check_front_slip(
     motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
-    """Does the front force oppose the front slip, as it must?"""
+    """Does the front force oppose the front slip, as it must?
+
+    It does not where the front axle moves farther into the bend than its wheels point.
+    """
     columns = _cornering(motions)
     if columns is None:
         return []
-    v, r, delta, a_y = (columns[key] for key in ("v", "r", "delta", "a_y"))
-    # Without the slip of the rear axle, which would only widen the gap.
-    least = np.arctan(vehicle.l_wb * r / v)
-    hard = np.abs(a_y) > 0.5 * np.percentile(np.abs(a_y), 98.0)
+    v, r, delta, beta, a_y = (columns[key] for key in ("v", "r", "delta", "beta", "a_y"))
+    side, hard = np.sign(r), np.abs(a_y) > 0.5 * np.percentile(np.abs(a_y), 98.0)
     if np.count_nonzero(hard) < 10:
         return []
-    missing = float(np.median(((least - delta) * np.sign(r))[hard]))
-    if missing < 0.01 or both_sides(r, vehicle):
-        return []
-    angle, signal = (float(np.median(np.abs(values[hard]))) for values in (least, delta))
-    gain, error, _, _ = _steering(columns, vehicle, with_offset=False)
-    text = (
-        f"steering: the signal says {signal:.3f} rad, but even without slip the car turns as at "
-        f"{angle:.3f} rad: the wheels turn more than it says"
+    # By the poses, and without the slip of the rear axle, should their heading be off.
+    moves = np.arctan(np.tan(beta) + (vehicle.l_wb - setup.pose_x_m) * r / v)
+    rolls = np.arctan(vehicle.l_wb * r / v)
+    missing = min(
+        float(np.percentile(((angle - delta) * side)[hard], 75.0)) for angle in (moves, rolls)
     )
-    fix = {}
-    if _one_speed(v) or not 0.0 < 10.0 * error < gain:
-        text += "; driven at one speed only, how much more is unknown"
-    else:
+    if missing < 0.01:
+        return []
+    wrong = hard & ((moves - delta) * side > 0.0)
+    angle, signal = (float(np.median((values * side)[wrong])) for values in (moves, delta))
+    text = (
+        f"steering: the signal says {signal:.3f} rad where the front axle moves {angle:.3f} rad "
+        "into the bend: the wheels turn more than it says"
+    )
+    low = _low(motions, vehicle)
+    if both_sides(r, vehicle):
+        return _contradiction(low, vehicle, text)
+    if low is None or _one_speed(low["v"]):
         text += (
-            f"; if they have no offset and understeer is proportional, {gain:.3f} +- {error:.3f} "
-            "times as much"
+            f"; how much more is unknown without cornering below {LOW_SHARE:.0%} of the largest "
+            "acceleration at several speeds, where understeer is proportional"
         )
-        fix = {"steering_gain": round(setup.steering_gain * gain, 4)}
-    return [SensorFinding("front slip", text, fix, critical=True)]
+        return [SensorFinding("front slip", text, critical=True)]
+    gain, error, _, _ = _steering(low, vehicle, with_offset=False)
+    if not 0.0 < 10.0 * error < gain:
+        text += "; these data do not show how much more"
+        return [SensorFinding("front slip", text, critical=True)]
+    text += f"; if they have no offset, {gain:.3f} +- {error:.3f} times as much"
+    fix = {"steering_gain": round(setup.steering_gain * gain, 4)}
+    beyond = _beyond_lock(motions, vehicle, gain)
+    return [SensorFinding("front slip", text + beyond, {} if beyond else fix, critical=True)]
+
+
+def _contradiction(low, vehicle, text):
+    """Front slip of the wrong sign, where slow cornering to both sides tells the steering."""
+    if low is None or not both_sides(low["r"], vehicle) or _one_speed(low["v"]):
+        return [SensorFinding("front slip", text, critical=True)]
+    gain, error, _, _ = _steering(low, vehicle, with_offset=True)
+    if abs(gain - 1.0) > max(0.05, 3.0 * error):
+        return []  # to be repaired first
+    text += (
+        f", but slow cornering says {gain:.3f} +- {error:.3f} times as much: these contradict each "
+        "other, and no gain and offset repair both"
+    )
+    return [SensorFinding("front slip", text, critical=True)]
+
+
+def check_lock(
+    motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
+) -> list[SensorFinding]:
+    """Do the wheels turn beyond their lock?"""
+    beyond = _beyond_lock(motions, vehicle, 1.0)
+    if not beyond:
+        return []
+    stated = abs(setup.steering_gain) != 1.0
+    text = f"steering: gain {setup.steering_gain:.3f} of the signal{beyond}"
+    return [SensorFinding("lock", text, critical=stated)]
+
+
+def _beyond_lock(motions, vehicle, gain, offset=0.0):
+    """What is wrong with a steering gain that turns the wheels beyond their lock; else empty."""
+    widest = max(
+        (
+            float(np.max(np.abs(gain * motion.delta[cut] + offset)))
+            for motion in motions
+            for cut in motion.segments()
+        ),
+        default=0.0,
+    )
+    if widest <= LOCK_MARGIN * vehicle.delta_max:
+        return ""
+    return (
+        f": it turns the wheels to {widest:.3f} rad, beyond their lock of {vehicle.delta_max:.3f} "
+        "rad (delta_max of the vehicle), so another reason must be found"
+    )
 
 
 def both_sides(r: np.ndarray, vehicle: Vehicle) -> bool:

@@ -1,4 +1,4 @@
-"""What counts as steady cornering."""
+"""What counts as steady cornering, and other choices of the identification that have options."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
 
-__all__ = ["RATE_HZ", "SteadyLimits"]
+__all__ = ["RATE_HZ", "REPLAY_WINDOW_S", "SteadyLimits"]
 
+REPLAY_WINDOW_S = 2.0  # over which a car is driven by the commands alone
 RATE_HZ = 50.0  # of the clock on which all signals of a drive are put
 
 

@@ -20,11 +20,12 @@ from .robust_fit import Believed, Fitted, fit
 
 __all__ = ["NAMES", "believed", "fit_car", "simulate"]
 
-NAMES = ("front", "rear", "grip", "delay", "share", "gain", "offset", "inertia", "height")
+NAMES = ("front", "rear", "grip", "delay", "share", "gain", "offset", "inertia", "height", "shape")
 """The parameters: logarithms of factors on the cornering stiffness of both axles, on the grip, on
 the steering gain and on the moment of inertia; dead time and lag of the steering together [s], the
-lag's share of them, offset of the steering [rad], and height of the center of gravity above the
-vehicle's [m]."""
+lag's share of them, offset of the steering [rad], height of the center of gravity above the
+vehicle's [m], and logarithm of a factor on the shape factor C of both tires, which bends the curve
+between its slope at zero slip and its peak."""
 
 # Dead time and lag from which the search begins [s]; the better result counts.
 START_DELAYS = (0.03, 0.08)
@@ -51,6 +52,7 @@ def believed(**spreads: float) -> dict[str, Believed]:
         "offset": (0.0, 0.02, -0.2, 0.2, 1e-4),
         "inertia": (0.0, 0.25, -1.2, 1.2, 1e-3),
         "height": (0.0, 0.02, -0.05, 0.1, 1e-3),
+        "shape": (0.0, 0.0, -0.5, 0.5, 1e-3),
     }
     return {
         name: Believed(values[0], spreads.get(name, values[1]), *values[2:])
@@ -65,7 +67,7 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
     ----------
     vehicle : Vehicle
     windows : Windows
-    theta : ndarray, shape (p, 9)
+    theta : ndarray, shape (p, 10)
         Sets of parameters, see `NAMES`.
 
     Returns
@@ -78,12 +80,13 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
     h, steps = windows.step, windows.steps
     delta, ahead = _wheels(vehicle, windows, theta)
     shape = delta.shape[1:]
-    front, rear, grip, inertia = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 7))
+    front, rear, grip, inertia, bend = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 7, 9))
     m, l_f, l_r = vehicle.m, vehicle.l_f, vehicle.l_r
     I_z = vehicle.I_z * inertia
     mu = vehicle.mu * grip
     # The stiffness is the tire's own: the grip only moves the peak.
-    curve_f, curve_r = _curve(vehicle.front, front / grip), _curve(vehicle.rear, rear / grip)
+    curve_f = _curve(vehicle.front, front / grip, bend)
+    curve_r = _curve(vehicle.rear, rear / grip, bend)
     load = m / vehicle.l_wb
     a_long = windows.a_long
     transfer = np.maximum(vehicle.h_cg + theta[:, 8], 0.0)[:, None] * a_long[:, None, :]
@@ -147,8 +150,8 @@ def _wheels(vehicle, windows, theta):
     return delta, ahead
 
 
-def _curve(tire, factor):
-    """Normalized force and slope of a tire whose slope at zero slip is scaled."""
+def _curve(tire, factor, bend):
+    """Normalized force and slope of a tire whose slope at zero slip and C are scaled."""
     if not isinstance(tire, PacejkaTire):
         slope = tire.C_S * factor
 
@@ -156,7 +159,7 @@ def _curve(tire, factor):
             return slope * alpha, slope
 
         return linear
-    B, C, D, E = tire.B * factor, tire.C, tire.D, tire.E
+    B, C, D, E = tire.B * factor / bend, tire.C * bend, tire.D, tire.E
 
     def pacejka(alpha):
         x = B * alpha
@@ -170,7 +173,10 @@ def _curve(tire, factor):
 
 
 def fit_car(
-    vehicle: Vehicle, windows: Windows, beliefs: dict[str, Believed] | None = None
+    vehicle: Vehicle,
+    windows: Windows,
+    beliefs: dict[str, Believed] | None = None,
+    near: Fitted | None = None,
 ) -> Fitted:
     """Fit tires, steering and delays of a car to what was measured in windows.
 
@@ -181,6 +187,8 @@ def fit_car(
     windows : Windows
     beliefs : dict of str to Believed, optional
         See `believed`.
+    near : Fitted, optional
+        Where to begin.
 
     Returns
     -------
@@ -196,4 +204,6 @@ def fit_car(
         return {name: windows.at(name, found[name]) for name in windows.observed}
 
     starts = [{"delay": delay} for delay in START_DELAYS]
+    if near is not None:
+        starts = [dict(zip(near.names, near.values))]
     return fit(predict, windows.observed, beliefs or believed(), starts, NOISE)

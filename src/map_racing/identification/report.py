@@ -8,11 +8,22 @@ from typing import Any, Iterable
 import numpy as np
 
 from ..errors import ParameterError
+from ..vehicle.parameters import Vehicle
 from ..vehicle.steady_state import steady_state_table
 from .identify import Identification, Prediction
 from .limits import RATE_HZ
+from .tire_fit import AT_PEAK
 
-__all__ = ["prediction_errors", "report_data", "report_text"]
+__all__ = [
+    "comparison",
+    "prediction_errors",
+    "recorded_notes",
+    "report_data",
+    "report_text",
+    "survey_data",
+    "survey_lines",
+    "tables",
+]
 
 SPEEDS_MPS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 SHARES = (0.3, 0.6, 0.9)
@@ -57,6 +68,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
             "static_load_n": points.load,
             "covered_slip_rad": fit.covered_slip,
             "rise_at_covered_slip": fit.rise,
+            "share_of_peak": fit.reach,
             "peak_reached": bool(fit.saturated),
             "parameters": {key: value._asdict() for key, value in fit.parameters.items()},
             "linear": {
@@ -69,21 +81,25 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
         "vehicle": found.vehicle.name,
         "base": found.base.name,
         "runs_used": [motion.run.name for motion in found.motions],
-        "runs_refused": [{"run": run, "reason": reason} for run, reason in found.refused],
         "front_force": found.front_force,
         "lateral_acceleration_from": found.acceleration,
         "cutoff_hz": found.motions[0].limits.cutoff_hz,
-        "setup": dict(found.setup.changes()),
-        "corrections": [_finding(finding) for finding in found.corrections],
-        "findings": [_finding(finding) for finding in found.findings],
+        **survey_data(found),
+        "notes": recorded_notes(found),
         "axles": axles,
         "largest_lateral_acceleration_mps2": found.largest_a_y,
         "friction": found.friction,
         "understeer_gradient_rad_s2_per_m": found.understeer_gradient,
         "fit_errors": prediction_errors(found.predictions()),
         "leave_one_out": prediction_errors(left_out) if left_out is not None else None,
-        "tables": _tables(found),
+        "tables": tables(found.base, found.vehicle),
     }
+
+
+def recorded_notes(found: Identification) -> list[str]:
+    """What was noted while the runs and the vehicle file were read, one line each."""
+    notes = [f"{motion.run.label}: {note}" for motion in found.motions for note in motion.run.notes]
+    return [*(f"{found.base.name}: {note}" for note in found.base.notes), *notes]
 
 
 def report_text(found: Identification, left_out: list[Prediction] | None = None) -> str:
@@ -96,17 +112,7 @@ def report_text(found: Identification, left_out: list[Prediction] | None = None)
             f"{motion.run.label}: {seconds:.1f} s of steady driving in {driven:.1f} s, "
             f"{len(motion.segments())} segments"
         )
-    lines += [f"{run}: left out: {reason}" for run, reason in found.refused]
-    lines += [f"corrected: {finding.text}" for finding in found.corrections]
-    lines += [
-        f"check: {finding.text}"
-        + (f"; --fix would set {_setup(finding.fix)}" if finding.fix else "")
-        for finding in found.findings
-    ]
-    if found.setup.changes():
-        lines += ["sensor setup, in the form of a channel map:", "  setup:"]
-        lines += [f"    {name}: {value}" for name, value in found.setup.changes().items()]
-    lines.append("")
+    lines += [*survey_lines(found), ""]
     for name, axle in found.axles.items():
         lines += _axle(name, axle, found.base.name)
     lines += _summary(found)
@@ -116,18 +122,52 @@ def report_text(found: Identification, left_out: list[Prediction] | None = None)
         for run in dict.fromkeys(p.run for p in left_out):
             own = [p for p in left_out if p.run == run]
             lines += [f"  {line}" for line in _predictions(run, own)]
-    lines += _comparison(found)
+    lines += comparison(found.base, found.vehicle, found.largest_a_y)
     return "\n".join(lines)
+
+
+def survey_lines(found: Any) -> list[str]:
+    """Runs left out, corrections, findings and the setup of the sensors.
+
+    Parameters
+    ----------
+    found : Identification or IdentifiedCar
+    """
+    lines = [f"{run}: left out: {reason}" for run, reason in found.refused]
+    lines += [f"corrected: {finding.text}" for finding in found.corrections]
+    lines += [
+        f"check: {finding.text}"
+        + (f"; --fix would set {_setup(finding.fix)}" if finding.fix else "")
+        for finding in found.findings
+    ]
+    if found.setup.changes():
+        lines += ["sensor setup, in the form of a channel map:", "  setup:"]
+        lines += [f"    {name}: {value}" for name, value in found.setup.changes().items()]
+    return lines
+
+
+def survey_data(found: Any) -> dict[str, Any]:
+    """The same as plain data."""
+    return {
+        "runs_refused": [{"run": run, "reason": reason} for run, reason in found.refused],
+        "setup": dict(found.setup.changes()),
+        "corrections": [_finding(finding) for finding in found.corrections],
+        "findings": [_finding(finding) for finding in found.findings],
+    }
 
 
 def _axle(name, axle, base):
     points, fit, linear = axle
     p = fit.parameters
-    reach = (
-        "the peak was reached"
-        if fit.saturated
-        else f"not saturated: there the curve still rises with {fit.rise:.0%} of its first slope"
-    )
+    if fit.saturated:
+        reach = "the peak was reached"
+    elif fit.reach >= AT_PEAK:
+        reach = "they do not show whether that is the peak: they scatter, or do not rise to it"
+    else:
+        reach = (
+            f"not saturated: the forces end at {fit.reach:.0%} of the curve's peak, where it "
+            f"still rises with {fit.rise:.0%} of its first slope"
+        )
     lines = [
         f"{name} axle: {fit.inlier.size} points, {fit.rejected_share:.1%} rejected, mean residual "
         f"{fit.mean_residual_n:.2f} N at {points.load:.1f} N of load",
@@ -198,13 +238,14 @@ def _predictions(what, predictions):
     return lines
 
 
-def _comparison(found):
+def comparison(base: Vehicle, vehicle: Vehicle, largest_a_y: float) -> list[str]:
+    """The tables of a car before and after, where `largest_a_y` [m/s^2] was reached."""
     lines = [
         "",
-        f"table of {found.base.name} (before) and of {found.vehicle.name} (after): largest lateral "
+        f"table of {base.name} (before) and of {vehicle.name} (after): largest lateral "
         "acceleration, and steering angle at shares of the smaller one",
     ]
-    rows = _tables(found)
+    rows = tables(base, vehicle)
     for row in rows:
         before, after = (_number(row[f"limit_{which}_mps2"], "5.2f") for which in _WHICH)
         angles = ", ".join(
@@ -214,9 +255,9 @@ def _comparison(found):
         lines.append(f"  {row['speed_mps']:.0f} m/s: {before} -> {after} m/s^2; {angles} rad")
     limits = [row["limit_after_mps2"] for row in rows]
     beyond = max((limit for limit in limits if limit is not None), default=0.0)
-    if beyond > 1.05 * found.largest_a_y:
+    if beyond > 1.05 * largest_a_y:
         lines.append(
-            f"  beyond the {found.largest_a_y:.2f} m/s^2 that were reached, the new table is "
+            f"  beyond the {largest_a_y:.2f} m/s^2 that were reached, the new table is "
             "extrapolated: drive faster, or steer farther, to measure it"
         )
     return lines
@@ -225,19 +266,19 @@ def _comparison(found):
 _WHICH = ("before", "after")
 
 
-def _tables(found):
-    """Both tables at some speeds."""
-    tables = {}
-    for which, vehicle in zip(_WHICH, (found.base, found.vehicle)):
+def tables(base: Vehicle, vehicle: Vehicle) -> list[dict[str, Any]]:
+    """Limits, and angles at shares of the smaller one, of the tables of two cars at some speeds."""
+    made = {}
+    for which, car in zip(_WHICH, (base, vehicle)):
         for v in SPEEDS_MPS:
             try:
-                angles = np.linspace(0.0, vehicle.delta_max, 257)
-                tables[which, v] = steady_state_table(vehicle, [v], angles)
+                angles = np.linspace(0.0, car.delta_max, 257)
+                made[which, v] = steady_state_table(car, [v], angles)
             except ParameterError:  # no stable steady state at that speed
-                tables[which, v] = None
+                made[which, v] = None
     rows = []
     for v in SPEEDS_MPS:
-        own = [tables[which, v] for which in _WHICH]
+        own = [made[which, v] for which in _WHICH]
         limits = [table.max_lateral_acceleration(v) if table else None for table in own]
         least = min((limit for limit in limits if limit is not None), default=None)
         row = {"speed_mps": v, "shares": list(SHARES)}

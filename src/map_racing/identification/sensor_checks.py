@@ -19,13 +19,22 @@ from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
 from .data import SensorSetup
-from .kinematic_checks import both_sides, check_front_slip, check_pose_point, check_steering_gain
+from .kinematic_checks import (
+    both_sides,
+    check_front_slip,
+    check_lock,
+    check_pose_point,
+    check_steering_gain,
+)
 from .sensor_findings import SensorFinding, turning_rate
 
-__all__ = ["check", "correct", "reason_to_refuse"]
+__all__ = ["check", "correct", "reason_to_refuse", "reason_unsteady"]
 
 LEAST_USABLE_S = 2.0
+# Of a drive for steady cornering at least this share is steady; else it is ordinary driving.
+LEAST_STEADY_SHARE = 0.2
 LEAST_STANDING_S = 0.4
+MOST_APART_S = 0.08  # between yaw rates and poses
 LARGEST_ANGLE = 1.0  # largest plausible road-wheel angle [rad]
 # Spread of the ratios of localization to sensors in one run beyond which no constant explains them.
 LARGEST_SPREAD = 0.35
@@ -47,22 +56,34 @@ def reason_to_refuse(motion: ProcessedRun) -> str:
             "the poses do not move where their heading points, nor at a constant angle to it: "
             "is an axis of the position turned around, or are the axes swapped?"
         )
-    driven = np.count_nonzero(motion.moving) / RATE_HZ
-    steady = np.count_nonzero(motion.steady) / RATE_HZ
-    usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
-    lost = np.count_nonzero(motion.moving & ~motion.coherent) / RATE_HZ
+    usable, driven, text = _steady_driving(motion)
     if usable >= LEAST_USABLE_S:
         return ""
+    lost = np.count_nonzero(motion.moving & ~motion.coherent) / RATE_HZ
     if lost > 0.5 * driven:
         return (
             f"localization and the car's sensors disagree in {lost:.1f} of {driven:.1f} s of "
             f"driving, which leaves {usable:.1f} s of steady driving"
         )
-    text = f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
     angle = float(np.median(np.abs(motion.delta[motion.moving])))
     if angle > LARGEST_ANGLE:
-        text += f"; steering of {angle:.1f} rad: is it in degrees, or a servo's position?"
-    return text
+        return f"{text}; steering of {angle:.1f} rad: is it in degrees, or a servo's position?"
+    return ""
+
+
+def reason_unsteady(motion: ProcessedRun) -> str:
+    """Why a run that is usable says nothing about steady cornering; empty if it does."""
+    usable, driven, text = _steady_driving(motion)
+    return "" if usable >= max(LEAST_USABLE_S, LEAST_STEADY_SHARE * driven) else text
+
+
+def _steady_driving(motion):
+    """Seconds of usable steady driving, of driving, and both in words."""
+    driven = np.count_nonzero(motion.moving) / RATE_HZ
+    steady = np.count_nonzero(motion.steady) / RATE_HZ
+    usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
+    text = f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
+    return usable, driven, text
 
 
 def _diverged(motion):
@@ -115,7 +136,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
     if not motions:
         return []
     findings = []
-    for checker in (_heading, _rates):
+    for checker in (_clocks, _heading, _rates):
         findings += checker(motions, setup, vehicle)
         if any(finding.critical for finding in findings):
             # Everything else is judged by speed, yaw rate and heading.
@@ -127,6 +148,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
         check_pose_point,
         check_steering_gain,
         check_front_slip,
+        check_lock,
         _lateral_velocity,
         _sides,
         _localization,
@@ -162,6 +184,21 @@ def correct(
         corrections.append(todo)
         setup = dataclasses.replace(setup, **todo.fix)
     return setup, corrections
+
+
+def _clocks(motions, setup, vehicle):
+    """Do the poses turn when the yaw rate says so?"""
+    return [
+        SensorFinding(
+            "clock",
+            f"clock: {motion.run.label}: the yaw rate comes {abs(motion.clocks_apart_s):.2f} s "
+            f"{'later' if motion.clocks_apart_s > 0.0 else 'earlier'} than the poses turn, and no "
+            "times of receipt tell which of their clocks is wrong",
+            critical=True,
+        )
+        for motion in motions
+        if abs(motion.clocks_apart_s) > MOST_APART_S
+    ]
 
 
 def _heading(motions, setup, vehicle):

@@ -18,6 +18,7 @@ __all__ = ["SAMPLE_S", "behind_stepping_servo", "on_raster"]
 
 SAMPLE_S = 0.01
 DEAD_BAND_RAD = 1e-4
+JITTER_S = 1e-3
 
 
 def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: int) -> Driving:
@@ -36,10 +37,11 @@ def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: i
     Driving
     """
     stamps = driving.measured["r"].t
-    ticks = np.arange(stamps[0], stamps[-1], SAMPLE_S)
+    first = stamps[0] + float(np.median(_off_raster(stamps)))
+    ticks = np.arange(first, stamps[-1], SAMPLE_S)
     commands = driving.steering
-    # A command given at a sample counts for it.
-    last = np.searchsorted(commands.t, ticks + 1e-6, side="right") - 1
+    # A command given before the next sample counts for this one.
+    last = np.searchsorted(commands.t, ticks + SAMPLE_S - 1e-6) - 1
     last = np.maximum(np.append(np.zeros(samples, dtype=int), last)[: ticks.size], 0)
     wanted = commands.value[last].tolist()
     move = rate * SAMPLE_S
@@ -51,6 +53,9 @@ def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: i
             angle = min(max(angle + math.copysign(move, error), -lock), lock)
     # Nothing is noisy there: the speed as it was, whose rate may change at each sample.
     v_t, v = driving.measured["v_x"]
+    v_t = first + SAMPLE_S * np.round((v_t - first) / SAMPLE_S)
+    v_t, own = np.unique(v_t, return_index=True)
+    v = v[own]
     rates = np.append(np.diff(v) / np.diff(v_t), 0.0)
     at = np.clip(np.searchsorted(v_t, driving.t + 1e-6) - 1, 0, v_t.size - 1)
     return replace(
@@ -62,6 +67,14 @@ def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: i
 
 
 def on_raster(t: np.ndarray) -> bool:
-    """Whether all times are whole samples apart, as in a simulation and nowhere else."""
-    samples = (t - t[0]) / SAMPLE_S
-    return bool(np.max(np.abs(samples - np.round(samples))) < 1e-3)
+    """Whether times are whole samples apart, as in a simulation and nowhere else.
+
+    In one that runs in real time, some are late.
+    """
+    off = _off_raster(t)
+    return bool(np.percentile(np.abs(off - np.median(off)), 98.0) < JITTER_S)
+
+
+def _off_raster(t):
+    """How much later than whole samples after the first [s]."""
+    return (t - t[0]) - SAMPLE_S * np.round((t - t[0]) / SAMPLE_S)

@@ -32,6 +32,7 @@ from ..vehicle.single_track import GRAVITY, axle_loads, slip_angles
 from ..vehicle.tires import LinearTire, PacejkaTire
 
 __all__ = [
+    "AT_PEAK",
     "AxlePoints",
     "LinearFit",
     "Parameter",
@@ -48,8 +49,11 @@ UPPER = np.array([150.0, 1.5, 4.0, 1.1])
 PRIOR_SPREAD = np.array([0.15, 0.3, 0.5])
 # A parameter is determined if the data bring its spread below this share of the prior's.
 UNDETERMINED = 0.5
-# The peak is reached if the slope at the largest slip is below this share of the slope at zero.
-SATURATED = 0.25
+# The peak is reached if the measured forces end at this share of it or beyond, and its interval not
+# farther above the largest of them than this.
+AT_PEAK, ABOVE = 0.95, 1.1
+# They must also have risen to it: the smallest of them are below this share of the largest.
+RISEN = 0.75
 FEWEST_POINTS = 20
 FEW_POINTS = 300  # are enough for the first fit
 CONFIDENCE = 1.96  # of a normal distribution: 95 %
@@ -106,6 +110,10 @@ class PacejkaFit:
         Largest slip angle of the kept points [rad]: 98th percentile.
     rise : float
         Slope of the curve there relative to zero slip: 0 at the peak, 1 in the linear range.
+    reach : float
+        Force of the curve there relative to its peak.
+    saturated : bool
+        Whether the measured forces end at the peak; otherwise it is extrapolated.
     """
 
     tire: PacejkaTire
@@ -115,6 +123,8 @@ class PacejkaFit:
     parameters: dict[str, Parameter]
     covered_slip: float
     rise: float
+    reach: float
+    saturated: bool
 
     @property
     def rejected_share(self):
@@ -125,11 +135,6 @@ class PacejkaFit:
     def mean_residual_n(self):
         """Mean absolute residual of the kept points [N], the paper's figure."""
         return float(np.mean(np.abs(self.residual[self.inlier])))
-
-    @property
-    def saturated(self):
-        """Whether the data reach the peak; otherwise it is extrapolated."""
-        return self.rise < SATURATED
 
 
 @dataclass(frozen=True)
@@ -244,9 +249,13 @@ def fit_pacejka(
     covered = _covered(theta, slip[inlier], force[inlier], points.load, ratio)
     tire = PacejkaTire(*theta)
     rise = float(tire.slope(covered)) / tire.stiffness
-    parameters = _intervals(theta, jacobian, noise, points.load, rise < SATURATED)
+    reach = float(tire.normalized_force(min(covered, tire.peak_slip))) / tire.peak
+    least, largest = (float(f) for f in np.percentile(np.abs(force[inlier]), (2.0, 98.0)))
+    ends = reach >= AT_PEAK and least < RISEN * largest
+    most = ABOVE * largest if ends else 0.0
+    parameters, saturated = _intervals(theta, jacobian, noise, points.load, most)
     residual = force - points.load * tire.normalized_force(slip)
-    return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise)
+    return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise, reach, saturated)
 
 
 def fit_linear(
@@ -360,11 +369,11 @@ def _least_squares(begin, slip, force, load, ratio, prior, noise):
     return solution.x, solution.jac[: slip.size]
 
 
-def _intervals(theta, jacobian, noise, load, saturated):
-    """95 % intervals from the covariance, and what the data determine.
+def _intervals(theta, jacobian, noise, load, most):
+    """95 % intervals from the covariance, what is determined, and whether the peak was reached.
 
-    A parameter is determined if the data bring its spread well below the prior's; the peak also
-    needs data that reach it.
+    A parameter is determined if the data bring its spread well below the prior's; the peak, and
+    what shapes it, also need data that reach it, so that its interval ends below `most` [N].
     """
     information = jacobian.T @ jacobian / max(noise, 1e-9) ** 2
     spread = np.array(
@@ -374,6 +383,18 @@ def _intervals(theta, jacobian, noise, load, saturated):
     precision[0, 0] *= 1e-4
     covariance = np.linalg.inv(information + precision)
     deviation = np.sqrt(np.diag(covariance))
+
+    def derived(function):
+        """Value of a function of the parameters, and its standard deviation."""
+        value, gradient = function(theta), np.zeros(4)
+        for i, step in enumerate(np.maximum(1e-4 * np.abs(theta), 1e-5)):
+            moved = np.array(theta)
+            moved[i] += step if theta[i] + step < UPPER[i] else -step
+            gradient[i] = (function(moved) - value) / (moved[i] - theta[i])
+        return value, math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
+
+    peak, unsure = derived(lambda p: load * PacejkaTire(*p).peak)
+    saturated = peak + CONFIDENCE * unsure <= most
     parameters = {}
     for i, name in enumerate("BCDE"):
         known = deviation[i] < UNDETERMINED * spread[i]
@@ -383,18 +404,10 @@ def _intervals(theta, jacobian, noise, load, saturated):
         low, high = theta[i] - CONFIDENCE * deviation[i], theta[i] + CONFIDENCE * deviation[i]
         low, high = max(low, LOWER[i]), min(high, UPPER[i])
         parameters[name] = Parameter(float(theta[i]), float(low), float(high), bool(known))
-    for name, function, known in (
-        ("stiffness_n_per_rad", lambda p: load * p[0] * p[1] * p[2], True),
-        ("peak_n", lambda p: load * PacejkaTire(*p).peak, saturated),
+    for name, (value, deviation), known in (
+        ("stiffness_n_per_rad", derived(lambda p: load * p[0] * p[1] * p[2]), True),
+        ("peak_n", (peak, unsure), saturated),
     ):
-        value = function(theta)
-        steps = np.maximum(1e-4 * np.abs(theta), 1e-5)
-        gradient = np.zeros(4)
-        for i, step in enumerate(steps):
-            moved = np.array(theta)
-            moved[i] += step if theta[i] + step < UPPER[i] else -step
-            gradient[i] = (function(moved) - value) / (moved[i] - theta[i])
-        deviation = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
         known = known and CONFIDENCE * deviation < 0.5 * value
         parameters[name] = Parameter(
             float(value),
@@ -402,4 +415,4 @@ def _intervals(theta, jacobian, noise, load, saturated):
             float(value + CONFIDENCE * deviation),
             bool(known),
         )
-    return parameters
+    return parameters, bool(saturated)

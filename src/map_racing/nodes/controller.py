@@ -9,7 +9,6 @@ import os
 import sys
 import threading
 import time
-from pathlib import Path
 
 import rospy
 from ackermann_msgs.msg import AckermannDriveStamped
@@ -22,15 +21,12 @@ from tf2_msgs.msg import TFMessage
 from map_racing.msg import Belief, Guidance, Tracking
 
 from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
-from ..control.controller import Controller, Status, build_steering_maps
-from ..control.parameters import (
-    load_controller_parameters,
-    load_safety_limits,
-    save_controller_parameters,
-)
+from ..control.controller import Controller, Status
+from ..control.parameters import load_controller_parameters, load_safety_limits
 from ..control.safety import Mode
 from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
+from ..control.steering import build_steering_maps
 from ..control.supervised import SupervisedController, build_supervisor
 from ..errors import MapRacingError, ParameterError
 from ..files import read_yaml_mapping
@@ -41,6 +37,7 @@ from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run
+from .saving import Saver
 from .transforms import TransformListener
 from .tuning import TuningServer
 from .watchdog import Watchdog
@@ -60,11 +57,12 @@ POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 def _build():
     """Controller and supervisor from the node's parameters, and names for the settings."""
     source = get_parameter("controller", "map", "shipped name or file")
-    vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file"))
+    car = get_parameter("vehicle", "nuc4", "shipped name or file")
+    vehicle = load_vehicle(car)
     for note in vehicle.notes:
         rospy.logwarn("~vehicle: %s", note)
     table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
-    parameters = overridden(load_controller_parameters(source))
+    parameters = overridden(load_controller_parameters(source, vehicle))
     if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     if table and parameters.adaptation:
@@ -75,7 +73,7 @@ def _build():
         steering_map = grip = load_table(table)
     controller = Controller(parameters, steering_map, vehicle, grip=grip)
     names = {"name": source, "table": table}
-    return controller, build_supervisor(controller, limits, grip), names
+    return controller, build_supervisor(controller, limits, grip), names, car
 
 
 def _publisher(topic, kind, queue_size=10):
@@ -97,10 +95,16 @@ class ControllerNode:
             frame(get_parameter("map_frame", "map", "frame of poses and raceline")),
             frame(get_parameter("base_frame", "base_link", "frame of the car, pose_source tf")),
         )
-        self._save_to = get_parameter(
-            "save_to", str(ros_home() / "map_racing_{steering_map}.yaml"), "file of ~save"
+        default = str(ros_home() / "map_racing_")
+        files = (
+            get_parameter("save_to", f"{default}{{steering_map}}.yaml", "controller file of ~save"),
+            get_parameter(
+                "save_vehicle_to", f"{default}{{vehicle}}_{{time}}.yaml", "learned, file of ~save"
+            ),
         )
-        self._controller, self._supervisor, self._names = _build()
+        self._controller, self._supervisor, self._names, vehicle = _build()
+        self._lock = threading.RLock()
+        self._saver = Saver(self._controller, self._supervisor, self._lock, *files, vehicle)
         self._driver = SupervisedController(
             self._controller, self._supervisor, self._announce_speeds
         )
@@ -112,7 +116,6 @@ class ControllerNode:
         # Held by whoever changes what the controller drives with; the steps never wait for it.
         self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
-        self._lock = threading.RLock()
         self._ending = self._failing = False
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
@@ -147,9 +150,11 @@ class ControllerNode:
             rospy.Service("~stop", Trigger, self._on_stop),
             rospy.Service("~resume", Trigger, self._on_resume),
             rospy.Service("~save", Trigger, self._on_save),
+            rospy.Service("~reset", Trigger, self._on_reset),
         ]
         self._tuning = TuningServer(
-            self._controller, self._supervisor, self._lock, self._changing, self._announce_speeds
+            *(self._controller, self._supervisor, self._lock, self._changing),
+            *(self._announce_speeds, self._names["table"]),
         )
         self._subscribe_poses(pose_source)
         self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)
@@ -399,16 +404,21 @@ class ControllerNode:
         return TriggerResponse(True, "resumed; drives unless another stop reason is active")
 
     def _on_save(self, _):
-        parameters = self._controller.parameters
-        name = self._save_to.replace("{steering_map}", parameters.steering_map)
-        path = Path(name).expanduser()
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            save_controller_parameters(parameters, path, self._supervisor.limits)
+            saved = ", ".join(self._saver.save())
         except (MapRacingError, OSError) as error:
             return TriggerResponse(False, str(error))
-        rospy.loginfo("saved to %s", path)
-        return TriggerResponse(True, str(path))
+        rospy.loginfo("saved to %s", saved)
+        return TriggerResponse(True, saved)
+
+    def _on_reset(self, _):
+        learned = self._controller.learned
+        if learned is None:
+            return TriggerResponse(False, "nothing was learned: adaptation is off")
+        with self._lock:
+            learned.forget()
+        rospy.loginfo("what was learned is forgotten: believes the vehicle file again")
+        return TriggerResponse(True, "believes the vehicle file again")
 
 
 _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)

@@ -12,6 +12,7 @@ from ..angles import yaw_from_quaternion
 from ..bags.messages import SHORTEST_QUATERNION, UNIT_QUATERNION
 from ..control.motion import MotionEstimate
 from ..control.state import CarState
+from ..printing import printable
 from ..validation import FARTHEST
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def to_time(ns: int) -> genpy.Time:
 
 def frame(name: str) -> str:
     """Name of a frame in tf2, without the leading slash of older nodes."""
-    return name.lstrip("/")
+    return printable(name).lstrip("/")
 
 
 def heading(q: Quaternion) -> float:

@@ -121,6 +121,7 @@ class Diagnosis:
             "steering map": parameters.steering_map,
             "speed scale": f"{parameters.speed_scale:g}",
             "raceline": "" if raceline is None else f"{raceline.name} ({raceline.length:.2f} m)",
+            **_believed(self._controller.adaptation),
         }
 
     def _missing(self):
@@ -170,6 +171,24 @@ class _Statistics:
             self._latest = self._steps / elapsed, share, self._slowest
             self._clear()
         return self._latest
+
+
+def _believed(adaptation):
+    """What is believed of the day, with intervals of 95 %, and whether it is being learned."""
+    if adaptation is None:
+        return {"adaptation": "off"}
+    belief, frozen = adaptation.belief, adaptation.frozen
+    values = {"adaptation": f"frozen: {frozen}" if frozen else "learning"}
+    for key, name in (
+        ("friction", "friction"),
+        ("front stiffness", "front_stiffness"),
+        ("rear stiffness", "rear_stiffness"),
+        ("delay [s]", "delay"),
+    ):
+        value, low, high = (getattr(belief, name + end) for end in ("", "_low", "_high"))
+        values[f"believed {key}"] = f"{value:.3f} ({low:.3f} to {high:.3f})"
+    values["grip in use"] = f"{belief.grip:.3f}"
+    return values
 
 
 def _text(mode, reason):

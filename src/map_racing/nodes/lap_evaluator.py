@@ -16,13 +16,14 @@ from map_racing.msg import Belief, LapResult
 from ..bags.messages import BELIEF_FIELDS
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
+from ..evaluation.doubts import frame_warning
 from ..evaluation.laps import LapLimits
 from ..evaluation.live import LapLog, LiveEvaluation
 from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline
 from .conversions import frame, stamp_ns, to_time
 from .markers import delete_all, lap_text_place, make_marker
-from .node import FirstSender, get_parameter, run, why_silent
+from .node import SENDER_GONE_S, FirstSender, get_parameter, run, why_silent
 from .waypoints import RacelineSubscriber
 
 __all__ = ["LapEvaluatorNode", "main"]
@@ -47,6 +48,10 @@ class LapEvaluatorNode:
         car_width = get_parameter("car_width", 0.3, "width of the car [m]")
         sectors = get_parameter("sectors", 3, "number of sectors")
         deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
+        stop = get_parameter("max_stop", LapLimits().max_stop, "longest stop in a lap [s]")
+        braking = get_parameter(
+            "max_deceleration", LapLimits().max_deceleration, "a wall brakes harder [m/s^2]"
+        )
         patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
         csv = get_parameter("csv", "", "file that laps are appended to; empty: none")
         self._text_size = get_parameter(
@@ -57,16 +62,21 @@ class LapEvaluatorNode:
         for name, value in (("max_deviation", deviation), ("text_size", self._text_size)):
             if not 0.0 <= value < math.inf:
                 raise ParameterError(f"~{name}: expected 0 m or more, got {value}")
+        for name, value in (("max_stop", stop), ("max_deceleration", braking)):
+            if not value > 0.0:
+                raise ParameterError(f"~{name}: expected more than 0, got {value}")
 
         self._queue = queue.SimpleQueue()
-        self._frame = "map"
+        self._frame, self._heard = "map", -math.inf
         self._best, self._counted = _NAN, 0
         self._laps = LiveEvaluation(
             load_raceline(source) if source else None,
             patience=patience,
             on_lap=self._publish,
             on_run=self._summarize,
-            limits=LapLimits(max_deviation=deviation or None),
+            limits=LapLimits(
+                max_deviation=deviation or None, max_stop=stop, max_deceleration=braking
+            ),
             start_s=start_s,
             car_width=car_width,
             sectors=sectors,
@@ -85,14 +95,15 @@ class LapEvaluatorNode:
                 lambda raceline: self._put(self._set_raceline, raceline),
                 lambda error: rospy.logwarn("%s", error),
             )
-        self._subscribe("drive", AckermannDriveStamped, self._add_command)
+        sender = FirstSender(rospy.resolve_name("drive"), self._queue_doubt)
+        self._subscribe("drive", AckermannDriveStamped, self._add_command, sender.sent)
         self._subscribe(BELIEF_TOPIC, Belief, self._add_belief)
         kind, add = (
             (Odometry, self._add_odometry) if pose == "odom" else (PoseStamped, self._add_pose)
         )
         self._pose_topic = rospy.resolve_name(pose), kind._type
         self._no_poses = f"no poses on {self._pose_topic[0]}"
-        sender = FirstSender(self._pose_topic[0])
+        sender = FirstSender(self._pose_topic[0], self._queue_doubt)
         self._subscribe(pose, kind, add, sender.sent)
 
     def _subscribe(self, topic, kind, handle, counts=lambda _: True):
@@ -157,29 +168,46 @@ class LapEvaluatorNode:
         name = raceline.name or raceline.source
         rospy.loginfo("%s %s, %.2f m", "raceline" if first else "now on", name, raceline.length)
 
+    def _queue_doubt(self, text):
+        self._put(lambda *_: self._laps.doubt(text), None)
+
     def _add_odometry(self, message, received_ns, received):
         at, velocity = message.pose.pose.position, message.twist.twist.linear
-        self._frame = frame(message.header.frame_id) or "map"
-        stamp = stamp_ns(message.header, received_ns)
-        self._add(*(stamp, at.x, at.y, velocity.x, velocity.y, received, received_ns - stamp))
+        self._add(message.header, (at.x, at.y, velocity.x, velocity.y), received_ns, received)
 
     def _add_pose(self, message, received_ns, received):
         at = message.pose.position
-        self._frame = frame(message.header.frame_id) or "map"
-        stamp = stamp_ns(message.header, received_ns)
-        self._add(stamp, at.x, at.y, _NAN, _NAN, received, received_ns - stamp)
+        self._add(message.header, (at.x, at.y, _NAN, _NAN), received_ns, received)
 
     def _add_belief(self, message, received_ns, _received):
         values = [getattr(message, name) for name in BELIEF_FIELDS]
         self._laps.add_belief(stamp_ns(message.header, received_ns), values)
 
-    def _add(self, *sample):
+    def _add(self, header, sample, received_ns, received):
         self._no_poses = ""
-        if not sample[0]:  # before the first time on /clock, and without a stamp
+        stamp = stamp_ns(header, received_ns)
+        if not stamp:  # before the first time on /clock, and without a stamp
+            return
+        if not self._in_frame(frame(header.frame_id) or "map", received):
             return
         if self._laps.raceline is None:
             rospy.logwarn_throttle(10.0, "poses wait for a raceline")
-        self._laps.add_pose(*sample)
+        self._laps.add_pose(stamp, *sample, received, received_ns - stamp)
+
+    def _in_frame(self, name, received):
+        """Whether a pose is in the first frame; another counts once the first is gone."""
+        topic = self._pose_topic[0]
+        doubt = frame_warning(topic, name)
+        counts = name == self._frame or received - self._heard > SENDER_GONE_S
+        if counts:
+            self._frame, self._heard = name, received
+        else:
+            doubt = f"{topic}: messages in another frame, {name}, left out: only the first, "
+            doubt += f"{self._frame}, counts"
+        if doubt:
+            rospy.logwarn_throttle(30.0, doubt)
+            self._laps.doubt(doubt)
+        return counts
 
     def _add_command(self, message, received_ns, _received):
         drive, stamp = message.drive, stamp_ns(message.header, received_ns)
@@ -187,7 +215,7 @@ class LapEvaluatorNode:
         offset = self._laps.command_offset_s
         if offset:
             rospy.logwarn_throttle(
-                30.0, f"drive commands are of another clock, {offset:.3f} s behind: shifted"
+                30.0, f"drive commands are from another clock, {offset:.3f} s behind: shifted"
             )
 
     # -- output --------------------------------------------------------------------------------
@@ -204,12 +232,16 @@ class LapEvaluatorNode:
                 rospy.logerr("%s", error)
         result = LapResult(**{n: v for n, v in lap.row().items() if not n.startswith("sector_")})
         result.sector_times_s = lap.sector_times_s
+        result.warnings = "; ".join(live_lap.warnings)
         result.run = live_lap.run
         result.laps_completed, result.best_lap_time_s = self._counted, self._best
         result.header.stamp = to_time(live_lap.end_ns)
         result.header.frame_id = self._frame
         self._results.publish(result)
         text = _text(lap, self._best)
+        if live_lap.warnings:
+            rospy.logwarn("lap %d: %s", lap.lap, result.warnings)
+            text += "\ndoubtful, see the log"
         self._markers.publish(MarkerArray([self._marker(text)]))
         rospy.loginfo("%s", text.replace("\n", ", "))
 
@@ -226,7 +258,7 @@ class LapEvaluatorNode:
 
     def _summarize(self, run, result):
         self._best, self._counted = _NAN, 0
-        rospy.loginfo("run %d\n%s", run, lap_table(result))
+        rospy.loginfo("run %d\n%s", run, "\n".join([*result.notes, lap_table(result)]))
 
 
 def _text(lap, best):

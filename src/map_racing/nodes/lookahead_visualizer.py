@@ -16,8 +16,9 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from map_racing.msg import Guidance
+from map_racing.msg import Belief, Guidance
 
+from ..bags.topics import BELIEF_TOPIC
 from ..control.guidance import arc_to
 from ..errors import ParameterError
 from ..track.files.waypoints import waypoint_rows
@@ -81,9 +82,11 @@ class LookaheadVisualizer:
         self._l_wb = vehicle.l_wb
         self._trail_length = trail
         self._trail = deque()
-        self._coloring = threading.Lock()
+        # Each topic has a thread of its own.
+        self._coloring, self._drawing = threading.Lock(), threading.Lock()
         self._tracker = self._shown = self._driven = None
         self._guided_ns = -_UNGUIDED_NS
+        self._belief = None
         self._restart()
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
@@ -94,6 +97,7 @@ class LookaheadVisualizer:
         rospy.Subscriber(
             "driven_waypoints", waypoint_array_class()[0], self._receive_driven, queue_size=1
         )
+        rospy.Subscriber(BELIEF_TOPIC, Belief, self._receive_belief, queue_size=1)
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
         kind, what = (Odometry, _pose_of_odometry) if pose == "odom" else (PoseStamped, _pose)
         rospy.Subscriber(pose, kind, self._receive_pose, what, queue_size=10, tcp_nodelay=True)
@@ -107,6 +111,10 @@ class LookaheadVisualizer:
         at = guidance.x + guidance.y + guidance.lookahead_x + guidance.lookahead_y
         if not math.isfinite(at + guidance.d + guidance.eta + guidance.steering_angle):
             return
+        with self._drawing:
+            self._draw_guidance(guidance)
+
+    def _draw_guidance(self, guidance):
         self._guided_ns = stamp = guidance.header.stamp.to_nsec()
         if not self._is_due(stamp, guidance.x, guidance.y, guidance.d):
             return
@@ -117,6 +125,9 @@ class LookaheadVisualizer:
             point = _lookahead_point(guidance, frame)
             self._draw([point, *self._drawn(guidance, frame)], stamp, frame)
 
+    def _receive_belief(self, belief):
+        self._belief = belief
+
     def _receive_pose(self, message, pose_of):
         stamp = stamp_ns(message.header, rospy.Time.now().to_nsec())
         if self._tracker is None or abs(stamp - self._guided_ns) < _UNGUIDED_NS:
@@ -124,10 +135,11 @@ class LookaheadVisualizer:
         x, y, psi = plane_pose(pose_of(message))
         if not math.isfinite(x + y + psi):
             return
-        deviation = self._tracker.update(x, y, psi).d
-        if self._is_due(stamp, x, y, deviation) and self._markers.get_num_connections():
-            frame = plain_frame(message.header.frame_id) or self._map
-            self._draw([self._drawn_car()], stamp, frame)
+        with self._drawing:
+            deviation = self._tracker.update(x, y, psi).d
+            if self._is_due(stamp, x, y, deviation) and self._markers.get_num_connections():
+                frame = plain_frame(message.header.frame_id) or self._map
+                self._draw([self._drawn_car()], stamp, frame)
 
     def _is_due(self, stamp, x, y, deviation):
         """Extend the trail; whether markers are due."""
@@ -206,7 +218,7 @@ class LookaheadVisualizer:
         yield self._drawn_steering(guidance.steering_angle)
         yield self._drawn_car()
         # The label is beside the circle, where it hides nothing.
-        size, text = (0.0, 0.0, 0.3), _label(guidance)
+        size, text = (0.0, 0.0, 0.3), _label(guidance, self._belief)
         label = _marker(Marker.TEXT_VIEW_FACING, "label", frame, LABEL_COLOR, size)
         _place(label, x, y + distance + 0.3, 0.3)
         label.text = text
@@ -266,14 +278,22 @@ def _lookahead_point(guidance, frame):
     return point
 
 
-def _label(guidance):
-    """Why the car does not drive, or a demand beyond the grip."""
+def _label(guidance, belief):
+    """Why the car does not drive, or a demand beyond the grip; and the grip that is believed."""
+    lines = []
     if guidance.mode != Guidance.MODE_DRIVING:
-        reason = f": {guidance.reason}" if guidance.reason else ""
-        return guidance.mode + reason
-    if guidance.saturated:
-        return f"{abs(guidance.a_lat):.1f} of {guidance.a_lat_max:.1f} m/s2"
-    return ""
+        lines.append(guidance.mode + (f": {guidance.reason}" if guidance.reason else ""))
+    elif guidance.saturated:
+        lines.append(f"{abs(guidance.a_lat):.1f} of {guidance.a_lat_max:.1f} m/s2")
+    if belief is not None:
+        age = (guidance.header.stamp - belief.header.stamp).to_sec()
+        if abs(age) < _LIFETIME and all(map(math.isfinite, _grip(belief))):
+            lines.append("grip {:.2f}, friction {:.2f} to {:.2f}".format(*_grip(belief)))
+    return "\n".join(lines)
+
+
+def _grip(belief):
+    return belief.grip, belief.friction_low, belief.friction_high
 
 
 def main():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import signal
@@ -16,9 +17,11 @@ import rosgraph
 import rospy
 
 from ..errors import MapRacingError, ParameterError
+from ..printing import printable
 from ..validation import meaning
 
 __all__ = [
+    "SENDER_GONE_S",
     "FirstSender",
     "SteadyClock",
     "get_parameter",
@@ -36,8 +39,8 @@ MASTER_PERIOD_S = 10.0
 # Simulated time must run after this time [s].
 CLOCK_S = 5.0
 Value = TypeVar("Value", bool, int, float, str, list)
-# A node that has published nothing for this long [s] is gone.
 SENDER_GONE_S = 1.0
+"""A node that has published nothing for this long [s] is gone."""
 
 
 def get_parameter(name: str, default: Value, meaning: str) -> Value:
@@ -107,6 +110,7 @@ def run(name: str, make: Callable[[], object]) -> None:
         `MapRacingError` ends the node with one line and exit code 1.
     """
     to_launch_folder()
+    logging.getLogger("rosout").addFilter(_harmless)
     _wait_for_master()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # A node started with nohup outlives its terminal.
@@ -128,6 +132,12 @@ def run(name: str, make: Callable[[], object]) -> None:
         expected = node is None or isinstance(error, rospy.ROSException)
         if not (expected and rospy.core.is_shutdown_requested()):
             raise
+
+
+def _harmless(record):
+    """Take a line of the log, with what a terminal would obey written out."""
+    record.msg, record.args = printable(record.getMessage(), lines=True), ()
+    return True
 
 
 def _wait_for_master():
@@ -266,21 +276,26 @@ class FirstSender:
     ----------
     topic : str
         For the log.
+    on_other : callable, optional
+        Called with a warning when another sends.
     """
 
-    def __init__(self, topic: str):
+    def __init__(self, topic: str, on_other: Callable[[str], object] = lambda text: None):
         self._topic, self._sender, self._heard = topic, None, -math.inf
+        self._on_other = on_other
 
     def sent(self, message: object) -> bool:
         """Whether a message comes from the node that counts."""
         sender, now = message._connection_header["callerid"], time.monotonic()
         if sender != self._sender:
             if now - self._heard < SENDER_GONE_S:
-                rospy.logerr_throttle(
-                    10.0,
-                    f"{self._topic}: {sender} publishes it, too; only {self._sender} counts",
-                )
+                text = f"{self._topic}: {sender} publishes it, too; only {self._sender} counts"
+                rospy.logerr_throttle(10.0, text)
+                self._on_other(text)
                 return False
+            if self._sender is not None:
+                text = f"{self._topic}: {self._sender} fell silent, and {sender} took its place"
+                self._on_other(text)
             self._sender = sender
         self._heard = now
         return True

@@ -1,7 +1,7 @@
 """``play``: play a bag once its subscribers are there.
 
 A node takes seconds to start on a small computer, and misses what is played before. Where stamps
-are missing or of another clock, a copy is played in which each message has the time that an
+are missing or from another clock, a copy is played in which each message has the time that an
 evaluation of the bag takes.
 """
 
@@ -75,7 +75,10 @@ def _copies(bags, topics, folder):
         # What cannot be evaluated is played as it is.
         with suppress(MapRacingError):
             if write_restamped(bag, copy, topics[0] if topics else None):
-                print(f"play: {bag}: stamps missing or of another clock: an evaluation's used")
+                print(
+                    f"play: {bag}: stamps missing or from another clock: replaced by those of the "
+                    "evaluation"
+                )
                 copies[bag] = str(copy)
     return copies
 

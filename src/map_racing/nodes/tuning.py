@@ -11,8 +11,9 @@ from dynamic_reconfigure.server import Server
 
 from map_racing.cfg import ControllerConfig
 
-from ..control.controller import Controller, build_steering_map
+from ..control.controller import Controller
 from ..control.parameters import STEERING_MAPS, load_controller_parameters
+from ..control.steering import build_steering_map
 from ..errors import MapRacingError, ParameterError
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class TuningServer:
         Held while a change is prepared, beside the control steps.
     announce_speeds : callable
         Called when the speed plan has changed.
+    table : str, optional
+        File of a lookup table that stands for the vehicle's tires, which then cannot be adapted.
     """
 
     def __init__(
@@ -63,13 +66,16 @@ class TuningServer:
         lock: threading.RLock,
         changing: threading.Lock,
         announce_speeds: Callable[[], None],
+        table: str = "",
     ):
         self._controller, self._supervisor, self._lock = controller, supervisor, lock
         self._changing, self._announce_speeds = changing, announce_speeds
+        self._table = table
         parameters = controller.parameters
         self._v_max = parameters.v_max_mps
         self._maps = {parameters.steering_map: controller.steering_map}
-        shipped = {kind: load_controller_parameters(f) for kind, f in STEERING_MAPS.items()}
+        car = controller.vehicle
+        shipped = {kind: load_controller_parameters(f, car) for kind, f in STEERING_MAPS.items()}
         shipped[parameters.steering_map] = parameters
         self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
         # Start with the values in use, not with those that an earlier run left on the parameter
@@ -114,6 +120,8 @@ class TuningServer:
             self._controller.parameters,
             {**config, "m_m": m_m, "q_s": q_s, "v_max_mps": min(config["v_max_mps"], self._v_max)},
         )
+        if parameters.adaptation and self._table:
+            raise ParameterError(f"adaptation: expected false with the lookup table {self._table}")
         limits = _changed(self._supervisor.limits, config)
         if kind not in self._maps:
             self._maps[kind] = build_steering_map(kind, self._controller.vehicle, self._v_max)

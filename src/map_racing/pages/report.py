@@ -12,13 +12,15 @@ from .. import __version__
 from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
 from ..evaluation.places import costliest
 from ..vehicle.single_track import GRAVITY
-from .html import document, escape, pack, table
+from .html import document, escape, pack, plotly_script, table
+from .next_heat import advice_of, car_section, speeds_section
 
 __all__ = ["report_page"]
 
-# The charts' data may have this size [bytes]; a value takes 2.7 of them.
-_BUDGET = 900_000
-_VALUE = 8.0 / 3.0
+# A page may have this size [bytes]. What is left beside plotly.js and the tables is for the charts'
+# data, but at least the second; a value takes 2.7 bytes, the rest of the data a tenth more.
+_PAGE, _LEAST = 5_900_000, 200_000
+_VALUE = 1.1 * 8.0 / 3.0
 _CHARTED = ("v", "v_command", "d", "steering", "steering_table", "a_lat", "a_lon")
 # Speeds at which the limit of the table is drawn.
 _LIMITS = 40
@@ -47,25 +49,26 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
     """
     title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
     compared = [_comparisons(run, runs) for run in runs]
-    shown = _chosen(runs)
-    parts = [
-        _head(title, runs),
-        '<main>\n<div id="left">\n',
-        _first_screen(runs, compared),
-        _charts(runs, shown),
+    advices = [advice_of(run) for run in runs]
+    first = [_head(title, runs), '<main>\n<div id="left">\n', _first_screen(runs, compared)]
+    rest = [
         "</div>\n",
         _map(),
         "</main>\n",
+        speeds_section(runs, advices),
         _corners(runs),
         _grip(runs),
+        car_section(runs, advices),
         _laps(runs),
         _poses(runs),
         _driven_with(runs),
         f"<footer>map_racing {escape(__version__)}. Distances are along the raceline from the "
         "start line; left is positive.</footer>\n",
     ]
-    data = _data(runs, compared, shown)
-    return document(title, "".join(parts), data, ("report.js",), plotly=True)
+    size = sum(len(part.encode()) for part in (plotly_script(), *first, *rest))
+    shown = _chosen(runs, max(_PAGE - size, _LEAST))
+    body = "".join([*first, _charts(runs, shown), *rest])
+    return document(title, body, _data(runs, compared, shown), ("report.js",), plotly=True)
 
 
 def _comparisons(run, runs):
@@ -155,7 +158,7 @@ def _place_list(i, j, reference, places, run):
     items = "".join(
         f'<li><button type="button" class="zoom" data-begin="{place.begin:.2f}" '
         f'data-end="{place.end if place.end > place.begin else place.end + length:.2f}">'
-        f"s = {place.begin:.0f} to {place.end:.0f} m"
+        f"s = {_stretch(place)} m"
         f"{', ' + escape(place.corner.name) if place.corner.name else ''}</button>: "
         f"<strong>{escape(place.loss)}</strong>; {escape(place.why)}</li>\n"
         for place in places
@@ -164,6 +167,12 @@ def _place_list(i, j, reference, places, run):
         f'<ol class="places" data-run="{i}" data-reference="{j}" data-name="{name}"{hidden}>\n'
         f"{items}</ol>\n"
     )
+
+
+def _stretch(place):
+    """Begin and end, with decimals only where they are needed to tell them apart."""
+    digits = 0 if abs(place.end - place.begin) >= 1.5 else 1
+    return f"{place.begin:.{digits}f} to {place.end:.{digits}f}"
 
 
 def _lap_strip(runs):
@@ -436,14 +445,14 @@ def _place(place):
     return {"begin": values["begin"], "end": values["end"], "name": place.corner.name}
 
 
-def _chosen(runs):
+def _chosen(runs, budget):
     """Indices of the laps whose charts the page has: all, or as many as its size allows.
 
     Of many, the best and the last, and others at equal steps.
     """
     cost = [_VALUE * (len(_CHARTED) + 1) * run.profile.track.s.size for run in runs]
     wanted = sum(c * len(run.profile.laps) for c, run in zip(cost, runs))
-    share = min(1.0, _BUDGET / max(wanted, 1.0))
+    share = min(1.0, budget / max(wanted, 1.0))
     chosen = []
     for run in runs:
         laps = run.profile.laps

@@ -1,5 +1,7 @@
 """A simulated car on a track, between a command and the next pose."""
 
+from __future__ import annotations
+
 import math
 from collections import deque
 from typing import NamedTuple
@@ -36,6 +38,25 @@ class Observation(NamedTuple):
     acceleration: tuple
     frame: str = ""
     quaternion: float = 1.0
+
+
+class Sample(NamedTuple):
+    """One control step: what was true, what was measured, what was commanded.
+
+    `true`, `measured`, `arrival` and `acceleration` are those of the `Observation`;
+    `steering_angle` is the true one [rad]; `result` is the command that answered, a
+    :class:`~map_racing.control.controller.ControlResult` or a
+    :class:`~map_racing.control.steering_ramp.RampCommand`; `belief` the controller's of the tires
+    after the step, None if it does not learn them.
+    """
+
+    true: tuple
+    measured: tuple
+    arrival: float
+    acceleration: tuple
+    steering_angle: float
+    result: tuple
+    belief: tuple | None = None
 
 
 class SimulatedCar:

@@ -13,15 +13,17 @@ import numpy as np
 from ..control.safety import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
-from .car import SimulatedCar, hits_wall
+from ..vehicle.size import size_of
+from .car import Sample, SimulatedCar, hits_wall
 from .driver import DirectDriver, SupervisedDriver
 from .faults import Faults
 from .grip import Grip
 
-__all__ = ["Outcome", "RaceLog", "Sample", "Work", "race"]
+__all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
-# The race begins and ends so far past the line [m] that noise does not take the car back over it.
+# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over
+# it, and that the last pose to arrive is beyond it.
 START_S = 0.3
 
 # A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
@@ -37,25 +39,6 @@ class Outcome(Enum):
     COMPLETED = "completed"
     CRASHED = "crashed"  # touched a wall
     STALLED = "stalled"  # made no headway, or ran out of time
-
-
-class Sample(NamedTuple):
-    """One control step: what was true, what was measured, what was commanded.
-
-    `true` and `measured` are :class:`~map_racing.control.state.CarState` of the same instant;
-    `arrival` [s] is when the measurement reached the controller; `acceleration` is the IMU's
-    (longitudinal, lateral) [m/s^2]; `result` is the controller's
-    :class:`~map_racing.control.controller.ControlResult`; `steering_angle` the true one [rad];
-    `belief` the controller's of the tires after the step, None if it does not learn them.
-    """
-
-    true: tuple
-    measured: tuple
-    arrival: float
-    acceleration: tuple
-    steering_angle: float
-    result: tuple
-    belief: tuple | None = None
 
 
 class Work(NamedTuple):
@@ -184,13 +167,14 @@ def race(
     RaceLog
     """
     if laps < 1:
-        raise ParameterError(f"laps must be at least 1, not {laps}")
+        raise ParameterError(f"laps: expected at least 1, got {laps}")
     if slowdown is not None and not 0.0 <= slowdown < math.inf:
         raise ParameterError(f"slowdown: expected 0 or more, got {slowdown}")
     if time_limit is None:
         time_limit = math.inf
 
-    start = raceline.pose(START_S)
+    start_s = START_S * size_of(plant.vehicle).length
+    start = raceline.pose(start_s)
     faults = Faults(faults, plant, "race") if faults else None
     car = SimulatedCar(plant, localization, rate, faults)
     car.put(start.x, start.y, start.psi)
@@ -201,9 +185,7 @@ def race(
     learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples, truth = [], []
-    processor = _Processor(driver.step, slowdown)
-    driven, last_s = START_S, None
-    headway, headway_at = driven, 0.0
+    processor, way = _Processor(driver.step, slowdown), _Way(raceline.length, start_s)
     poses = 0
     longest = round(LOOK / plant.time_step)
     while True:
@@ -217,20 +199,16 @@ def race(
                 truth.append(taken.true)
             if faults is not None:
                 _take(driver, *faults.update(car.now, s))
-            if last_s is not None:
-                driven += math.remainder(s - last_s, raceline.length)
-            last_s = s
+            way.update(s, car.now)
             if progress is not None and poses % 40 == 0:
-                progress(driven / raceline.length)
+                progress(way.driven / raceline.length)
             if hits_wall(raceline, s, d, plant.vehicle.width):
                 outcome = Outcome.CRASHED
                 break
-            if driven > (laps + 1) * raceline.length + START_S:
+            if way.driven > (laps + 1) * raceline.length + start_s:
                 outcome = Outcome.COMPLETED
                 break
-            if driven > headway + HEADWAY:
-                headway, headway_at = driven, car.now
-        if car.now > time_limit or car.now > headway_at + PATIENCE:
+        if car.now > time_limit or car.now > way.headway_at + PATIENCE:
             outcome = Outcome.STALLED
             break
         for seen, result in processor.take(car.now, arrived):
@@ -256,7 +234,7 @@ def race(
         stride = min(car.next_event, stop) - car.tick
         for _ in range(max(stride, 1)):
             car.advance(steering, speed)
-    laps_driven = max(int(driven / raceline.length) - 1, 0)
+    laps_driven = max(int(way.driven / raceline.length) - 1, 0)
     work = None if slowdown is None else processor.work(controller)
     commands = list(driver.commands)
     return RaceLog(outcome, laps_driven, car.now, samples, commands, truth, work)
@@ -267,6 +245,23 @@ def _take(driver, begun, ended):
         driver.begin(fault)
     for fault in ended:
         driver.end(fault)
+
+
+class _Way:
+    """How far the car has come along the track, and when it last made headway."""
+
+    def __init__(self, length, start_s):
+        self._length = length
+        self.driven, self._last_s = start_s, None
+        self._headway, self.headway_at = start_s, 0.0
+
+    def update(self, s, now):
+        """Take the place on the track [m] at a time [s]."""
+        if self._last_s is not None:
+            self.driven += math.remainder(s - self._last_s, self._length)
+        self._last_s = s
+        if self.driven > self._headway + HEADWAY:
+            self._headway, self.headway_at = self.driven, now
 
 
 class _Processor:

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Callable, NamedTuple, Sequence
+from typing import Callable, Sequence
 
-from ..control.state import CarState
-from ..control.steering_ramp import Circle, Phase, RampCommand, RampParameters, SteeringRamp
+from ..control.steering_ramp import Circle, Phase, RampParameters, SteeringRamp
 from ..errors import ParameterError
 from ..vehicle.size import ONE_TENTH, size_of
-from .car import SimulatedCar
+from .car import Sample, SimulatedCar
 from .plant import PlantParameters
 from .plants import build_plant
 from .public_simulator import PublicSimulatorParameters
 
-__all__ = ["RampSample", "drive_ramps"]
+__all__ = ["drive_ramps"]
 
 AREA_M = 50.0  # for a 1:10 car
-
-
-class RampSample(NamedTuple):
-    """An `Observation` and the command that answered it."""
-
-    true: CarState
-    measured: CarState
-    arrival: float
-    acceleration: tuple[float, float]
-    command: RampCommand
 
 
 def drive_ramps(
@@ -33,7 +22,7 @@ def drive_ramps(
     ramps: Sequence[RampParameters] | None = None,
     seed: int = 1,
     progress: Callable[[float], None] | None = None,
-) -> list[RampSample]:
+) -> list[Sample]:
     """Drive steering ramps in the closed loop, one after the other.
 
     Parameters
@@ -75,7 +64,11 @@ def drive_ramps(
                 t, x, y, _, v_x, _, r = seen.measured
                 command = ramp.update(t, x, y, v_x, True, r)
                 samples.append(
-                    RampSample(seen.true, seen.measured, seen.arrival, seen.acceleration, command)
+                    Sample(
+                        *(seen.true, seen.measured, seen.arrival, seen.acceleration),
+                        plant.steering_angle,
+                        command,
+                    )
                 )
                 done = command.phase is Phase.DONE
                 if command.phase is Phase.OUTSIDE or car.now > until:

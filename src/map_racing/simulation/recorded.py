@@ -8,8 +8,8 @@ from typing import Iterable
 from ..bags.writer import BagWriter
 from ..track.files.waypoints import waypoint_rows
 from ..track.raceline import Raceline
+from .car import Sample
 from .race import RaceLog
-from .ramps import RampSample
 
 __all__ = ["GROUND_TRUTH_TOPIC", "write_race_bag", "write_ramp_bag"]
 
@@ -54,31 +54,41 @@ def write_race_bag(
         if settings:
             bag.text(EPOCH_NS, settings)
         for sample in log.samples:
-            true, seen = sample.true, sample.measured
-            stamp = EPOCH_NS + round(seen.t * 1e9)
-            arrival = EPOCH_NS + round(sample.arrival * 1e9)
-            bag.odometry(stamp, *seen[1:], received=arrival)
-            bag.pose(stamp, seen.x, seen.y, seen.psi, received=arrival)
-            bag.transform(stamp, seen.x, seen.y, seen.psi, received=arrival)
-            bag.imu(stamp, *sample.acceleration, seen.r, received=arrival)
-            bag.odometry(stamp, *true[1:], topic=GROUND_TRUTH_TOPIC, received=arrival)
+            stamp, arrival = _measured(bag, sample, pose=True)
+            bag.odometry(stamp, *sample.true[1:], topic=GROUND_TRUTH_TOPIC, received=arrival)
             if sample.belief is not None:
                 bag.belief(stamp, sample.belief, received=arrival)
             if not log.commands:
-                bag.drive(arrival, sample.result.steering_angle, sample.result.speed)
+                _command(bag, sample.arrival, sample.result)
         for t, decision in log.commands:
-            bag.drive(EPOCH_NS + round(t * 1e9), decision.steering_angle, decision.speed)
+            _command(bag, t, decision)
 
 
 def write_ramp_bag(
-    path: str | Path, samples: Iterable[RampSample], compression: str | None = "lz4"
+    path: str | Path, samples: Iterable[Sample], compression: str | None = "lz4"
 ) -> None:
     """Write steering ramps to a ROS 1 bag: odometry, IMU and commands as in `write_race_bag`."""
     with BagWriter(path, compression=compression) as bag:
         for sample in samples:
-            seen = sample.measured
-            stamp = EPOCH_NS + round(seen.t * 1e9)
-            arrival = EPOCH_NS + round(sample.arrival * 1e9)
-            bag.odometry(stamp, *seen[1:], received=arrival)
-            bag.imu(stamp, *sample.acceleration, seen.r, received=arrival)
-            bag.drive(arrival, sample.command.steering_angle, sample.command.speed)
+            _measured(bag, sample, pose=False)
+            _command(bag, sample.arrival, sample.result)
+
+
+def _measured(bag, sample, pose):
+    """Write the measurements of a sample; the times when they were taken and arrived [ns]."""
+    seen = sample.measured
+    stamp, arrival = _time(seen.t), _time(sample.arrival)
+    bag.odometry(stamp, *seen[1:], received=arrival)
+    if pose:
+        bag.pose(stamp, seen.x, seen.y, seen.psi, received=arrival)
+        bag.transform(stamp, seen.x, seen.y, seen.psi, received=arrival)
+    bag.imu(stamp, *sample.acceleration, seen.r, received=arrival)
+    return stamp, arrival
+
+
+def _command(bag, t, command):
+    bag.drive(_time(t), command.steering_angle, command.speed)
+
+
+def _time(t):
+    return EPOCH_NS + round(t * 1e9)

@@ -7,18 +7,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..control.controller import build_controller
-from ..control.parameters import load_controller_parameters
-from ..control.safety import Reason
+from ..control.parameters import ControllerParameters, load_controller_parameters
+from ..control.safety import FASTEST, Reason
+from ..control.supervised import build_slowing
 from ..track.raceline import Raceline
+from ..vehicle.parameters import Vehicle
 from .faults import KINDS, Fault
 from .plants import build_plant, load_plant
 from .race import Outcome, RaceLog, race
 
-__all__ = ["SCENARIOS", "Rehearsal", "Scenario", "rehearsal_track", "rehearse", "table"]
+__all__ = [
+    "SCENARIOS",
+    "Bounds",
+    "Rehearsal",
+    "Scenario",
+    "bounds_of",
+    "bounds_text",
+    "rehearsal_track",
+    "rehearse",
+    "table",
+]
 
 SPEED = 4.0  # m/s
 STRAIGHT, RADIUS, HALF_WIDTH = 12.0, 4.0, 2.0  # m
@@ -97,6 +110,30 @@ SCENARIOS = (
 )
 
 
+class Bounds(NamedTuple):
+    """The largest of all commands, and the limits that hold for them.
+
+    Parameters
+    ----------
+    commands : int
+        Number of commands.
+    speed, max_speed : float
+        Largest speed, and the limit [m/s].
+    angle, lock : float
+        Largest steering angle, and the lock [rad].
+    beyond : float
+        By how much an angle is beyond the one of the largest lateral acceleration at the measured
+        speed [rad]; negative where none is.
+    """
+
+    commands: int
+    speed: float
+    max_speed: float
+    angle: float
+    lock: float
+    beyond: float
+
+
 @dataclass(frozen=True)
 class Rehearsal:
     """What came of a scenario.
@@ -117,6 +154,8 @@ class Rehearsal:
         Time from the end of the fault until the car drives again; NaN if it does not.
     resumed : bool
         Whether that took the service ``~resume``.
+    bounds : Bounds
+        What no command went beyond.
     """
 
     scenario: Scenario
@@ -127,6 +166,7 @@ class Rehearsal:
     aside_m: float
     back_s: float
     resumed: bool
+    bounds: Bounds
 
     def row(self) -> list[str]:
         """Cells of the table."""
@@ -213,6 +253,41 @@ def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
     return Rehearsal(
         *(scenario, log, reason, begins - BEGIN, stands - BEGIN, aside, back - end),
         resumed=back >= end + RESUMES_AFTER,
+        bounds=bounds_of(log, parameters, plant_parameters.vehicle),
+    )
+
+
+def bounds_of(log: RaceLog, parameters: ControllerParameters, vehicle: Vehicle) -> Bounds:
+    """What no command of a supervised race went beyond."""
+    slowing = build_slowing(parameters, vehicle)
+    measured = {sample.arrival: sample.measured.v_x for sample in log.samples}
+    v_x, beyond = 0.0, -math.inf
+    for t, decision in log.commands:
+        seen = measured.get(t, math.nan)
+        if abs(seen) <= FASTEST:
+            v_x = seen
+        beyond = max(beyond, abs(decision.steering_angle) - slowing.largest(abs(v_x)))
+    return Bounds(
+        len(log.commands),
+        *(max(c.decision.speed for c in log.commands), parameters.v_max_mps),
+        *(max(abs(c.decision.steering_angle) for c in log.commands), vehicle.delta_max),
+        beyond,
+    )
+
+
+def bounds_text(rehearsals: list[Rehearsal]) -> str:
+    """Sentence on the commands of all rehearsals, and their limits."""
+    all_of = [rehearsal.bounds for rehearsal in rehearsals]
+    speed, angle = max(b.speed for b in all_of), max(b.angle for b in all_of)
+    beyond = max(b.beyond for b in all_of)
+    return (
+        f"{sum(b.commands for b in all_of)} commands: at most {speed:.2f} m/s, the limit is "
+        f"{all_of[0].max_speed:g}; at most {angle:.3f} rad, the lock is {all_of[0].lock:g}; "
+        + (
+            f"up to {beyond:.4f} rad beyond what the lookup table holds at the measured speed"
+            if beyond > 0.0
+            else "none beyond what the lookup table holds at the measured speed"
+        )
     )
 
 

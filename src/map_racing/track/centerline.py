@@ -17,6 +17,7 @@ from scipy import ndimage
 from ..errors import ParameterError, RacelineError
 from .findings import NOTE, WARNING, Finding
 from .map_image import MapImage
+from .normals import points_and_normals
 from .raceline import Raceline
 from .walls import march, smooth_between
 
@@ -174,8 +175,7 @@ def _clearance(image, distance):
 
 def _widths(line, clear, half, farthest):
     """Distances from a line to the walls, openings closed, and findings."""
-    at = np.stack((line.x, line.y), axis=1)
-    normal = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
+    at, normal = points_and_normals(line)
     # Half a passage wide, so that no post between two normals is missed.
     widths = [march(clear, at, side * normal, half, farthest) + half for side in (1.0, -1.0)]
     widths, openings = _without_openings(widths, line)

@@ -12,7 +12,7 @@ from .raceline import Raceline
 
 __all__ = ["Corner", "corners", "runs_around"]
 
-FASTEST_MPS = 30.0
+FASTEST_MPS = 30.0  # unless the table goes on
 # A bend is a corner where its curvature exceeds this share of the largest, or where the speed is
 # as close to the limit as this share of the closest place.
 SHARE, NEAR = 0.25, 0.9
@@ -28,7 +28,8 @@ class Corner(NamedTuple):
     curvature : float
         Curvature there [1/m], positive to the left.
     limit_speed : float
-        Speed that takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s, 0 where
+        Speed that takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s
+        and the table's last speed, 0 where
         the bend is tighter than any angle of the table.
     speed : float
         Speed of the raceline there [m/s]; NaN if it has none.
@@ -89,7 +90,7 @@ def corners(raceline: Raceline, table) -> list[Corner]:
 
 def _limit_speeds(table, kappa):
     """Speeds at which ``v^2 kappa`` is the limit of the table, by interpolation."""
-    v = np.linspace(0.02, FASTEST_MPS, 3000)
+    v = np.linspace(0.02, max(FASTEST_MPS, float(table.speeds[-1])), 3000)
     # Largest curvature that can be driven at each speed, made to decrease with speed.
     allowed = np.minimum.accumulate(table.max_lateral_acceleration(v) / (v * v))
     limit = np.where(kappa > allowed[0], 0.0, np.interp(-kappa, -allowed, v))

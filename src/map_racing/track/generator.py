@@ -91,15 +91,15 @@ class TrackShape:
         ):
             positive(name, finite(name, getattr(self, name)))
         if not isinstance(self.straights, int) or not 0 <= self.straights <= 4:
-            raise ParameterError(f"straights must be 0 to 4, not {self.straights!r}")
+            raise ParameterError(f"straights: expected 0 to 4, got {self.straights!r}")
         if self.length < 12.0 * self.tightest_radius:
             raise ParameterError(
-                f"length must be at least 12 times tightest_radius, not {self.length:g} m with "
+                f"length: expected at least 12 times tightest_radius, got {self.length:g} m with "
                 f"{self.tightest_radius:g} m"
             )
         if self.width > 2.0 * self.tightest_radius:
             raise ParameterError(
-                f"width must be at most twice tightest_radius, not {self.width:g} m with "
+                f"width: expected at most twice tightest_radius, got {self.width:g} m with "
                 f"{self.tightest_radius:g} m: the walls would cross in the bend"
             )
 

@@ -112,10 +112,12 @@ def read_map_image(path: str | Path) -> MapImage:
             f"{occupied_above:g} are free and all others occupied, as in map_server"
         )
         findings.append(Finding("thresholds", NOTE, text))
-    unseen = int(np.sum(free & (gray == _UNSEEN)))
-    # A map of map_saver, in which some cells may have been painted since.
-    painted = int(np.sum((gray > 0) & (gray < 254) & (gray != _UNSEEN)))
-    if not negate and unseen > painted:
+    # A map of map_saver, which may have been inverted, and in which some cells may be painted.
+    saved = 255 - gray if negate else gray
+    unseen = int(np.sum(free & (saved == _UNSEEN)))
+    painted = int(np.sum((saved > 0) & (saved < 254) & (saved != _UNSEEN)))
+    if unseen > painted:
+        free &= saved != _UNSEEN
         free &= occupied < _SAVERS_FREE
         text = (
             f"free_thresh {free_below:g} would free the {unseen} cells that map_saver wrote as "

@@ -25,6 +25,13 @@ import numpy as np
 from ..errors import ParameterError, RacelineError
 from .findings import NOTE, WARNING, Finding
 from .least_curvature import least_curvature
+from .normals import (
+    MEETING,
+    even_points,
+    offsets_between_walls,
+    offsets_to_meeting,
+    points_and_normals,
+)
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
 from .tree import point_tree
@@ -38,8 +45,6 @@ __all__ = [
     "with_fastest_speeds",
 ]
 
-# Normals are cut at this share of the way to where they meet: farther points would change order.
-_MEETING = 0.9
 # Relative gain below which no new reference line is taken, and the largest number of them.
 _PASS_GAIN, _MOST_PASSES = 1e-4, 8
 # Tolerance of the clearance [m], also between the points, and the largest number of corrections.
@@ -299,7 +304,7 @@ class _Search:
     def _middle(self, track):
         """Points of a smooth line near the middle between the walls."""
         walls, count = self.walls, max(8, int(round(track.length / self.step)))
-        points, normals = _even_points(track, count)
+        points, normals = even_points(track, count)
         at = track.sample(np.arange(count) * (track.length / count))
         points = points + (0.5 * (at.d_left - at.d_right))[:, None] * normals
         # The wider the track, the stronger the smoothing may be.
@@ -315,11 +320,11 @@ class _Search:
     def _one_pass(self, line, tension):
         """Best line within reach of the normals of another."""
         count = max(8, int(round(line.length / self.step)))
-        points, normals = _even_points(line, count)
+        points, normals = even_points(line, count)
         wanted = np.full(count, self.clearance)
         alpha = np.zeros(count)
-        left, right = _meeting(points, normals)
-        low, high = _reach(points, normals, self.walls, wanted, self.farthest)
+        left, right = offsets_to_meeting(points, normals)
+        low, high = offsets_between_walls(points, normals, self.walls, wanted, self.farthest)
         cut = int(np.sum((high > left) | (low < -right)))
         low, high = np.maximum(low, -right), np.minimum(high, left)
         if np.any(high < low - 1e-3):
@@ -337,7 +342,9 @@ class _Search:
             missing = np.maximum(missing, np.roll(missing, 1))
             k = np.flatnonzero(missing)
             wanted[k] += 1.2 * missing[k]
-            low[k], high[k] = _reach(points[k], normals[k], self.walls, wanted[k], self.farthest)
+            low[k], high[k] = offsets_between_walls(
+                points[k], normals[k], self.walls, wanted[k], self.farthest
+            )
             low, high = np.maximum(low, -right), np.minimum(high, left)
         self._cut = cut if self._cut is None else self._cut
         self._lines += 1
@@ -347,13 +354,12 @@ class _Search:
 
     def _with_walls(self, line):
         """Line with its distances to the walls, or to where its normals meet inside bends."""
-        points = np.stack((line.x, line.y), axis=1)
-        normals = np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1)
+        points, normals = points_and_normals(line)
         left, right = (
             self.walls.reach(points, side * normals, 0.0, self.farthest) for side in (1.0, -1.0)
         )
         with np.errstate(divide="ignore"):
-            radius = _MEETING / np.abs(line.kappa)
+            radius = MEETING / np.abs(line.kappa)
         left = np.where(line.kappa > 0.0, np.minimum(left, radius), left)
         right = np.where(line.kappa < 0.0, np.minimum(right, radius), right)
         return Raceline(line.x, line.y, d_left_m=left, d_right_m=right, name=self.title)
@@ -401,15 +407,6 @@ def _check_single(track, clearance, name):
         )
 
 
-def _even_points(line, count):
-    """Points at equal arc lengths and the unit vectors to their left."""
-    at = line.sample(np.arange(count) * (line.length / count))
-    return (
-        np.stack((at.x, at.y), axis=1),
-        np.stack((-np.sin(at.psi), np.cos(at.psi)), axis=1),
-    )
-
-
 def _clearance_after(line, walls, count, clearance):
     """Least distance to a wall from each of the points of a line to the next."""
     ends = np.append(line.s_points, line.length)
@@ -421,43 +418,3 @@ def _clearance_after(line, walls, count, clearance):
     at = line.sample(ends[:-1, None] + parts * np.diff(ends)[:, None])
     free = walls.distance(np.stack((at.x.ravel(), at.y.ravel()), axis=1))
     return free.reshape(-1, parts.size).min(axis=1)
-
-
-def _reach(points, normals, walls, clearance, farthest):
-    """Least and largest offset along the normals that keep a clearance from the walls."""
-    begin = _clear_offset(points, normals, walls, clearance)
-    inside = points + begin[:, None] * normals
-    high = begin + walls.reach(inside, normals, clearance, farthest)
-    low = begin - walls.reach(inside, -normals, clearance, farthest)
-    return low, high
-
-
-def _meeting(points, normals):
-    """Largest offsets to the left and to the right before neighboring normals meet."""
-    after = np.roll(normals, -1, axis=0)
-    turn = np.arctan2(
-        normals[:, 0] * after[:, 1] - normals[:, 1] * after[:, 0], np.sum(normals * after, axis=1)
-    )
-    chord = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
-    # They meet where the offset is the radius of the turn between the points.
-    with np.errstate(divide="ignore"):
-        radius = _MEETING * chord / np.abs(turn)
-    left, right = (np.where(turn * side > 0.0, radius, np.inf) for side in (1.0, -1.0))
-    return np.minimum(left, np.roll(left, 1)), np.minimum(right, np.roll(right, 1))
-
-
-def _clear_offset(points, normals, walls, clearance):
-    """Offsets that move points slightly too close to a wall away from it, else 0."""
-    offset = np.zeros(len(points))
-    free = walls.distance(points)
-    missing = np.maximum(clearance - free, 0.0)
-    for farther in (1.0, 2.0, 4.0):
-        close = np.flatnonzero(free < clearance)
-        if not close.size:
-            break
-        for side in (1.0, -1.0):
-            move = side * farther * missing[close]
-            there = walls.distance(points[close] + move[:, None] * normals[close])
-            better = there > free[close]
-            offset[close[better]], free[close[better]] = move[better], there[better]
-    return offset

@@ -141,7 +141,6 @@ class LookupTable:
             )
         self._at_rest = self._standstill()
         self._columns.append(self._infinite_speed())
-        self._v.append(math.inf)
         self._w.append(0.0)
 
     def steering(self, v: float, a_lat: float) -> tuple[float, bool]:

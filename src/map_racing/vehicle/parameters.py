@@ -110,6 +110,7 @@ _SYNONYMS = {
     "friction_coeff": "mu",
     "mass": "m",
     "Iz": "I_z",
+    "I": "I_z",
     "lf": "l_f",
     "lr": "l_r",
     "wheelbase": "l_wb",

@@ -33,6 +33,9 @@ class Size(NamedTuple):
     length: float
     time: float
 
+    def __str__(self):
+        return f"distances are {self.length:.2f} and times {self.time:.2f} times as long"
+
 
 ONE_TENTH = Size(1.0, 1.0)
 

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from map_racing.bags import messages as msg
+from map_racing.bags.bag import Connection, Message
 from map_racing.bags.reader import read_recording, read_signals
+from map_racing.bags.series import Series
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError
@@ -42,8 +45,48 @@ def test_topics_of_another_clock_are_brought_to_the_pose(tmp_path, topic, offset
     said = [note for note in recording.notes if note.startswith("warning: ")]
     named = {"drive": DRIVE_TOPIC, "imu": "/vesc/sensors/imu/raw"}
     assert len(said) == (2 if topic == "pose" else 1)
-    assert all("of another clock" in note for note in said)
+    assert all("from another clock" in note for note in said)
     assert topic == "pose" or named[topic] in said[0]
+
+
+def test_commands_are_not_received_long_after_they_are_sent(tmp_path):
+    """A localization may take a tenth of a second; what sends commands does not."""
+    recording = read_recording(write(tmp_path / "a.bag", -0.1, "drive"))
+    np.testing.assert_allclose(recording.commands.t, recording.t, atol=1e-6)
+    assert recording.commands.shifted
+    assert any("0.100 s earlier than the poses'" in note for note in recording.notes)
+    recording = read_recording(write(tmp_path / "b.bag", -0.03, "drive"))
+    assert not recording.commands.shifted
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_commands_of_two_nodes(gone):
+    """Those of the first count; those of another once it is gone."""
+    connections = {n: Connection(DRIVE_TOPIC, msg.ACKERMANN, "", "", f"/{n}") for n in (0, 1)}
+    series = Series(msg.decode_drive, connections=connections)
+    for i in range(COUNT):
+        if not (gone and i >= 40):
+            data = msg.encode_drive(i, 10**10 + 10**8 * i, "", 0.0, 4.0, 0.0, 0.0, 0.0)
+            series.add(Message(0, 10**10 + 10**8 * i, data))
+        data = msg.encode_drive(i, 10**10 + 10**8 * i + 1, "", 0.0, 0.0, 0.0, 0.0, 0.0)
+        series.add(Message(1, 10**10 + 10**8 * i + 1, data))
+    notes = []
+    _, (_, speed) = series.columns(notes, DRIVE_TOPIC)
+    assert np.count_nonzero(speed == 4.0) == (40 if gone else COUNT)
+    left_out = COUNT - np.count_nonzero(speed == 0.0)
+    assert f"{left_out} messages of a second sender, /1, left out: only the first, /0" in notes[0]
+    took_over = f"warning: {DRIVE_TOPIC}: /0 fell silent, and /1 took its place"
+    assert notes[1:] == ([took_over] if gone else [])
+
+
+def test_stamps_in_bunches_and_even_receipts(tmp_path):
+    path = write(
+        tmp_path / "a.bag",
+        stamp=lambda i, t: T0 + 0.1 * (i // 4) + 1e-5 * (i % 4),
+    )
+    recording = read_recording(path)
+    assert any("too coarse" in note for note in recording.notes)
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.06, 0.14])
@@ -167,7 +210,7 @@ def test_links_of_another_timescale(tmp_path):
     recording = read_recording(tmp_path / "a.bag")
     assert recording.t.size == COUNT - 3
     np.testing.assert_allclose(recording.y, 0.1 * np.arange(COUNT - 3), atol=1e-6)
-    assert any("the stamps are of another clock" in note for note in recording.notes)
+    assert any("the stamps are from another clock" in note for note in recording.notes)
 
 
 def test_a_localization_and_a_static_transform(tmp_path):

@@ -8,7 +8,7 @@ from map_racing.bags.records import BagFile
 from map_racing.bags.restamped import write_restamped
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError
-from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.files.waypoints import waypoint_rows
 
 T0 = 1600000000 * 10**9

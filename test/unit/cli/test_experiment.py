@@ -13,8 +13,8 @@ import pytest
 from map_racing.bags.reader import read_recording
 from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
+from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -58,6 +58,7 @@ def test_the_bags_hold_the_races_of_the_table(tires):
 def test_provenance_says_what_was_raced(tires):
     provenance = json.loads((tires / "results.json").read_text())["provenance"]
     assert provenance["conditions"]["seeds"] == [1, 2]
+    assert any("identified NUC4 from steering ramps" in note for note in provenance["notes"])
     assert set(provenance["days"]) == {"1", "2", "11"}
     assert provenance["identification"]["vehicle"] == "identified.yaml"
     assert set(provenance["controllers"]) == set(LABELS)

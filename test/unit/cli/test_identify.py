@@ -12,7 +12,10 @@ from map_racing.bags.messages import decode_drive
 from map_racing.bags.reader import read_recording, read_signals
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.cli import main
+from map_racing.control.parameters import load_controller_parameters, load_safety_limits
+from map_racing.identification.data import load_run
 from map_racing.resources import config_directory
+from map_racing.simulation.plants import load_plant
 from map_racing.vehicle.lookup import load_table
 from map_racing.vehicle.parameters import load_vehicle, parameter_hash
 from map_racing.vehicle.steady_state import steady_state_table
@@ -58,6 +61,27 @@ def test_figures_and_report(identified):
     report = json.loads((identified / "r.json").read_text())
     assert report["vehicle"] == "my_car" and report["leave_one_out"] is None
     assert report["axles"]["front"]["peak_reached"] and not report["axles"]["rear"]["peak_reached"]
+
+
+def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypatch):
+    report = json.loads((identified / "r.json").read_text())
+    (said,) = report["notes"]
+    assert said.startswith("recordings/nuc4_ramps.bag: pose: /car_state/odom")
+    assert "warning" not in (identified / "my_car.yaml").read_text()
+
+    def doubtful(path, channels):
+        run = load_run(path, channels)
+        run.notes.append("warning: /drive: the stamps are from another clock")
+        return run
+
+    monkeypatch.setattr("map_racing.cli.identify.load_run", doubtful)
+    output = tmp_path / "a.yaml"
+    arguments = ["--vehicle", "nuc4", "--output", str(output), "--json", str(tmp_path / "r.json")]
+    assert main(["identify", "nuc4_ramps", *arguments]) == 0
+    doubt = "recordings/nuc4_ramps.bag: warning: /drive: the stamps are from another clock"
+    assert f"# {doubt}\n" in output.read_text()
+    assert doubt in json.loads((tmp_path / "r.json").read_text())["notes"]
+    assert load_vehicle(output).front == load_vehicle(identified / "my_car.yaml").front
 
 
 def test_the_example_is_as_the_plant(identified):
@@ -170,8 +194,7 @@ def test_refusals(tmp_path, refused, capsys):
         ((bag, *good, "--cutoff", "-1"), "cutoff_hz: expected a positive number"),
         ((bag, *good, "--channels", "nowhere"), "nor one of the shipped channels"),
         ((bag, *good, "--pose-topic", "/nowhere"), "/nowhere"),
-        # Racing is not steady cornering.
-        ((bag, *good), "of steady driving"),
+        ((bag, *good, "--leave-one-out"), "--leave-one-out: expected steady cornering"),
     ):
         assert expected in refused("identify", *arguments)
     assert list(tmp_path.iterdir()) == [bag]
@@ -184,6 +207,65 @@ def test_refusals(tmp_path, refused, capsys):
     ):
         assert expected in refused(*ramp, option, value)
     assert list(tmp_path.iterdir()) == [bag]
+
+
+def test_laps_make_a_car(tmp_path, capsys):
+    """Steady cornering tells the curves, and laps what is otherwise today; each alone will do."""
+    bag = tmp_path / "laps.bag"
+    race = ["race", "--laps", "1", "--speed-scale", "0.7", "--output", str(bag)]
+    assert main(race) == 0
+    true = load_plant("nuc4").build_vehicle()
+    controller = tmp_path / "controller.yaml"
+    for data in ([str(bag)], ["nuc4_ramps", str(bag)]):
+        output, report = tmp_path / "car.yaml", tmp_path / "report.json"
+        arguments = [*data, "--vehicle", "nuc4", "--output", str(output), "--json", str(report)]
+        arguments += ["--controller-output", str(controller)]
+        assert main(["identify", *arguments]) == 0
+        printed = capsys.readouterr().out
+        found = load_vehicle(output)
+        assert found.mu * found.front.stiffness == pytest.approx(
+            true.mu * true.front.stiffness, rel=0.05
+        )
+        laps = json.loads(report.read_text())["laps"]
+        friction = laps["parameters"]["friction"]
+        head = output.read_text().split("name:")[0]
+        assert "ordinary driving" in printed and "ordinary driving" in head
+        assert f"friction at least {laps['least_friction']:.3f}" in head
+        assert f"Friction: {friction['value']:.3f} (95 %" in head
+        assert laps["delays"]["delay_s"] == pytest.approx(0.07, abs=0.008)
+        assert load_table(output.with_suffix(".csv")).provenance.parameter_hash == parameter_hash(
+            found
+        )
+        changed = load_controller_parameters("map").with_(
+            delay_s=round(laps["delays"]["delay_s"], 4)
+        )
+        assert load_controller_parameters(controller) == changed
+    assert "front axle:" in printed
+    assert load_safety_limits(controller) == load_safety_limits("map")
+
+
+def test_a_car_is_validated_by_replay(tmp_path, identified, capsys, refused):
+    bag, output, report = tmp_path / "a.bag", tmp_path / "car.yaml", tmp_path / "report.json"
+    race = ["race", "--laps", "1", "--speed-scale", "0.6", "--output", str(bag)]
+    assert main(race) == 0
+    arguments = ["nuc4_ramps", "--vehicle", "nuc4", "--output", str(output), "--json", str(report)]
+    capsys.readouterr()
+    assert main(["identify", *arguments, "--validate", str(bag), "--window", "1.5"]) == 0
+    validation = json.loads(report.read_text())["validation"]
+    assert validation["window_s"] == 1.5 and validation["worst_share"] < 0.12
+    assert f"Validated by replay: {validation['headline']}" in output.read_text()
+    assert validation["headline"] in capsys.readouterr().out
+    (run,) = validation["runs"]
+    assert run["channels"]["yaw_rate"]["share"] < 0.04
+
+    check = ["lookup", "check", identified / "my_car.csv"]
+    vehicle = ["--vehicle", identified / "my_car.yaml"]
+    assert main([*map(str, [*check, *vehicle]), "--bag", str(bag)]) == 0
+    printed = capsys.readouterr().out
+    assert "replay by the commands alone, worst channel of 1 run" in printed
+    assert "s of dead time and lag, fitted with my_car's tires held" in printed
+    assert "expected --vehicle" in refused(*check, "--bag", bag)
+    assert "--window: expected" in refused(*check, *vehicle, "--bag", bag, "--window", "0")
 
 
 def test_a_servos_position_is_the_steering_angle(tmp_path, capsys, servo_bag):

@@ -16,7 +16,7 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, refused):
     )
     shutil.copy(str(ours), str(tmp_path / "unnamed"))
     line = refused("evaluate", theirs, "--csv", tmp_path / "unnamed")
-    assert "is a bag, which would be lost" in line
+    assert "is a bag, which would be overwritten" in line
     car = tmp_path / "car.yaml"
     shutil.copy(str(find_config("vehicles", "nuc4", (".yaml",))), str(car))
     text = car.read_text()

@@ -148,3 +148,26 @@ def test_notes_on_the_vehicle_of_a_plant_are_printed(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert f"{path}: its vehicle NUC4: no mu: taken as 1" in printed
     assert "its vehicle NUC4: keys not used: C_R" in printed
+
+
+def test_a_full_size_car_is_driven_by_the_shipped_controllers(tmp_path, capsys):
+    """The plant of `nuc4` with the vehicle of a road car, on an oval of 740 m without speeds."""
+    plant = yaml.safe_load(find_config("plants", "nuc4", (".yaml",)).read_text(encoding="utf-8"))
+    path = tmp_path / "road_car.yaml"
+    path.write_text(yaml.safe_dump({**plant, "vehicle": "bmw_320i"}))
+    line = tmp_path / "oval.csv"
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    rows = "".join(f"{150.0 * np.cos(a):.4f},{80.0 * np.sin(a):.4f},6,6\n" for a in angle)
+    line.write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + rows)
+    bag = tmp_path / "a.bag"
+    arguments = ["--track", str(line), "--plant", str(path), "--speed-scale", "1", "--laps", "1"]
+    assert main(["race", *arguments, "--output", str(bag)]) == 0
+    printed = capsys.readouterr().out
+    assert "map: for 1:10 cars; distances are 8.06 and times 2.84 times as long" in printed
+    assert "completed after 1 timed laps" in printed
+    table = tmp_path / "laps.json"
+    assert main(["evaluate", str(bag), "--car-width", "1.61", "--json", str(table)]) == 0
+    (lap,) = [lap for lap in json.loads(table.read_text())["runs"][0]["laps"] if lap["valid"]]
+    assert lap["rms_lateral_error_m"] < 0.3
+    # 0.86 of the grip on bends of 43 m radius, and more beside them.
+    assert lap["mean_speed_mps"] > 18.0

@@ -172,7 +172,7 @@ def test_a_bag_is_not_lost_to_another_format(good, tmp_path, capsys):
     run(capsys, "convert", good, tmp_path / "a.bag")
     shutil.copy(str(tmp_path / "a.bag"), str(tmp_path / "a.csv"))
     code, _, err = run(capsys, "convert", good, tmp_path / "a.csv", "--format", "tum")
-    assert code == 1 and "is a bag, which would be lost" in err
+    assert code == 1 and "is a bag, which would be overwritten" in err
 
 
 def test_a_name_with_a_number_sign_is_a_file(good, capsys):

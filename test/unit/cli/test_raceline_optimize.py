@@ -1,6 +1,7 @@
 """``map-racing raceline optimize`` as users call it, and races on what it writes."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import yaml
 from PIL import Image
 
 from map_racing.cli import main
-from map_racing.control.controller import Controller, build_steering_map
+from map_racing.control.controller import Controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_sectors import load_speed_sectors
+from map_racing.control.steering import build_steering_map
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
@@ -351,3 +353,22 @@ def _oval(path, unit, width):
 def test_what_would_take_all_day_is_refused(tmp_path, capsys, unit, width, text):
     assert main(["raceline", "optimize", _oval(tmp_path / "line.csv", unit, width)]) == 1
     assert text in capsys.readouterr().err
+
+
+def test_margin_and_step_are_those_of_the_car(tmp_path, capsys):
+    source = centerline(
+        tmp_path / "circuit.csv",
+        width=7.0,
+        x=lambda x: 12.0 * x,
+        y=lambda y: 12.0 * y,
+    )
+    out = tmp_path / "line.csv"
+    car = load_vehicle("bmw_320i")
+    assert run(source, "--vehicle", "bmw_320i", "--output", out) == 0
+    size = car.l_wb / 0.32
+    printed = capsys.readouterr().out
+    count = int(re.search(r"(\d+) points optimized", printed).group(1))
+    line = load_raceline(out)
+    assert count == pytest.approx(line.length / (0.1 * size), abs=2)
+    clearance = float(table_of(printed)["optimized"][3])
+    assert clearance == pytest.approx(0.5 * car.width + 0.1 * size, abs=0.02)

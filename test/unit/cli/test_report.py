@@ -96,6 +96,19 @@ def test_a_car_that_is_not_known(tmp_path, race_bag):
     assert data_of(page)["runs"][0]["limit"] and "give --vehicle" not in text_of(page)
 
 
+def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
+    text = text_of(page)
+    section = text[text.index("For the next heat") : text.index("Corners, lap by lap")]
+    assert section.count("s predicted with these scales") == 2 and "0.700 0.80" in section
+    section = text[text.index("The car, as it drove") : text.index("Drive, poses and stops")]
+    assert section.count("delay of the steering") == 2 and "0.070 s keep" in section
+    assert "friction" in section and "the table fits" in section
+    text = text_of(report(tmp_path, race_bag()))
+    assert "No advice: the car is not known, give --vehicle" in text
+    text = text_of(report(tmp_path, race_bag(), "--vehicle", "nuc4"))
+    assert "beyond that not determined" in text
+
+
 def test_what_cannot_be_read_is_left_out(bags, tmp_path, capsys, refused):
     (tmp_path / "text.bag").write_text("hello\n" * 100)
     output = tmp_path / "report.html"
@@ -130,7 +143,8 @@ def test_more_laps_than_fit(tmp_path, monkeypatch, ring):
             here, v = ring.pose(s), 3.3 if 4.0 < s / ring.length < 5.0 else 3.0
             bag.odometry(t, here.x, here.y, here.psi, v, 0.0, v * here.kappa)
             t, s = t + 0.025, s + 0.025 * v
-    monkeypatch.setattr(pages, "_BUDGET", 13_000)
+    monkeypatch.setattr(pages, "_PAGE", 0)
+    monkeypatch.setattr(pages, "_LEAST", 14_300)
     page = report(tmp_path, tmp_path / "long.bag")
     (run,) = data_of(page)["runs"]
     numbers = [lap["number"] for lap in run["laps"]]

@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from map_racing.cli import main
 from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
 from map_racing.experiments import tuning
+from map_racing.experiments.robustness import Grid, Robustness
 
 GRID = """\
 plant: nuc4
@@ -82,6 +84,16 @@ def test_table_provenance_and_figures(results):
     }
 
 
+def test_doubts_about_tracks_stand_in_the_provenance(results, tmp_path):
+    content = json.loads((results / "results.json").read_text())
+    assert content["provenance"]["notes"] == []
+    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    x, y, v = 5.0 * np.cos(angle), 4.0 * np.sin(angle), 4.0 + np.sin(angle) ** 2
+    np.savetxt(tmp_path / "line.csv", np.stack((x, y, v), axis=1), delimiter=",")
+    notes = Grid(Robustness("nuc4", {"a": {}}, tracks=(str(tmp_path / "line.csv"),))).notes
+    assert len(notes) == 2 and "3 unnamed columns" in notes[0] and "no walls" in notes[1]
+
+
 def test_the_same_again_drives_nothing(folder, results, capsys):
     options = ("--controller", "map", "--speed-scale", 1.4, "--output", results)
     assert run(folder, "experiment", "robustness", *options) == 0
@@ -93,10 +105,10 @@ def test_the_same_again_drives_nothing(folder, results, capsys):
 @pytest.mark.parametrize(
     "text, expected",
     [
-        ("plant: nuc4\ncars: {a: {}}\n", "tracks or generated_seeds must name a track"),
+        ("plant: nuc4\ncars: {a: {}}\n", "expected at least one track, got none"),
         (GRID.replace("x 0.9", "x much"), "cars: slippery: mu_scale: expected x and a number"),
         (GRID.replace("mu_scale", "mu"), "cars: slippery: unknown parameter mu"),
-        (GRID.replace("laps: 1", "laps: 0"), "laps must be at least 1"),
+        (GRID.replace("laps: 1", "laps: 0"), "laps: expected at least 1"),
         (GRID.replace("plant: nuc4", "plant: nuc5"), "nuc5: no such file"),
         (GRID + "day: 1\n", "unknown parameter day"),
     ],

@@ -6,17 +6,17 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.adaptation import PRIOR, RISE, Adaptation
+from map_racing.control.adaptation import DELAY_RATE, PRIOR, RISE, Adaptation
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_plan import AdaptiveSpeedPlan, SpeedPlan
 from map_racing.control.state import CarState
 from map_racing.simulation.car import SimulatedCar
 from map_racing.simulation.plant import Localization, Plant
-from map_racing.simulation.plants import load_plant
+from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline
-from map_racing.vehicle.parameters import load_vehicle, scaled_tires
+from map_racing.vehicle.parameters import load_vehicle, save_vehicle, scaled_tires
 from map_racing.vehicle.tire_steering import TireSteering
 
 NUC4 = load_vehicle("nuc4")
@@ -107,6 +107,20 @@ def test_below_the_limit_only_the_product_is_known():
     assert belief.friction_high / belief.friction_low > 1.25
 
 
+def test_braking_shifts_load_that_the_vehicle_file_does_not_know_of():
+    """The public simulator's car, whose center of gravity is 74 mm high instead of 20."""
+    plant, sim = load_plant("public_simulator"), load_vehicle("sim")
+    changes = {"speed_scale": 0.8, "reference_point": plant.reference_point}
+    controller = build_controller(OFF.with_(**changes), sim, REFERENCE)
+    log = race(build_plant(plant, 1)[0], controller, REFERENCE, laps=2)
+    adaptation = Adaptation(sim, 12.0, 0.07, behind=0.0)
+    for sample in log.samples:
+        adaptation.update(sample.measured, sample.result.steering_angle)
+    friction, front, rear = adaptation.belief.factors
+    # With the load wrong they are 0.64.
+    assert (friction * front, friction * rear) == pytest.approx((1.0, 1.0), rel=0.25)
+
+
 # -- what it leaves alone ------------------------------------------------------------------------
 
 
@@ -117,6 +131,26 @@ def untouched(samples):
 
 def test_straights_say_nothing():
     assert untouched(driven(steer=lambda t: 0.0))
+
+
+def test_it_says_why_a_pose_taught_nothing_and_from_how_much_it_learned(drive):
+    adaptation = learned([])
+    assert (adaptation.frozen, adaptation.learned_s) == ("no earlier pose", 0.0)
+    reasons = set()
+    for k, (state, angle) in enumerate(drive):
+        adaptation.update(state._replace(r=state.r + 6.0) if k == 600 else state, angle)
+        assert k != 600 or adaptation.frozen == "a pose that the belief cannot explain"
+        reasons.add(adaptation.frozen)
+    assert "" in reasons and "too slow" in reasons
+    assert 10.0 < adaptation.learned_s < drive[-1][0].t
+    t = drive[-1][0].t + 5.0  # a pause, after which the motion is taken as measured
+    for k in range(2):
+        adaptation.update(CarState(t + 0.025 * k, 0.0, 0.0, 0.0, 3.0, -4.0, 6.0), 0.1)
+    assert adaptation.frozen == "sliding"
+    adaptation.forget()
+    assert (adaptation.frozen, adaptation.learned_s) == ("no earlier pose", 0.0)
+    straight = learned(driven(steer=lambda t: 0.0))
+    assert (straight.frozen, straight.learned_s) == ("too little grip in use", 0.0)
 
 
 def test_walking_pace_and_stops_say_nothing():
@@ -151,6 +185,19 @@ def test_what_is_believed_stays_within_its_share():
     assert belief.friction == pytest.approx(0.9)
     unmoved = learned(driven({"mu_scale": 0.7}), share=0.0).belief
     assert unmoved.factors == (1.0, 1.0, 1.0)
+
+
+def test_the_delay_in_use_follows_the_believed_one_slowly():
+    adaptation = Adaptation(NUC4, 12.0, 0.07)
+    before, learned_before = adaptation.delay, 0.0
+    for state, angle in driven({"steering_delay_s": 0.06}):
+        adaptation.update(state, angle)
+        step, learned_s = adaptation.delay - before, adaptation.learned_s - learned_before
+        assert abs(step) <= DELAY_RATE * learned_s + 1e-12
+        before, learned_before = adaptation.delay, adaptation.learned_s
+    assert adaptation.delay == pytest.approx(adaptation.belief.delay, abs=2e-3)
+    adaptation.forget()
+    assert adaptation.delay == pytest.approx(0.07)
 
 
 # -- down quickly, up slowly ---------------------------------------------------------------------
@@ -212,6 +259,23 @@ def test_a_pause_restarts_the_model_and_keeps_the_belief(drive):
 def test_the_believed_vehicle_is_the_files_with_other_tires(drive):
     adaptation = learned(drive)
     assert adaptation.believed_vehicle() == scaled_tires(NUC4, *adaptation.belief.factors)
+    belief, text = adaptation.belief, adaptation.summary()
+    assert f"friction {belief.friction:.3f} ({belief.friction_low:.3f} to" in text
+    assert f"from {adaptation.learned_s:.0f} s of driving" in text and "NUC4" in text
+
+
+def test_it_starts_from_a_saved_vehicle_as_well(tmp_path):
+    """What was learned in one run is the prior of the next, which then has little to learn."""
+    samples = driven({"mu_scale": 0.85})
+    first = learned(samples)
+    save_vehicle(first.believed_vehicle(), tmp_path / "day.yaml", first.summary())
+    saved = load_vehicle(tmp_path / "day.yaml")
+    assert saved == first.believed_vehicle()
+    again = Adaptation(saved, 12.0, first.delay)
+    for state, angle in samples:
+        again.update(state, angle)
+    assert again.belief.friction == pytest.approx(1.0, abs=0.02)
+    assert again.believed_vehicle().mu == pytest.approx(0.85 * NUC4.mu, rel=0.03)
 
 
 # -- the controller ------------------------------------------------------------------------------
@@ -243,6 +307,20 @@ def test_a_cold_start_comes_close_to_one_that_was_told(changes):
     told, _ = raced(plant, OFF, true, laps=2)
     cold, _ = raced(plant, ADAPTIVE)
     assert told[-1] < cold[-1] < 1.03 * told[-1]
+
+
+@pytest.mark.parametrize("changes", [{"mu_scale": 1.12}, {"front_stiffness_scale": 1.16}], ids=str)
+def test_it_drives_a_plant_that_is_not_its_model(changes):
+    """The public simulator's, whose servo steps and whose braking unloads the rear axle more."""
+    plant = dataclasses.replace(load_plant("public_simulator"), **changes)
+    took = []
+    for parameters in (ADAPTIVE, OFF):
+        parameters = parameters.with_(slip_lookahead=0.5, reference_point=plant.reference_point)
+        controller = build_controller(parameters, load_vehicle("sim"), REFERENCE)
+        log = race(build_plant(plant, 1)[0], controller, REFERENCE, laps=3)
+        assert log.outcome is Outcome.COMPLETED
+        took.append(log.duration)
+    assert took[0] < 1.03 * took[1]
 
 
 def test_a_sudden_loss_of_grip_ends_on_the_track():

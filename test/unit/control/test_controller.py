@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from map_racing.control.controller import Controller, Status, build_controller, build_steering_map
+from map_racing.control.controller import Controller, Status, build_controller
 from map_racing.control.guidance import missing_curvature
 from map_racing.control.parameters import ControllerParameters, load_controller_parameters
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState, moved, predicted
+from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError
 from map_racing.simulation.plant import Plant, PlantParameters
 from map_racing.track.files.load import load_raceline

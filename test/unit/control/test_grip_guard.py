@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from map_racing.control.controller import Controller, build_steering_map
+from map_racing.control.controller import Controller
 from map_racing.control.grip_guard import GripGuard
 from map_racing.control.parameters import ControllerParameters, load_controller_parameters
 from map_racing.control.speed_plan import WALKING_PACE
 from map_racing.control.state import CarState
+from map_racing.control.steering import build_steering_map
 from map_racing.simulation.car import SimulatedCar, hits_wall
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant

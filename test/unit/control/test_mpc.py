@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from map_racing.control import mpc
-from map_racing.control.controller import Status, build_steering_map
+from map_racing.control.controller import Status
 from map_racing.control.laws import build_law
 from map_racing.control.parameters import (
     MPC_MODELS,
@@ -19,6 +19,7 @@ from map_racing.control.parameters import (
 )
 from map_racing.control.safety import SafetyLimits
 from map_racing.control.state import CarState, moved
+from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError
 from map_racing.simulation import race as races
 from map_racing.simulation.plants import build_plant, load_plant
@@ -97,7 +98,7 @@ def test_a_circle_is_held_with_the_steady_state_angle():
 
 
 def test_a_step_without_solution_follows_the_last_plan():
-    controller = build_law(GIVEN, NUC4, circle(4.0, 3.0))
+    controller = build_law(GIVEN.with_(stages=20, stage_s=0.05), NUC4, circle(4.0, 3.0))
     state = on_circle(4.0, 3.0, 0.0, -NUC4.l_r)
     angle = controller.step(state).steering_angle
     planned = controller._program._rates.copy()

@@ -66,6 +66,35 @@ def test_it_rests_and_then_tries_again_at_walking_pace():
     assert first_stop(car.drive(3.0))[1] is Reason.BLOCKED  # and so on, while nothing moves
 
 
+def test_the_rest_is_3_s_or_the_recovery_where_that_is_longer():
+    for recovery, rest in ((0.5, 3.0), (5.0, 5.0)):
+        reasons = [d.reason for d in Car(recovery_s=recovery).drive(8.0)]
+        begin = reasons.index(Reason.BLOCKED)
+        rests = reasons.index(Reason.NONE, begin) - begin
+        assert rests * PERIOD == pytest.approx(rest, abs=2 * PERIOD)
+
+
+def test_a_car_that_tries_again_is_not_told_to_be_faster_than_asked():
+    car = Car(wanted=0.4)
+    decisions = car.drive(4.0 + REST)
+    begin = next(k for k, d in enumerate(decisions) if d.reason is Reason.BLOCKED)
+    assert max(d.speed for d in decisions[begin:]) == 0.4
+
+
+def test_a_blocked_car_whose_poses_end_is_blocked():
+    car = Car()
+    assert car.drive(1.5)[-1].reason is Reason.BLOCKED
+    car.supervisor.resume()
+    assert car.step(x=math.nan)[:2] == (Mode.STOPPED, Reason.INVALID_POSE)
+
+
+@pytest.mark.parametrize(("speed", "blocked"), [(-0.5, True), (-0.51, False)])
+def test_a_car_that_is_pushed_back_is_not_blocked(speed, blocked):
+    car = Car()
+    decisions = car.drive(1.5, v_x=speed)
+    assert (Reason.BLOCKED in {d.reason for d in decisions}) is blocked
+
+
 def test_once_it_moves_it_drives_on():
     car = Car()
     car.drive(1.5 + REST)
@@ -176,6 +205,15 @@ def test_a_motor_that_runs_away_stops_the_car_until_resumed():
     assert PATIENCE <= t <= PATIENCE + 2 * PERIOD
     car.drive(2.0, speed=0.0)
     assert car.step()[:2] == (Mode.STOPPED, Reason.OVERSPEED)
+    car.supervisor.resume()
+    assert car.step().mode is Mode.DRIVING
+
+
+def test_a_car_that_stands_is_not_too_fast():
+    car = Car(wanted=2.0, max_overspeed_mps=0.5)
+    car.drive(1.0, speed=2.0)
+    car.supervisor.request_stop("service")
+    car.drive(3.0, speed=0.0)
     car.supervisor.resume()
     assert car.step().mode is Mode.DRIVING
 

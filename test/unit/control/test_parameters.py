@@ -237,3 +237,50 @@ def test_what_cannot_be_written_is_said_in_one_line(tmp_path):
         save_controller_parameters(
             ControllerParameters("table", 0.2, 0.1), tmp_path / "no" / "folder.yaml"
         )
+
+
+# -- other sizes -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", list_config("controllers"))
+def test_1_10_cars_are_driven_with_the_values_of_the_file(name):
+    assert load_law(name, load_vehicle("nuc4")) == load_law(name)
+
+
+@pytest.mark.parametrize("name", ["map", "map_paper", "pure_pursuit"])
+def test_a_larger_car_is_driven_with_values_of_its_size(name):
+    """At speeds of equal accelerations, distances are so much longer, and times by the root."""
+    car = load_vehicle("bmw_320i")
+    length = car.l_wb / 0.32
+    time = math.sqrt(length)
+    small, large = load_controller_parameters(name), load_controller_parameters(name, car)
+    for names, factor in (
+        (("m_m", "lookahead_min_m", "lookahead_max_m"), length),
+        (("speed_lookahead_s",), time),
+        # Sensors and actuators are as late as they are, and so relatively fast.
+        (("delay_s",), 1.0),
+        (("q_s",), math.sqrt(time)),
+        (("yaw_rate_gain_s",), time * math.sqrt(time)),
+    ):
+        for each in names:
+            expected = factor * getattr(small, each)
+            assert getattr(large, each) == pytest.approx(expected, rel=1e-4), each
+    assert large.v_max_mps == car.v_max <= large.table_v_max_mps
+    assert large.a_drive_max_mps2 < car.a_max and large.a_brake_max_mps2 < car.a_brake_max
+
+
+def test_the_horizon_of_a_larger_car_is_as_many_of_its_lengths():
+    car = load_vehicle("bmw_320i")
+    length = car.l_wb / 0.32
+    small, large = load_law("mpc_single_track"), load_law("mpc_single_track", car)
+    assert large.heading_weight_m == pytest.approx(length * small.heading_weight_m, rel=1e-5)
+    assert large.stage_s == pytest.approx(math.sqrt(length) * small.stage_s, rel=1e-4)
+    rate = small.steering_rate_weight_ms * length**1.5
+    assert large.steering_rate_weight_ms == pytest.approx(rate, rel=1e-4)
+
+
+def test_files_of_ones_own_are_taken_as_they_stand(tmp_path):
+    path = written(tmp_path, v_max_mps=5.0)
+    car = load_vehicle("bmw_320i")
+    assert load_controller_parameters(path, car) == load_controller_parameters(path)
+    assert load_controller_parameters(path, car).v_max_mps == 5.0

@@ -1,42 +1,11 @@
 import math
 
 import pytest
+from supervised_car import PERIOD, Car
 
-from map_racing.control.controller import ControlResult, Status
+from map_racing.control.controller import Status
 from map_racing.control.safety import Mode, Reason, SafetyLimits, Supervisor
-from map_racing.control.state import CarState
 from map_racing.errors import ParameterError
-
-PERIOD = 1 / 32  # sums of it are exact
-
-
-class Car:
-    """Drives along x at a constant speed and feeds a supervisor as the node does."""
-
-    def __init__(self, speed=4.0, max_speed=12.0, **limits):
-        self.supervisor = Supervisor(SafetyLimits(**limits), max_speed)
-        self.now, self.x, self.speed = 100.0, 0.0, speed
-
-    def pose(self, age=0.0, **changes):
-        state = CarState(self.now - age, self.x, 0.0, 0.0, self.speed, 0.0, 0.0)
-        return state._replace(**changes)
-
-    def result(self, **changes):
-        state = self.pose()
-        result = ControlResult(0.1, self.speed, Status.OK, state, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0)
-        return result._replace(**changes)
-
-    def step(self, state=None, **changes):
-        """One pose and its command; the clock then moves on."""
-        state = self.pose() if state is None else state
-        trusted = self.supervisor.observe(self.now, state)
-        decision = self.supervisor.decide(self.now, self.result(**changes) if trusted else None)
-        self.now += PERIOD
-        self.x += self.speed * PERIOD
-        return decision
-
-    def drive(self, seconds=1.0, **changes):
-        return [self.step(**changes) for _ in range(round(seconds / PERIOD))]
 
 
 def test_good_poses_drive_at_once_with_the_controllers_command():
@@ -351,3 +320,9 @@ def test_a_clock_set_back_begins_anew_but_keeps_the_request():
 def test_impossible_limits_are_refused_by_name(changes):
     with pytest.raises(ParameterError, match=next(iter(changes))):
         SafetyLimits(**changes)
+
+
+def test_what_is_absurdly_fast_depends_on_the_fastest_speed_of_the_car():
+    small, large = Car(speed=60.0), Car(speed=60.0, max_speed=50.0)
+    assert small.drive(0.2)[-1].reason is Reason.INVALID_POSE
+    assert large.drive(0.2)[-1].mode is Mode.DRIVING

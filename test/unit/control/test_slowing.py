@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from map_racing.control.controller import ControlResult, Status, build_steering_map
+from map_racing.control.controller import ControlResult, Status
 from map_racing.control.safety import Mode, Reason, SafetyLimits, Supervisor
 from map_racing.control.slowing import MOST_BRAKING, STEERING_RATE, Slowing
 from map_racing.control.state import CarState
+from map_racing.control.steering import build_steering_map
 from map_racing.vehicle.parameters import load_vehicle
 
 PERIOD = 1 / 40
@@ -182,6 +183,131 @@ def test_the_braking_of_a_raceline_is_left_alone():
     for k in range(20):
         speed = 4.0 - 0.14 * k
         assert car.step(speed=speed, steering_angle=0.01 * k)[2:] == (0.01 * k, speed)
+
+
+@pytest.mark.parametrize(("wanted", "ramps"), [(2.0, False), (1.9, True)])
+def test_much_slower_is_slower_by_more_than_2_mps(wanted, ramps):
+    """On a straight with all the braking that the tires hold."""
+    car = Car()
+    for _ in range(20):
+        car.step()
+    speed = car.step(speed=wanted).speed
+    assert speed == pytest.approx(4.0 - BRAKE * PERIOD, abs=1e-3) if ramps else speed == wanted
+
+
+def test_hard_cornering_is_left_alone():
+    """From one side of the grip to the other, as in a chicane."""
+    car = Car()
+    for k in range(40):
+        angle = held_angle(4.0, 0.98) * (-1) ** (k // 5)
+        assert car.step(steering_angle=angle) == (Mode.DRIVING, Reason.NONE, angle, 4.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("always", [True, False])
+def test_no_angle_is_beyond_the_largest_lateral_acceleration_but_for_pure_pursuit(sign, always):
+    car = Car(speed=6.0)
+    slowing = Slowing(TABLE, BRAKE, VEHICLE.delta_max, always)
+    car.supervisor = Supervisor(SafetyLimits(), 12.0, slowing)
+    angle = car.step(steering_angle=0.4 * sign, speed=6.0).steering_angle
+    assert angle == sign * (slowing.largest(6.0) if always else 0.4)
+    assert slowing.largest(6.0) < 0.35
+
+
+def test_a_little_off_course_the_car_slows_down_by_a_ramp_as_well():
+    car = Car(speed=2.5)
+    for _ in range(20):
+        car.step(speed=2.5)
+    speeds = [car.step(status=Status.OFF_COURSE, speed=1.0).speed for _ in range(3)]
+    assert speeds == pytest.approx([2.5 - 4.0 * PERIOD * k for k in (1, 2, 3)])
+
+
+def test_a_car_that_accelerates_off_course_slows_down_from_its_own_speed():
+    car = Car(speed=2.0)
+    for _ in range(20):
+        car.speed = 2.0
+        car.step(speed=8.0)
+    car.speed = 2.0
+    assert car.step(status=Status.OFF_COURSE, speed=0.5).speed == pytest.approx(2.0 - 4.0 * PERIOD)
+
+
+def test_a_car_that_slowed_down_more_than_told_stops_from_there():
+    car = Car()
+    for _ in range(20):
+        car.step()
+    car.step(status=Status.OFF_COURSE, speed=1.0)
+    car.supervisor.request_stop("service")
+    car.speed = 3.0
+    decision = car.step(status=Status.OFF_COURSE, speed=1.0)
+    assert decision.speed == pytest.approx(3.0 - 4.0 * PERIOD)
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_a_velocity_that_is_lost_meanwhile_does_not_end_the_ramp(stop):
+    car = Car()
+    for _ in range(20):
+        car.step()
+    if stop:
+        car.supervisor.request_stop("service")
+    for k in range(1, 9):
+        car.speed = 4.0 if k < 4 else 0.0
+        decision = car.step(status=Status.OFF_COURSE, speed=0.5)
+        assert decision.speed == pytest.approx(4.0 - 4.0 * PERIOD * k)
+
+
+def test_a_stop_never_commands_more_than_before():
+    """Where the car is faster than it was told."""
+    car = Car()
+    for _ in range(20):
+        car.step(speed=2.0)
+    car.supervisor.request_stop("service")
+    car.speed = 3.0
+    assert car.step(speed=2.0).speed == pytest.approx(2.0 - 4.0 * PERIOD)
+
+
+def test_the_first_step_of_a_stop_in_a_bend_is_within_the_grip_as_well():
+    car = Car()
+    angle = held_angle(4.0, 0.98)
+    for _ in range(20):
+        car.speed = 4.0
+        car.step(steering_angle=angle)
+    car.supervisor.request_stop("service")
+    car.speed = 4.0
+    decision = car.step(steering_angle=angle)
+    braking = (4.0 - decision.speed) / PERIOD
+    assert braking == pytest.approx(SLOWING.braking(4.0, decision.steering_angle), abs=1e-6)
+    assert braking < 2.5
+
+
+def test_a_stop_as_hard_as_wished_leaves_grip_for_steering():
+    car = Car(stop_deceleration_mps2=15.0)
+    for _ in range(20):
+        car.step()
+    speed = car.step(trusted=False).speed
+    assert speed == pytest.approx(4.0 - MOST_BRAKING * BRAKE * PERIOD)
+
+
+def test_a_car_that_rolls_back_fast_steers_within_its_grip():
+    car = Car(speed=-4.0)
+    for _ in range(40):
+        car.speed = -4.0
+        decision = car.step(steering_angle=0.4)
+    assert 0.0 < decision.steering_angle <= held_angle(4.0)
+
+
+def test_a_car_that_waits_shows_the_angle_that_it_will_steer():
+    """Wheels of a car that stands may turn at any rate, and its first command is none of a stop."""
+    car = Car(speed=0.0)
+    car.supervisor.request_stop("service")
+    assert car.step(steering_angle=0.3)[::2] == (Mode.WAITING, 0.3)
+    car.supervisor.resume()
+    assert car.step(steering_angle=-0.3) == (Mode.DRIVING, Reason.NONE, -0.3, 4.0)
+
+
+def test_the_first_command_off_course_steers_no_faster_than_the_others():
+    car = Car(speed=0.0)
+    angles = [car.step(status=Status.OFF_COURSE, steering_angle=0.3, speed=1.0)[2] for _ in "ab"]
+    assert angles == pytest.approx([0.0, STEERING_RATE * PERIOD])
 
 
 def test_a_car_that_rolls_on_steers_within_its_grip():

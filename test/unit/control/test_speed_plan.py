@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from map_racing.control.controller import Controller, build_controller, build_steering_map
+from map_racing.control.controller import Controller, build_controller
 from map_racing.control.parameters import ControllerParameters
 from map_racing.control.speed_plan import WALKING_PACE, SpeedPlan
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState
+from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError
 from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from map_racing.control.controller import build_steering_map
-from map_racing.control.steering import AckermannSteering
+from map_racing.control.steering import AckermannSteering, build_steering_map
 from map_racing.errors import ParameterError
 from map_racing.vehicle.lookup import LookupTable
 from map_racing.vehicle.parameters import linearized, load_vehicle, parameter_hash

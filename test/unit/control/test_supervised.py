@@ -25,8 +25,8 @@ def circle(direction=1.0):
 class Drive:
     """Round the circle counter-clockwise at the commanded speed, which is reached at once."""
 
-    def __init__(self):
-        parameters = load_controller_parameters("map").with_(speed_scale=1.0)
+    def __init__(self, parameters=None):
+        parameters = parameters or load_controller_parameters("map").with_(speed_scale=1.0)
         controller = build_controller(parameters, load_vehicle("nuc4"), circle())
         self.told = []
         self.driver = SupervisedController(
@@ -109,3 +109,58 @@ def test_live_tuning_meanwhile_is_kept():
     controller.parameters = controller.parameters.with_(speed_scale=0.3)
     drive.drive(3.0)
     assert controller.parameters.speed_scale == pytest.approx(0.3)
+
+
+def test_a_clock_that_is_set_back_resets_the_controller(monkeypatch):
+    drive, resets = Drive(), []
+    monkeypatch.setattr(drive.driver.controller, "reset", lambda: resets.append(drive.now))
+    drive.drive(1.0)
+    assert resets == []
+    drive.now = 50.0
+    drive.drive(1.0)
+    assert resets == [50.0]
+
+
+def test_a_pose_that_is_not_trusted_does_not_reach_the_controller(monkeypatch):
+    drive, steps = Drive(), []
+    drive.drive(1.0)
+    controller = drive.driver.controller
+    step = controller.step
+    monkeypatch.setattr(controller, "step", lambda state: steps.append(state) or step(state))
+    for age, failed, asked in (
+        *((0.0, False, True), (0.0, True, False)),
+        *((1.0, False, False), (1.0, True, False)),
+    ):
+        angle = drive.angle
+        x, y, psi = RADIUS * math.cos(angle), RADIUS * math.sin(angle), angle + 0.5 * math.pi
+        state = CarState(drive.now - age, x, y, psi, 4.0, 0.0, 4.0 / RADIUS)
+        found = drive.driver.step(drive.now, state, failed)
+        assert (found.result is not None) is asked is (steps == [state])
+        steps.clear()
+        drive.now, drive.angle = drive.now + PERIOD, angle + 4.0 / RADIUS * PERIOD
+
+
+def test_nobody_need_be_told_of_a_raceline_that_waited():
+    drive = Drive()
+    drive.driver = SupervisedController(drive.driver.controller, drive.driver.supervisor)
+    drive.drive(1.0)
+    other = circle(-1.0)
+    assert not drive.follow(other)
+    drive.drive(3.0)
+    assert drive.driver.controller.raceline is other
+
+
+def test_what_adapts_is_told_the_angle_that_was_sent():
+    """Not the one that was asked for: in a stop the supervisor may lower it."""
+    parameters = load_controller_parameters("map_adaptive").with_(speed_scale=1.0)
+    drive, sent = Drive(parameters), []
+    controller = drive.driver.controller
+    told = controller.adaptation.sent
+    controller.adaptation.sent = lambda angle: sent.append(angle) or told(angle)
+    steps = drive.drive(1.0)
+    drive.driver.supervisor.request_stop("service")
+    steps += drive.drive(0.5)
+    assert sent == [step.decision.steering_angle for step in steps]
+    state = steps[-1].result.state
+    drive.driver.step(drive.now, CarState(drive.now, math.nan, *state[2:]))
+    assert len(sent) == len(steps)

@@ -35,7 +35,10 @@ from map_racing.track.raceline import Raceline
 
 READERS = {
     "README.md": ["map_racing_2025.bag"],
-    "doc/race_day.md": ["map_racing_2025.bag"],
+    "doc/race_day.md": [
+        *("map_racing_2025.bag", "TRACK.csv", "MY_BASE.yaml"),
+        *("LAPS.bag", "OTHER_LAPS.bag"),
+    ],
     "doc/safety.md": ["FAULTS.yaml"],
     "doc/evaluate.md": ["LOG.csv.gz", "TRACK.csv", "ROSBAG2", "LONG_0.bag", "LONG_1.bag"],
     "doc/racelines.md": ["HALL.yaml", "BY_HAND.bag"],
@@ -59,18 +62,24 @@ SHORTER = {
     "tune --robust": ON_A_SMALL_GRID,
     "experiment tire-models": RACED_ON_THE_RING,
     "experiment velocity-scaling": [*RACED_ON_THE_RING, "--to", "0.6"],
+    "raceline optimize circuit": ["--step", "8"],
     "experiment robustness": ON_A_SMALL_GRID,
 }
 # The README prints what these give, so they run as they are.
 WHOLE = ("README.md",)
 
-# Not run: what prepares the car's workspace or an environment of one's own.
+# Not run: what prepares the car's workspace or an environment of one's own, and what takes long, of
+# which other tests run a little.
 PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
+    "./scripts/laps_to_car reference club --generated-seeds 1 2",
+    "./scripts/heats",
+    "./scripts/soak",
     "./scripts/test",
     "catkin build map_racing",
+    "chrt --rr 1 ./scripts/latency --tuning --dropouts 40",
     "cd ..",
     "cd ~/catkin_ws/src",
     "git clone <this repository> map_racing",
@@ -175,6 +184,11 @@ def ramps(path):
     path.write_bytes(find_config("recordings", "nuc4_ramps", (".bag",)).read_bytes())
 
 
+def laps(path):
+    """Laps of the simulated car, with its commands."""
+    assert main(["race", "--laps", "1", "--speed-scale", "0.7", "--output", str(path)]) == 0
+
+
 def circles(path):
     """The shipped ramps as a log with the columns of the channel map circles_log."""
     signals = load_run(find_config("recordings", "nuc4_ramps", (".bag",))).signals
@@ -202,6 +216,8 @@ MAKERS = {
     "CIRCLES.csv": circles,
     "FAULTS.yaml": faults,
     "HALL.yaml": hall,
+    "LAPS.bag": laps,
+    "OTHER_LAPS.bag": laps,
     "LOG.csv.gz": log,
     "MY_BASE.yaml": vehicle,
     "TRACK.csv": raceline,

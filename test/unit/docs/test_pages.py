@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import importlib.util
 import re
+import shlex
 from xml.etree import ElementTree
 
 import pytest
@@ -20,6 +21,13 @@ FOLDERS = ("config", "doc", "launch", "msg", "scripts", "src", "test")
 
 def test_the_readme_fits_on_a_few_screens():
     assert len((REPO / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_the_readme_shows_how_the_tests_end():
+    script = (REPO / "scripts" / "test").read_text(encoding="utf-8")
+    judged = re.findall(r'^ *(?:judge|finish) "([^",$]+)', script, re.MULTILINE)
+    shown = re.findall(r"^passed +([^,\n]+)", PAGES[0].read_text(encoding="utf-8"), re.MULTILINE)
+    assert shown == list(dict.fromkeys(judged))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -117,7 +125,7 @@ def launch_arguments(name):
 def test_launch_commands_have_such_files_and_arguments(page):
     for line in command_lines(page):
         if "roslaunch" in line:
-            words = line.split("roslaunch ")[1].replace("--ros-args ", "").split()
+            words = shlex.split(line.split("roslaunch ")[1].replace("--ros-args ", ""))
             assert words[0] == "map_racing"
             given = {word.partition(":=")[0] for word in words[2:]}
             assert given <= launch_arguments(words[1]), line

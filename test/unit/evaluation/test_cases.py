@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import load_recording
+from map_racing.evaluation.runs import evaluate
 from map_racing.track.files.load import load_raceline
 
 LAP = math.tau / 0.8
@@ -54,7 +54,7 @@ def test_five_laps(run, name):
 @pytest.mark.parametrize("name", ["cmd_clock_year_early.bag", "cmd_clock_1s_early.bag"])
 def test_commands_of_another_clock(run, name):
     result = run(name)
-    assert any("/drive: the stamps are of another clock" in said for said in result.warnings)
+    assert any("/drive: the stamps are from another clock" in said for said in result.warnings)
     for lap in valid(result):
         assert lap.speed_reference == "command"
         assert lap.rms_speed_error_mps == pytest.approx(0.0, abs=1e-3)

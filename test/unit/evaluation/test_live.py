@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.live import LapLog, LiveEvaluation
+from map_racing.evaluation.runs import evaluate
+from map_racing.track.findings import NOTE, WARNING, Finding
 
 T0_NS = 1_600_000_000_123_456_789
 V = 6.0
@@ -221,6 +222,44 @@ def test_commands_of_another_clock_are_shifted(line, drive, offset):
     same(taken.rows(), [lap.row() for lap in evaluate(recording, line).laps])
 
 
+def test_doubts_stand_beside_the_laps(track, drive):
+    """Clock, frame and raceline for all laps; commands that were missing in their own."""
+    recording, poses, commands = drive
+    line = track.raceline(speed=V, walls=1.0)
+    line.findings = (Finding("guess", WARNING, "column 4 is a guess"), Finding("a", NOTE, "fine"))
+    taken, behind = Taken(line), 3_000_000_000
+    first, second = (lap for lap in evaluate(recording, line).laps if lap.valid)
+    half = recording.t0_ns + 1e9 * 0.5 * (second.start_time_s + second.end_time_s)
+    commands = {command[0]: command for command in commands if command[0] < half}
+    for pose in poses:
+        taken.evaluation.add_pose(*pose, 0.0, 1000)
+        if pose[0] in commands:
+            stamp, *command = commands[pose[0]]
+            taken.evaluation.add_command(stamp - behind, *command, 1000 + behind)
+        elif pose[0] > half and len(taken.laps) == 2:
+            taken.evaluation.doubt("/odom: another sends, too")
+        taken.evaluation.advance(0.0)
+    taken.evaluation.finish()
+    common = (
+        "raceline bean: column 4 is a guess",
+        "drive commands: the stamps are from another clock, 3.000 s earlier than the poses': "
+        "shifted",
+    )
+    assert [lap.lap.valid for lap in taken.laps] == [False, True, True, False]
+    missing = (
+        "drive commands are missing for a part of laps {}: their speed error and steering rate "
+        "are of the rest"
+    )
+    assert taken.laps[1].warnings == (*common, missing.format(1))
+    assert set(taken.laps[2].warnings) == {
+        *common,
+        "/odom: another sends, too",
+        missing.format(2),
+    }
+    (_, result) = taken.runs[0]
+    assert len(result.warnings) == 3
+
+
 def busy(poses, commands, behind, rng, rate=10.0, held_up=0.05):
     """Messages of a bag that is played fast, as a busy computer receives them.
 
@@ -317,8 +356,11 @@ def test_laps_are_on_the_disk_as_they_come(tmp_path, laps):
                 assert value == float(text) if text else math.isnan(value)
             else:
                 assert str(value) == text
+    log.add(laps[0]._replace(warnings=("one, with a comma", "two")))
     log.close()
     assert [row["sector_3_s"] != "" for row in rows] == [False, True, True, False]
+    assert [row["warnings"] for row in rows] == ["; ".join(lap.warnings) for lap in laps]
+    assert list(csv.DictReader(path.open()))[-1]["warnings"] == "one, with a comma; two"
 
 
 def test_a_file_is_continued_without_the_line_that_was_cut_off(tmp_path, laps):

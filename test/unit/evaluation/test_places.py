@@ -8,7 +8,6 @@ import pytest
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.analysis import analyze, corner_rows, references, same_track
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.places import (
     against_ideal,
     against_lap,
@@ -19,6 +18,7 @@ from map_racing.evaluation.places import (
 )
 from map_racing.evaluation.profiles import profiles_of, track_profile
 from map_racing.evaluation.recordings import load_recording
+from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import race

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.profiles import CHANNELS, car_limits, profiles_of
+from map_racing.evaluation.runs import evaluate
 from map_racing.vehicle.parameters import load_vehicle
 
 

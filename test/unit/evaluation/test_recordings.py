@@ -41,6 +41,45 @@ def test_usual_names_are_recognized(csv):
     assert recording.type == "CSV"
 
 
+def test_units_behind_the_names(csv):
+    text = (
+        "Time [ms],x [cm],y (m),yaw [deg],v [km/h],r [rpm]\n0,100,2,180,36,1\n500,150,3,90,18,2\n"
+    )
+    recording = read_csv_recording(csv(text))
+    assert recording.t.tolist() == [0.0, 0.5]
+    assert (recording.x.tolist(), recording.y.tolist()) == ([1.0, 1.5], [2.0, 3.0])
+    np.testing.assert_allclose(recording.psi, [np.pi, 0.5 * np.pi])
+    np.testing.assert_allclose(recording.v_x, [10.0, 5.0])
+    assert recording.notes == ["warning: column r [rpm]: the unit is not understood: taken as SI"]
+
+
+@pytest.mark.parametrize("cells", ["9,1,2", "[1, 2],3,4", "'1,2',3,4"])
+def test_rows_with_more_cells_than_names_are_refused(csv, cells):
+    with pytest.raises(FileFormatError, match=r"run\.csv:2: expected 3 columns, got [45]"):
+        read_csv_recording(csv(f"t,x,y\n0,{cells}\n1,{cells}\n"))
+    recording = read_csv_recording(csv("t,x,y\n0,1,2,\n1,2,3, ,\n"))
+    assert recording.y.tolist() == [2.0, 3.0]
+
+
+def test_names_that_are_there_twice(csv):
+    recording = read_csv_recording(csv("t,x,y,x\n0,1,2,5\n1,2,3,6\n"))
+    assert recording.x.tolist() == [1.0, 2.0]
+    assert recording.notes == ["warning: several columns are named x: the first is taken"]
+
+
+@pytest.mark.parametrize("offset", [0.0, 1.0])
+def test_headings_in_degrees(csv, offset):
+    angle = 0.05 * np.arange(200)
+    rows = [
+        f"{0.1 * i},{np.cos(a)},{np.sin(a)},{np.degrees(a + 0.5 * np.pi + offset) % 360}"
+        for i, a in enumerate(angle)
+    ]
+    recording = read_csv_recording(csv("\n".join(["t,x,y,yaw", *rows])))
+    turned = np.unwrap(recording.psi) - angle - 0.5 * np.pi - offset
+    np.testing.assert_allclose(turned, turned[0], atol=1e-9)
+    assert recording.notes == ["warning: column yaw is in degrees: converted"]
+
+
 def test_column_map(csv):
     path = csv("clock,a,b,u,w\n10,1,2,0.1,3\n11,3,4,0.2,5\n")
     recording = read_csv_recording(path, "t=clock, x=b,y=a,steering=u,speed_command=w")

@@ -9,7 +9,7 @@ import pytest
 
 from map_racing.bags.reader import read_recording
 from map_racing.errors import MapRacingError
-from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.runs import evaluate
 from map_racing.experiments.jobs import code_fingerprint, execute, fingerprint
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC

@@ -11,6 +11,7 @@ from map_racing.errors import MapRacingError
 from map_racing.evaluation.results import Lap
 from map_racing.experiments.jobs import RaceResult
 from map_racing.experiments.tuning import STEP_M, STEP_Q, frame_of, lap_error, tune, tune_robust
+from map_racing.vehicle.size import Size
 
 CONTROLLER = load_controller_parameters("map_paper")
 NAN = math.nan
@@ -66,6 +67,7 @@ def test_finds_the_bottom_of_a_valley(m, q, v):
     found, asked = tuned_by(error_at)
     assert len(set(asked)) == len(asked)  # nothing is driven twice
     assert {race[:2] for race in asked} == {pair[:2] for pair in found.pairs}
+    assert found.races == len(asked)
     lowest = min(pair.error for pair in found.pairs if not pair.given_up)
     assert all(pair.error >= lowest for pair in found.pairs)
     assert found.error == lowest == pytest.approx(0.01, abs=1e-3)
@@ -163,3 +165,19 @@ def test_a_robust_search_without_anything_that_completes_is_an_error():
 def test_nothing_feasible_is_an_error():
     with pytest.raises(MapRacingError, match="no lookahead of the grid completes a race at 70%"):
         tuned_by(lambda m, q: math.inf)
+
+
+def test_the_search_of_a_larger_car_has_larger_steps():
+    size, asked = Size(8.0, math.sqrt(8.0)), []
+    plan = tune(lambda c: [(c.m_m, c.q_s)], CONTROLLER, size)
+    try:
+        races = next(plan)
+        while True:
+            asked += races
+            # The valley lies far beyond the grid of a 1:10 car.
+            races = plan.send([raced(0.01 + abs(m - 4.0) + 30.0 * abs(q - 0.5)) for m, q in races])
+    except StopIteration as stop:
+        found = stop.value.controller
+    assert found.m_m == pytest.approx(4.0, abs=8.0 * STEP_M)
+    assert found.q_s == pytest.approx(0.5, abs=size.time * STEP_Q)
+    assert len(asked) < 150

@@ -13,7 +13,7 @@ from map_racing.bags.opening import open_bag
 from map_racing.cli import main
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.identification.data import Run, Signal
+from map_racing.identification.data import Run, Signal, load_run
 from map_racing.identification.delay import delay_data, delay_text, estimate_delays
 from map_racing.resources import find_config
 from map_racing.simulation.plants import build_plant, load_plant
@@ -102,8 +102,12 @@ def test_short_delays_at_another_rate():
     assert "stamped when they are received" in delays.pose_age.reason
 
 
-def test_the_line_of_the_public_simulator():
-    """Its servo steps, which shows in poses without noise: the line is known exactly."""
+@pytest.mark.parametrize("real_time", [False, True])
+def test_the_line_of_the_public_simulator(real_time):
+    """Its servo steps, which shows in poses without noise: the line is known exactly.
+
+    In real time poses are stamped a little late, and commands come between two samples.
+    """
     parameters = dataclasses.replace(load_plant("public_simulator"), steering_delay_s=0.03)
     plant, _ = build_plant(parameters, seed=1)
     raceline = load_raceline("reference")
@@ -117,9 +121,22 @@ def test_the_line_of_the_public_simulator():
         "yaw_rate": Signal(t, np.array([sample.measured.r for sample in samples])),
         "steering": Signal(t, np.array([sample.result.steering_angle for sample in samples])),
     }
+    if real_time:
+        rng = np.random.default_rng(1)
+        for name, (at, value) in signals.items():
+            late = np.minimum(rng.exponential(1e-4, at.size), 4e-3)
+            late += 3e-3 if name == "steering" else 0.0
+            signals[name] = Signal(at + late, value)
     delays = estimate_delays([Run("a.bag", signals)], SIM)
     assert delays.delay.value == pytest.approx(0.03, abs=1e-9)
     assert delays.steering_lag.value == 0.0 and "steps" in delays.steering.reason
+
+
+def test_the_line_in_a_recording_of_the_public_simulator(shared_data):
+    run = load_run(shared_data / "recordings" / "hangar_map_12laps.bag")
+    delays = estimate_delays([run], SIM)
+    assert delays.steering.value == pytest.approx(0.05, abs=1e-9)
+    assert delays.delay.value == pytest.approx(0.05, abs=0.003)
 
 
 @pytest.mark.parametrize("steering", [straight, lambda t: 0.2], ids=["straight", "circle"])

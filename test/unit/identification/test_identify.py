@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.controller import Controller, build_steering_map
+from map_racing.control.controller import Controller
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.steering import build_steering_map
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.data import Signal, load_channel_map, load_run
@@ -67,6 +68,34 @@ def test_a_quarter_of_gross_outliers_in_the_bag(ramps, curve_error, tmp_path, se
     for axle in ("front", "rear"):
         assert curve_error(found, ramps.true, axle) < 0.05
     assert any("spikes" in finding.text for finding in found.findings)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0, 4.0], ids="{:g} times as long".format)
+def test_a_similar_car_of_another_size_is_identified_alike(ramps, found, scale):
+    """All lengths times `scale`, the same accelerations (Froude): the tires are the same.
+
+    Twice as long is a 1:5 car, whose noise [N] is eight times as large as a 1:10 car's.
+    """
+    time, base = math.sqrt(scale), ramps.base
+    factors = {"x": scale, "y": scale, "v_x": time, "yaw_rate": 1.0 / time, "speed_command": time}
+    signals = {
+        name: Signal(time * s.t, factors.get(name, 1.0) * s.value)
+        for name, s in ramps.run.signals.items()
+    }
+    car = dataclasses.replace(
+        base,
+        **{name: scale * getattr(base, name) for name in ("l_f", "l_r", "h_cg")},
+        m=scale**3 * base.m,
+        I_z=scale**5 * base.I_z,
+    )
+    limits = SteadyLimits(cutoff_hz=1.0 / time, dr_radps2=0.35 / scale, ddelta_radps=0.1 / time)
+    same = identify([dataclasses.replace(ramps.run, signals=signals)], car, limits=limits)
+    for name, axle in same.axles.items():
+        one = found.axles[name].pacejka
+        slip = np.linspace(0.0, one.covered_slip, 100)
+        expected = one.tire.normalized_force(slip)
+        assert axle.pacejka.tire.normalized_force(slip) == pytest.approx(expected, rel=0.02)
+        assert axle.pacejka.rejected_share == pytest.approx(one.rejected_share, abs=0.02)
 
 
 def test_the_papers_front_force_overrates_this_model(ramps, found):
@@ -268,7 +297,16 @@ def test_second_real_car(shared_data):
     with pytest.raises(IdentificationError, match="time: .* a second of the recording lasts 0.86"):
         identify(runs, SECOND)
     # Its speed oscillates, so a lower cut-off is needed to see what is steady.
-    found = identify(runs, SECOND, fix=True, limits=SteadyLimits(cutoff_hz=0.4))
+    limits = SteadyLimits(cutoff_hz=0.4)
+    # Its wheels turn more than it says, and nothing tells how much: all of it is hard cornering.
+    with pytest.raises(IdentificationError, match="how much more is unknown without cornering"):
+        identify(runs, SECOND, fix=True, limits=limits)
+    runs = [
+        dataclasses.replace(run, setup=dataclasses.replace(run.setup, steering_gain=1.2))
+        for run in runs
+    ]
+    found = identify(runs, SECOND, fix=True, limits=limits)
+    assert found.setup.steering_gain == 1.2
     assert found.setup.time_scale == pytest.approx(0.863, abs=0.01)
     # One steering angle to one side does not tell a tire's peak.
     assert not found.axles["front"].pacejka.saturated and not found.axles["rear"].pacejka.saturated

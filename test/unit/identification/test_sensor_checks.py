@@ -5,11 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.cornering import motion_of
-from map_racing.identification.data import SensorSetup, Signal
+from map_racing.identification.data import SensorSetup, Signal, load_run
 from map_racing.identification.identify import identify
 from map_racing.identification.sensor_checks import check, reason_to_refuse
+from map_racing.simulation.plants import load_plant
+from map_racing.simulation.ramps import drive_ramps
+from map_racing.simulation.recorded import write_ramp_bag
 
 # What is done to the recording, the check that must see it, and the setup that repairs it.
 FAULTS = {
@@ -165,6 +169,62 @@ def test_wheels_that_turn_more_than_the_signal_on_one_side(ramps):
     run = dataclasses.replace(ramps.run, signals=half)
     with pytest.raises(IdentificationError, match="the wheels turn more than it says"):
         identify([run], ramps.base)
+
+
+def test_a_gain_beyond_the_lock_is_refused(ramps):
+    """A car whose wheelbase is not the file's: no gain of the steering makes up for it."""
+    long = dataclasses.replace(ramps.base, l_f=1.5 * ramps.base.l_f, l_r=1.5 * ramps.base.l_r)
+    for fix in (False, True):
+        with pytest.raises(IdentificationError, match="beyond their lock of 0.419 rad") as error:
+            identify([ramps.run], long, fix=fix)
+        assert "--fix applies" not in str(error.value)
+    # A stated gain as well; without one, commands beyond the lock are what the servo cuts.
+    stated = dataclasses.replace(ramps.run, setup=SensorSetup(steering_gain=1.5))
+    with pytest.raises(IdentificationError, match="gain 1.500 .* beyond their lock"):
+        identify([stated], ramps.base)
+    short = dataclasses.replace(ramps.base, delta_max=0.3)
+    texts = [finding.text for finding in identify([ramps.run], short).findings]
+    assert any("beyond their lock of 0.300 rad" in text for text in texts)
+
+
+def test_saturated_cornering_to_one_side_tells_no_gain(ramps):
+    """Above 45 % of the largest acceleration understeer is not proportional to it."""
+    run = spoiled(ramps.run, {"steering": (0.35, 0.0)})
+    motion = motion_of(run, ramps.base)
+    t, value = run.signals["steering"]
+    a_y = np.interp(t, motion.t, motion.v_x * motion.r)
+    hard = a_y > 0.5 * np.percentile(a_y, 98.0)
+    end = t[hard][-1]  # beyond it the last command would count as held
+    signals = {name: Signal(s.t[s.t < end], s.value[s.t < end]) for name, s in run.signals.items()}
+    signals["steering"] = Signal(t[hard], value[hard])
+    with pytest.raises(IdentificationError, match="how much more is unknown") as error:
+        identify([dataclasses.replace(run, signals=signals)], ramps.base, fix=True)
+    assert "\n" not in str(error.value)
+
+
+def test_findings_that_contradict_each_other_are_reported_as_that(ramps):
+    """Hard cornering with another gain of the signal than slow cornering."""
+    motion = motion_of(ramps.run, ramps.base)
+    t, value = ramps.run.signals["steering"]
+    a_y = np.interp(t, motion.t, np.abs(motion.v_x * motion.r))
+    weak = np.where(a_y > 0.48 * np.percentile(a_y, 98.0), 0.5, 1.0) * value
+    with pytest.raises(IdentificationError, match="these contradict each other") as error:
+        identify([_with(ramps.run, steering=weak)], ramps.base, fix=True)
+    assert "--fix" not in str(error.value)
+
+
+def test_an_oversteering_car_is_not_taken_for_one_with_another_gain(tmp_path):
+    """Its wheels point less into the bend than the bend itself; the front axle moves even less."""
+    scales = {"front_stiffness_scale": 3.0, "rear_stiffness_scale": 0.1}
+    plant = dataclasses.replace(load_plant("nuc4"), **scales)
+    samples = drive_ramps(plant, [RampParameters(speed_mps=2.5, sides="left")], seed=5)
+    write_ramp_bag(tmp_path / "a.bag", samples)
+    run, vehicle = load_run(tmp_path / "a.bag"), plant.build_vehicle()
+    motion = motion_of(run, vehicle)
+    hard = motion.usable & (motion.a_y > 0.5 * np.max(motion.a_y))
+    rolls = np.arctan(vehicle.l_wb * motion.r[hard] / motion.v_x[hard])
+    assert np.median(rolls - motion.delta[hard]) > 0.01
+    assert not any(finding.critical for finding in check([motion], run.setup, vehicle))
 
 
 def test_why_a_run_is_refused(ramps):

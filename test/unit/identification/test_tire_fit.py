@@ -188,6 +188,29 @@ def test_saturation_is_seen():
     assert fit_pacejka(measured(FRONT, widest=0.4, force_noise=0.2)).saturated
 
 
+@pytest.mark.parametrize("share", [0.84, 0.9, 0.98])
+@pytest.mark.parametrize(
+    "tire", [FRONT, PacejkaTire(8.0, 1.5, 0.9, 0.2), PacejkaTire(6.0, 1.1, 1.0, -0.5)]
+)
+def test_the_peak_is_reached_only_where_the_forces_end_at_it(tire, share):
+    slip = np.linspace(0.0, tire.peak_slip, 4000)
+    widest = slip[np.searchsorted(tire.normalized_force(slip), share * tire.peak)]
+    for seed in range(3):
+        points = measured(tire, widest, 400, slip_noise=0.003, force_noise=0.4, seed=seed)
+        fit = fit_pacejka(points, PacejkaTire(6.0, 1.3, 1.0, 0.0), oversampling=5.0)
+        assert fit.saturated == fit.parameters["peak_n"].determined == (share > 0.95)
+        assert fit.reach == pytest.approx(share, abs=0.06)
+
+
+def test_forces_at_a_single_slip_tell_no_peak():
+    """One steering angle at one speed: however flat the curve through it, it is a guess."""
+    rng = np.random.default_rng(1)
+    slip = 0.07 + np.cumsum(rng.normal(0.0, 0.002, 400))
+    force = 0.6 * LOAD + rng.normal(0.0, 0.4, 400)
+    fit = fit_pacejka(AxlePoints(-slip, force, LOAD, 0.001, 0.4), oversampling=5.0)
+    assert fit.reach > 0.95 and not fit.saturated
+
+
 def test_intervals_do_not_shrink_with_the_rate_of_sampling():
     few, many = measured(FRONT, count=100, force_noise=0.3), measured(FRONT, force_noise=0.3)
     width = {}

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgba
 
 from map_racing.bags.samples import Recording
 from map_racing.errors import EvaluationError
-from map_racing.evaluation.laps import evaluate
+from map_racing.evaluation.runs import evaluate
 from map_racing.plots.experiments import (
     plot_comparison,
     plot_scaling,

@@ -7,7 +7,8 @@ from matplotlib import pyplot
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, MapRacingError, ParameterError
-from map_racing.evaluation.laps import LapEvaluator, evaluate
+from map_racing.evaluation.laps import LapEvaluator
+from map_racing.evaluation.runs import evaluate
 from map_racing.plots.runs import plot_boxes, plot_laps, plot_path
 from map_racing.plots.style import save
 

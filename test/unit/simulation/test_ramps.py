@@ -13,13 +13,13 @@ from map_racing.simulation.recorded import write_ramp_bag
 
 
 def test_every_speed_and_both_sides_are_driven(ramps):
-    phases = [sample.command.phase for sample in ramps.samples]
+    phases = [sample.result.phase for sample in ramps.samples]
     assert phases.count(Phase.DONE) == 3 and phases[-1] is Phase.DONE
-    ramping = [s for s in ramps.samples if s.command.phase is Phase.RAMPING]
-    angles = np.array([s.command.steering_angle for s in ramping])
+    ramping = [s for s in ramps.samples if s.result.phase is Phase.RAMPING]
+    angles = np.array([s.result.steering_angle for s in ramping])
     assert angles.min() == pytest.approx(-0.4, abs=1e-3)
     assert angles.max() == pytest.approx(0.4, abs=1e-3)
-    speeds = {round(float(s.command.speed), 3) for s in ramping}
+    speeds = {round(float(s.result.speed), 3) for s in ramping}
     assert speeds == {2.0, 3.0, 4.0}
     t = np.array([s.measured.t for s in ramps.samples])
     assert np.all(np.diff(t) > 0.0)
@@ -30,7 +30,7 @@ def test_the_bag_holds_what_was_measured_and_commanded(ramps):
     seen = np.array([sample.measured for sample in ramps.samples])
     np.testing.assert_allclose(recording.x, seen[:, 1], atol=1e-9)
     np.testing.assert_allclose(recording.v_y, seen[:, 5], atol=1e-9)
-    commands = [sample.command.steering_angle for sample in ramps.samples]
+    commands = [sample.result.steering_angle for sample in ramps.samples]
     np.testing.assert_allclose(recording.commands.steering_angle, commands, atol=1e-6)
     t, imu = read_signals(ramps.path, recording, {"imu": ""})["imu"]
     np.testing.assert_allclose(t, recording.t, atol=1e-6)
@@ -47,7 +47,7 @@ def test_same_seed_same_drive(ramps):
 
 def test_one_side(ramps):
     one = RampParameters(speed_mps=1.5, rate_radps=0.2, sides="right")
-    angles = [s.command.steering_angle for s in drive_ramps(ramps.parameters, [one])]
+    angles = [s.result.steering_angle for s in drive_ramps(ramps.parameters, [one])]
     assert max(angles) <= 0.0 and min(angles) == pytest.approx(-0.4)
 
 

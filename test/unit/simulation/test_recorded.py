@@ -7,8 +7,8 @@ from map_racing.bags.reader import read_recording
 from map_racing.bags.records import BagFile
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.evaluation.laps import evaluate
 from map_racing.evaluation.recordings import recorded_raceline
+from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race

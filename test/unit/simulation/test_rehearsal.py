@@ -2,15 +2,24 @@
 
 import math
 import re
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
-from map_racing.control.controller import build_steering_map
+from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.control.supervised import build_slowing
 from map_racing.simulation.faults import KINDS, kinds_table
-from map_racing.simulation.rehearsal import BEGIN, HEADER, SCENARIOS, rehearse
+from map_racing.simulation.rehearsal import (
+    BEGIN,
+    HEADER,
+    SCENARIOS,
+    bounds_of,
+    bounds_text,
+    rehearse,
+)
 from map_racing.vehicle.parameters import load_vehicle
 
 PAGE = Path(__file__).resolve().parents[3] / "doc" / "safety.md"
@@ -18,7 +27,6 @@ POSE_S = 1 / 40
 # A pose arrives 20 ms after it was measured.
 LATENCY_S = 0.02
 VEHICLE = load_vehicle("nuc4")
-TABLE = build_steering_map("table", VEHICLE, 12.0)
 
 rehearsed = lru_cache(maxsize=None)(rehearse)
 
@@ -30,18 +38,30 @@ def names(scenario):
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=names)
 def test_no_command_is_beyond_limit_lock_or_grip(scenario):
     """At the measured speed, in every sample, whatever goes wrong."""
-    log = rehearsed(scenario).log
-    measured = {sample.arrival: sample.measured.v_x for sample in log.samples}
-    v_x = 0.0
-    for t, decision in log.commands:
-        seen = measured.get(t, math.nan)
-        if abs(seen) < 50.0:
-            v_x = seen
-        assert 0.0 <= decision.speed <= 12.0
-        assert abs(decision.steering_angle) <= VEHICLE.delta_max
-        # An angle that is held holds for the speed of the last pose that could be trusted.
-        held = 0.01 if decision.mode is not Mode.DRIVING else 1e-9
-        assert abs(decision.steering_angle) <= TABLE.steering(v_x, 20.0)[0] + held
+    found = rehearsed(scenario)
+    bounds = found.bounds
+    assert bounds.commands == len(found.log.commands) > 50
+    assert min(c.decision.speed for c in found.log.commands) >= 0.0
+    assert bounds.speed <= bounds.max_speed == 12.0
+    assert bounds.angle <= bounds.lock == VEHICLE.delta_max
+    assert bounds.beyond <= 1e-9
+
+
+def test_an_angle_beyond_the_grip_would_be_told():
+    """The bounds are those of the commands: with one of them changed they say so."""
+    found, parameters = rehearsed(SCENARIOS[0]), load_controller_parameters("map")
+    measured = {sample.arrival: sample.measured.v_x for sample in found.log.samples}
+    at = max(k for k, c in enumerate(found.log.commands) if c.t in measured and c.t < BEGIN)
+    command = found.log.commands[at]
+    held = build_slowing(parameters, VEHICLE).largest(measured[command.t])
+    for angle, speed in ((held + 0.05, 4.0), (-held - 0.05, 13.0)):
+        changed = command._replace(
+            decision=command.decision._replace(steering_angle=angle, speed=speed)
+        )
+        log = replace(found.log, commands=[*found.log.commands[:at], changed])
+        bounds = bounds_of(log, parameters, VEHICLE)
+        assert bounds.beyond == pytest.approx(0.05, abs=1e-9) and bounds.speed >= speed
+        assert "rad beyond" in bounds_text([replace(found, bounds=bounds)])
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=names)

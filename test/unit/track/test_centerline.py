@@ -173,6 +173,8 @@ def test_unknown_cells_are_no_road_in_a_map_that_was_painted_in(tmp_path, painte
     image = read_map_image(written(tmp_path, gray, free_thresh=0.25))
     assert not image.free[::-1][gray == UNKNOWN].any() and image.free[::-1][gray == FREE].all()
     assert codes(image) == ["unknown-cells"]
+    inverted = read_map_image(written(tmp_path, 255 - gray, free_thresh=0.25, negate=1))
+    assert np.array_equal(inverted.free, image.free) and codes(inverted) == codes(image)
     # Where all grays are equally common, 205 is one of them.
     gray.flat[: 256 * 200] = np.arange(256 * 200) % 256
     gray[gray == UNKNOWN] = 206

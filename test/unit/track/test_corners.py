@@ -91,3 +91,15 @@ def test_a_corner_that_no_angle_of_the_table_steers_has_no_speed(table):
     line = _egg(0.5)
     without_speeds = corners(Raceline(line.x, line.y), table)
     assert max(without_speeds, key=lambda corner: abs(corner.curvature)).limit_speed == 0.0
+
+
+def test_a_fast_bend_of_a_full_size_car_has_a_limit():
+    vehicle = load_vehicle("bmw_320i")
+    table = steady_state_table(vehicle, *default_grid(vehicle))
+    phi = np.linspace(0.0, 2.0 * math.pi, 600, endpoint=False)
+    found = corners(Raceline(400.0 * np.cos(phi), 260.0 * np.sin(phi)), table)
+    radius = 260.0**2 / 400.0
+    for corner in found:
+        expected = math.sqrt(radius * table.max_lateral_acceleration(corner.limit_speed))
+        assert corner.limit_speed == pytest.approx(expected, rel=2e-3)
+        assert corner.limit_speed > 30.0

@@ -106,4 +106,4 @@ def test_the_script_writes_what_the_function_draws(tmp_path):
     assert written.length == pytest.approx(drawn.length, abs=1e-3)
     np.testing.assert_allclose(written.speed, drawn.speed, atol=2e-3)
     bad = subprocess.run([*command, *options, "--width", "9"], stderr=subprocess.PIPE)
-    assert bad.returncode == 1 and b"width must be" in bad.stderr
+    assert bad.returncode == 1 and b"width: expected" in bad.stderr

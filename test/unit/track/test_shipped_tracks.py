@@ -28,7 +28,11 @@ def load_generator():
 
 @pytest.mark.parametrize(
     "name, length, time, v_max, tightest",
-    [("reference", 36.5, 6.20, 8.5, 1.0), ("club", 108.7, 13.68, 11.0, 2.19)],
+    [
+        ("reference", 36.5, 6.20, 8.5, 1.0),
+        ("club", 108.7, 13.68, 11.0, 2.19),
+        ("circuit", 3456.0, 120.73, 50.0, 25.51),
+    ],
 )
 def test_figures(name, length, time, v_max, tightest):
     track = shipped(name)

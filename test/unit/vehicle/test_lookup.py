@@ -10,7 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.vehicle.lookup import LookupTable, Provenance, default_grid, load_table
+from map_racing.vehicle.lookup import (
+    LookupTable,
+    Provenance,
+    default_grid,
+    load_table,
+    published_grid,
+)
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -141,6 +147,22 @@ def test_default_grid_is_fine_enough(v):
     assert worst_error(table, v, share=0.99) < 0.25e-3
 
 
+def test_the_published_grid():
+    for found, expected in zip(published_grid(), (SPEEDS, ANGLES)):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_angles_of_a_large_car_are_denser_the_smaller_they_are():
+    """At full speed it steers by hundredths of a radian; its columns are farther apart."""
+    car = load_vehicle("bmw_320i")
+    speed_axis, angle_axis = default_grid(car)
+    steps = np.diff(angle_axis)
+    assert angle_axis[0] == 0.0 and angle_axis[-1] == pytest.approx(car.delta_max)
+    assert np.all(np.diff(steps) > 0.0) and steps[0] < 0.01 * steps[-1]
+    assert (speed_axis[0], speed_axis[-1]) == (0.1, car.v_max)
+    assert 0.15 < np.diff(speed_axis).max() < 1.0
+
+
 def test_default_grid_ends_at_the_limits_of_the_car():
     car = dataclasses.replace(NUC4, v_max=9.7, delta_max=0.35)
     speed_axis, angle_axis = default_grid(car)
@@ -268,8 +290,10 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
         (([1.0], [0.1, 0.5 * math.pi], [[1], [2]]), r"angles: expected values in"),
         (([1.0], [0.1], [[1, 2]]), r"a_lat: expected shape \(1, 1\), got \(1, 2\)"),
         (([1.0], [0.1], [[np.inf]]), "^a_lat: expected finite values or NaN, got inf$"),
+        (([1.0, 2.0], [0.1], [[1.0, np.inf]]), "^a_lat: expected finite values or NaN, got inf$"),
         (([1.0], [0.1], [[np.nan]]), "^a_lat: expected cells that rise .* got none$"),
         (([np.nan], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
+        (([1.0], [0.1, np.nan], [[1], [2]]), "angles: expected a list of finite numbers"),
         (([], [0.1], [[]]), "speeds: expected a list of finite numbers"),
         (([[1.0]], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
     ],

@@ -2,7 +2,7 @@
 
 import argparse
 
-from .recording import add_recording_options
+from .recording import add_signal_options
 from .shared import add_join_option
 
 
@@ -11,7 +11,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Estimate how late a car acts from recorded laps: age of the pose, dead time and lag of "
         "the steering and of the drive, and the controller's delay_s and speed_lookahead_s that "
-        "follow, each with its 95 %% interval. Straight driving tells no delay, and is said to."
+        "follow, each with its 95 % interval. Where the driving was too straight to show a delay, "
+        "it says so."
     )
     parser.add_argument(
         "data",
@@ -25,6 +26,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="model of the car, which makes the estimate more certain: shipped vehicle or YAML "
         "file (default: any car of this size)",
     )
-    add_recording_options(parser)
+    add_signal_options(parser)
     parser.add_argument("--json", metavar="FILE", help="write the delays as JSON")
     parser.set_defaults(run="delay.run")

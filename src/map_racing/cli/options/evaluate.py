@@ -31,7 +31,7 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     add_join_option(parser)
     add_recording_options(parser)
     parser.add_argument(
-        "--reverse", action="store_true", help="the raceline was driven in reverse direction"
+        "--reverse", action="store_true", help="the raceline was driven in the opposite direction"
     )
     parser.add_argument(
         "--start-line",
@@ -42,6 +42,11 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     )
     add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     add_limit_options(parser)
+    # As in `map_racing.evaluation.laps.LapLimits`, which help must not wait for.
+    stop = "longest time that the car may stand in a lap that counts [s]"
+    add_number(parser, "--max-stop", 0.3, stop, metavar="S")
+    braking = "hardest braking that is not a wall's [m/s^2]"
+    add_number(parser, "--max-deceleration", 25.0, braking, metavar="A")
 
 
 def add_limit_options(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +57,6 @@ def add_limit_options(parser: argparse.ArgumentParser) -> None:
         "--max-deviation",
         type=float,
         metavar="M",
-        help="a larger lateral error of the car's center is off track [m] (default: the walls or, "
-        "without walls, 2 m)",
+        help="largest lateral error of the car's center that is still on the track [m] (default: "
+        "up to the walls or, without walls, 2 m)",
     )

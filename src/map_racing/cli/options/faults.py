@@ -10,7 +10,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
         "Rehearse each fault once: a simulated car drives 4 m/s in a bend under the supervisor. "
-        "Prints what stops it, how soon that begins, when the car stands, how far it gets off the "
+        "Prints what stops it, how soon it begins to slow, when it stands, how far it gets off the "
         "line, and what lets it drive again."
     )
     parser.add_argument("--list", action="store_true", help="print the names of the faults instead")

@@ -3,16 +3,17 @@
 import argparse
 
 from ...identification.limits import SteadyLimits
-from .recording import add_recording_options
+from .recording import add_replay_window, add_signal_options
 from .shared import add_join_option, add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Identify the tires of a car from recordings of steady cornering: ramps of the steering "
-        "angle or circles at steady speeds. Writes the vehicle file and, beside it, its lookup "
-        "table (.csv). Data that cannot identify tires are refused with the reason."
+        "Identify the tires of a car from recordings of steady cornering (ramps of the steering "
+        "angle or circles at steady speeds), of ordinary laps, or of both. Writes the vehicle file "
+        "and, beside it, its lookup table (.csv). Data that cannot identify tires are refused with "
+        "the reason."
     )
     parser.add_argument(
         "data",
@@ -24,17 +25,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--vehicle",
         required=True,
-        help="mass and geometry of the car, and tire parameters to keep where the data determine "
-        "none (shipped vehicle or YAML file)",
+        help="mass and geometry of the car, and tire parameters to keep where the data do not "
+        "determine them (shipped vehicle or YAML file)",
     )
     parser.add_argument("--output", required=True, metavar="YAML", help="vehicle file to write")
     parser.add_argument(
         "--linear-output",
         metavar="YAML",
-        help="also write the car with linear tires, by regression",
+        help="also write the car with linear tires (a regression; from laps, the slope "
+        "at zero slip)",
+    )
+    parser.add_argument(
+        "--controller-output",
+        metavar="YAML",
+        help="also write the controller map with the delay_s that ordinary driving tells",
     )
     parser.add_argument("--name", help="name of the identified car (default: the name of the file)")
-    add_recording_options(parser)
+    add_signal_options(parser)
     parser.add_argument(
         "--fix",
         action="store_true",
@@ -45,6 +52,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also predict each run from the others, and report the error",
     )
+    parser.add_argument(
+        "--validate",
+        nargs="+",
+        default=[],
+        metavar="DATA",
+        help="recordings that the car is not fitted to: it is driven open loop by their commands, "
+        "and the worst channel of the worst run heads the report",
+    )
+    add_replay_window(parser)
     parser.add_argument(
         "--acceleration",
         choices=("imu", "yaw_rate"),
@@ -61,9 +77,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     limits = SteadyLimits()
     for option, name, meaning in (
         ("--cutoff", "cutoff_hz", "cutoff frequency of the low-pass [Hz]"),
-        ("--steady-dv", "dv_mps2", "largest steady rate of speed [m/s^2]"),
-        ("--steady-dr", "dr_radps2", "largest steady rate of yaw rate [rad/s^2]"),
-        ("--steady-ddelta", "ddelta_radps", "largest steady rate of steering angle [rad/s]"),
+        ("--steady-dv", "dv_mps2", "in a steady segment, largest rate of the speed [m/s^2]"),
+        ("--steady-dr", "dr_radps2", "in a steady segment, largest rate of the yaw rate [rad/s^2]"),
+        (
+            "--steady-ddelta",
+            "ddelta_radps",
+            "in a steady segment, largest rate of steering [rad/s]",
+        ),
         ("--steady-time", "shortest_s", "shortest steady segment [s]"),
     ):
         add_number(parser, option, getattr(limits, name), meaning, dest=name, metavar="X")

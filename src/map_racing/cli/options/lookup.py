@@ -3,6 +3,7 @@
 import argparse
 
 from ...vehicle.comparison import LARGEST_DIFFERENCE
+from .recording import add_replay_window, add_signal_options
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +36,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="describe a table, compare it with a vehicle",
         description="Report the grid, the largest lateral acceleration and defects of a table. "
         "With --vehicle, compare it with the vehicle's table; a difference of more than "
-        f"{LARGEST_DIFFERENCE:g} m/s^2 is an error.",
+        f"{LARGEST_DIFFERENCE:g} m/s^2 is an error. With --bag, too, drive the vehicle open loop "
+        "by the commands of recordings, and report its errors.",
     )
     check.add_argument("table", metavar="CSV", help="lookup table")
     check.add_argument("--vehicle", help="shipped vehicle or vehicle file to compare with")
@@ -49,8 +51,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     check.add_argument(
         "--controller",
         default="map",
-        help="with --raceline, whose grip_use tells where it would drive slower than the raceline "
-        "at a speed scale of 1: shipped controller or YAML file (default: %(default)s)",
+        help="with --raceline: also list where the grip_use of this controller (shipped, or YAML "
+        "file) makes it slower than the raceline at a speed scale of 1 (default: %(default)s)",
     )
+    check.add_argument(
+        "--bag",
+        nargs="+",
+        default=[],
+        metavar="DATA",
+        help="with --vehicle, drive it by the commands of these recordings; only delay and lag of "
+        "steering and drive are fitted to them",
+    )
+    add_replay_window(check)
+    add_signal_options(check)
     check.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     check.set_defaults(run="lookup.run_check")

@@ -54,8 +54,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed-scale",
         type=float,
-        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); its "
-        "grip_use bounds them further",
+        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); grip_use "
+        "may lower them further",
     )
     add_number(parser, "--seed", 1, "seed of the noise")
     parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")

@@ -61,11 +61,11 @@ def add_convert(actions):
         "--repair",
         action="store_true",
         help="repair what can be repaired and print each repair: drop points that are repeated, "
-        "not finite, turn back or belong to a second loop, fill gaps, correct reversed or "
-        "exchanged columns, clamp negative widths",
+        "not finite, turn back or belong to a second loop; fill gaps; correct reversed or swapped "
+        "columns; clamp negative widths",
     )
     convert.add_argument(
-        "--reverse", action="store_true", help="drive it the other way round, from the same point"
+        "--reverse", action="store_true", help="reverse the direction, from the same first point"
     )
     convert.add_argument(
         "--spacing", type=float, metavar="M", help="resample to points this far apart [m]"
@@ -78,11 +78,11 @@ def add_optimize(actions):
     parser = actions.add_parser(
         "optimize",
         help="the fastest line between the walls, from a centerline, a raceline or a map",
-        description="Find the path of least squared curvature between the walls, half the car's "
-        "width and a margin away from them, shortened as far as that makes the lap faster; and the "
-        "highest speeds on it within the vehicle's limits: lateral acceleration as its lookup "
-        "table can steer it, shared with driving and braking in a friction ellipse. Print length, "
-        "squared curvature and estimated lap time before and after.",
+        description="Find the path of least squared curvature that stays half the car's width "
+        "and a margin away from the walls; where a shorter path is faster, take that. Then find "
+        "the highest speeds on it that the vehicle can drive: lateral acceleration is limited by "
+        "its lookup table, and shares the grip with driving and braking in a friction ellipse. "
+        "Prints length, squared curvature and estimated lap time before and after.",
     )
     parser.add_argument(
         "source",
@@ -97,8 +97,8 @@ def add_optimize(actions):
     parser.add_argument(
         "--middle",
         metavar="FILE",
-        help="also write the smooth middle line between the walls, with speeds made alike if the "
-        "car can follow it",
+        help="also write the smooth middle line between the walls, with speeds found in the same "
+        "way if the car can follow it",
     )
     parser.add_argument(
         "--sectors",
@@ -108,11 +108,25 @@ def add_optimize(actions):
     )
     parser.add_argument("--plots", metavar="DIR", help="draw line, curvature and speed")
 
-    line = parser.add_argument_group("line")
+    _add_line(parser.add_argument_group("line"))
+    _add_speed(parser.add_argument_group("speed"))
+    _add_map(parser.add_argument_group("map"))
+    # Else argparse takes -1.5,2 for an option.
+    parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
+    parser.set_defaults(run="raceline_optimize.run_optimize")
+
+
+def _add_line(line):
     line.add_argument(
         "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
     )
-    add_number(line, "--margin", 0.1, "between the car's side and the walls [m]", metavar="M")
+    line.add_argument(
+        "--margin",
+        type=float,
+        metavar="M",
+        help="between the sides of the car and the walls [m] (default: 0.1 for a 1:10 car, more "
+        "for a larger one)",
+    )
     line.add_argument(
         "--compare",
         metavar="FILE",
@@ -122,48 +136,57 @@ def add_optimize(actions):
     line.add_argument(
         "--curvature-only",
         action="store_true",
-        help="least squared curvature, even where a shorter line is faster",
+        help="keep to the least squared curvature, even where a shorter line is faster",
     )
-    add_number(line, "--step", 0.1, "distance of the points that are moved [m]", metavar="M")
+    line.add_argument(
+        "--step",
+        type=float,
+        metavar="M",
+        help="distance between the points that are moved [m] (default: as of --margin)",
+    )
 
-    speed = parser.add_argument_group("speed")
+
+def _add_speed(speed):
     speed.add_argument(
-        "--lookup-table", metavar="CSV", help="lateral limit of this table, not of the vehicle's"
+        "--lookup-table",
+        metavar="CSV",
+        help="take the lateral limit from this table instead of the vehicle's own",
     )
     for option, meaning in (
         ("--lateral-scale", "share of the lateral acceleration to use"),
         ("--longitudinal-scale", "share of driving and braking to use"),
-        ("--speed-scale", "scale of the speeds that result"),
+        ("--speed-scale", "factor on the resulting speeds"),
     ):
         add_number(speed, option, 1.0, meaning, metavar="S")
-    speed.add_argument("--v-max", type=float, metavar="V", help="top speed [m/s], if lower")
+    speed.add_argument(
+        "--v-max", type=float, metavar="V", help="top speed [m/s], if below the vehicle's"
+    )
     speed.add_argument(
         "--power", type=float, metavar="W", help="the drive's power [W], which limits acceleration"
     )
 
-    image = parser.add_argument_group("map")
+
+def _add_map(image):
     image.add_argument(
         "--start",
         nargs="+",
         metavar="X,Y,PSI",
-        help="start on the map [m] and direction of travel there [rad]; counter-clockwise without",
+        help="start on the map [m] and direction of travel there [rad]; without a direction, "
+        "counter-clockwise",
     )
     image.add_argument(
         "--passage",
         type=float,
         metavar="M",
-        help="close what is narrower than this, such as gaps in walls [m] (default: the car and "
+        help="close openings narrower than this, such as gaps in walls [m] (default: the car and "
         "its margins)",
     )
     image.add_argument(
         "--speckle",
         type=float,
         metavar="M2",
-        help="remove walls of less area than this [m^2] (default: two cells)",
+        help="remove obstacles smaller than this [m^2] (default: two cells)",
     )
-    # Else argparse takes -1.5,2 for an option.
-    parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
-    parser.set_defaults(run="raceline_optimize.run_optimize")
 
 
 def add_record(actions):
@@ -173,7 +196,8 @@ def add_record(actions):
         help="a closed raceline from a lap that was driven, by hand or by another controller",
         description="Find the laps of a recording and write the line of one of them: smoothed, "
         "closed, at equal distances, with the speeds driven; and check it like raceline check. "
-        "Laps are those of evaluate where there is a raceline, else those of the path itself.",
+        "With a raceline the laps are those of evaluate; without one they are found from the path "
+        "itself.",
     )
     parser.add_argument(
         "recordings", nargs="+", metavar="RUN", help="bag of ROS 1 or 2, or CSV file"
@@ -197,8 +221,12 @@ def add_record(actions):
         help="speeds of the output (default: %(default)s)",
     )
     parser.add_argument("--map", metavar="YAML", help="take the walls from this map of map_server")
-    add_number(parser, "--spacing", 0.1, "distance of the points [m]", metavar="M")
+    add_number(parser, "--spacing", 0.1, "distance between the points [m]", metavar="M")
     add_number(
-        parser, "--smoothing", 1.5, "waves of the path shorter than this are noise [m]", metavar="M"
+        parser,
+        "--smoothing",
+        1.5,
+        "treat waves of the path shorter than this as noise [m]",
+        metavar="M",
     )
     parser.set_defaults(run="raceline_record.run_record")

@@ -25,8 +25,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="V",
-        help="speeds [m/s], one ramp after the other (default: 2; like that of --rate for a 1:10 "
-        "car, and for larger ones by their wheelbase)",
+        help="speeds [m/s], one ramp after the other (default: 2 for a 1:10 car; this and "
+        "the default of --rate scale with the wheelbase)",
     )
     for option, name, meaning in (
         ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),

@@ -2,13 +2,14 @@
 
 import argparse
 
+from ...identification.limits import REPLAY_WINDOW_S
 from ...resources import list_config
 from .shared import add_number
 
-__all__ = ["add_recording_options"]
+__all__ = ["add_signal_options", "add_replay_window"]
 
 
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
+def add_signal_options(parser: argparse.ArgumentParser) -> None:
     """Add what says where the signals of a recording are."""
     parser.add_argument(
         "--channels",
@@ -27,11 +28,18 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
     )
     servo = "position = gain * angle + offset, as in the configuration of the VESC"
     add_number(parser, "--servo-gain", -1.2135, servo)
-    add_number(parser, "--servo-offset", 0.5304, "offset of the same")
+    add_number(parser, "--servo-offset", 0.5304, "offset in the same formula")
     parser.add_argument(
         "--steering-delay",
         type=float,
         metavar="S",
-        help="latency of the steering [s], also in a channel map (default: 0; on a ramp of "
-        "0.02 rad/s, 50 ms are 1 mrad)",
+        help="latency of the steering [s]; a channel map may hold it, too (default: 0; on a ramp "
+        "of 0.02 rad/s, 50 ms shift the angle by 1 mrad)",
+    )
+
+
+def add_replay_window(parser: argparse.ArgumentParser) -> None:
+    """Add the length of the windows of a replay."""
+    add_number(
+        parser, "--window", REPLAY_WINDOW_S, "length of the windows of a replay [s]", metavar="S"
     )

@@ -26,7 +26,7 @@ def add_car_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--vehicle",
         help=f"the car that was driven: {', '.join(list_config('vehicles'))} or YAML file "
-        "(default: what the controller's settings in the bag say)",
+        "(default: the one in the controller's settings in the bag)",
     )
     parser.add_argument(
         "--laps",

@@ -11,25 +11,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Evaluate all bags of ROS 1 and 2 below folders: a table of heats (season.csv) and a page "
         "of trends that opens offline (season.html). Bags that have not changed are not read "
-        "again, and an interrupted season continues. A bag that cannot be read is a row with the "
-        "reason."
+        "again, and an interrupted season continues. A bag that cannot be read becomes a "
+        "row that says why."
     )
     parser.add_argument("folders", nargs="+", metavar="DIR", help="folders with bags, or bags")
     parser.add_argument(
-        "--output", required=True, metavar="DIR", help="folder for results, also among the bags"
+        "--output", required=True, metavar="DIR", help="folder for results, may be among the bags"
     )
     parser.add_argument(
         "--tracks",
         nargs="+",
         default=[],
         metavar="FILE",
-        help="racelines that name tracks, and on which bags without a raceline are evaluated",
+        help="racelines that name the tracks; bags without a raceline are evaluated on them",
     )
     add_number(
         parser,
         "--reports",
         0,
-        "write the reports of so many of the latest heats, where they are missing",
+        "write the missing reports of this many of the latest heats",
         metavar="N",
     )
     add_limit_options(parser)

@@ -10,13 +10,14 @@ __all__ = [
     "add_join_option",
     "add_number",
     "add_recording_options",
+    "add_results",
     "add_shared_options",
     "add_worker_options",
 ]
 
 
 def add_join_option(parser: argparse.ArgumentParser) -> None:
-    """How bags are read that a recorder split by size or time."""
+    """Add how bags that a recorder split are read."""
     parser.add_argument(
         "--join",
         action="store_true",
@@ -25,7 +26,7 @@ def add_join_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """What is read of recordings of laps."""
+    """Add what is read from recordings of laps."""
     parser.add_argument(
         "--raceline",
         metavar="FILE",
@@ -44,7 +45,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_number(parser, option: str, default: float, meaning: str, **settings) -> None:
-    """Add an option that takes a number of the type of its default, which the help names."""
+    """Add an option for a number of the type of its default, which the help names."""
     text = f"{meaning} (default: %(default)s)"
     parser.add_argument(option, type=type(default), default=default, help=text, **settings)
 
@@ -58,12 +59,7 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
     days : {"seeds", "practice_seeds"}
         Which days of the conditions ``--seeds`` replaces.
     """
-    parser.add_argument(
-        "--output",
-        required=True,
-        metavar="DIR",
-        help="result directory; an existing one is continued where it stopped",
-    )
+    add_results(parser)
     parser.add_argument(
         "--conditions",
         default="paper",
@@ -94,20 +90,30 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
     add_effort_options(parser)
 
 
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Add the result directory."""
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="result directory; an existing one is continued where it stopped",
+    )
+
+
 def add_effort_options(parser: argparse.ArgumentParser) -> None:
-    """Where the races are driven, and which are known already."""
+    """Add where races are driven, and where known ones are."""
     add_worker_options(parser)
     parser.add_argument(
         "--reuse",
         action="append",
         default=[],
         metavar="DIR",
-        help="take the races that this result directory already has from there; may be repeated",
+        help="take over races from this result directory instead of driving them; may be repeated",
     )
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """How many processes work, or where."""
+    """Add how many processes work, or where."""
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
     )
@@ -119,7 +125,7 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_grid_options(parser: argparse.ArgumentParser) -> None:
-    """Options of what races on a grid of tracks and cars."""
+    """Add the grid of tracks and cars to race on."""
     parser.add_argument(
         "--grid",
         default="robustness",

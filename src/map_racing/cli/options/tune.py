@@ -32,10 +32,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robust",
         action="store_true",
-        help="find m, q, the delay, curvature feedforward and yaw rate gain around the "
-        "controller's own values (what is 0 stays off) with the smallest error "
-        "(geometric mean over the races) among those that complete every race of a grid of tracks "
-        "and cars, at the grid's speeds",
+        help="race on a grid of tracks and cars, at its speeds. Of the values of m, q, delay, "
+        "curvature feedforward and yaw rate gain that complete every race, find those with the "
+        "smallest error (geometric mean over the races); the search begins at the controller's own "
+        "values, and what is 0 stays off",
     )
     add_grid_options(parser)
     parser.add_argument(
@@ -43,7 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="SHARE",
-        help="with --robust: race the result with each of these shares of the grip, too",
+        help="with --robust: race the result with each of these values of grip_use, too",
     )
     add_shared_options(parser, "practice_seeds")
     parser.set_defaults(run="tune.run")

@@ -16,7 +16,11 @@ __all__ = ["check_shape", "check_size", "check_stated"]
 # At a steering angle of 0.42 rad, the stop of a 1:10 car's servo, a wheelbase of 0.33 m turns on a
 # radius of 0.74 m.
 TIGHTEST = 1.4  # [1/m]
-SHORTEST, LONGEST = 3.0, 2000.0  # [m] of tracks for 1:10 cars; others may be in another unit
+# [m] of tracks for 1:10 cars; others may be in another unit, unless speeds or walls are those of
+# larger cars.
+SHORTEST, LONGEST = 3.0, 2000.0
+# The largest lateral acceleration [m/s^2] of a lap in any car, and the widest track [m].
+ACCELERATIONS, WIDEST = (2.0, 60.0), 30.0
 
 # Headings as files state them: code, severity, meaning, and the conversion to rad from +x.
 _HEADINGS = (
@@ -53,12 +57,20 @@ _HEADINGS = (
 def check_size(draft: Draft) -> None:
     """Check that the length is one of a track in meters."""
     length = draft.raceline.length
-    if not SHORTEST <= length <= LONGEST:
+    if not SHORTEST <= length <= LONGEST and not (length > LONGEST and _full_size(draft.raceline)):
         text = (
             f"the track is {length:.3g} m long, tracks for 1:10 cars are {SHORTEST:g} to "
             f"{LONGEST:g} m: is it in meters?"
         )
         draft.add("size", WARNING, text)
+
+
+def _full_size(line):
+    """Whether a long track is one of full-size cars: in another unit these would be far off."""
+    if line.speed is not None:
+        least, most = ACCELERATIONS
+        return least <= float(np.max(line.speed**2 * np.abs(line.kappa))) <= most
+    return line.d_left is not None and float(np.median(line.d_left + line.d_right)) <= WIDEST
 
 
 def check_stated(draft: Draft) -> None:

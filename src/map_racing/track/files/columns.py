@@ -45,11 +45,14 @@ ALIASES = {
         "longitudinal speed",
         "vel long",
         "v long",
+        "lon vel",
+        "lon velocity",
+        "lon speed",
     ),
     "ax": ("ax", "a", "acc", "acceleration", "accel", "a x", "acc x", "long acceleration"),
     "d_right": ("d right", "right"),
     "d_left": ("d left", "left"),
-    "width": ("width", "w"),
+    "width": ("width", "w", "total width", "width total", "w total"),
     "half_width": ("half width", "width half", "w half"),
     # A reference line with widths; the raceline lies `alpha` along its normals.
     "x_ref": ("x ref",),
@@ -85,8 +88,14 @@ _WALL = _words(
     "to free space half"
 )
 _GLUED = {
-    **{name: "d left" for name in ("wl", "dl", "nl", "wleft", "dleft", "leftwidth", "widthleft")},
-    **{name: "d right" for name in ("wr", "dr", "wright", "dright", "rightwidth", "widthright")},
+    **{
+        name: "d left"
+        for name in ("wl", "lw", "dl", "nl", "wleft", "dleft", "leftwidth", "widthleft")
+    },
+    **{
+        name: "d right"
+        for name in ("wr", "rw", "dr", "wright", "dright", "rightwidth", "widthright")
+    },
     "trackwidth": "width",
     "lanewidth": "width",
     "halfwidth": "half width",
@@ -104,9 +113,20 @@ _GLUED = {
 }
 
 _LENGTH = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0}
-_LENGTH.update(cm=0.01, mm=0.001, km=1000.0)
+_LENGTH.update(cm=0.01, mm=0.001, km=1000.0, ft=0.3048, feet=0.3048)
 _SPEED = {"mps": 1.0, "ms": 1.0, "meterssecond": 1.0, "ms1": 1.0, "msec": 1.0}
-_SPEED.update(kmh=1.0 / 3.6, kph=1.0 / 3.6, kmph=1.0 / 3.6, mph=0.44704, cms=0.01, mms=0.001)
+_SPEED.update(
+    kmh=1.0 / 3.6,
+    kph=1.0 / 3.6,
+    kmph=1.0 / 3.6,
+    mph=0.44704,
+    cms=0.01,
+    mms=0.001,
+    cmps=0.01,
+    mmps=0.001,
+)
+_SPEED.update(fts=0.3048, ftps=0.3048, kn=1852.0 / 3600.0, kt=1852.0 / 3600.0)
+_SPEED.update(knot=1852.0 / 3600.0, knots=1852.0 / 3600.0)
 _ANGLE = {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 _ANGLE.update(dict.fromkeys(("deg", "degree", "degrees", "\N{DEGREE SIGN}"), math.radians(1.0)))
 _CURVATURE = dict.fromkeys(("radpm", "radm", "1m", "m1", "pm"), 1.0)

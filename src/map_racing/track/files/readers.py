@@ -283,6 +283,9 @@ def _named_columns(header, values, findings):
         if column == "-":
             continue
         if column in taken and meanings[k].rank == meanings[taken[column]].rank:
+            one, other = (meanings[j].factor * values[j] for j in (k, taken[column]))
+            if meanings[k].unit != meanings[taken[column]].unit and np.allclose(one, other, 0.01):
+                continue  # the same in another unit
             raise FileFormatError(f"{header.where}expected each column once, got {names[k]} twice")
         if column == "?" or column in taken:
             unused.append(k)

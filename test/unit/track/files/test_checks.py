@@ -258,10 +258,20 @@ def exchanged(line):
 
 def test_exchanged_walls():
     assert list(codes(exchanged(load_raceline("reference")))) == ["swapped-walls"]
+    # Walls at an even distance from each other are as smooth: the line keeps outside in all bends.
+    assert list(codes(exchanged(load_raceline("club")))) == ["swapped-walls"]
     # A line that weaves between two circles, whose turns tell nothing.
     r = 6.0 + 0.4 * np.sin(2.0 * T)
     columns = {"x": r * np.cos(T), "y": r * np.sin(T), "d_left": r - 5.0, "d_right": 7.5 - r}
     assert codes(RacelineTable(columns)) == {}
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])
+def test_walls_in_other_units(unit):
+    line = load_raceline("reference")
+    columns = {"d_left": unit * line.d_left, "d_right": unit * line.d_right}
+    found = codes(RacelineTable({"x": line.x, "y": line.y, **columns}))
+    assert ("walls-far" in found) == (unit > 1.0)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -342,3 +352,16 @@ def test_no_false_alarm_on_good_tracks(seed, clockwise, size, count):
     found = codes(RacelineTable(columns))
     found.pop("tight-bend", None)
     assert found == {}
+
+
+def test_long_tracks_of_full_size_cars_are_told_from_other_units():
+    """A circuit in meters; the same length, but a 1:10 track in centimeters."""
+    grown = {key: 60.0 * GOOD[key] for key in ("x", "y")}
+    fast = {**grown, "speed": math.sqrt(60.0) * GOOD["speed"]}
+    wide = {**grown, "d_left": 6.0 * GOOD["d_left"], "d_right": 6.0 * GOOD["d_right"]}
+    for columns in (fast, wide):
+        assert "size" not in codes(RacelineTable(columns))
+    slow = {**grown, "speed": GOOD["speed"]}
+    walls = {**grown, "d_left": 60.0 * GOOD["d_left"], "d_right": 60.0 * GOOD["d_right"]}
+    for columns in (grown, slow, walls, {**walls, "speed": GOOD["speed"]}):
+        assert codes(RacelineTable(columns))["size"].severity == WARNING

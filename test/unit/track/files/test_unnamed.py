@@ -32,6 +32,8 @@ COLUMNS = {
     "qz": np.sin(0.5 * AT.psi),
     "qw": np.cos(0.5 * AT.psi),
     "index": np.arange(150.0),
+    "slower": 0.8 * SLOW,
+    "time": np.append(0.0, np.cumsum(np.diff(AT.s) / SLOW[1:])),
     "wild": 4.0 + np.sin(7.0 * T),
 }
 
@@ -97,6 +99,10 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y d_right d_left z", "x y d_right d_left", NOTE),
         ("x y high d_right d_left", "x y d_right d_left", NOTE),
         ("index x y psi speed", "x y psi speed", WARNING),
+        ("time x y psi speed", "x y psi speed", WARNING),
+        ("x y speed slower", "x y speed", WARNING),
+        ("x y psi speed slower", "x y psi speed", WARNING),
+        ("time x y speed", "x y speed", WARNING),
     ],
 )
 def test_columns_without_names(tmp_path, columns, expected, severity):
@@ -150,6 +156,10 @@ def test_columns_that_numbers_do_not_tell_are_refused(tmp_path):
         ("x,y,track_width", "width", 1.0),
         ("x,y,half_width_m", "width", 0.5),
         ("x [m] y [m] psi [deg]", "psi", 180.0 / math.pi),
+        ("x_m,y_m,v_mmps", "speed", 1000.0),
+        ("x_m,y_m,lon_vel [ft/s]", "speed", 1.0 / 0.3048),
+        ("x,y,speed (knots)", "speed", 3600.0 / 1852.0),
+        ("x,y,total_width", "width", 1.0),
     ],
 )
 def test_names_of_any_spelling(tmp_path, header, column, factor):
@@ -173,6 +183,7 @@ def test_names_of_any_spelling(tmp_path, header, column, factor):
         ("w_tr_right_m", "w_tr_left_m"),
         ("w_r", "w_l"),
         ("wr", "wl"),
+        ("rw", "lw"),
         ("right_width", "left_width"),
         ("Width Right [m]", "Width Left [m]"),
         ("distance_to_right_wall", "distance_to_left_wall"),
@@ -225,6 +236,15 @@ def test_of_two_columns_that_mean_the_same_the_plain_name_is_taken(tmp_path):
 )
 def test_names_that_only_look_alike(name, column):
     assert meaning_of(name).column == column
+
+
+def test_one_speed_in_two_units(tmp_path):
+    header = "x,y,v_kmh,v_mps"
+    path = write(tmp_path / "c.csv", "x", "y", 3.6 * SLOW, "speed", header=header)
+    np.testing.assert_allclose(read_raceline(path).columns["speed"], SLOW, atol=1e-5)
+    path = write(tmp_path / "c.csv", "x", "y", 3.0 * SLOW, "speed", header=header)
+    with pytest.raises(FileFormatError, match="expected each column once"):
+        read_raceline(path)
 
 
 @pytest.mark.parametrize("cell", ['"[0.1, 0.2]"', '"0.1,0.2"', "left", '""'])

@@ -1,0 +1,43 @@
+"""``map-racing advise``: speed sectors for the next heat."""
+
+from ..control.speed_sectors import save_speed_sectors
+from ..errors import ParameterError
+from ..evaluation.advice import advice_notes, advice_table, advise
+from ..evaluation.report import aligned
+from ..track.files.readers import split_source
+from .evaluate import check_evaluation
+from .outputs import check_outputs
+from .report import analyses
+
+
+def run(arguments):
+    """Evaluate, advise, print, write."""
+    check_evaluation(arguments)
+    if len(arguments.recordings) > 1 and not arguments.join:
+        raise ParameterError("expected one recording, or --join for the parts of one")
+    if arguments.reverse:
+        raise ParameterError("--reverse: speed sectors count the raceline's points as it is driven")
+    given = split_source(arguments.raceline or "")[0]
+    check_outputs([arguments.speed_sectors], [*arguments.recordings, given, arguments.vehicle])
+    runs, failed = analyses(arguments)
+    if not runs:
+        return failed
+    heat = runs[-1]
+    if len(runs) > 1:
+        print(f"{len(runs)} racelines were driven: advice on the last, {heat.name}")
+    advice = advise(heat, arguments.step)
+    print(heat.result.source)
+    print("\n".join(aligned(advice_table(advice), left=1)), end="\n\n")
+    print("\n".join(advice_notes(advice)))
+    if arguments.speed_sectors:
+        save_speed_sectors(
+            arguments.speed_sectors,
+            advice.scales(),
+            [
+                f"After {heat.name}: lap {advice.driven_s:.3f} s, with these sectors "
+                f"{advice.predicted_s:.3f} s predicted,",
+                f"at speed_scale 1, on the raceline of {advice.points} points.",
+            ],
+        )
+        print(f"{arguments.speed_sectors}: {len(advice.scales())} sectors, for speed_scale 1")
+    return failed

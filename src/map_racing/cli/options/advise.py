@@ -1,0 +1,25 @@
+"""Options of ``map-racing advise``."""
+
+import argparse
+
+from .evaluate import add_evaluation_options
+from .report import add_car_options
+from .shared import add_number
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Scales of the raceline's speed for the next heat, sector by sector, from what the last "
+        "one used of grip and clearance and how far it was off the line, with the lap that they "
+        "give. They hold for speed_scale 1."
+    )
+    add_evaluation_options(parser)
+    add_car_options(parser)
+    parser.add_argument(
+        "--speed-sectors", metavar="YAML", help="write the scales as speed_scaling.yaml"
+    )
+    add_number(
+        parser, "--step", 0.15, "largest increase of a scale, as a share of it", metavar="SHARE"
+    )
+    parser.set_defaults(run="advise.run")

@@ -1,0 +1,446 @@
+"""Scales of the speed for the next heat, sector by sector, from what the last one used.
+
+In each sector the speeds may grow until the lateral acceleration takes what the tires surely have
+that day, but never by more than a step, and not where the car was off the line or close to a wall.
+The lap that follows is predicted by a model of the drive, corrected by what was driven.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..control.speed_sectors import SpeedSectors
+from ..errors import EvaluationError, ParameterError
+from ..vehicle.size import size_of
+from .analysis import RunAnalysis
+from .day_grip import DayGrip, grip_of_day
+
+__all__ = ["STEP", "Advice", "SectorAdvice", "advice_notes", "advice_table", "advise"]
+
+STEP = 0.15
+"""Largest increase of a scale from one heat to the next, as a share of it."""
+
+# A car farther off the line than the first [m] gets no faster there, beyond the second it gets
+# slower; so does one whose side is closer to a wall.
+_OFF, _CLOSE = (0.2, 0.3), (0.10, 0.05)
+_SLOWER = 0.97
+# A larger share of the grip cannot be of these tires.
+_BEYOND = 1.15
+# A corner ends where less than this share of its largest lateral acceleration is left, and what
+# follows is a sector of its own if it is so long [m].
+_BENT, _SHORTEST = 0.5, 1.5
+# So far into a slower sector [m] its speed must be reached by braking.
+_SLOWING = 1.5
+# Models of a drive that are tried: lags [s], and limits as the largest accelerations seen or none.
+_LAGS = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45)
+_LIMITED = 0.9  # a model with limits must leave less than this share of the error without
+
+
+class SectorAdvice(NamedTuple):
+    """A sector with its scale of the raceline's speed.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``"second left"``.
+    first, last : int
+        Its points, indices of `Raceline.s_points`. A sector that crosses the raceline's first
+        point ends before it begins.
+    begin, end : float
+        Distances from the start line [m].
+    driven, scale : float
+        Scale of the heat that was driven, and of the next.
+    why : str
+        What bounds it: ``"step"``, ``"grip"``, ...
+    grip_used : float
+        Largest lateral acceleration of the mean lap, as a share of the lower end of the day's
+        limit.
+    off_line_m, clearance_m : float
+        Largest distance from the raceline, and least from a wall; NaN without walls.
+    """
+
+    name: str
+    first: int
+    last: int
+    begin: float
+    end: float
+    driven: float
+    scale: float
+    why: str
+    grip_used: float
+    off_line_m: float
+    clearance_m: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Advice for the next heat.
+
+    Attributes
+    ----------
+    sectors : list of SectorAdvice
+    grip : DayGrip
+    driven_s, predicted_s : float
+        Mean lap of the heat, and the one that is predicted [s].
+    step : float
+        Bound of the increases.
+    points : int
+        Points of the raceline, which the sectors count.
+    notes : list of str
+    """
+
+    sectors: list
+    grip: DayGrip
+    driven_s: float
+    predicted_s: float
+    step: float
+    points: int
+    notes: list
+
+    def scales(self) -> list[tuple[int, int, str, float]]:
+        """First and last point, name and scale, as `save_speed_sectors` takes them."""
+        rows = []
+        for one in self.sectors:
+            if one.first <= one.last:
+                rows.append((one.first, one.last, one.name, one.scale))
+            else:
+                parts = (one.first, self.points - 1), (0, one.last)
+                rows += [(*part, one.name, one.scale) for part in parts]
+        return sorted(rows)
+
+
+def advise(run: RunAnalysis, step: float = STEP) -> Advice:
+    """Advice from a run.
+
+    Parameters
+    ----------
+    run : RunAnalysis
+        With the limits of its car and a completed lap.
+    step : float, optional
+        Largest increase of a scale, as a share of it.
+
+    Returns
+    -------
+    Advice
+
+    Raises
+    ------
+    EvaluationError
+        If the run does not tell: no lap, no car, a raceline without speeds, no yaw rate.
+    ParameterError
+        If the step is not between 0 and 1.
+    """
+    if not 0.0 < step <= 1.0:
+        raise ParameterError(f"step: expected more than 0, at most 1, got {step:g}")
+    _check(run)
+    heat = _Heat(run)
+    sectors, notes = [], list(heat.notes)
+    cuts = heat.cuts()
+    for (first, name), (following, _) in zip(cuts, cuts[1:] + cuts[:1]):
+        sectors.append(heat.sector(first, following, name, step))
+    most = max(one.grip_used for one in sectors)
+    if most > _BEYOND:
+        notes.append(
+            f"the laps used up to {100 * most:.0f} % of what the tires of {heat.vehicle.name} "
+            "surely have: perhaps it is not the file of this car"
+        )
+    sectors = heat.reachable(sectors)
+    predicted, held_back = heat.predicted(sectors)
+    if held_back:
+        notes.append(held_back)
+    points = len(heat.line.s_points)
+    return Advice(sectors, heat.grip, heat.time, predicted, step, points, notes)
+
+
+def _check(run):
+    source = run.result.source
+    if not run.profile.counted:
+        raise EvaluationError(f"{source}: no advice without a completed lap")
+    if run.limits is None:
+        raise EvaluationError(f"{source}: no advice: the car is not known, give --vehicle")
+    if run.profile.track.speed is None:
+        raise EvaluationError(f"{source}: no advice: the raceline has no speeds to scale")
+    if not np.isfinite(run.profile.mean("a_lat")).all():
+        raise EvaluationError(f"{source}: no advice: neither yaw rate nor heading is known")
+
+
+class _Heat:
+    """What was driven, at the places of the profile without the last, which is the first again."""
+
+    def __init__(self, run):
+        profile, limits = run.profile, run.limits
+        self.run, self.track = run, profile.track
+        self.line, self.vehicle = run.result.raceline, limits.vehicle
+        self.s = self.track.s[:-1]
+        self.ds = self.s[1]
+        self.size = size_of(self.vehicle).length
+        self.time = float(np.mean([lap.lap.lap_time_s for lap in profile.counted]))
+        self.v = self._mean("v")
+        controller = run.settings.controller if run.settings is not None else None
+        known = {
+            name: getattr(controller, key)
+            for name, key in (("delay", "delay_s"), ("share", "adaptation_share"))
+            if getattr(controller, key, 0.0)  # a delay of 0 is none that is known
+        }
+        if getattr(controller, "reference_point", "") == "center_of_gravity":
+            known["behind"] = 0.0
+        self.ahead = getattr(controller, "speed_lookahead_s", 0.0)
+        laps = [lap.lap for lap in profile.counted]
+        self.grip = grip_of_day(run.recording, laps, self.vehicle, **known)
+        self.use = np.abs(self._mean("a_lat")) / (self.grip.low * _tires(limits, self.v))
+        d = np.array([lap.values["d"][:-1] for lap in profile.counted])
+        self.off = np.max(np.abs(d), axis=0)
+        self.clearance = np.full(self.s.size, math.nan)
+        if self.track.d_left is not None:
+            left, right = self.track.d_left[:-1], self.track.d_right[:-1]
+            self.clearance = np.min(np.minimum(left - d, right + d), axis=0)
+            self.clearance -= 0.5 * self.vehicle.width
+        self.notes = []
+        if self.grip.belief is None:
+            self.notes.append(
+                "the recording does not show the grip of the day (commands, speed and yaw rate): "
+                "what any day has is used"
+            )
+        self.asked, self.exact = self._asked(controller)
+
+    def _mean(self, channel):
+        return self.run.profile.mean(channel)[:-1]
+
+    def _asked(self, controller):
+        """Scale that was asked for at each place, and whether it is known exactly."""
+        arc = (self.s + self.track.start_s) % self.line.length
+        if controller is not None:
+            try:
+                sectors = self.run.settings.speed_sectors(self.line)
+                scales = [sectors.scale_at(at) if sectors else 1.0 for at in arc.tolist()]
+                return controller.speed_scale * np.array(scales), True
+            except ParameterError:
+                pass
+        self.notes.append(
+            "the recording does not say which scale was driven: it is that of the speeds"
+        )
+        speed = self._mean("v_command")
+        if not np.isfinite(speed).all():
+            speed = self.v
+        return speed / np.maximum(self.track.speed[:-1], 0.1), False
+
+    # -- sectors -----------------------------------------------------------------------------------
+
+    def cuts(self):
+        """Points where sectors begin, with their names, in the order of the lap."""
+        found = {}
+        for corner in self.run.corners:
+            begin = int(np.argmin(np.abs(self.s - corner.begin)))
+            length = (corner.end - corner.begin) % self.track.length or self.track.length
+            cells = (begin + np.arange(max(int(round(length / self.ds)), 1))) % self.s.size
+            bent = np.flatnonzero(self.use[cells] > _BENT * self.use[cells].max())[-1] + 1
+            name = corner.name or "whole lap"
+            found.setdefault(self._point(corner.begin), name)
+            if corner.side and (len(cells) - bent) * self.ds > _SHORTEST * self.size:
+                after = self._point(corner.begin + bent * self.ds)
+                found.setdefault(after, f"after the {name}")
+        return sorted(found.items())
+
+    def _point(self, s):
+        """The raceline's point that is nearest to a distance from the start line."""
+        points, length = self.line.s_points, self.line.length
+        away = np.abs((points - s - self.track.start_s + 0.5 * length) % length - 0.5 * length)
+        return int(np.argmin(away))
+
+    def sector(self, first, following, name, step):
+        """Advice for the points from `first` to the one before `following`."""
+        inside = self._inside(first, following)
+        hot = max(float(np.max(self.use[inside])), 1e-3)
+        off, clear = float(np.max(self.off[inside])), float(np.min(self.clearance[inside]))
+        asked = self.asked[inside]
+        driven = float(np.min(asked) if self.exact else np.median(asked))
+        # What the laps held is held: only what went wrong makes a sector slower.
+        bounds = [(1.0 + step, "step"), (max(math.sqrt(1.0 / hot), 1.0), "grip")]
+        for value, (least, most), why in (
+            (off, _OFF, f"{off:.2f} m off the line"),
+            (-clear, [-close for close in _CLOSE], f"{clear:.2f} m from the wall"),
+        ):
+            if value > most * self.size:
+                bounds.append((_SLOWER, why))
+            elif value > least * self.size:
+                bounds.append((1.0, why))
+        factor, why = min(bounds)
+        points, length = self.line.s_points, self.line.length
+        begin, end = ((points[i] - self.track.start_s) % length for i in (first, following))
+        last = (following - 1) % len(points)
+        scale = math.floor(1000.0 * driven * factor) / 1000.0
+        return SectorAdvice(
+            *(name, first, last, float(begin), float(end) or length, driven, scale, why),
+            *(hot, off, clear),
+        )
+
+    def _inside(self, first, following):
+        """Places of the points from `first` to the one before `following`, a mask."""
+        points, length = self.line.s_points, self.line.length
+        begin, end = points[first], points[following]
+        inside = (self.s + self.track.start_s - begin) % length < ((end - begin) % length or length)
+        return inside if inside.any() else np.arange(self.s.size) == self._place(begin)
+
+    def _place(self, arc):
+        return int(np.argmin(np.abs(self.s - (arc - self.track.start_s) % self.line.length)))
+
+    def reachable(self, sectors):
+        """No sector is so fast that the next one's speed is not reached soon after its begin."""
+        brake = self.run.limits.a_brake_max
+        found = list(sectors)
+        for i in reversed(range(2 * len(found))):
+            one, following = found[i % len(found)], found[(i + 1) % len(found)]
+            v = self.line.speed_at(self.line.s_points[following.first])
+            gain = 2.0 * brake * _SLOWING * self.size / max(v, 0.1) ** 2
+            most = math.floor(1000.0 * math.sqrt(following.scale**2 + gain)) / 1000.0
+            if one.scale > most:
+                found[i % len(found)] = one._replace(scale=most, why="the next sector")
+        return found
+
+    # -- the lap -----------------------------------------------------------------------------------
+
+    def predicted(self, sectors):
+        """Lap time with these scales, and a note where the controller would not heed them."""
+        length = self.line.length
+        new = SpeedSectors(_stretches(sectors, self.line), length)
+        arc = (self.s + self.track.start_s) % length
+        scales = np.array([new.scale_at(at) for at in arc.tolist()])
+        before, after = self.asked, scales
+        note = ""
+        if self.run.planned is not None:
+            settings = replace(
+                self.run.settings,
+                controller=self.run.settings.controller.with_(speed_scale=1.0),
+                sectors=tuple(_stretches(sectors, self.line)),
+            )
+            planned = settings.planned_speed(self.line)(arc)
+            asked = scales * self.line.sample(arc).speed
+            before, after = self.run.planned[:-1], planned
+            share = float(np.mean(planned < 0.99 * asked))
+            if share > 0.01:
+                note = (
+                    f"on {100 * share:.0f} % of the lap the controller's own limit (grip_use, "
+                    "v_max_mps) holds the speeds back"
+                )
+        ahead = self.s + self.ahead * self.v
+        ratio, other = (np.interp(ahead, self.s, x, period=length) for x in (after, before))
+        ratio = ratio / np.maximum(other, 1e-6)
+        command = self._mean("v_command")
+        speed = self.v * ratio
+        if np.isfinite(command).all():
+            drive = _Drive.fitted(command, self.v, self.ds)
+            speed = self.v * drive.driven(command * ratio) / drive.driven(command)
+        time, driven = (float(np.sum(1.0 / np.maximum(v, 0.1))) for v in (speed, self.v))
+        return self.time * time / driven, note
+
+
+def _stretches(sectors, line):
+    """Begin and end as arc lengths [m], and scale."""
+    points = line.s_points
+    for one in sectors:
+        following = (one.last + 1) % len(points)
+        begin, end = float(points[one.first]), float(points[following]) or line.length
+        if begin == end:
+            begin, end = 0.0, line.length
+        yield begin, end, one.scale
+
+
+def _tires(limits, v):
+    """Lateral limit of the tires at speeds [m/s^2]: a lock that is too small does not count."""
+    grid = np.linspace(0.25, max(limits.v_max, float(np.max(v)) + 1.0), 200)
+    limit = limits.table.max_lateral_acceleration(grid)
+    return np.interp(v, grid, np.maximum.accumulate(limit[::-1])[::-1])
+
+
+class _Drive(NamedTuple):
+    """A drive that follows its command with a lag [s], within limits [m/s^2], over a closed lap."""
+
+    lag: float
+    drive: float
+    brake: float
+    ds: float
+
+    @classmethod
+    def fitted(cls, command, v, ds):
+        """The one that explains the speeds best."""
+        a = v * np.gradient(v, ds)
+        most, least = float(np.percentile(a, 99)), float(-np.percentile(a, 1))
+        best, error = None, math.inf
+        limits = [(drive, brake) for drive in (math.inf, most) for brake in (math.inf, least)]
+        for drive, brake in limits:
+            free = math.isinf(drive) and math.isinf(brake)
+            for lag in _LAGS:
+                one = cls(lag, drive, brake, ds)
+                rms = float(np.sqrt(np.mean((one.driven(command) - v) ** 2)))
+                if rms < (error if free else _LIMITED * error):
+                    best, error = one, rms
+        return best
+
+    def driven(self, command):
+        """Speeds for a command at the places of a lap [m/s]."""
+        speeds = [0.0] * len(command)
+        commands = np.maximum(command, 0.1).tolist()
+        v, ds, lag, drive, brake = commands[0], self.ds, self.lag, self.drive, -self.brake
+        exp = math.exp
+        for _ in range(2):  # the first lap leaves the beginning behind
+            for i, wanted in enumerate(commands):
+                speeds[i] = v
+                step = ds / v
+                a = (wanted - v) * (1.0 - exp(-step / lag)) / step
+                v += (drive if a > drive else brake if a < brake else a) * step
+                if v < 0.1:
+                    v = 0.1
+        return np.array(speeds)
+
+
+def advice_table(advice: Advice) -> list[list[str]]:
+    """Rows of texts, the head first: for the terminal and for pages.
+
+    Parameters
+    ----------
+    advice : Advice
+
+    Returns
+    -------
+    list of list of str
+    """
+    rows = [["sector", "from", "to", "driven", "next", "bound by", "grip used", "off the line"]]
+    rows[0].append("clearance")
+    for one in advice.sectors:
+        clearance = "" if math.isnan(one.clearance_m) else f"{one.clearance_m:.2f} m"
+        rows.append(
+            [
+                *(one.name, f"{one.begin:.1f} m", f"{one.end:.1f} m"),
+                *(f"{one.driven:.3f}", f"{one.scale:.3f}", one.why),
+                *(f"{100 * one.grip_used:.0f} %", f"{one.off_line_m:.2f} m", clearance),
+            ]
+        )
+    return rows
+
+
+def advice_notes(advice: Advice) -> list[str]:
+    """The advice in sentences: grip, laps, and what is to be known about it.
+
+    Parameters
+    ----------
+    advice : Advice
+
+    Returns
+    -------
+    list of str
+    """
+    grip = advice.grip
+    notes = [
+        f"Lap: {advice.driven_s:.3f} s driven, {advice.predicted_s:.3f} s predicted with these "
+        "scales of the raceline's speed, at speed_scale 1."
+    ]
+    if grip.belief is not None:
+        notes.append(
+            f"Grip of the day: {grip.level:.2f} of the vehicle file's (95 %: {grip.low:.2f} to "
+            f"{grip.high:.2f}); the lower end is the limit."
+        )
+    return notes + [f"{note[0].upper()}{note[1:]}." for note in advice.notes]

@@ -1,0 +1,96 @@
+"""Grip of the day, from driving that was recorded: the filter of the adaptation, fed once more."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..bags.samples import Recording
+from ..control.adaptation import PRIOR, Adaptation, Belief
+from ..control.state import CarState
+from ..vehicle.parameters import Vehicle
+from .results import Lap
+
+__all__ = ["DayGrip", "grip_of_day"]
+
+# As many poses say what there is to say, and take a quarter of a second.
+_MOST_POSES = 4000
+_DELAY, _SHARE = 0.07, 0.4
+
+
+class DayGrip(NamedTuple):
+    """Lateral limit of a car on a day, relative to its vehicle file's.
+
+    Attributes
+    ----------
+    level, low, high : float
+        The limit, and the ends of its interval of 95 %.
+    belief : Belief or None
+        Friction, stiffness and delay; None where the recording does not tell, and `level` is what
+        is believed of any day.
+    """
+
+    level: float
+    low: float
+    high: float
+    belief: Belief | None
+
+
+def grip_of_day(
+    recording: Recording,
+    laps: list[Lap],
+    vehicle: Vehicle,
+    *,
+    delay: float = _DELAY,
+    share: float = _SHARE,
+    behind: float | None = None,
+) -> DayGrip:
+    """Grip that laps have shown.
+
+    Parameters
+    ----------
+    recording : Recording
+    laps : list of Lap
+        Those to learn from; of many the last.
+    vehicle : Vehicle
+    delay, share, behind : float, optional
+        As in `map_racing.control.adaptation.Adaptation`.
+
+    Returns
+    -------
+    DayGrip
+        Without commands, speed or yaw rate what is believed of any day.
+    """
+    learner = Adaptation(vehicle, max(vehicle.v_max, 1.0), delay, share, behind)
+    told = _feed(learner, recording, laps)
+    level, belief = learner.level, learner.belief
+    if not told:
+        width = np.exp(1.96 * PRIOR[0])
+        return DayGrip(1.0, 1.0 / width, width, None)
+    low, high = (
+        level * end / belief.friction for end in (belief.friction_low, belief.friction_high)
+    )
+    return DayGrip(level, low, high, belief)
+
+
+def _feed(learner, recording, laps):
+    """Show the learner poses and commands; whether there were any."""
+    t, commands = recording.t, recording.commands
+    if commands is None or not laps:
+        return False
+    chosen = np.zeros(t.size, dtype=bool)
+    for lap in reversed(laps):
+        if np.count_nonzero(chosen) >= _MOST_POSES:
+            break
+        chosen |= (t >= lap.start_time_s) & (t <= lap.end_time_s)
+    # The command that answers a pose is the one before the next pose.
+    following = np.append(t[1:], t[-1] + 0.02) - 1e-6
+    angles = commands.held(following, commands.steering_angle)
+    chosen &= np.isfinite(angles) & np.isfinite(recording.v_x) & np.isfinite(recording.yaw_rate)
+    index = np.flatnonzero(chosen)[-_MOST_POSES:]
+    states = (t, recording.x, recording.y, recording.psi, recording.v_x, recording.v_y)
+    rows = np.column_stack([column[index] for column in (*states, recording.yaw_rate, angles)])
+    for *state, angle in rows.tolist():
+        learner.update(CarState(*state), angle)
+    return bool(index.size)

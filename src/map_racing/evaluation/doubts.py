@@ -1,0 +1,138 @@
+"""What makes the numbers of laps doubtful, in the same words live and from recordings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..bags.samples import is_odometry_frame
+from ..track.findings import WARNING
+from ..track.raceline import Raceline
+from .results import Lap
+from .speed import speed_of
+
+__all__ = [
+    "alternation",
+    "bunches",
+    "frame_warning",
+    "raceline_warnings",
+    "speed_warning",
+    "uncommanded",
+]
+
+
+# Frames that racelines are in; poses without a frame are taken to be in the map, too.
+_MAPS = ("", "map", "world")
+# Poses that alternate between two places do so after an odd and an even number of samples.
+_ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
+# Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
+_SAME, _BUNCHED = 0.05, 0.7
+# Speed [m/s] of a car that drives; and how far the wheels may be off, typically, as they slip.
+_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.4
+
+
+def frame_warning(topic: str, frame: str) -> str:
+    """Doubt about poses in another frame than the map; empty without."""
+    if is_odometry_frame(frame):
+        return (
+            f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
+            "not those on the track"
+        )
+    if frame.rpartition("/")[2] in _MAPS:
+        return ""
+    return (
+        f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "
+        "both are the same"
+    )
+
+
+def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
+    """Doubt about poses that alternate between two places, as of two nodes on a topic; or empty.
+
+    Second differences of such poses change their direction from each sample to the next, and keep
+    doing so; those of noise are forgotten after three, and those of a driving car keep theirs.
+    """
+    bends = np.stack((np.diff(x, 2), np.diff(y, 2)))
+    if bends.shape[1] < 10 * _EVEN:
+        return ""
+    apart = 0.5 * float(np.median(np.hypot(*bends)))
+    size = float(np.median(np.sum(bends**2, axis=0)))
+    if apart < _APART:
+        return ""
+    odd, even = (
+        float(np.median(np.sum(bends[:, lag:] * bends[:, :-lag], axis=0))) / size
+        for lag in (_ODD, _EVEN)
+    )
+    if not (odd < -_ALIKE and even > _ALIKE):
+        return ""
+    return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
+
+
+def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
+    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty."""
+    if not (np.isfinite(v).all() and v.any()):
+        return ""
+    moved = speed_of(t, x, y, np.full(v.size, math.nan))
+    moving = (moved > _MOVING) | (v > _MOVING)
+    if np.count_nonzero(moving) < 10:
+        return ""
+    with np.errstate(divide="ignore"):
+        ratio = float(np.median(v[moving] / moved[moving]))
+    if _SLOWEST < ratio < _FASTEST:
+        return ""
+    hint = ": in km/h?" if abs(ratio / 3.6 - 1.0) < 0.1 else ""
+    return f"{topic}: the measured speed is {ratio:.2f} times the motion of the poses{hint}"
+
+
+def bunches(topic: str, t: np.ndarray) -> str:
+    """Doubt about times that come in bunches, between which the car seems to leap; or empty."""
+    steps = np.diff(t)
+    if steps.size < 10:
+        return ""
+    apart = steps[steps > _SAME * np.mean(steps)]
+    if apart.size > _BUNCHED * steps.size:
+        return ""
+    return (
+        f"{topic}: poses come in bunches, {np.median(apart):.2f} s apart: times and speeds are no "
+        "better than that"
+    )
+
+
+def raceline_warnings(raceline: Raceline, origin: str = "") -> list[str]:
+    """Doubts about a raceline from `origin`, and so about all that is measured against it."""
+    origin = origin or raceline.name or raceline.source
+    doubts = [finding for finding in raceline.findings if finding.severity == WARNING]
+    return [f"raceline {origin}: {finding}" for finding in doubts]
+
+
+def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:
+    """Doubts about complete laps in which there were no commands for a time.
+
+    Parameters
+    ----------
+    t, command : ndarray, shape (n,)
+        Times [s], and the speed commanded, NaN without a command.
+    laps : list of Lap
+    """
+    without, partly = [], []
+    for lap in laps:
+        if math.isnan(lap.lap_time_s):
+            continue
+        missing = np.isnan(command[(t >= lap.start_time_s) & (t <= lap.end_time_s)])
+        if missing.all():
+            without.append(str(lap.lap))
+        elif missing.mean() > 0.02:
+            partly.append(str(lap.lap))
+    doubts = []
+    if without:
+        doubts.append(
+            f"no drive commands in laps {', '.join(without)}: their speed error, if any, "
+            "is to the raceline"
+        )
+    if partly:
+        doubts.append(
+            f"drive commands are missing for a part of laps {', '.join(partly)}: their "
+            "speed error and steering rate are of the rest"
+        )
+    return doubts

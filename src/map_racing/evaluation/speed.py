@@ -1,0 +1,66 @@
+"""Speed of a car from its poses, where nothing else measured it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["speed_of"]
+
+# A pose that is repeated for longer [s] is of a car that stands.
+_REPEATED = 0.25
+# A car that moved farther [m] was not standing.
+_MOVED = 1.0
+
+
+def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Measured speed or, where some of it is missing, the speed of the pose.
+
+    Parameters
+    ----------
+    t, x, y, v : ndarray, shape (n,)
+        Times [s], positions [m], and the speed measured [m/s], NaN where it is not known.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    # Odometry whose velocity nobody fills in has 0 in it.
+    if np.isfinite(v).all() and (v.any() or np.hypot(np.ptp(x), np.ptp(y)) < _MOVED):
+        return v
+    # Poses that are repeated while the car drives on, and stamps that come in bunches, would make
+    # any speed: it is taken over the time between the others.
+    kept = _fresh(t, x, y)
+    kept = kept[_apart(t[kept])]
+    moving = np.hypot(np.diff(x[kept]), np.diff(y[kept])) / np.diff(t[kept])
+    speed = 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
+    return speed if kept.size == t.size else np.interp(t, t[kept], speed)
+
+
+def _fresh(t, x, y):
+    """Indices of samples whose pose is a new one, or has been the same for long."""
+    moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
+    if moved.all():
+        return np.arange(t.size)
+    kept = [0]
+    for index, (time, new) in enumerate(zip(t.tolist(), moved.tolist())):
+        if new and index or time - t[kept[-1]] > _REPEATED:
+            kept.append(index)
+    return np.array(kept) if len(kept) > 1 else np.array([0, t.size - 1])
+
+
+def _apart(t):
+    """Indices of samples at usual times apart; all, if none but the ends, crossings, are closer."""
+    steps = np.diff(t[1:-1])
+    bunched = 0.05 * float(np.mean(np.diff(t)))
+    apart = steps[steps >= bunched]
+    if apart.size in (0, steps.size):
+        return np.arange(t.size)
+    least = 0.9 * float(np.median(apart))
+    kept = [1]
+    for index, time in enumerate(t[:-1].tolist()):
+        if time - t[kept[-1]] >= least:
+            kept.append(index)
+    if len(kept) < 2:
+        return np.arange(t.size)
+    # Of a bunch that a crossing cuts the other part is missing.
+    return np.array(kept if len(kept) < 4 else kept[1:-1])

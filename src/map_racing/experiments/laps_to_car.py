@@ -1,0 +1,110 @@
+"""From cautious laps to a car that is raced at the limit: what identification from laps is worth.
+
+A car is driven at part of the speed by what its file says, identified from half a minute of that,
+and raced with what was found; and, to compare, with its true tires and delay.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..identification.car import identify_car
+from ..identification.data import Run, Signal, load_run
+from .jobs import RaceJob, execute
+
+__all__ = ["Found", "laps_to_car"]
+
+CAUTIOUS, SECONDS, LAPS = 0.7, 30.0, 3
+FASTEST_MPS = 8.0
+
+
+class Found(NamedTuple):
+    """What was found of a car, and the races with that and with the truth.
+
+    Parameters
+    ----------
+    outcome, true_outcome : str
+    lap_s, true_lap_s : float
+        Mean laps [s]; NaN where none counts.
+    friction, front, rear : float
+        Found over true: friction, and cornering stiffness of both axles, friction included.
+    friction_determined : bool
+    delay_error_s : float
+        Of ``delay_s``; NaN where it was not determined.
+    """
+
+    outcome: str
+    true_outcome: str
+    lap_s: float
+    true_lap_s: float
+    friction: float
+    front: float
+    rear: float
+    friction_determined: bool
+    delay_error_s: float
+
+
+def laps_to_car(job: RaceJob, grip_use: float = 0.95) -> Found:
+    """Identify a car from laps at 70 % of the speed, and race it at the raceline's speeds.
+
+    Parameters
+    ----------
+    job : RaceJob
+        Car, track, controller and what it believes before; its scale and number of laps do not
+        matter.
+    grip_use : float
+        Of the races.
+    """
+    run = _cautious_laps(job)
+    before = job.vehicle
+    laps = identify_car([run], before).laps
+    delay = laps.delays.delay.value
+    plant = job.plant
+    tires = plant.build_vehicle()
+    true = dataclasses.replace(before, mu=tires.mu, front=tires.front, rear=tires.rear)
+    true_delay = plant.localization_latency_s + plant.steering_delay_s
+    true_delay += plant.steering_time_constant_s
+    races = []
+    for vehicle, delay_s in (
+        (laps.vehicle, job.controller.delay_s if delay is None else delay),
+        (true, true_delay),
+    ):
+        settings = job.controller.with_(speed_scale=1.0, grip_use=grip_use, delay_s=delay_s)
+        raced = dataclasses.replace(job, controller=settings, vehicle=vehicle, laps=LAPS)
+        result = execute(raced).result
+        times = [lap.lap_time_s for lap in result.laps]
+        races.append((result.outcome, float(np.mean(times)) if times else math.nan))
+    found = laps.vehicle
+    stiffness = [
+        found.mu * getattr(found, axle).stiffness / (true.mu * getattr(true, axle).stiffness)
+        for axle in ("front", "rear")
+    ]
+    return Found(
+        *(races[0][0], races[1][0], races[0][1], races[1][1]),
+        *(found.mu / true.mu, *stiffness),
+        laps.parameters["friction"].determined,
+        math.nan if delay is None else delay - true_delay,
+    )
+
+
+def _cautious_laps(job: RaceJob) -> Run:
+    """Half a minute of laps, from their bag."""
+    settings = job.controller.with_(speed_scale=CAUTIOUS)
+    laps = math.ceil(SECONDS * FASTEST_MPS * CAUTIOUS / job.raceline.length)
+    driven = dataclasses.replace(job, controller=settings, laps=laps)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "laps.bag"
+        path.write_bytes(execute(driven, bag=True).bag)
+        run = load_run(path)
+    end = run.signals["x"].t[0] + SECONDS
+    cut = {
+        name: Signal(signal.t[signal.t < end], signal.value[signal.t < end])
+        for name, signal in run.signals.items()
+    }
+    return dataclasses.replace(run, signals=cut)

@@ -1,0 +1,173 @@
+"""A car identified from whatever was driven: steady cornering, ordinary laps, or both.
+
+Steady cornering tells the curve of each axle's tires. Ordinary driving tells their stiffness and,
+near the limit, the friction. Together the curves are what is believed before the laps are fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Iterable
+
+from ..errors import IdentificationError
+from ..vehicle.parameters import Vehicle, linearized
+from .data import Run, SensorSetup
+from .identify import Identification, steady_tires
+from .laps import PRIOR, LapTires, tires_from_laps
+from .limits import SteadyLimits
+from .robust_fit import CONFIDENCE
+from .sensor_findings import SensorFinding
+from .survey import Survey, survey
+
+__all__ = ["IdentifiedCar", "identify_car"]
+
+# The day of the laps is not that of the circles: least standard deviation of a factor between them.
+DAY = 0.05
+
+
+@dataclass(frozen=True)
+class IdentifiedCar:
+    """A car identified from recorded driving; at least one of `steady` and `laps` is there.
+
+    Parameters
+    ----------
+    base : Vehicle
+        As given: mass, geometry, and what the data do not determine.
+    steady : Identification or None
+        From steady cornering.
+    laps : LapTires or None
+        From ordinary driving; its base is the car from steady cornering, if that is there.
+    survey : Survey
+    """
+
+    base: Vehicle
+    steady: Identification | None
+    laps: LapTires | None
+    survey: Survey
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The car with all that was learned."""
+        return (self.laps or self.steady).vehicle
+
+    @property
+    def linear_vehicle(self) -> Vehicle:
+        """The car with linear tires: by regression in steady cornering, else the slope at zero."""
+        return linearized(self.vehicle) if self.laps else self.steady.linear_vehicle
+
+    @property
+    def runs(self) -> list[Run]:
+        """The runs used, with the setup of their sensors."""
+        steady = [motion.run for motion in self.steady.motions] if self.steady else []
+        return [*steady, *(self.survey.ordinary if self.laps else [])]
+
+    @property
+    def setup(self) -> SensorSetup:
+        """Of the sensors, as used."""
+        return self.survey.setup
+
+    @property
+    def corrections(self) -> list[SensorFinding]:
+        """Made to the setup."""
+        return self.survey.corrections
+
+    @property
+    def findings(self) -> list[SensorFinding]:
+        """Of the checks of the sensors, after the corrections."""
+        return self.survey.findings
+
+    @property
+    def largest_a_y(self) -> float:
+        """Largest sustained lateral acceleration [m/s^2]."""
+        return max(part.largest_a_y for part in (self.steady, self.laps) if part)
+
+    @property
+    def refused(self) -> list[tuple[str, str]]:
+        """Labels of the runs that nothing was learned from, and why."""
+        used = self.laps.runs if self.laps else []
+        return [(label, reason) for label, reason in self.survey.refused if label not in used]
+
+    @property
+    def notes(self) -> list[str]:
+        """What was noted while files were read."""
+        notes = [f"{self.base.name}: {note}" for note in self.base.notes]
+        if self.steady:
+            for motion in self.steady.motions:
+                notes += [f"{motion.run.label}: {note}" for note in motion.run.notes]
+        return notes + (self.laps.notes if self.laps else [])
+
+
+def identify_car(
+    runs: Iterable[Run],
+    base_vehicle: Vehicle,
+    *,
+    fix: bool = False,
+    limits: SteadyLimits | None = None,
+    front_force: str = "model",
+    acceleration: str = "imu",
+    name: str | None = None,
+) -> IdentifiedCar:
+    """Identify the tires of a car from any driving.
+
+    Parameters are those of `map_racing.identification.identify.identify`.
+
+    Returns
+    -------
+    IdentifiedCar
+
+    Raises
+    ------
+    IdentificationError
+        If neither steady cornering nor ordinary driving tells anything, or sensors contradict each
+        other (the message says what would repair it).
+    """
+    limits = limits or SteadyLimits()
+    surveyed = survey(runs, base_vehicle, fix, limits, acceleration)
+    name = name or base_vehicle.name + "_identified"
+    steady = None
+    if surveyed.steady:
+        try:
+            steady = steady_tires(surveyed, base_vehicle, limits, front_force, acceleration, name)
+        except IdentificationError:
+            if not surveyed.ordinary:
+                raise
+    if not surveyed.ordinary:
+        if steady is None:
+            steady_tires(surveyed, base_vehicle, limits)  # says why
+        return IdentifiedCar(base_vehicle, steady, None, surveyed)
+    try:
+        before = steady.vehicle if steady else base_vehicle
+        laps = tires_from_laps(surveyed.ordinary, before, name, _spreads(steady))
+    except IdentificationError as error:
+        if steady is None:
+            reasons = "; ".join(f"{label}: {reason}" for label, reason in surveyed.refused)
+            raise IdentificationError(f"no usable run: {reasons}; {error}") from None
+        refused = [(label, f"{reason}; {error}") for label, reason in surveyed.refused]
+        return IdentifiedCar(base_vehicle, steady, None, surveyed._replace(refused=refused))
+    finding = laps.steering_finding
+    if finding and fix and finding.fix and steady is None:
+        setup = replace(surveyed.setup, **finding.fix)
+        surveyed = surveyed._replace(
+            setup=setup,
+            corrections=[*surveyed.corrections, finding],
+            ordinary=[replace(run, setup=setup) for run in surveyed.ordinary],
+        )
+        laps = tires_from_laps(surveyed.ordinary, before, name, _spreads(steady))
+    elif finding:
+        surveyed = surveyed._replace(findings=[*surveyed.findings, finding])
+    return IdentifiedCar(base_vehicle, steady, laps, surveyed)
+
+
+def _spreads(steady):
+    """What is believed before the laps where steady cornering was driven: `LapTires`'s spreads."""
+    if steady is None:
+        return {}
+    spreads = {}
+    for name, axle in steady.axles.items():
+        stiffness = axle.pacejka.parameters["stiffness_n_per_rad"]
+        if stiffness.determined:
+            own = 0.5 * (stiffness.high - stiffness.low) / (CONFIDENCE * stiffness.value)
+            spreads[name] = min(max(own, 2.0 * DAY), PRIOR[name])
+    if any(axle.pacejka.saturated for axle in steady.axles.values()):
+        spreads.update(grip=DAY, shape=DAY)
+    return spreads

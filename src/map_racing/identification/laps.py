@@ -1,0 +1,326 @@
+"""Tires from ordinary driving: laps instead of ramps and circles.
+
+The car is driven by its recorded commands through the single-track model (`output_error`), and
+tires, delay and lag of the steering are those with which it does what was measured, as far as that
+tells more than the vehicle file. Below the limit friction and stiffness trade off, so what is
+reported is what is determined: the cornering stiffness of each axle and the understeer gradient
+first, the friction only where the drive came near enough to the limit to bend the tire curves,
+whose shape is uncertain itself. What the data do not determine stays as in the file, and the grip
+that was demonstrated is a lower bound of the friction in any case.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Mapping
+
+import numpy as np
+
+from ..errors import IdentificationError
+from ..vehicle.parameters import Vehicle, scaled_tires
+from ..vehicle.single_track import GRAVITY
+from ..vehicle.tires import PacejkaTire
+from .cornering import low_passed
+from .data import Run, SensorSetup
+from .delay import Delays, estimate_delays
+from .driving import GRID_HZ, Driving, Windows, driving_of, windows_of
+from .kinematic_checks import LOCK_MARGIN
+from .output_error import believed, fit_car
+from .robust_fit import CONFIDENCE, Fitted
+from .sensor_findings import SensorFinding
+from .tire_fit import Parameter
+
+__all__ = ["LapTires", "tires_from_laps"]
+
+# A window tells about tires where the yaw rate has this standard deviation [rad/s]; windows needed
+# and used.
+LEAST_TURNING_RADPS, FEWEST_WINDOWS, MOST_WINDOWS = 0.15, 5, 60
+# The model must explain this share of the variance of the yaw rate.
+LEAST_EXPLAINED = 0.8
+# Standard deviations of what is believed before, all of logarithms of factors.
+PRIOR = {"front": 0.4, "rear": 0.6, "grip": 0.15, "shape": 0.15, "inertia": 0.15, "gain": 0.02}
+# A gain so many of its standard deviations off is then looked for within this one.
+DOUBT, ANY_GAIN = 2.0, 0.2
+# A factor is determined with a smaller standard deviation.
+DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.05, "shape": 0.075}
+# Friction is never taken from a drive that used less than this share of it, whatever the fit says:
+# at small slip the curve of a tire bends so little that errors of its assumed shape decide.
+LEAST_USE = 0.5
+# Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
+LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
+# The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
+SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
+
+
+@dataclass(frozen=True)
+class LapTires:
+    """Tires identified from ordinary driving, and what they rest on.
+
+    Parameters
+    ----------
+    vehicle, base : Vehicle
+        The identified car, and the one whose parameters were believed before.
+    runs : list of str
+        Labels of the runs used.
+    notes : list of str
+    windows : int
+        Windows of 1 s that were used.
+    parameters : dict of str to Parameter
+        ``front_stiffness_n_per_rad`` and ``rear_stiffness_n_per_rad`` of the whole axle at rest,
+        ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C), and of the
+        steering ``delay_s`` (dead time and lag together), ``gain`` and ``offset_rad``.
+    largest_a_y : float
+        Largest sustained lateral acceleration [m/s^2].
+    explained : float
+        Share of the variance of the yaw rate.
+    setup : SensorSetup
+    widest : float
+        Largest angle asked of the wheels [rad]: 99th percentile.
+    noise : dict of str to float
+        Standard deviation of what the model leaves, by quantity [SI].
+    fitted : Fitted
+    delays : Delays
+        Of the same runs.
+    """
+
+    vehicle: Vehicle
+    base: Vehicle
+    runs: list[str]
+    notes: list[str]
+    windows: int
+    parameters: dict[str, Parameter]
+    largest_a_y: float
+    explained: float
+    setup: SensorSetup
+    widest: float
+    noise: dict[str, float]
+    fitted: Fitted
+    delays: Delays
+
+    @property
+    def least_friction(self) -> float | None:
+        """Lower bound of the vehicle's `mu` [-]: what the demonstrated grip takes.
+
+        None for linear tires, which have no limit.
+        """
+        peak = min(self.vehicle.front.peak, self.vehicle.rear.peak)
+        return self.largest_a_y / (GRAVITY * peak) if math.isfinite(peak) else None
+
+    @property
+    def steering_finding(self) -> SensorFinding | None:
+        """That the wheels turn otherwise than commanded, with its repair, if they do so clearly."""
+        gain, offset = self.parameters["gain"], self.parameters["offset_rad"]
+        off = [
+            abs(value - right) > max(least, 0.75 * (high - low))
+            for (value, low, high, _), right, least in (
+                (gain, 1.0, LEAST_GAIN_ERROR),
+                (offset, 0.0, LEAST_OFFSET_RAD),
+            )
+        ]
+        if not any(off):
+            return None
+        text = (
+            f"steering: in ordinary driving the wheels turn {gain.value:.3f} "
+            f"({gain.low:.3f} to {gain.high:.3f}) times the commanded angle "
+            f"{offset.value:+.4f} rad ({offset.low:+.4f} to {offset.high:+.4f}); the "
+            "table is for the angle of the wheels"
+        )
+        if gain.value * self.widest > LOCK_MARGIN * self.base.delta_max:
+            return SensorFinding(
+                "steering",
+                f"{text}; but that is {gain.value * self.widest:.3f} rad, beyond their lock of "
+                f"{self.base.delta_max:.3f} rad (delta_max), so another reason must be found",
+            )
+        return SensorFinding(
+            "steering",
+            text,
+            {
+                "steering_gain": round(self.setup.steering_gain * gain.value, 4),
+                "steering_offset_rad": round(
+                    self.setup.steering_offset_rad * gain.value + offset.value, 4
+                ),
+            },
+        )
+
+
+def tires_from_laps(
+    runs: list[Run],
+    base: Vehicle,
+    name: str | None = None,
+    spreads: Mapping[str, float] | None = None,
+) -> LapTires:
+    """Identify the tires of a car from ordinary driving.
+
+    Parameters
+    ----------
+    runs : list of Run
+        Drives of one car, with the setup of its sensors.
+    base : Vehicle
+        What is believed of the car before.
+    name : str, optional
+        Name of the identified car; default: the base's with ``_identified`` appended.
+    spreads : dict of str to float, optional
+        Standard deviations of that belief instead of the usual ones: ``front``, ``rear``, ``grip``
+        and ``shape``, logarithms of factors.
+
+    Returns
+    -------
+    LapTires
+        Runs that lack something are left out, and noted.
+
+    Raises
+    ------
+    IdentificationError
+        If there is too little turning, or if the commands do not explain it.
+    """
+    used, drives, notes = [], [], []
+    for run in runs:
+        try:
+            drive = driving_of(run)
+        except IdentificationError as error:
+            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            continue
+        used.append(run)
+        drives.append(drive)
+        notes += [f"{run.label}: {note}" for note in (*run.notes, *drive.notes)]
+    labels = [run.label for run in used]
+    if not drives:
+        raise IdentificationError("; ".join(notes))
+    windows = windows_of(drives, excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
+    if windows.count < FEWEST_WINDOWS:
+        raise IdentificationError(
+            f"{', '.join(labels)}: expected at least {FEWEST_WINDOWS} s in which the yaw rate "
+            f"varies by {LEAST_TURNING_RADPS:g} rad/s at 1 m/s or more, got {windows.count} s: "
+            "straight driving says nothing about tires"
+        )
+    prior = {**PRIOR, **(spreads or {})}
+    if not isinstance(base.front, PacejkaTire):
+        prior.update(grip=0.0, shape=0.0)  # linear tires have neither
+    demonstrated = _demonstrated(drives)
+    free, fitted, unknown = _fitted(base, windows, prior, demonstrated)
+    explained = _explained(windows, fitted)
+    if explained < LEAST_EXPLAINED:
+        raise IdentificationError(
+            f"{', '.join(labels)}: the steering commands explain {max(explained, 0.0):.0%} of the "
+            f"yaw rate, expected {LEAST_EXPLAINED:.0%}: not the commands of this drive, or not the "
+            "size of this car"
+        )
+    angles = [drive.steering.value for drive in drives]
+    vehicle = replace(car_of(base, fitted), name=name or base.name + "_identified")
+    return LapTires(
+        vehicle=vehicle,
+        base=base,
+        runs=labels,
+        notes=notes,
+        windows=windows.count,
+        parameters=_parameters(vehicle, base, fitted, free, unknown),
+        largest_a_y=demonstrated,
+        explained=explained,
+        setup=used[0].setup,
+        widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
+        noise=fitted.noise,
+        fitted=fitted,
+        delays=estimate_delays(used, vehicle),
+    )
+
+
+def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:
+    """The car with the tires of a fit."""
+    names = ("front", "rear", "grip", "shape")
+    front, rear, grip, bend = (math.exp(fitted[name]) for name in names)
+    car = scaled_tires(base, grip, front / grip, rear / grip)
+    if not isinstance(base.front, PacejkaTire):
+        return car
+    tires = {
+        axle: replace(tire, B=tire.B / bend, C=tire.C * bend)
+        for axle, tire in (("front", car.front), ("rear", car.rear))
+    }
+    return replace(car, **tires)
+
+
+def _fitted(base, windows, prior, demonstrated):
+    """The fit with all that is uncertain, the one that counts, and the names not determined.
+
+    In the one that counts what is not determined stays as believed.
+    """
+    # There is at least the grip that was demonstrated.
+    least = math.log(max(demonstrated / _limit(base), 1e-6))
+
+    def beliefs(spreads):
+        result = believed(**spreads)
+        grip = result["grip"]
+        result["grip"] = grip._replace(low=max(grip.low, least), center=max(grip.center, least))
+        return result
+
+    free = fit_car(base, windows, beliefs(prior))
+    if abs(free["gain"]) > DOUBT * prior["gain"]:
+        # The belief in the linkage was wrong: let the data tell it.
+        prior = {**prior, "gain": ANY_GAIN}
+        free = fit_car(base, windows, beliefs(prior), near=free)
+    unknown = {
+        name
+        for name, enough in DETERMINED.items()
+        if prior[name] == 0.0 or free.deviation({name: 1.0}) > enough
+    }
+    if demonstrated < LEAST_USE * _limit(car_of(base, free)):
+        unknown |= {"grip", "shape"}
+    held = {**prior, **dict.fromkeys(unknown, 0.0)}
+    if held == prior:
+        return free, free, unknown
+    return free, fit_car(base, windows, beliefs(held), near=free), unknown
+
+
+def _limit(vehicle: Vehicle) -> float:
+    """Lateral acceleration at which the first axle has no more to give [m/s^2]."""
+    return vehicle.mu * GRAVITY * min(vehicle.front.peak, vehicle.rear.peak)
+
+
+def _explained(windows: Windows, fitted: Fitted) -> float:
+    value = windows.observed["r"][-1]
+    return 1.0 - (fitted.noise["r"] / float(np.std(value))) ** 2
+
+
+def _parameters(vehicle, base, fitted, free, unknown):
+    """Values of the fit that counts, with the intervals of the one with all that is uncertain."""
+    parameters = {}
+
+    def put(name, value, deviation, known):
+        half = CONFIDENCE * deviation
+        parameters[name] = Parameter(float(value), float(value - half), float(value + half), known)
+
+    def put_factor(name, value, deviation, known):
+        low, high = (value * math.exp(sign * CONFIDENCE * deviation) for sign in (-1.0, 1.0))
+        parameters[name] = Parameter(float(value), float(low), float(high), known)
+
+    stiffness = {}
+    for axle, arm in (("front", vehicle.l_r), ("rear", vehicle.l_f)):
+        load = vehicle.m * GRAVITY * arm / vehicle.l_wb
+        stiffness[axle] = vehicle.mu * load * getattr(vehicle, axle).stiffness
+        spread = free.deviation({axle: 1.0})
+        put_factor(f"{axle}_stiffness_n_per_rad", stiffness[axle], spread, axle not in unknown)
+    per_front = vehicle.m / vehicle.l_wb * vehicle.l_r / stiffness["front"]
+    per_rear = vehicle.m / vehicle.l_wb * vehicle.l_f / stiffness["rear"]
+    put(
+        "understeer_gradient_rad_s2_per_m",
+        per_front - per_rear,
+        free.deviation({"front": -per_front, "rear": per_rear}),
+        not {"front", "rear"} & unknown,
+    )
+    # Linear tires have no limit: nothing is known of it.
+    spread = free.deviation({"grip": 1.0}) or PRIOR["grip"]
+    put_factor("friction", vehicle.mu, spread, "grip" not in unknown)
+    put_factor("shape", math.exp(fitted["shape"]), free.deviation({"shape": 1.0}), False)
+    put("delay_s", fitted["delay"], free.deviation({"delay": 1.0}), True)
+    put_factor("gain", math.exp(fitted["gain"]), free.deviation({"gain": 1.0}), True)
+    put("offset_rad", fitted["offset"], free.deviation({"offset": 1.0}), True)
+    return parameters
+
+
+def _demonstrated(drives: list[Driving]) -> float:
+    """Largest sustained lateral acceleration, of speed and yaw rate [m/s^2]."""
+    held = [
+        np.abs(low_passed(drive.v_x * drive.r, GRID_HZ, SUSTAINED_HZ)[drive.usable])
+        for drive in drives
+    ]
+    return float(np.percentile(np.concatenate(held), SUSTAINED_PERCENT))

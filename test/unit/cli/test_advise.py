@@ -1,0 +1,44 @@
+"""``map-racing advise``: a table, and speed sectors that the next race drives with."""
+
+from argparse import ArgumentParser
+
+import yaml
+
+from map_racing.cli import main
+from map_racing.cli.options.advise import add_options
+from map_racing.evaluation.advice import STEP
+
+
+def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
+    file, following = tmp_path / "speed_scaling.yaml", tmp_path / "next.bag"
+    assert main(["advise", str(bags["map"]), "--speed-sectors", str(file)]) == 0
+    said = capsys.readouterr().out
+    predicted = float(said.split(" s predicted")[0].split()[-1])
+    content = yaml.safe_load(file.read_text())
+    scales = [content[f"Sector{i}"]["scaling"] for i in range(content["n_sectors"])]
+    assert content["global_limit"] == 1.0
+    assert max(scales) <= 0.7 * (1.0 + STEP) and min(scales) >= 0.7
+    race = ["race", "--laps", "2", "--speed-scale", "1", "--speed-sectors", str(file)]
+    assert main([*race, "--output", str(following)]) == 0
+    capsys.readouterr()
+    assert main(["advise", str(following), "--step", "0.05"]) == 0
+    said = capsys.readouterr().out
+    driven = float(said.split(" s driven")[0].split()[-1])
+    assert abs(driven / predicted - 1.0) < 0.01
+    assert "grip_use" in said  # which holds some of the speeds back
+
+
+def test_the_step_is_the_one_of_the_library():
+    parser = ArgumentParser()
+    add_options(parser)
+    assert parser.parse_args(["run.bag"]).step == STEP
+
+
+def test_what_it_refuses(bags, tmp_path, race_bag, refused):
+    one = bags["map"]
+    assert "--join" in refused("advise", one, bags["pure_pursuit"])
+    assert "--reverse" in refused("advise", one, "--reverse")
+    assert "step" in refused("advise", one, "--step", "2")
+    assert "--vehicle" in refused("advise", race_bag())
+    assert "also an input" in refused("advise", one, "--speed-sectors", one)
+    assert "has none" in refused("advise", one, "--laps", "9")

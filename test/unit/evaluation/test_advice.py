@@ -1,0 +1,263 @@
+"""Advice for the next heat: bounded by step, grip, error and walls; its predicted lap comes."""
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from map_racing.control.controller import build_controller
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.settings import parse_settings, settings_text
+from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors, save_speed_sectors
+from map_racing.errors import EvaluationError, ParameterError
+from map_racing.evaluation.advice import _Drive, _stretches, advise
+from map_racing.evaluation.analysis import analyze
+from map_racing.evaluation.day_grip import grip_of_day
+from map_racing.evaluation.profiles import car_limits
+from map_racing.evaluation.recordings import load_recording
+from map_racing.evaluation.runs import evaluate
+from map_racing.simulation.plant import Localization, Plant
+from map_racing.simulation.plants import load_plant
+from map_racing.simulation.race import Outcome, race
+from map_racing.simulation.recorded import write_race_bag
+from map_racing.track.raceline import Raceline
+from map_racing.vehicle.parameters import load_vehicle
+
+NUC4 = load_vehicle("nuc4")
+MAP = load_controller_parameters("map").with_(grip_use=0.0)
+
+
+@pytest.fixture(scope="module")
+def limits():
+    return car_limits(NUC4)
+
+
+@pytest.fixture
+def heat(driving, reference, limits):
+    """``heat(scale, deviation)`` is the analysis of laps at a scale of the raceline's speeds."""
+
+    def make(scale=0.4, deviation=lambda s: 0.0 * s, line=reference, start_s=0.0, **options):
+        def speed(s):
+            return scale * line.sample(s % line.length).speed
+
+        def commands(s, v, kappa):
+            pairs = zip(v.tolist(), (v**2 * kappa).tolist())
+            return np.array([limits.table.steering(*pair)[0] for pair in pairs]), v
+
+        recording = driving(line, speed, deviation, rate=50.0, commands=commands)
+        return analyze(
+            recording, evaluate(recording, line, start_s=start_s), limits=limits, **options
+        )
+
+    return make
+
+
+def scales(advice, line):
+    """Scales of the file's reader at many places."""
+    sectors = SpeedSectors(_stretches(advice.sectors, line), line.length)
+    return np.array([sectors.scale_at(s) for s in np.arange(0.0, line.length, 0.05)])
+
+
+def bump(s, at, height, reference):
+    away = (s - at + 0.5 * reference.length) % reference.length - 0.5 * reference.length
+    return height * np.exp(-0.5 * (away / 0.3) ** 2)
+
+
+def test_slow_laps_may_be_driven_faster_by_the_step(heat, reference):
+    advice = advise(heat(0.4), step=0.1)
+    assert {one.why for one in advice.sectors} == {"step"}
+    assert scales(advice, reference) == pytest.approx(0.44, abs=0.003)
+    assert advice.predicted_s == pytest.approx(advice.driven_s / 1.1, rel=0.005)
+
+
+def test_no_sector_is_faster_than_step_and_grip_allow(heat):
+    advice = advise(heat(0.78))
+    assert {"grip", "step"} <= {one.why for one in advice.sectors}
+    for one in advice.sectors:
+        factor = one.scale / one.driven
+        assert factor <= 1.15
+        if one.why == "grip":
+            assert factor**2 * one.grip_used == pytest.approx(1.0, abs=0.005)
+
+
+def test_grip_used_is_speed_squared_times_curvature_over_the_limit(heat, reference, limits):
+    advice = advise(heat(0.5))
+    demand = (0.5 * reference.speed) ** 2 * np.abs(reference.kappa)
+    limit = advice.grip.low * limits.table.max_lateral_acceleration(6.0)
+    most = max(one.grip_used for one in advice.sectors)
+    assert most == pytest.approx(demand.max() / limit, rel=0.03)
+
+
+def test_where_the_car_was_off_the_line_it_gets_no_faster(heat, reference):
+    at = {}
+    for height in (0.1, 0.25, 0.35):
+        advice = advise(heat(0.4, lambda s, h=height: bump(s, 21.7, h, reference)))
+        at[height] = {one.name: one.scale / one.driven for one in advice.sectors}
+        assert at[height]["first left"] == pytest.approx(1.15, abs=0.005)
+    assert at[0.1]["third left"] == pytest.approx(1.15, abs=0.005)
+    assert at[0.25]["third left"] == pytest.approx(1.0, abs=0.005)
+    assert at[0.35]["third left"] == pytest.approx(0.97, abs=0.005)
+
+
+def test_where_the_car_was_close_to_a_wall_it_gets_no_faster(heat, reference):
+    left = np.full(reference.s_points.size, 1.0)
+    left[70:75] = 0.5 * NUC4.width + 0.07
+    left[160:165] = 0.5 * NUC4.width + 0.02
+    columns = reference.sample(reference.s_points)
+    line = Raceline(
+        *(columns.x, columns.y),
+        vx_mps=columns.speed,
+        d_left_m=left,
+        d_right_m=np.full(left.size, 1.0),
+    )
+    advice = advise(heat(0.4, line=line))
+    by_name = {one.name: one for one in advice.sectors}
+    assert by_name["first right"].scale / by_name["first right"].driven == pytest.approx(
+        1, abs=0.01
+    )
+    assert by_name["second right"].scale < by_name["second right"].driven * 0.98
+    assert "from the wall" in by_name["second right"].why
+
+
+def test_a_faster_sector_leaves_room_to_brake(heat, reference):
+    advice = advise(heat(0.75, lambda s: bump(s, 7.2, 0.35, reference)))
+    found = advice.sectors
+    for one, following in zip(found, found[1:] + found[:1]):
+        v = reference.speed_at(reference.s_points[following.first])
+        fastest, slow = one.scale * v, following.scale * v
+        assert fastest**2 - slow**2 <= 2.0 * 3.0 * 1.5 + 0.05
+
+
+@pytest.mark.parametrize("start_s", [0.0, 5.5])
+def test_the_file_gives_the_controller_these_scales(heat, reference, tmp_path, start_s):
+    advice = advise(heat(0.75, start_s=start_s))
+    path = tmp_path / "speed_scaling.yaml"
+    save_speed_sectors(path, advice.scales(), ["after a heat"])
+    read = load_speed_sectors(path, reference)
+    places = np.arange(0.0, reference.length, 0.05)
+    written = scales(advice, reference)
+    assert [read.scale_at(s) for s in places] == pytest.approx(written.tolist())
+    for one in advice.sectors:
+        middle = one.begin + 0.5 * ((one.end - one.begin) % reference.length)
+        assert read.scale_at(middle + start_s) == one.scale
+
+
+def test_scales_above_1_raise_the_limit_of_the_file(tmp_path, reference):
+    path = tmp_path / "speed_scaling.yaml"
+    save_speed_sectors(path, [(0, 99, "left", 1.2), (100, 365, "straight", 0.9)])
+    read = load_speed_sectors(path, reference)
+    assert read.scale_at(1.0) == 1.2 and read.scale_at(20.0) == 0.9
+
+
+def test_an_oval_without_corners_is_one_sector(heat, driving, limits):
+    angle = 2.0 * np.pi * np.arange(200) / 200
+    ring = Raceline(4.0 * np.cos(angle), 4.0 * np.sin(angle), vx_mps=np.full(200, 5.0))
+    advice = advise(heat(0.5, line=ring))
+    assert len(advice.sectors) == 1
+    assert scales(advice, ring) == pytest.approx(0.575, abs=0.003)
+
+
+# -- what the recording does not tell --------------------------------------------------------------
+
+
+def test_a_heat_that_does_not_tell_is_refused(driving, reference, heat, limits):
+    recording = driving(reference, lambda s: 3.0 + 0.0 * s)
+    result = evaluate(recording, reference)
+    with pytest.raises(EvaluationError, match="--vehicle"):
+        advise(analyze(recording, result))
+    bare = Raceline(reference.x, reference.y)
+    with pytest.raises(EvaluationError, match="no speeds"):
+        advise(analyze(recording, evaluate(recording, bare), limits=limits))
+    short = driving(reference, lambda s: 3.0 + 0.0 * s, laps=0.5)
+    with pytest.raises(EvaluationError, match="completed lap"):
+        advise(analyze(short, evaluate(short, reference), limits=limits))
+    for step in (0.0, -0.1, 1.5, float("nan")):
+        with pytest.raises(ParameterError, match="step"):
+            advise(heat(0.4), step=step)
+
+
+def test_without_commands_any_day_s_grip_is_taken(driving, reference, limits):
+    recording = driving(reference, lambda s: 0.5 * reference.sample(s % reference.length).speed)
+    advice = advise(analyze(recording, evaluate(recording, reference), limits=limits))
+    assert advice.grip.belief is None and advice.grip.low == pytest.approx(0.82, abs=0.01)
+    assert any("does not show the grip" in note for note in advice.notes)
+    assert advice.predicted_s == pytest.approx(advice.driven_s / 1.15, rel=0.01)
+
+
+def test_a_vehicle_file_of_another_car_is_noticed(heat):
+    assert any("not the file of this car" in note for note in advise(heat(1.1)).notes)
+
+
+# -- the drive -------------------------------------------------------------------------------------
+
+
+def sweep(count=600, ds=0.06):
+    s = ds * np.arange(count)
+    return 4.0 + 1.5 * np.sin(2.0 * np.pi * s / (count * ds)), ds
+
+
+def test_the_lag_of_a_drive_is_found():
+    command, ds = sweep()
+    for lag in (0.06, 0.2):
+        v = _Drive(lag, np.inf, np.inf, ds).driven(command)
+        assert _Drive.fitted(command, v, ds) == _Drive(lag, np.inf, np.inf, ds)
+
+
+def test_a_drive_follows_as_the_differential_equation_says():
+    """A step of the command: the speed approaches it with the time constant."""
+    ds, lag = 0.01, 0.15
+    command = np.full(4000, 3.0)
+    command[2000:] = 4.0
+    v = _Drive(lag, np.inf, np.inf, ds).driven(command)[2000:]
+    t = np.cumsum(ds / v) - ds / v[0]
+    assert v == pytest.approx(4.0 - np.exp(-t / lag), abs=0.01)
+
+
+def test_a_drive_at_its_limit_gets_no_faster():
+    command, ds = sweep()
+    command = command + 3.0 * (np.arange(command.size) > 300)
+    v = _Drive(0.06, 2.0, np.inf, ds).driven(command)
+    found = _Drive.fitted(command, v, ds)
+    assert found.drive == pytest.approx(2.0, rel=0.1)
+
+
+# -- in the loop -----------------------------------------------------------------------------------
+
+
+def drive(line, parameters, sectors, plant_parameters, path):
+    controller = build_controller(parameters, NUC4, line)
+    controller.sectors = sectors
+    plant, noise = Plant(plant_parameters), Localization(plant_parameters, 1)
+    log = race(plant, controller, line, noise, rate=40.0, laps=2)
+    write_race_bag(path, log, line, settings=settings_text(controller))
+    recording = load_recording(path)
+    return log.outcome, recording, evaluate(recording, line), settings_text(controller)
+
+
+@pytest.mark.parametrize("mu", [0.9, 1.1])
+def test_the_next_heat_comes_as_predicted(reference, limits, tmp_path, mu):
+    plant = replace(load_plant("nuc4"), mu_scale=mu)
+    slow = MAP.with_(speed_scale=0.7)
+    _, recording, result, text = drive(reference, slow, None, plant, tmp_path / "1.bag")
+    run = analyze(recording, result, limits=limits, settings=parse_settings(text))
+    grip = grip_of_day(recording, [lap for lap in result.laps if lap.valid], NUC4)
+    assert grip.low < mu < grip.high
+    advice = advise(run)
+    sectors = SpeedSectors(_stretches(advice.sectors, reference), reference.length)
+    fast = MAP.with_(speed_scale=1.0)
+    outcome, _, result, _ = drive(reference, fast, sectors, plant, tmp_path / "2.bag")
+    assert outcome is Outcome.COMPLETED
+    assert result.summary.mean_lap_time_s == pytest.approx(advice.predicted_s, rel=0.01)
+
+
+def test_heats_are_judged_by_a_script(monkeypatch, capsys):
+    script = Path(__file__).resolve().parents[3] / "scripts" / "heats"
+    words = ["--tracks", "reference", "--seeds", "9", "--laps", "1"]
+    monkeypatch.setattr("sys.argv", [str(script), *words])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(script), run_name="__main__")
+    text = capsys.readouterr().out
+    assert ended.value.code == 0 and "3 of 3 heats completed" in text
+    assert "faster than the best uniform scale" in text

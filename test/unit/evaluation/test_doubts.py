@@ -1,0 +1,61 @@
+"""What makes laps doubtful: frames, two nodes on one topic, bunches."""
+
+import numpy as np
+import pytest
+
+from map_racing.evaluation.doubts import alternation, bunches, frame_warning, speed_warning
+
+T = np.arange(0.0, 30.0, 0.0125)
+
+
+def circling(radius=6.0, omega=0.8):
+    return radius * np.cos(omega * T), radius * np.sin(omega * T)
+
+
+@pytest.mark.parametrize("frame", ["map", "", "world", "car_1/map"])
+def test_frames_of_racelines(frame):
+    assert frame_warning("/pose", frame) == ""
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"), [("odom", "drifts"), ("car/odom", "drifts"), ("vesc_wheel", "only if both")]
+)
+def test_frames_that_are_no_map(frame, said):
+    assert frame_warning("/pose", frame).startswith(f"/pose is in frame {frame}, ")
+    assert said in frame_warning("/pose", frame)
+
+
+@pytest.mark.parametrize("apart", [0.1, 0.4, 5.0])
+def test_poses_of_two_nodes_alternate(apart):
+    x, y = circling()
+    x[::2] += apart
+    assert alternation("/pose", x, y).startswith("/pose: poses alternate between two places ")
+    assert f"{apart:.2f} m apart" in alternation("/pose", x, y)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1, 1.0])
+@pytest.mark.parametrize("omega", [0.0, 0.8, 3.0])
+def test_noise_and_driving_do_not_alternate(noise, omega):
+    x, y = circling(omega=omega)
+    rng = np.random.default_rng(1)
+    x, y = x + noise * rng.normal(size=T.size), y + noise * rng.normal(size=T.size)
+    assert alternation("/pose", x, y) == ""
+
+
+def test_bunches():
+    assert bunches("/pose", T) == ""
+    four = T[np.arange(T.size) // 4 * 4] + 1e-5 * (np.arange(T.size) % 4)
+    assert "0.05 s apart" in bunches("/pose", four)
+    jitter = T + 0.004 * np.random.default_rng(1).uniform(size=T.size)
+    assert bunches("/pose", jitter) == ""
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1.0, ""), (0.8, ""), (1.3, ""), (3.6, "in km/h?"), (0.1, " 0.10 times"), (0.0, "")],
+)
+def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
+    doubt = speed_warning("/odom", T, *circling(), np.full(T.size, factor * 4.8))
+    assert said in doubt and bool(doubt) == bool(said)
+    still = np.zeros(T.size)
+    assert speed_warning("/odom", T, still, still, still) == ""

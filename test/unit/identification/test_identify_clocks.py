@@ -1,0 +1,67 @@
+"""Stamps of two computers in the recording that a car is identified from."""
+
+import struct
+
+import pytest
+from rosbags.rosbag1 import Writer
+
+from map_racing.bags.opening import open_bag
+from map_racing.errors import IdentificationError
+from map_racing.identification.data import load_run
+from map_racing.identification.identify import identify
+
+POSE, IMU = "/car_state/odom", "/vesc/sensors/imu/raw"
+DRIVE = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
+
+
+@pytest.fixture
+def shifted(ramps, tmp_path):
+    """``shifted(topics, seconds, receipts)``: the ramps with stamps of another computer's clock."""
+
+    def make(topics, seconds, receipts=False):
+        shift = int(seconds * 1e9)
+        with open_bag(ramps.path) as bag, Writer(tmp_path / "a.bag") as writer:
+            known = {
+                number: writer.add_connection(
+                    *(c.topic, c.type.replace("/", "/msg/")),
+                    **{"msgdef": c.definition, "md5sum": c.md5sum},
+                )
+                for number, c in bag.connections.items()
+            }
+            messages = []
+            for connection, t, data in bag.messages():
+                if bag.connections[connection].topic in topics:
+                    data = bytearray(data)
+                    s, ns = struct.unpack_from("<II", data, 4)
+                    struct.pack_into("<II", data, 4, *divmod(s * 10**9 + ns + shift, 10**9))
+                    t += shift if receipts else 0
+                messages.append((t, connection, bytes(data)))
+            for t, connection, data in sorted(messages, key=lambda message: message[0]):
+                writer.write(known[connection], t, data)
+        return load_run(tmp_path / "a.bag")
+
+    return make
+
+
+def stiffness(found):
+    return [axle.pacejka.parameters["stiffness_n_per_rad"].value for axle in found.axles.values()]
+
+
+@pytest.mark.parametrize(
+    ("topics", "seconds"),
+    [((POSE,), -1.0), ((POSE,), 0.3), ((DRIVE,), -0.3), ((IMU,), 1.0), ((IMU,), -0.1)],
+)
+def test_they_are_found_said_and_repaired(ramps, shifted, topics, seconds):
+    expected = stiffness(identify([ramps.run], ramps.base))
+    run = shifted(topics, seconds)
+    assert any("the stamps are of another clock" in note for note in run.notes)
+    assert stiffness(identify([run], ramps.base)) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("seconds", [-0.3, 0.1, 1.0])
+def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
+    """A bag that was written anew by its stamps."""
+    run = shifted((POSE,), seconds, receipts=True)
+    side = "earlier" if seconds > 0.0 else "later"
+    with pytest.raises(IdentificationError, match=f"yaw rate comes .* s {side} than the poses"):
+        identify([run], ramps.base, fix=True)

@@ -1,0 +1,161 @@
+"""Tires of cars whose tires are known, from laps; what laps cannot tell stays as it was."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from driven_laps import QUIET, laps_of
+
+from map_racing.errors import IdentificationError
+from map_racing.identification.car import identify_car
+from map_racing.identification.data import Signal
+from map_racing.identification.laps import tires_from_laps
+from map_racing.vehicle.parameters import linearized, load_vehicle
+from map_racing.vehicle.single_track import GRAVITY
+
+NUC4 = load_vehicle("nuc4")
+
+
+def stiffness(vehicle, axle):
+    """Normalized by the load [1/rad]."""
+    return vehicle.mu * getattr(vehicle, axle).stiffness
+
+
+@pytest.fixture(scope="module")
+def low():
+    """Laps of a car with less friction than its file says."""
+    return laps_of(0.7, mu_scale=0.88)
+
+
+@pytest.fixture(scope="module")
+def found(low):
+    return tires_from_laps([low[0]], NUC4)
+
+
+def test_combinations_and_friction_are_the_cars(low, found):
+    true = low[1]
+    for axle, within in (("front", 0.04), ("rear", 0.2)):
+        assert stiffness(found.vehicle, axle) == pytest.approx(stiffness(true, axle), rel=within)
+        value, least, most, determined = found.parameters[f"{axle}_stiffness_n_per_rad"]
+        assert least < value < most and determined
+    per_rad = true.m * GRAVITY / true.l_wb
+    fronts, rears = (
+        stiffness(true, axle) * arm * per_rad
+        for axle, arm in (("front", true.l_r), ("rear", true.l_f))
+    )
+    gradient = true.m / true.l_wb * (true.l_r / fronts - true.l_f / rears)
+    assert found.parameters["understeer_gradient_rad_s2_per_m"].value == pytest.approx(
+        gradient, rel=0.04
+    )
+    friction = found.parameters["friction"]
+    assert friction.determined and friction.value == pytest.approx(true.mu, rel=0.05)
+    assert friction.low < true.mu < friction.high
+    assert found.least_friction < true.mu
+    assert found.parameters["delay_s"].value == pytest.approx(0.05, abs=0.006)
+    # Nothing else was learned.
+    assert found.vehicle.I_z == NUC4.I_z and found.vehicle.h_cg == NUC4.h_cg
+    assert found.vehicle.front.C == NUC4.front.C
+
+
+def test_far_from_the_limit_friction_stays_as_it_was():
+    run, true = laps_of(0.45, mu_scale=0.88)
+    found = tires_from_laps([run], NUC4)
+    friction = found.parameters["friction"]
+    assert found.largest_a_y < 0.5 * true.mu * GRAVITY * true.front.D
+    assert not friction.determined and friction.value == found.vehicle.mu == NUC4.mu
+    assert friction.low < true.mu
+    assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.08)
+
+
+def test_perfect_measurements_do_not_tell_it_there_either():
+    """At small slip a wrong shape of the curve looks like another friction."""
+    run, _ = laps_of(0.45, mu_scale=0.88, **QUIET)
+    assert not tires_from_laps([run], NUC4).parameters["friction"].determined
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_quarter_of_gross_outliers(low, seed):
+    run, true = low
+    rng = np.random.default_rng(seed)
+    sizes = {"v_x": 3.0, "v_y": 2.0, "yaw_rate": 4.0, "a_y": 15.0}
+    signals = dict(run.signals)
+    for name, size in sizes.items():
+        t, value = signals[name]
+        wrong = rng.random(t.size) < 0.25
+        away = rng.choice((-1.0, 1.0), t.size) * rng.uniform(0.3 * size, size, t.size)
+        signals[name] = Signal(t, np.where(wrong, value + away, value))
+    found = tires_from_laps([dataclasses.replace(run, signals=signals)], NUC4)
+    assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.08)
+    assert found.vehicle.mu == pytest.approx(true.mu, rel=0.1)
+
+
+def test_without_lateral_velocity_or_imu(low):
+    run, true = low
+    signals = {k: v for k, v in run.signals.items() if k not in ("v_y", "a_y")}
+    found = identify_car([dataclasses.replace(run, signals=signals)], NUC4)
+    assert found.steady is None and not found.refused
+    assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
+
+
+def test_no_less_grip_than_was_demonstrated(low):
+    """A file that promises less than the car did is wrong, determined or not."""
+    run, true = low
+    slippery = dataclasses.replace(NUC4, mu=0.4)
+    found = tires_from_laps([run], slippery, spreads={"grip": 0.01})
+    limit = found.vehicle.mu * GRAVITY * found.vehicle.front.peak
+    assert limit >= found.largest_a_y * (1.0 - 1e-9)
+    assert 0.4 < found.least_friction <= found.vehicle.mu * (1.0 + 1e-9) < 1.05 * true.mu
+
+
+@pytest.mark.parametrize("gain", [0.85, 1.12])
+def test_wheels_that_turn_otherwise_than_commanded(low, gain):
+    run, true = low
+    t, angle = run.signals["steering"]
+    wrong = Signal(t, (angle - 0.015) / gain)
+    run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
+    fixed = identify_car([run], dataclasses.replace(NUC4, delta_max=0.6), fix=True)
+    (finding,) = [f for f in fixed.corrections if f.text.startswith("steering: in ordinary")]
+    assert finding.fix["steering_offset_rad"] == pytest.approx(0.015, abs=0.003)
+    assert fixed.setup.steering_gain == pytest.approx(gain, rel=0.03)
+    assert fixed.laps.parameters["gain"].value == pytest.approx(1.0, abs=0.01)
+    assert stiffness(fixed.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
+
+
+def test_not_beyond_their_lock(low):
+    run, _ = low
+    t, angle = run.signals["steering"]
+    wrong = Signal(t, angle / 1.3)
+    run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
+    widest = float(np.percentile(np.abs(angle), 99.0))
+    car = dataclasses.replace(NUC4, delta_max=0.9 * widest)
+    found = identify_car([run], car, fix=True)
+    assert found.setup.steering_gain == 1.0
+    assert any("beyond their lock" in finding.text for finding in found.findings)
+
+
+def test_linear_tires_have_no_friction_to_tell(low):
+    found = tires_from_laps([low[0]], linearized(NUC4))
+    assert found.vehicle.front.model == "linear"
+    assert not found.parameters["friction"].determined and found.vehicle.mu == NUC4.mu
+    assert found.least_friction is None
+
+
+def test_refusals(low):
+    run, _ = low
+    t = np.arange(0.0, 20.0, 0.025)
+    straight = {
+        "x": Signal(t, 3.0 * t),
+        **{name: Signal(t, 0.0 * t) for name in ("y", "psi", "yaw_rate", "a_y", "steering")},
+        "v_x": Signal(t, np.full(t.size, 3.0)),
+    }
+    with pytest.raises(IdentificationError, match="straight driving"):
+        tires_from_laps([dataclasses.replace(run, signals=straight)], NUC4)
+    steering = run.signals["steering"]
+    other = Signal(steering.t, 0.2 * np.sin(1.1 * (steering.t - steering.t[0]) ** 1.2))
+    with pytest.raises(IdentificationError, match="the steering commands explain"):
+        tires_from_laps(
+            [dataclasses.replace(run, signals={**run.signals, "steering": other})], NUC4
+        )
+    without = {k: v for k, v in run.signals.items() if k != "steering"}
+    with pytest.raises(IdentificationError, match="steering: expected"):
+        tires_from_laps([dataclasses.replace(run, signals=without)], NUC4)
