@@ -68,7 +68,7 @@ def test_the_rate_is_limited_from_the_last_command():
 
 def test_no_angle_is_beyond_the_lock():
     small = Slowing(TABLE, BRAKE, 0.2)
-    assert small.always
+    assert small.always and small.largest(0.3) == 0.2
     assert small.steering(0.3, 0.9, 0.2, 0.0, 1.0) == 0.2
 
 
