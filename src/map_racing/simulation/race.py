@@ -13,6 +13,7 @@ import numpy as np
 from ..control.safety import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
+from ..vehicle.size import size_of
 from .car import Sample, SimulatedCar, hits_wall
 from .driver import DirectDriver, SupervisedDriver
 from .faults import Faults
@@ -21,7 +22,8 @@ from .grip import Grip
 __all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
-# The race begins and ends so far past the line [m] that noise does not take the car back over it.
+# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over
+# it, and that the last pose to arrive is beyond it.
 START_S = 0.3
 
 # A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
@@ -171,7 +173,8 @@ def race(
     if time_limit is None:
         time_limit = math.inf
 
-    start = raceline.pose(START_S)
+    start_s = START_S * size_of(plant.vehicle).length
+    start = raceline.pose(start_s)
     faults = Faults(faults, plant, "race") if faults else None
     car = SimulatedCar(plant, localization, rate, faults)
     car.put(start.x, start.y, start.psi)
@@ -182,7 +185,7 @@ def race(
     learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples, truth = [], []
-    processor, way = _Processor(driver.step, slowdown), _Way(raceline.length)
+    processor, way = _Processor(driver.step, slowdown), _Way(raceline.length, start_s)
     poses = 0
     longest = round(LOOK / plant.time_step)
     while True:
@@ -202,7 +205,7 @@ def race(
             if hits_wall(raceline, s, d, plant.vehicle.width):
                 outcome = Outcome.CRASHED
                 break
-            if way.driven > (laps + 1) * raceline.length + START_S:
+            if way.driven > (laps + 1) * raceline.length + start_s:
                 outcome = Outcome.COMPLETED
                 break
         if car.now > time_limit or car.now > way.headway_at + PATIENCE:
@@ -247,10 +250,10 @@ def _take(driver, begun, ended):
 class _Way:
     """How far the car has come along the track, and when it last made headway."""
 
-    def __init__(self, length):
+    def __init__(self, length, start_s):
         self._length = length
-        self.driven, self._last_s = START_S, None
-        self._headway, self.headway_at = START_S, 0.0
+        self.driven, self._last_s = start_s, None
+        self._headway, self.headway_at = start_s, 0.0
 
     def update(self, s, now):
         """Take the place on the track [m] at a time [s]."""

@@ -79,6 +79,15 @@ def test_a_race_is_an_out_lap_and_the_laps_asked_for(laps):
     assert 7.0 < min(times) <= max(times) < 9.5
 
 
+def test_the_last_lap_of_a_fast_car_is_complete():
+    """At 45 m/s and 40 Hz, poses are 1.1 m apart and arrive 0.9 m later."""
+    car, line = load_vehicle("bmw_320i"), circle(400.0, 45.0)
+    plant = dataclasses.replace(PLANT, vehicle=car)
+    controller = build_controller(load_controller_parameters("map", car), car, line)
+    log = race(Plant(plant), controller, line, Localization(plant, 1), laps=1)
+    assert sum(lap.valid for lap in evaluated(log, line).laps) == 1
+
+
 def test_lap_time_on_a_circle_is_length_over_speed():
     """At a speed long since reached and without lateral error: to 1 ms."""
     raceline = circle(3.0, 3.0)
