@@ -62,7 +62,7 @@ class PoseMotion:
         """
         speed = abs(v_x)
         fast = speed >= MOVING
-        if self._now is not None and now > self._now:
+        if self._now is not None:
             self._driven += max(speed, self._speed) * (now - self._now)
         self._now = now
         least = max(SHARE * min(self._driven, MOST_DRIVEN), JITTER)
