@@ -321,3 +321,11 @@ def test_the_distance_that_should_have_been_driven():
     assert obedience.undriven == pytest.approx(2.0 - 1.0 / 3.0, abs=2e-3)
     obedience.update(2.0, 0.5, 0.0, 1.0)
     assert obedience.undriven == 0.0 and obedience.moves
+
+
+@pytest.mark.parametrize(("pause", "frozen"), [(0.15, 0.0), (0.16, 0.14)])
+def test_a_velocity_counts_once_the_car_has_moved_for_150_ms(pause, frozen):
+    motion = PoseMotion()
+    motion.frozen(0.0, 0.0, 0.0, 4.0)
+    motion.frozen(pause, 0.6, 0.0, 4.0)
+    assert motion.frozen(0.3, 0.6, 0.0, 0.0) == pytest.approx(frozen)
