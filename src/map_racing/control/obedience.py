@@ -110,7 +110,7 @@ class Obedience:
         if command <= 0.0:
             self.restart()
             return
-        if last is not None and now > last:
+        if last is not None:
             elapsed = now - last
             self._expected = min(self._expected + GENTLE * elapsed, command)
             self.undriven += self._expected * elapsed

@@ -329,3 +329,25 @@ def test_a_velocity_counts_once_the_car_has_moved_for_150_ms(pause, frozen):
     motion.frozen(0.0, 0.0, 0.0, 4.0)
     motion.frozen(pause, 0.6, 0.0, 4.0)
     assert motion.frozen(0.3, 0.6, 0.0, 0.0) == pytest.approx(frozen)
+
+
+@pytest.mark.parametrize(("since", "frozen"), [(2.99, 2.99), (3.0, 0.0)])
+def test_a_velocity_that_ended_counts_for_3_s(since, frozen):
+    motion = PoseMotion()
+    motion.frozen(-1.0, 0.0, 0.0, 4.0)
+    motion.frozen(0.0, 4.0, 0.0, 4.0)
+    assert motion.frozen(since, 4.0, 0.0, 0.0) == frozen
+
+
+def test_a_car_that_stood_moves_by_its_first_centimeters():
+    motion = PoseMotion()
+    for k in range(10):
+        motion.frozen(0.1 * k, 0.0, 0.0, 0.0)
+    assert motion.frozen(0.925, 0.02, 0.0, 1.2) == 0.0
+
+
+def test_what_happened_while_the_car_was_told_to_stand_is_no_obedience():
+    obedience = Obedience()
+    obedience.update(0.0, 0.0, 0.0, 0.0)
+    obedience.update(1.0, 5.0, 0.0, 1.0)
+    assert not obedience.moves and obedience.undriven == 0.0
