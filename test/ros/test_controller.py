@@ -18,8 +18,9 @@ from harness import Car, Rig, wait_for, waypoints
 from map_racing.msg import Belief, Guidance, Tracking
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, String
 
+from map_racing.bags.topics import SETTINGS_TOPIC
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import (
     STEERING_MAPS,
@@ -28,6 +29,7 @@ from map_racing.control.parameters import (
     load_safety_limits,
 )
 from map_racing.control.safety import SafetyLimits
+from map_racing.control.settings import parse_settings
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.files.load import load_raceline
@@ -77,6 +79,17 @@ def test_the_commands_are_those_of_the_core(rig, listen):
     assert last.a_lat == pytest.approx(
         lateral_acceleration(last.v_x, last.lookahead_distance, eta), abs=1e-9
     )
+
+
+def test_settings_wait_for_whoever_comes_late(rig, listen):
+    rig = rig({"speed_scale": 0.5})
+    rig.driving()
+    message = listen(SETTINGS_TOPIC, String).wait()
+    assert message._connection_header["latching"] == "1"
+    settings = parse_settings(message.data)
+    assert settings.notes == () and settings.controller.speed_scale == 0.5
+    assert settings.vehicle == load_vehicle(settings.values["vehicle"]["name"].lower())
+    assert settings.values["safety"] and settings.values["raceline"]["length_m"] > 1.0
 
 
 def test_numbers_for_plots(rig, listen):
