@@ -216,7 +216,10 @@ def race(
             steering, speed = result.steering_angle, result.speed
             samples.append(
                 Sample(
-                    *(seen.true, seen.measured, seen.arrival, seen.acceleration),
+                    seen.true,
+                    seen.measured,
+                    seen.arrival,
+                    seen.acceleration,
                     plant.steering_angle,
                     result,
                     None if learning is None else learning.belief,
