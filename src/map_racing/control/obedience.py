@@ -60,7 +60,7 @@ class PoseMotion:
         jumped : bool, optional
             Whether the pose jumped.
         """
-        speed = v_x if v_x >= 0.0 else -v_x
+        speed = abs(v_x)
         fast = speed >= MOVING
         if self._now is not None and now > self._now:
             self._driven += max(speed, self._speed) * (now - self._now)

@@ -174,6 +174,25 @@ def test_repeated_poses_of_a_slow_localization_do_not_freeze():
         assert car.step(x=at).mode is Mode.DRIVING
 
 
+@pytest.mark.parametrize("v_x", [1.0, -1.0])
+@pytest.mark.parametrize(("moved", "frozen"), [(0.0031, 0.0), (0.0029, 0.01)])
+def test_a_pose_moves_by_more_than_3_mm(v_x, moved, frozen):
+    motion = PoseMotion()
+    assert motion.frozen(0.0, 0.0, 0.0, v_x) == 0.0
+    assert motion.frozen(0.005, 0.0, 0.0, v_x) == 0.005
+    assert motion.frozen(0.01, 0.0, moved, v_x) == frozen
+
+
+def test_a_pose_moves_by_more_than_a_tenth_of_the_way():
+    """Of the last meter at most, and whatever the direction."""
+    for v_x in (4.0, -4.0):
+        for way, least in ((0.5, 0.05), (3.0, 0.1)):
+            for moved, frozen in ((least + 1e-3, False), (least - 1e-3, True)):
+                motion = PoseMotion()
+                motion.frozen(0.0, 0.0, 0.0, v_x)
+                assert (motion.frozen(way / 4.0, moved, 0.0, v_x) > 0.0) is frozen
+
+
 def test_a_car_that_is_carried_away_is_no_longer_frozen():
     motion = PoseMotion()
     for k in range(20):
@@ -248,6 +267,23 @@ def test_a_car_that_waits_may_be_pushed():
     car.supervisor.resume()
     car.speed = 0.0
     assert car.step().mode is Mode.DRIVING
+
+
+@pytest.mark.parametrize(("moved", "moves"), [(0.049, False), (0.051, True)])
+def test_noise_of_5_cm_is_no_motion(moved, moves):
+    obedience = Obedience()
+    obedience.update(0.0, 0.0, 0.0, 1.0)
+    assert not obedience.moves
+    obedience.update(0.1, 0.0, moved, 1.0)
+    assert obedience.moves is moves
+
+
+def test_half_a_second_of_patience():
+    obedience = Obedience()
+    told = [(obedience.too_fast(t, 2.5, 2.0), obedience.backwards(t, -0.6)) for t in (0, 0.5, 0.51)]
+    assert told == [(False, False), (False, False), (True, True)]
+    assert not obedience.too_fast(0.6, 2.0, 2.0) and not obedience.backwards(0.6, -0.5)
+    assert not obedience.too_fast(0.7, 2.5, 2.0) and not obedience.backwards(0.7, -0.6)
 
 
 def test_the_distance_that_should_have_been_driven():

@@ -1,15 +1,21 @@
 """Controller and supervisor together."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from map_racing.control.controller import build_controller
+from map_racing.control.controller import ControlResult, Status, build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason, SafetyLimits
 from map_racing.control.state import CarState
-from map_racing.control.supervised import SupervisedController, build_supervisor
+from map_racing.control.steering import build_steering_map
+from map_racing.control.supervised import (
+    SupervisedController,
+    build_slowing,
+    build_supervisor,
+)
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -62,14 +68,33 @@ def test_a_raceline_the_same_way_round_is_driven_at_once():
     assert drive.follow(other)
     assert drive.driver.controller.raceline is other
     assert drive.step().decision[:2] == (Mode.DRIVING, Reason.NONE)
+    # Nor is it anything new once the car stands.
+    drive.driver.supervisor.request_stop("service")
+    assert drive.drive(2.0)[-1].decision.mode is Mode.STOPPED
     assert drive.told == []
+
+
+def test_a_first_raceline_is_taken_however_the_car_rolls():
+    """Pushed over the track while the nodes start."""
+    drive = Drive()
+    controller = build_controller(drive.driver.controller.parameters, load_vehicle("nuc4"))
+    drive.driver = SupervisedController(
+        controller, build_supervisor(controller, SafetyLimits()), lambda: None
+    )
+    assert {step.decision.reason for step in drive.drive(0.5)} == {Reason.NO_RACELINE}
+    for _ in range(3):
+        drive.speed = 2.0
+        drive.step()
+    other = circle(-1.0)
+    assert drive.driver.supervisor.opposes(other)
+    assert drive.follow(other) and controller.raceline is other
 
 
 def test_a_raceline_against_the_motion_waits_until_the_car_stands():
     drive = Drive()
     drive.drive(1.0)
     old, other = drive.driver.controller.raceline, circle(-1.0)
-    assert not drive.follow(other)
+    assert not drive.follow(other) and drive.driver.controller.raceline is old
     steps = drive.drive(3.0)
     stopped = next(k for k, step in enumerate(steps) if step.decision.mode is Mode.STOPPED)
     assert {step.decision.reason for step in steps[:stopped]} == {Reason.OPPOSED_RACELINE}
@@ -164,3 +189,24 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     state = steps[-1].result.state
     drive.driver.step(drive.now, CarState(drive.now, math.nan, *state[2:]))
     assert len(sent) == len(steps)
+
+
+@pytest.mark.parametrize(("name", "always"), [("map", True), ("pure_pursuit", False)])
+def test_the_grip_is_that_of_the_car_or_of_its_table(name, always):
+    parameters, vehicle = load_controller_parameters(name), load_vehicle("nuc4")
+    own = build_slowing(parameters, vehicle)
+    assert own.always is always and own.bounded(99.0) == 0.8 * parameters.a_brake_max_mps2
+    assert own.largest(0.5) == vehicle.delta_max
+    weak = build_steering_map("table", replace(vehicle, mu=0.5 * vehicle.mu), 12.0)
+    assert build_slowing(parameters, vehicle, weak).largest(6.0) < own.largest(6.0)
+    # The supervisor has it.
+    controller = build_controller(parameters, vehicle, circle())
+    for grip, slowing in ((None, own), (weak, build_slowing(parameters, vehicle, weak))):
+        supervisor = build_supervisor(controller, SafetyLimits(), grip)
+        state = CarState(100.0, RADIUS, 0.0, 0.5 * math.pi, 6.0, 0.0, 1.0)
+        result = ControlResult(0.4, 6.0, Status.OK, state, *(0.0,) * 7)
+        for k in range(40):
+            at = 100.0 + k * PERIOD
+            assert supervisor.observe(at, state._replace(t=at, y=6.0 * k * PERIOD))
+            angle = supervisor.decide(at, result).steering_angle
+        assert angle == (slowing.largest(6.0) if always else 0.4)
