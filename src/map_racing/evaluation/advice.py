@@ -274,8 +274,17 @@ class _Heat:
         last = (following - 1) % len(points)
         scale = math.floor(1000.0 * driven * factor) / 1000.0
         return SectorAdvice(
-            *(name, first, last, float(begin), float(end) or length, driven, scale, why),
-            *(hot, off, clear),
+            name,
+            first,
+            last,
+            float(begin),
+            float(end) or length,
+            driven,
+            scale,
+            why,
+            hot,
+            off,
+            clear,
         )
 
     def _inside(self, first, following):

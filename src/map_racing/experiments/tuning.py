@@ -208,7 +208,8 @@ def tune(jobs_for, controller, size=ONE_TENTH):
     pairs = [
         Pair(
             *(getattr(with_pair(*cell), name) for name in (first, second)),
-            *(errors[cell], cell in given_up and math.isfinite(errors[cell])),
+            errors[cell],
+            cell in given_up and math.isfinite(errors[cell]),
         )
         for cell in sorted(errors)
     ]

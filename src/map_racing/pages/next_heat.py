@@ -15,6 +15,7 @@ __all__ = ["advice_of", "car_section", "speeds_section"]
 # What differs less from what was driven with is as good [s], [rad], shares.
 _SAME_DELAY, _SAME_ANGLE = 0.01, math.radians(1.0)
 _SAME_GRIP, _SAME_STIFFNESS = 0.1, 0.25
+_BOUNDED = "not determined: the end of what is looked for; is it the file of this car?"
 
 
 def advice_of(run: RunAnalysis) -> Advice | str:
@@ -101,6 +102,8 @@ def _grip_rows(advice):
     ):
         values = (getattr(belief, name + end) for end in ("", "_low", "_high"))
         rows.append(_share(what, same, *values))
+        if grip.bounded(getattr(belief, name)):
+            rows[-1][-1] = _BOUNDED
     return rows
 
 

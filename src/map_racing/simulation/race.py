@@ -185,7 +185,8 @@ def race(
     learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples, truth = [], []
-    processor, way = _Processor(driver.step, slowdown), _Way(raceline.length, start_s)
+    processor = _Processor(driver.step, slowdown, plant.time_step)
+    way = _Way(raceline.length, start_s)
     poses = 0
     longest = round(LOOK / plant.time_step)
     while True:
@@ -215,7 +216,10 @@ def race(
             steering, speed = result.steering_angle, result.speed
             samples.append(
                 Sample(
-                    *(seen.true, seen.measured, seen.arrival, seen.acceleration),
+                    seen.true,
+                    seen.measured,
+                    seen.arrival,
+                    seen.acceleration,
                     plant.steering_angle,
                     result,
                     None if learning is None else learning.belief,
@@ -267,8 +271,8 @@ class _Way:
 class _Processor:
     """Computes the steps of a controller, at once or in the time that they take."""
 
-    def __init__(self, step, slowdown):
-        self._step, self._slowdown = step, slowdown
+    def __init__(self, step, slowdown, tick):
+        self._step, self._slowdown, self._tick = step, slowdown, tick
         self._times, self._late = [], 0
         self._done = self._waiting = self.due = None
 
@@ -289,7 +293,12 @@ class _Processor:
             began = thread_time()
             self._done = seen, self._step(seen)
             self._times.append(thread_time() - began)
-            self.due = now + self._slowdown * self._times[-1]
+            # Commands act at ticks: at the nearest, or all would be late by one.
+            ticks = round(self._slowdown * self._times[-1] / self._tick)
+            if ticks:
+                self.due = now + ticks * self._tick
+            else:
+                finished.append(self._done)
         return finished
 
     def work(self, controller):

@@ -43,7 +43,7 @@ def test_braking_and_steering_are_on_the_ellipse(v, share):
 
 
 def test_beyond_the_grip_nothing_is_left_for_braking():
-    assert SLOWING.braking(6.0, 0.4) == 0.0
+    assert SLOWING.braking(6.0, 0.4) == SLOWING.braking(6.0, -0.4) == 0.0
 
 
 def test_straight_ahead_all_of_it_is():
