@@ -62,7 +62,7 @@ class PoseMotion:
         """
         speed = abs(v_x)
         fast = speed >= MOVING
-        if self._now is not None and now > self._now:
+        if self._now is not None:
             self._driven += max(speed, self._speed) * (now - self._now)
         self._now = now
         least = max(SHARE * min(self._driven, MOST_DRIVEN), JITTER)
@@ -110,7 +110,7 @@ class Obedience:
         if command <= 0.0:
             self.restart()
             return
-        if last is not None and now > last:
+        if last is not None:
             elapsed = now - last
             self._expected = min(self._expected + GENTLE * elapsed, command)
             self.undriven += self._expected * elapsed
