@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
+from ..printing import printable
 from ..validation import finite
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ def save_speed_sectors(path: str | Path, sectors: list, notes: Iterable[str] = (
         Comments on top.
     """
     rows = [(*sector, 1.0)[:4] for sector in sectors]
-    lines = [f"# {note}" for note in notes]
+    lines = [f"# {printable(note)}" for note in notes]
     lines += [
         "# Scale of the raceline's speed from waypoint start to end, for each sector; none exceeds",
         "# the global limit.",
