@@ -59,6 +59,7 @@ def main(recording=None):
         for compare in (
             lambda: compare_table(vehicle),
             lambda: compare_controller(vehicle, raceline),
+            lambda: compare_adaptation(vehicle, raceline),
             lambda: compare_recording(vehicle, raceline, Path(folder), recording),
             lambda: compare_formats(vehicle, raceline, Path(folder)),
             lambda: compare_hour(raceline, Path(folder)),
@@ -160,16 +161,16 @@ class NaiveController:
         curve = raceline.sample(np.arange(count) * raceline.length / count)
         self.points = np.column_stack((curve.x, curve.y))
         self.speeds = curve.speed * parameters.speed_scale
-        self.law, self.table, self.delta_max = parameters.lookahead, table, delta_max
+        self.parameters, self.table, self.delta_max = parameters, table, delta_max
 
     def step(self, state):
         """Steering angle [rad] and speed [m/s]."""
-        points, law = self.points, self.law
+        points, law = self.points, self.parameters
         position = np.array((state.x, state.y))
         offsets = np.array([position] * len(points)) - points
         nearest = np.argmin(np.linalg.norm(offsets, axis=1))
         speed = self.speeds[nearest]
-        lookahead = np.clip(law.m + law.q * speed, law.minimum, law.maximum)
+        lookahead = np.clip(law.m_m + law.q_s * speed, law.lookahead_min_m, law.lookahead_max_m)
         ahead = nearest
         while np.linalg.norm(points[ahead] - points[nearest]) < lookahead:
             ahead = (ahead + 1) % len(points)
@@ -263,6 +264,36 @@ def compare_controller(vehicle, raceline):
         f"predicts nor limits the steering rate; its angles are {apart:.3f} rad (RMS) from ours."
     )
     return rows, [remark]
+
+
+def compare_adaptation(vehicle, raceline):
+    """What learning the day adds to a controller step."""
+    states = [sample.measured for sample in drive(vehicle, raceline, laps=7).samples]
+    parameters = load_controller_parameters("map_adaptive").with_(speed_scale=SPEED_SCALE)
+    both = [
+        build_controller(parameters.with_(adaptation=on), vehicle, raceline) for on in (True, False)
+    ]
+    turn, passes = 200, 8
+    times = [], []
+    for number in range(passes):
+        for begin in range(0, len(states) - turn + 1, turn):
+            batch = states[begin : begin + turn]
+            for which in (0, 1) if number % 2 else (1, 0):
+                times[which].append(timed(step_through, both[which], batch)[0] / turn)
+    learning, plain = (1e6 * statistics.mean(seconds) for seconds in times)
+    row = (
+        "controller step with adaptation",
+        f"{learning:.1f} us",
+        f"{plain:.1f} us (without)",
+        f"+{learning - plain:.0f} us",
+        "<= 100 us more",
+        learning - plain <= 100.0,
+    )
+    remark = (
+        f"adaptation: both drive the same {len(states)} states at 40 Hz, {passes} times, in turns "
+        f"of {turn} states; means, as a step in a bend takes longer than one on a straight."
+    )
+    return [row], [remark]
 
 
 def step_through(controller, states):

@@ -226,6 +226,24 @@ def test_on_a_phone(opened):
     assert first.rect["y"] + first.rect["height"] <= 844
 
 
+def test_on_paper(opened):
+    """Nothing is wider than A4 between its margins."""
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    size = {"width": 703, "height": 1032, "deviceScaleFactor": 1, "mobile": False}
+    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    opened.refresh()
+    until_drawn(opened)
+    opened.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    assert opened.execute_script("return document.documentElement.scrollWidth") <= 703
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_the_next_heat_and_the_car(opened):
+    text = opened.find_element(By.ID, "next-heat").text
+    assert "s predicted with these scales" in text and "first left" in text
+    assert "delay of the steering" in opened.find_element(By.ID, "car").text
+
+
 def test_nothing_was_asked_from_a_network_and_no_error_was_logged(opened):
     assert requests(opened) == set()
     assert [entry["message"] for entry in opened.get_log("browser")] == []

@@ -277,6 +277,33 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
     assert all(row["rms_lateral_error_m"] < 1e-3 for row in laps[1:3])
 
 
+@pytest.mark.parametrize(
+    ("name", "odom", "doubt"),
+    [
+        ("cmd_clock_1s_early.bag", "/car_state/odom", "the stamps are from another clock"),
+        ("one_topic_two_frames.bag", "/odom", "messages in another frame, odom, left out"),
+    ],
+)
+def test_recordings_that_went_wrong(
+    shared_cases, evaluator, processes, tmp_path, name, odom, doubt
+):
+    """A lap takes 2 pi / 0.8 s, with d = 0.1 sin(3 theta); the speed is the one commanded."""
+    table = tmp_path / "laps.csv"
+    line = str(shared_cases / "circle.csv")
+    remaps = {"odom": odom, "pose": "/pose", "drive": "/drive"}
+    node = evaluator({"csv": str(table), "raceline": line}, remaps)
+    play(processes, shared_cases / name, "--rate=10")
+    stop(node)
+    laps = [row for row in rows(table) if row["valid"] == "True"]
+    assert len(laps) == 5
+    for lap in laps:
+        assert lap["lap_time_s"] == pytest.approx(math.tau / 0.8, abs=1e-3)
+        assert lap["rms_lateral_error_m"] == pytest.approx(0.1 / math.sqrt(2.0), abs=2e-4)
+        assert doubt in lap["warnings"]
+        if lap["speed_reference"] == "command":
+            assert lap["rms_speed_error_mps"] < 0.1
+
+
 def test_no_lap_is_lost_when_the_node_is_killed(race_bag, evaluator, processes, tmp_path):
     table = tmp_path / "laps.csv"
     node = evaluator({"csv": str(table)})

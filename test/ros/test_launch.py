@@ -13,11 +13,14 @@ from map_racing.msg import LapResult
 from roslaunch.arg_dump import get_args
 from roslaunch.core import RLException
 
+from map_racing.bags.remarks import read_remarks
 from map_racing.cli import main
 from map_racing.control.parameters import (
     load_controller_parameters,
     save_controller_parameters,
 )
+from map_racing.control.settings import parse_settings
+from map_racing.evaluation.recordings import load_recording
 from map_racing.resources import config_directory
 
 STACKS = {
@@ -195,6 +198,10 @@ def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path,
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
     process.stop(30.0)
     (bag,) = tmp_path.glob("run*.bag")
+    # What it was driven with is in it, and so is what the report needs to know of the car.
+    remarks = read_remarks(bag, load_recording(bag))
+    settings = parse_settings(remarks.settings[-1][1])
+    assert settings.controller is not None and settings.vehicle is not None
     report = tmp_path / "run.json"
     assert main(["evaluate", str(bag), "--json", str(report)]) == 0
     (run,) = json.loads(report.read_text())["runs"]

@@ -119,7 +119,9 @@ def car(make):
 
 def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
     steps = Spy(monkeypatch, car.node._diagnosis, "add")
+    reports = Spy(monkeypatch, car.node._diagnosis, "report")
     (command,) = car.pose()
+    assert len(reports.calls) == 1
     ((latency, result),) = steps.calls
     assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._guidance.sent
     assert command.header.stamp.to_sec() == START and command.header.frame_id == "map"
@@ -254,6 +256,10 @@ def test_the_topic_stops_and_lets_drive(car):
     car.node._on_stop_topic(Bool(True))
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
+    car.node._on_stop_topic(Bool(False))
+    car.pose()
+    assert car.state == (Mode.DRIVING, Reason.NONE)
+    car.node._on_stop_topic(Bool(True))
     car.node._on_stop(None)
     car.node._on_stop_topic(Bool(False))
     car.pose()

@@ -13,7 +13,7 @@ from map_racing.resources import config_directory, find_config, list_config
 
 
 def test_shipped_files_are_found_by_name():
-    assert list_config("vehicles") == ["bmw_320i", "f1tenth_drift", "nuc4", "sim"]
+    assert list_config("vehicles") == ["bmw_320i", "f1tenth_drift", "nuc4", "sim", "sim_identified"]
     assert {"map", "map_linear", "pure_pursuit"} <= set(list_config("controllers"))
     assert {"club", "reference"} <= set(list_config("tracks"))
     for name in list_config("vehicles"):
@@ -46,7 +46,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones(source):
         find_config("vehicles", source, (".yaml",))
     assert str(caught.value) == (
         f"{source}: no such file, nor one of the shipped vehicles "
-        "(bmw_320i, f1tenth_drift, nuc4, sim)"
+        "(bmw_320i, f1tenth_drift, nuc4, sim, sim_identified)"
     )
 
 

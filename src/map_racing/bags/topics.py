@@ -160,7 +160,12 @@ def _topic_sources(bag):
         kind = bag.connections[numbers[0]].type
         sources.append(
             PoseSource(
-                *(topic, kind, md5sum, frame, rank + (-count, topic), frozenset(numbers)),
+                topic,
+                kind,
+                md5sum,
+                frame,
+                rank + (-count, topic),
+                frozenset(numbers),
                 child=child,
             )
         )

@@ -68,6 +68,11 @@ def check_evaluation(arguments):
         raise ParameterError(
             f"--max-deviation: expected more than 0, got {arguments.max_deviation}"
         )
+    for name in ("max_stop", "max_deceleration"):
+        value = getattr(arguments, name, 1.0)
+        if not value > 0.0:
+            option = "--" + name.replace("_", "-")
+            raise ParameterError(f"{option}: expected more than 0, got {value}")
 
 
 def evaluate_one(source, track, arguments):
@@ -86,7 +91,11 @@ def evaluate_one(source, track, arguments):
         start_s=arguments.start_line,
         car_width=arguments.car_width,
         sectors=arguments.sectors,
-        limits=LapLimits(max_deviation=arguments.max_deviation),
+        limits=LapLimits(
+            max_deviation=arguments.max_deviation,
+            max_stop=arguments.max_stop,
+            max_deceleration=arguments.max_deceleration,
+        ),
     )
 
 

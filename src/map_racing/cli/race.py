@@ -66,7 +66,10 @@ def run(arguments):
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(
-            *(plant, controller, raceline, localization),
+            plant,
+            controller,
+            raceline,
+            localization,
             laps=arguments.laps,
             progress=show,
             **supervision,

@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+from ..bags.opening import source_name
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.report import write_rows
 from ..experiments.executors import open_executor
@@ -38,10 +39,12 @@ def run(arguments):
         season = evaluate_season(bags, output, options, executor, capacity)
     heats = season.heats
     reports = report_paths(bags, output)
+    parts = {source_name(bag): parts_of(bag) for bag in bags}
     if arguments.reports:
-        make_reports(heats, reports, arguments)
+        make_reports(heats, parts, reports, arguments)
     for heat in heats:
-        heat["report"] = link(Path(heat["bag"]), reports[heat["bag"]], output)
+        first = parts[heat["bag"]][0]
+        heat["report"] = link(first, reports[heat["bag"]], output)
     write_rows(output / "season.csv", COLUMNS, heats)
     with replacing(output / "season.html") as file:
         file.write(season_page(heats))
@@ -63,15 +66,20 @@ def _anywhere(source):
     return os.path.abspath(path) + mark + key if Path(path).exists() else source
 
 
+def parts_of(bag):
+    """Files or folders of a bag, of which a run that was split has several."""
+    return list(bag) if isinstance(bag, tuple) else [bag]
+
+
 def report_paths(bags, output):
     """Where the report of each bag is: in the folder ``reports``, in the folders of the bags."""
-    folders = [os.path.dirname(os.path.abspath(str(bag))) for bag in bags]
+    folders = [os.path.dirname(os.path.abspath(str(parts_of(bag)[0]))) for bag in bags]
     base = os.path.commonpath(folders)
     paths = {}
     for bag in bags:
-        name = os.path.relpath(os.path.abspath(str(bag)), base)
+        name = os.path.relpath(os.path.abspath(str(parts_of(bag)[0])), base)
         name = re.sub(r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?)$", "", name)
-        paths[str(bag)] = output / "reports" / f"{name}.html"
+        paths[source_name(bag)] = output / "reports" / f"{name}.html"
     return paths
 
 
@@ -83,15 +91,18 @@ def link(bag, report, output):
     return ""
 
 
-def make_reports(heats, reports, arguments):
+def make_reports(heats, parts, reports, arguments):
     """Write the reports of the latest heats that can be read, where they are missing or older."""
     from . import build_parser, report
 
     latest = list(dict.fromkeys(heat["bag"] for heat in heats[::-1] if not heat["reason"]))
     for bag in latest[: arguments.reports]:
         path = reports[bag]
-        if path.is_file() and path.stat().st_mtime >= Path(bag).stat().st_mtime:
+        files = list(map(str, parts[bag]))
+        changed = max(os.stat(file).st_mtime for file in files)
+        if path.is_file() and path.stat().st_mtime >= changed:
             continue
         make_folder(path.parent)
-        words = ["report", bag, "--output", str(path), "--car-width", str(arguments.car_width)]
+        words = ["report", *files, "--output", str(path), "--car-width", str(arguments.car_width)]
+        words += ["--join"] if len(files) > 1 else []
         report.run(build_parser().parse_args(words))

@@ -83,9 +83,10 @@ def run_robust(arguments, controllers):
         rows.append({"speed_scale": grid.conditions.speed_scale, **tried[-len(candidates)]})
         values = best.controller
         print(
-            f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, delay "
-            f"{values.delay_s:g} s, curvature feedforward {values.curvature_feedforward:g}, yaw "
-            f"rate gain {values.yaw_rate_gain_s:g} s; all {best.races} races completed, typical "
+            f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, slip lookahead "
+            f"{values.slip_lookahead:g}, delay {values.delay_s:g} s, curvature feedforward "
+            f"{values.curvature_feedforward:g}, yaw rate gain {values.yaw_rate_gain_s:g} s, speed "
+            f"lookahead {values.speed_lookahead_s:g} s; all {best.races} races completed, typical "
             f"RMS error {best.error:.4f} m, worst race {best.worst:.4f} m; "
             f"{len(candidates)} candidates"
         )

@@ -3,7 +3,8 @@
 An extended Kalman filter runs the single-track model of `map_racing.vehicle.single_track` beside
 the car. Its state is the lateral velocity and the yaw rate, and what the model does not know: a
 factor each on the friction and on the cornering stiffness of both axles (their logarithms), the
-time from a pose to the first answer of the steering, and the lag of the servo. Yaw rate and, where
+time from a pose to the first answer of the steering, the lag of the servo, and the height of the
+center of gravity, by which braking shifts load between the axles. Yaw rate and, where
 it is measured, lateral velocity correct all of them at once, each as far as the drive tells: below
 the limit only the product of friction and stiffness, near it both, and delays where the car turns
 in or out.
@@ -27,12 +28,17 @@ __all__ = ["Adaptation", "Belief"]
 # lag [s]. The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %;
 # a vehicle file that somebody else identified by more.
 PRIOR = (0.10, 0.20, 0.25, 0.025, 0.015)
+# The same of the height of the center of gravity, in wheelbases, which no scale shows; its bound.
+HEIGHT, HIGHEST = 0.1, 0.5
 # Random walk of the same per square root of a second of cornering at the limit: tires warm up and
 # floors get dusty by some per cent in a minute.
 WALK = (0.010, 0.010, 0.010, 0.001, 0.001)
 # Noise [m/s, rad/s]: of the measurements, and per square root of a second of the model.
 MEASURED_V_Y, MEASURED_R = 0.06, 0.03
 MODEL_V_Y, MODEL_R = 0.1, 0.3
+# The variance of the measurements is this many times as large where they differ more from the model
+# than they should: at most, and how quickly that rises and falls with each.
+NOISIEST, RISING, FALLING = 16.0, 0.2, 0.02
 # Lag of a servo [s]: of the prior, and bounds. Bound of the dead time, the age of a pose included.
 SERVO_LAG, SHORTEST_LAG, LONGEST_LAG, LONGEST_DEAD_TIME = 0.03, 0.005, 0.12, 0.25
 # Longest time step of the model [s], and longest pause between poses that it is integrated over.
@@ -55,6 +61,8 @@ CAUTION = 1.0
 # They follow it downwards at once, upwards by so much per second of driving that used at least this
 # share of the grip.
 RISE, NEAR = 0.03, 0.7
+# The delay in use follows by so much per second of learning: a single bend may say anything.
+DELAY_RATE = 0.01
 # The steering map follows when a factor has changed by more than this share of its deviation.
 NOTABLE = 0.25
 
@@ -130,6 +138,8 @@ class Adaptation:
         Steering map of the believed tires; another object whenever the belief has changed.
     grip : float
         As in `Belief`.
+    delay : float
+        That the controller uses [s]: it follows the believed one slowly.
     slowest : float
         Least speed of a bend [m/s], from which on the lateral limit matters; it may be set.
     frozen : str
@@ -152,13 +162,16 @@ class Adaptation:
 
     def forget(self):
         """Believe the vehicle file again."""
-        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time, SERVO_LAG]
-        self._P = [[0.0] * 7 for _ in range(7)]
-        for i, deviation in enumerate(PRIOR, 2):
+        car = self.vehicle
+        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time, SERVO_LAG, car.h_cg]
+        self._P = [[0.0] * 8 for _ in range(8)]
+        for i, deviation in enumerate((*PRIOR, HEIGHT * car.l_wb), 2):
             self._P[i][i] = deviation * deviation
         self.steering, self._used = self.file_steering, self._x[:]
         self.grip = math.exp(-CAUTION * PRIOR[0])
         self.learned_s = 0.0
+        self._noise = 1.0
+        self.delay = self._x[5] + self._x[6]
         self.restart()
 
     def restart(self):
@@ -167,11 +180,6 @@ class Adaptation:
         self._angle = self._angle_slope = 0.0
         self._times, self._angles = [], []
         self._short = 0.0
-
-    @property
-    def delay(self):
-        """Believed delay [s]."""
-        return self._x[5] + self._x[6]
 
     @property
     def level(self):
@@ -187,7 +195,7 @@ class Adaptation:
             width = math.exp(_QUANTILE * math.sqrt(P[k][k]))
             value = math.exp(x[k])
             numbers += value, value / width, value * width
-        delay = self.delay
+        delay = x[5] + x[6]
         width = _QUANTILE * math.sqrt(max(P[5][5] + P[6][6] + 2.0 * P[5][6], 0.0))
         return Belief(*numbers, delay, max(delay - width, 0.0), delay + width, self.grip)
 
@@ -258,7 +266,7 @@ class Adaptation:
         self._x[0] = v_y + self._behind * r if v_y == v_y else self.vehicle.l_r * r
         self._x[1] = r
         P = self._P
-        for i in range(7):
+        for i in range(8):
             P[0][i] = P[1][i] = P[i][0] = P[i][1] = 0.0
         P[0][0], P[1][1] = 0.1**2, 0.05**2
         self._a_long = 0.0
@@ -284,13 +292,13 @@ class Adaptation:
         than the poses.
         """
         car, x = self.vehicle, self._x
-        v_y, r, friction, front, rear, dead, lag = x
+        v_y, r, friction, front, rear, dead, lag, height = x
         k_front, k_rear = math.exp(front), math.exp(rear)
         self._a_long += (a_long - self._a_long) * elapsed / (0.1 + elapsed)
         scale = car.mu * math.exp(friction) / car.l_wb
-        transfer = self._a_long * car.h_cg
-        load_f = scale * (GRAVITY * car.l_r - transfer)
-        load_r = scale * (GRAVITY * car.l_f + transfer)
+        shift = scale * self._a_long
+        load_f = scale * GRAVITY * car.l_r - shift * height
+        load_r = scale * GRAVITY * car.l_f + shift * height
         inertia = car.m / car.I_z
         l_f, l_r = car.l_f, car.l_r
         count = math.ceil(elapsed / STEP - 1e-6)
@@ -302,7 +310,7 @@ class Adaptation:
         # what is learned (g); `slope` is the derivative of the steering angle after the lag.
         a00 = a11 = 1.0
         a01 = a10 = 0.0
-        g = [0.0] * 10
+        g = [0.0] * 12
         begin = self._t - dead
         for i in range(count):
             before = self._angle
@@ -341,10 +349,11 @@ class Adaptation:
                 (2, s_r, lever_r * s_r),
                 (3, s_d, lever_f * s_d),
                 (4, s_l, lever_f * s_l),
+                (5, shift * (share_r - share_f), -shift * (lever_f * share_f - lever_r * share_r)),
             ):
-                upper, lower = g[k], g[k + 5]
+                upper, lower = g[k], g[k + 6]
                 g[k] = b00 * upper + b01 * lower + h * (m00 * p + m01 * q)
-                g[k + 5] = b10 * upper + b11 * lower + h * (m10 * p + m11 * q)
+                g[k + 6] = b10 * upper + b11 * lower + h * (m10 * p + m11 * q)
         x[0], x[1] = v_y, r
         self._angle_slope = slope
         self._spread(a00, a01, a10, a11, g)
@@ -354,19 +363,21 @@ class Adaptation:
     def _spread(self, a00, a01, a10, a11, g):
         """Propagate the covariance."""
         P = self._P
-        g0, g1, g2, g3, g4, e0, e1, e2, e3, e4 = g
+        g0, g1, g2, g3, g4, g5, e0, e1, e2, e3, e4, e5 = g
         upper, lower = [], []
-        for p0, p1, p2, p3, p4, p5, p6 in P:
-            upper.append(a00 * p0 + a01 * p1 + g0 * p2 + g1 * p3 + g2 * p4 + g3 * p5 + g4 * p6)
-            lower.append(a10 * p0 + a11 * p1 + e0 * p2 + e1 * p3 + e2 * p4 + e3 * p5 + e4 * p6)
-        w0, w1, w2, w3, w4, w5, w6 = upper
-        u0, u1, u2, u3, u4, u5, u6 = lower
-        both = a10 * w0 + a11 * w1 + e0 * w2 + e1 * w3 + e2 * w4 + e3 * w5 + e4 * w6
-        upper[0] = a00 * w0 + a01 * w1 + g0 * w2 + g1 * w3 + g2 * w4 + g3 * w5 + g4 * w6
-        lower[1] = a10 * u0 + a11 * u1 + e0 * u2 + e1 * u3 + e2 * u4 + e3 * u5 + e4 * u6
+        for p0, p1, p2, p3, p4, p5, p6, p7 in P:
+            learned = g0 * p2 + g1 * p3 + g2 * p4 + g3 * p5 + g4 * p6 + g5 * p7
+            upper.append(a00 * p0 + a01 * p1 + learned)
+            learned = e0 * p2 + e1 * p3 + e2 * p4 + e3 * p5 + e4 * p6 + e5 * p7
+            lower.append(a10 * p0 + a11 * p1 + learned)
+        w0, w1, w2, w3, w4, w5, w6, w7 = upper
+        u0, u1, u2, u3, u4, u5, u6, u7 = lower
+        both = a10 * w0 + a11 * w1 + e0 * w2 + e1 * w3 + e2 * w4 + e3 * w5 + e4 * w6 + e5 * w7
+        upper[0] = a00 * w0 + a01 * w1 + g0 * w2 + g1 * w3 + g2 * w4 + g3 * w5 + g4 * w6 + g5 * w7
+        lower[1] = a10 * u0 + a11 * u1 + e0 * u2 + e1 * u3 + e2 * u4 + e3 * u5 + e4 * u6 + e5 * u7
         upper[1] = lower[0] = both
         P[0], P[1] = upper, lower
-        for k in range(2, 7):
+        for k in range(2, 8):
             row = P[k]
             row[0], row[1] = upper[k], lower[k]
 
@@ -384,12 +395,12 @@ class Adaptation:
             for k, walk in enumerate(WALK, 2):
                 P[k][k] += (walk * walked) ** 2 * elapsed
             self._notice_change(r)
-        self._measure(P[1][:], r - x[1], MEASURED_R * MEASURED_R + P[1][1], learning)
+        self._measure(P[1][:], r - x[1], P[1][1], MEASURED_R * MEASURED_R, learning)
         if v_y == v_y:
             behind = self._behind
             column = [p[0] - behind * p[1] for p in self._P]
-            variance = column[0] - behind * column[1] + MEASURED_V_Y * MEASURED_V_Y
-            self._measure(column, v_y - x[0] + behind * x[1], variance, learning)
+            own, noise = column[0] - behind * column[1], MEASURED_V_Y * MEASURED_V_Y
+            self._measure(column, v_y - x[0] + behind * x[1], own, noise, learning)
         return self._follow(elapsed, use) if learning else False
 
     def _notice_change(self, r):
@@ -401,9 +412,21 @@ class Adaptation:
         if self._short > SHORT and P[2][2] < CHANGED * CHANGED:
             P[2][2] = CHANGED * CHANGED
 
-    def _measure(self, column, difference, variance, learning):
-        """One scalar measurement, whose covariance with the state is `column`."""
+    def _measure(self, column, difference, own, noise, learning):
+        """One scalar measurement, whose covariance with the state is `column`.
+
+        Its variance is the model's `own` and its `noise`. Where the model is wrong, differences are
+        larger and last; the noise is then taken to be larger, so that the belief is not the surer
+        the more the car differs.
+        """
         x, P = self._x, self._P
+        unlikely = difference * difference / (own + noise)
+        rise = unlikely - self._noise
+        self._noise += (RISING if rise > 0.0 else FALLING) * rise
+        self._noise = (
+            1.0 if self._noise < 1.0 else NOISIEST if self._noise > NOISIEST else self._noise
+        )
+        variance = own + noise * self._noise
         if difference * difference > OUTLIER * OUTLIER * variance:
             variance = abs(difference) * math.sqrt(variance) / OUTLIER
             if learning:
@@ -415,16 +438,17 @@ class Adaptation:
                 gain = gains[k]
                 x[k] += gain * difference
                 P[k] = [p - gain * c for p, c in zip(P[k], column)]
-            for k in range(2, 7):
+            for k in range(2, 8):
                 P[k][0], P[k][1] = P[0][k], P[1][k]
             return
-        for k in range(7):
+        for k in range(8):
             x[k] += gains[k] * difference
         low, high = self._bounds
         for k in (2, 3, 4):
             x[k] = low if x[k] < low else high if x[k] > high else x[k]
         x[5] = min(max(x[5], 0.0), LONGEST_DEAD_TIME)
         x[6] = min(max(x[6], SHORTEST_LAG), LONGEST_LAG)
+        x[7] = min(max(x[7], 0.0), HIGHEST * self.vehicle.l_wb)
         self._P = [[p - k * c for p, c in zip(row, column)] for row, k in zip(P, gains)]
 
     def _follow(self, elapsed, use):
@@ -438,6 +462,8 @@ class Adaptation:
         if changed:
             self._used = x[:]
             self.steering = self.file_steering.scaled(*(math.exp(x[k]) for k in (2, 3, 4)))
+        most = DELAY_RATE * elapsed
+        self.delay += min(max(x[5] + x[6] - self.delay, -most), most)
         level = self.level
         lower = level * math.exp(-CAUTION * math.sqrt(P[2][2]))
         if lower < self.grip:

@@ -198,8 +198,11 @@ class Controller:
         if self._learned is None:
             v_max = min(max(parameters.v_max_mps, 1.0), 100.0)
             self._learned = Adaptation(
-                *(self.vehicle, v_max, parameters.delay_s),
-                *(parameters.adaptation_share, self._behind),
+                self.vehicle,
+                v_max,
+                parameters.delay_s,
+                parameters.adaptation_share,
+                self._behind,
             )
         return self._learned
 

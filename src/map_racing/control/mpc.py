@@ -89,7 +89,8 @@ class ModelPredictiveController:
         self._kappa = raceline.sample(s).kappa
         self._planned = self.planned_speed(s)
         steady = build_steering_map(
-            *("table" if parameters.model == "single_track" else "ackermann", vehicle),
+            "table" if parameters.model == "single_track" else "ackermann",
+            vehicle,
             parameters.v_max_mps,
         )
         self._angles = np.array(
@@ -324,7 +325,11 @@ class _Program:
         P = sparse.csc_matrix(np.triu(np.ones((n, n))) + np.eye(n))
         self._solver = osqp.OSQP()
         self._solver.setup(
-            *(P, np.zeros(n), constraints, np.full(2 * n, -1.0), np.full(2 * n, 1.0)),
+            P,
+            np.zeros(n),
+            constraints,
+            np.full(2 * n, -1.0),
+            np.full(2 * n, 1.0),
             verbose=False,
             max_iter=parameters.iterations,
             eps_abs=1e-4,

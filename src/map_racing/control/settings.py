@@ -24,6 +24,8 @@ from .speed_sectors import SpeedSectors
 
 __all__ = ["Settings", "parse_settings", "settings_text"]
 
+_MILLIMETER = 1e-3
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -49,6 +51,24 @@ class Settings:
     sectors: tuple = ()
     notes: tuple = ()
 
+    def speed_sectors(self, raceline: Raceline) -> SpeedSectors | None:
+        """Speed sectors on a raceline.
+
+        Raises
+        ------
+        ParameterError
+            If they are of another raceline.
+        """
+        if not self.sectors:
+            return None
+        # The text has millimeters: the last end may be that much beyond the line.
+        length = raceline.length
+        fitted = [
+            (start, length if 0.0 < end - length < _MILLIMETER else end, scale)
+            for start, end, scale in self.sectors
+        ]
+        return SpeedSectors(fitted, length)
+
     def planned_speed(self, raceline: Raceline) -> Callable[[np.ndarray], np.ndarray] | None:
         """Speed that the controller meant to drive on a raceline.
 
@@ -65,7 +85,7 @@ class Settings:
         if self.controller is None or self.vehicle is None:
             return None
         try:
-            sectors = SpeedSectors(self.sectors, raceline.length) if self.sectors else None
+            sectors = self.speed_sectors(raceline)
             controller = build_law(self.controller, self.vehicle, raceline, sectors)
         except ParameterError:
             return None

@@ -74,7 +74,7 @@ class Slowing:
         float
             [rad]
         """
-        share = math.sqrt(1.0 - min(deceleration / self._brake, 1.0) ** 2)
+        share = math.sqrt(1.0 - (deceleration / self._brake) ** 2)
         most = min(self._grip.steering(v, share * self._peak)[0], self.delta_max)
         angle = min(max(angle, -most), most)
         slew = STEERING_RATE * elapsed

@@ -170,7 +170,8 @@ class SpeedPlan(_Profile):
             )
 
         if self.has_own_speeds:
-            self.requested = requested_speed(raceline, parameters, sectors)(self.s)
+            # Between the smallest of numbers, interpolation rounds to below 0.
+            self.requested = np.maximum(requested_speed(raceline, parameters, sectors)(self.s), 0.0)
         else:
             self.requested = parameters.speed_scale * limited(parameters.v_max_mps)
             if sectors is not None:

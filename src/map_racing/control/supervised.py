@@ -119,6 +119,8 @@ def build_slowing(parameters: ControllerParameters, vehicle: Vehicle, grip=None)
     if grip is None:
         grip = build_steering_maps(parameters, vehicle)[1]
     return Slowing(
-        *(grip, parameters.a_brake_max_mps2, vehicle.delta_max),
+        grip,
+        parameters.a_brake_max_mps2,
+        vehicle.delta_max,
         always=parameters.steering_map != "ackermann",
     )

@@ -184,7 +184,7 @@ class _Heat:
         known = {
             name: getattr(controller, key)
             for name, key in (("delay", "delay_s"), ("share", "adaptation_share"))
-            if hasattr(controller, key)
+            if getattr(controller, key, 0.0)  # a delay of 0 is none that is known
         }
         if getattr(controller, "reference_point", "") == "center_of_gravity":
             known["behind"] = 0.0
@@ -215,8 +215,8 @@ class _Heat:
         arc = (self.s + self.track.start_s) % self.line.length
         if controller is not None:
             try:
-                sectors = SpeedSectors(self.run.settings.sectors, self.line.length)
-                scales = [sectors.scale_at(at) for at in arc.tolist()]
+                sectors = self.run.settings.speed_sectors(self.line)
+                scales = [sectors.scale_at(at) if sectors else 1.0 for at in arc.tolist()]
                 return controller.speed_scale * np.array(scales), True
             except ParameterError:
                 pass
@@ -274,8 +274,17 @@ class _Heat:
         last = (following - 1) % len(points)
         scale = math.floor(1000.0 * driven * factor) / 1000.0
         return SectorAdvice(
-            *(name, first, last, float(begin), float(end) or length, driven, scale, why),
-            *(hot, off, clear),
+            name,
+            first,
+            last,
+            float(begin),
+            float(end) or length,
+            driven,
+            scale,
+            why,
+            hot,
+            off,
+            clear,
         )
 
     def _inside(self, first, following):

@@ -29,12 +29,19 @@ class DayGrip(NamedTuple):
     belief : Belief or None
         Friction, stiffness and delay; None where the recording does not tell, and `level` is what
         is believed of any day.
+    share : float
+        Factors were looked for from ``1 - share`` to ``1 + share``.
     """
 
     level: float
     low: float
     high: float
     belief: Belief | None
+    share: float = _SHARE
+
+    def bounded(self, value: float) -> bool:
+        """Whether a factor is at the end of what was looked for, where it means little."""
+        return abs(abs(value - 1.0) - self.share) < 1e-3
 
 
 def grip_of_day(
@@ -67,11 +74,11 @@ def grip_of_day(
     level, belief = learner.level, learner.belief
     if not told:
         width = np.exp(1.96 * PRIOR[0])
-        return DayGrip(1.0, 1.0 / width, width, None)
+        return DayGrip(1.0, 1.0 / width, width, None, share)
     low, high = (
         level * end / belief.friction for end in (belief.friction_low, belief.friction_high)
     )
-    return DayGrip(level, low, high, belief)
+    return DayGrip(level, low, high, belief, share)
 
 
 def _feed(learner, recording, laps):

@@ -228,7 +228,7 @@ def track_profile(
         )
         grip_speed = np.interp(at.s, np.append(raceline.s, raceline.length), _closed(fastest))
     return TrackProfile(
-        *(s, at.x, at.y, at.psi, at.kappa, at.speed, grip_speed, at.d_left, at.d_right, start_s)
+        s, at.x, at.y, at.psi, at.kappa, at.speed, grip_speed, at.d_left, at.d_right, start_s
     )
 
 

@@ -139,7 +139,7 @@ def evaluate(
         times, values = recording.beliefs
         laps = [lap.believed(times.tolist(), values) for lap in result.laps]
         result = replace(result, laps=laps)
-    progress = sum(float(lap.trace.s[-1] - lap.trace.s[0]) for lap in result.laps)
+    progress = sum(float(lap.trace.s[-1]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
     doubts = [
         frame_warning(recording.topic, recording.frame),

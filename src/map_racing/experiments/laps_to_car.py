@@ -86,8 +86,12 @@ def laps_to_car(job: RaceJob, grip_use: float = 0.95) -> Found:
         for axle in ("front", "rear")
     ]
     return Found(
-        *(races[0][0], races[1][0], races[0][1], races[1][1]),
-        *(found.mu / true.mu, *stiffness),
+        races[0][0],
+        races[1][0],
+        races[0][1],
+        races[1][1],
+        found.mu / true.mu,
+        *stiffness,
         laps.parameters["friction"].determined,
         math.nan if delay is None else delay - true_delay,
     )

@@ -168,7 +168,11 @@ class Grid:
             RaceJob(
                 label,
                 controller.with_(reference_point=car.plant.reference_point),
-                *(car.vehicle, car.plant, track, given.laps, given.seed),
+                car.vehicle,
+                car.plant,
+                track,
+                given.laps,
+                given.seed,
             )
             for track in self.tracks
             for car in self.cars

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
 from concurrent.futures.process import BrokenProcessPool
 from datetime import datetime, timezone
@@ -22,7 +23,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from .. import __version__
-from ..bags.opening import source_name
+from ..bags.opening import Source, open_bag, source_name
 from ..bags.remarks import read_remarks
 from ..bags.ros2 import METADATA, SUFFIXES
 from ..control.settings import parse_settings
@@ -67,6 +68,10 @@ COLUMNS = (
 # the other [m]; another raceline between the same walls is.
 _SAME_LENGTH, _SAME_MEAN, _SAME_PLACE = 0.1, 0.5, 2.0
 _PLACES = 150
+# Parts of a run as a recorder names them, maybe with the date of each, and the longest pause or
+# overlap between two [ns].
+_PART = re.compile(r"(.+?)(?:_\d{4}(?:-\d\d){5})?_(\d+)\.bag")
+_CUT_NS = 2 * 10**9
 # Bags that a process evaluates at once, where there are many; an interruption loses as many.
 _MOST_AT_ONCE = 8
 _SUMMARY = {
@@ -108,8 +113,11 @@ class Season(NamedTuple):
     kept: int
 
 
-def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) -> list[Path]:
+def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) -> list[Source]:
     """Bags below folders, those of ROS 2 as one each.
+
+    Bags of ROS 1 that a recorder split, ``run_0.bag``, ``run_1.bag`` and so on, are one, too, where
+    each begins when the one before ends.
 
     Parameters
     ----------
@@ -120,8 +128,8 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
 
     Returns
     -------
-    list of pathlib.Path
-        Sorted, each once.
+    list of pathlib.Path or tuple of pathlib.Path
+        Sorted, each once; a tuple is of the parts of a run.
 
     Raises
     ------
@@ -150,7 +158,44 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
             for name in sorted(names):
                 if not name.startswith(".") and name.endswith((".bag", ".bag.active", *SUFFIXES)):
                     found.setdefault(os.path.realpath(f"{place}/{name}"), path / name)
-    return sorted(found.values())
+    return _joined(sorted(found.values()))
+
+
+def _joined(bags):
+    """The bags, with the parts of a run as one tuple in the place of the first."""
+    parts, whole = {}, []
+    for bag in bags:
+        named = _PART.fullmatch(bag.name)
+        if named:
+            parts.setdefault((bag.parent, named.group(1)), {})[int(named.group(2))] = bag
+        else:
+            whole.append(bag)
+    for numbered in parts.values():
+        runs, end = [], None
+        for number in sorted(numbered):
+            bag = numbered[number]
+            span = _span(bag) if {number - 1, number + 1} & set(numbered) else None
+            follows = None not in (span, end) and -_CUT_NS <= span[0] - end <= _CUT_NS
+            if follows and number - 1 in numbered:
+                runs[-1].append(bag)
+            else:
+                runs.append([bag])
+            end = span and span[1]
+        whole += [tuple(run) if len(run) > 1 else run[0] for run in runs]
+    return sorted(whole, key=_first)
+
+
+def _span(bag):
+    """First and last time of receipt in a bag [ns], from its index; None if it has none."""
+    try:
+        with open_bag(bag) as opened:
+            return (opened.start_ns, opened.end_ns) if opened.start_ns else None
+    except (MapRacingError, OSError):
+        return None
+
+
+def _first(source):
+    return source[0] if isinstance(source, tuple) else source
 
 
 def _is_ros2_folder(path, names):
@@ -162,7 +207,7 @@ def _is_ros2_folder(path, names):
 
 
 def evaluate_season(
-    bags: Sequence[Path],
+    bags: Sequence[Source],
     output: str | Path,
     options: BagOptions,
     executor: Executor,
@@ -172,7 +217,8 @@ def evaluate_season(
 
     Parameters
     ----------
-    bags : sequence of pathlib.Path
+    bags : sequence of pathlib.Path or tuple of pathlib.Path
+        As from `find_bags`.
     output : str or pathlib.Path
         Folder in which results are kept, each at once, so that an interrupted season continues.
     options : BagOptions
@@ -208,7 +254,7 @@ def evaluate_season(
                     size = max(1, min(_MOST_AT_ONCE, len(waiting) // (4 * capacity)))
                     batch = [waiting.pop() for _ in range(size) if waiting]
                     stamps = [_stamp(path) for path in batch]
-                    names = [os.path.abspath(str(path)) for path in batch]
+                    names = [_absolute(path) for path in batch]
                     running[executor.submit(_evaluate_bags, names, options)] = batch, stamps
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     batch, stamps = running.pop(future)
@@ -223,10 +269,17 @@ def evaluate_season(
         finally:
             for future in running:
                 future.cancel()
-    rows = [dict(row, bag=str(path)) for path in bags for row in heats[path]]
+    rows = [dict(row, bag=source_name(path)) for path in bags for row in heats[path]]
     rows.sort(key=lambda row: (row["date"], row["bag"], row["run"]))
     _name_tracks(rows, options.tracks)
     return Season(rows, len(bags) - kept, kept)
+
+
+def _absolute(source):
+    """Names of files as any process finds them."""
+    if isinstance(source, tuple):
+        return tuple(os.path.abspath(str(part)) for part in source)
+    return os.path.abspath(str(source))
 
 
 def _outcome(future):
@@ -354,8 +407,8 @@ def _places(raceline: Raceline):
 
 def _stamp(path):
     """Names, sizes and times of change of the files of a bag."""
-    files = [path]
-    if path.is_dir():
+    files = list(path) if isinstance(path, tuple) else [path]
+    if not isinstance(path, tuple) and path.is_dir():
         files = sorted(file for file in path.iterdir() if file.is_file() and _of_bag(file))
     stamps = []
     for file in files:
@@ -369,7 +422,7 @@ def _of_bag(file):
 
 
 def _record(folder, path):
-    name = hashlib.sha256(os.fsencode(os.path.realpath(str(path)))).hexdigest()[:24]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(str(_first(path))))).hexdigest()[:24]
     return folder / f"{name}.json"
 
 

@@ -55,14 +55,17 @@ MOST_MOVES = 20
 GIVE_UP = 0.3
 # Of a grid's races, which differ far more, that many are driven before candidates are given up.
 FEWEST = 24
-# Parameters of the robust search and their steps [m], [s], [s], [-], [s]; it begins with twice
-# these. What is 0, and so off, in the given controller stays off.
+# Parameters of the robust search and their steps [m], [s], [-], [s], [-], [s], [s]; it begins with
+# twice these. What is 0, and so off, in the given controller stays off. Speeds are not searched:
+# slower is always closer.
 ROBUST_STEPS = {
     "m_m": 0.025,
     "q_s": 0.0125,
+    "slip_lookahead": 0.125,
     "delay_s": 0.005,
     "curvature_feedforward": 0.1,
     "yaw_rate_gain_s": 0.01,
+    "speed_lookahead_s": 0.01,
 }
 
 
@@ -205,7 +208,8 @@ def tune(jobs_for, controller, size=ONE_TENTH):
     pairs = [
         Pair(
             *(getattr(with_pair(*cell), name) for name in (first, second)),
-            *(errors[cell], cell in given_up and math.isfinite(errors[cell])),
+            errors[cell],
+            cell in given_up and math.isfinite(errors[cell]),
         )
         for cell in sorted(errors)
     ]

@@ -146,7 +146,8 @@ def driving_of(run: Run) -> Driving:
     t = np.arange(begin, end, 1.0 / GRID_HZ)
     smooth = low_passed(
         np.stack([np.interp(t, *without_outliers(*signal)) for signal in (v, r)]),
-        *(GRID_HZ, SMOOTH_HZ),
+        GRID_HZ,
+        SMOOTH_HZ,
     )
     measured = {"r": Measured(*r), "v_x": Measured(*v)}
     a_y = _lateral_acceleration(run, scaled, t, smooth, notes)

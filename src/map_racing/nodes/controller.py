@@ -153,8 +153,12 @@ class ControllerNode:
             rospy.Service("~reset", Trigger, self._on_reset),
         ]
         self._tuning = TuningServer(
-            *(self._controller, self._supervisor, self._lock, self._changing),
-            *(self._announce_speeds, self._names["table"]),
+            self._controller,
+            self._supervisor,
+            self._lock,
+            self._changing,
+            self._announce_speeds,
+            self._names["table"],
         )
         self._subscribe_poses(pose_source)
         self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)

@@ -48,6 +48,10 @@ class LapEvaluatorNode:
         car_width = get_parameter("car_width", 0.3, "width of the car [m]")
         sectors = get_parameter("sectors", 3, "number of sectors")
         deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
+        stop = get_parameter("max_stop", LapLimits().max_stop, "longest stop in a lap [s]")
+        braking = get_parameter(
+            "max_deceleration", LapLimits().max_deceleration, "a wall brakes harder [m/s^2]"
+        )
         patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
         csv = get_parameter("csv", "", "file that laps are appended to; empty: none")
         self._text_size = get_parameter(
@@ -58,6 +62,9 @@ class LapEvaluatorNode:
         for name, value in (("max_deviation", deviation), ("text_size", self._text_size)):
             if not 0.0 <= value < math.inf:
                 raise ParameterError(f"~{name}: expected 0 m or more, got {value}")
+        for name, value in (("max_stop", stop), ("max_deceleration", braking)):
+            if not value > 0.0:
+                raise ParameterError(f"~{name}: expected more than 0, got {value}")
 
         self._queue = queue.SimpleQueue()
         self._frame, self._heard = "map", -math.inf
@@ -67,7 +74,9 @@ class LapEvaluatorNode:
             patience=patience,
             on_lap=self._publish,
             on_run=self._summarize,
-            limits=LapLimits(max_deviation=deviation or None),
+            limits=LapLimits(
+                max_deviation=deviation or None, max_stop=stop, max_deceleration=braking
+            ),
             start_s=start_s,
             car_width=car_width,
             sectors=sectors,

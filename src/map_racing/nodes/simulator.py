@@ -217,7 +217,9 @@ class SimulatorNode:
             begin = self._car.car.now
             try:
                 fault = Fault(
-                    *(request.fault, begin, request.for_s or Fault.for_s),
+                    request.fault,
+                    begin,
+                    request.for_s or Fault.for_s,
                     size=request.size or None,
                 )
                 self._faults.add(fault)

@@ -12,10 +12,10 @@ from .html import escape, table
 
 __all__ = ["advice_of", "car_section", "speeds_section"]
 
-# Delays that differ by less [s] are one.
-_SAME_DELAY = 0.01
-# Steering that differs from the table by less [rad] is the table's.
-_SAME_ANGLE = math.radians(1.0)
+# What differs less from what was driven with is as good [s], [rad], shares.
+_SAME_DELAY, _SAME_ANGLE = 0.01, math.radians(1.0)
+_SAME_GRIP, _SAME_STIFFNESS = 0.1, 0.25
+_BOUNDED = "not determined: the end of what is looked for; is it the file of this car?"
 
 
 def advice_of(run: RunAnalysis) -> Advice | str:
@@ -36,7 +36,7 @@ def speeds_section(runs: list[RunAnalysis], advices: list) -> str:
             continue
         head, *rows = advice_table(advice)
         parts.append(table(head, rows))
-        parts += [f"<p>{escape(note)}</p>\n" for note in advice_notes(advice)]
+        parts.append(f"<p>{'<br>'.join(map(escape, advice_notes(advice)))}</p>\n")
     parts.append(
         '<p class="hint">Scales of the raceline&#x27;s speed. <code>map-racing advise RUN '
         "--speed-sectors speed_scaling.yaml</code> writes them; drive them at speed_scale 1. Grip "
@@ -94,19 +94,22 @@ def _grip_rows(advice):
     if isinstance(advice, str) or advice.grip.belief is None:
         return []
     belief, grip = advice.grip.belief, advice.grip
-    rows = [_share("lateral limit", grip.level, grip.low, grip.high)]
-    for name, what in (
-        ("friction", "friction"),
-        ("front_stiffness", "cornering stiffness, front"),
-        ("rear_stiffness", "cornering stiffness, rear"),
+    rows = [_share("lateral limit", _SAME_GRIP, grip.level, grip.low, grip.high)]
+    for name, what, same in (
+        ("friction", "friction", _SAME_GRIP),
+        ("front_stiffness", "cornering stiffness, front", _SAME_STIFFNESS),
+        ("rear_stiffness", "cornering stiffness, rear", _SAME_STIFFNESS),
     ):
         values = (getattr(belief, name + end) for end in ("", "_low", "_high"))
-        rows.append(_share(what, *values))
+        rows.append(_share(what, same, *values))
+        if grip.bounded(getattr(belief, name)):
+            rows[-1][-1] = _BOUNDED
     return rows
 
 
-def _share(what, value, low, high):
-    advice = "keep" if low <= 1.0 <= high else "identify the tires from this run"
+def _share(what, same, value, low, high):
+    keep = low <= 1.0 <= high or abs(value - 1.0) < same
+    advice = "keep" if keep else "identify the tires from this run"
     return [what, f"{value:.2f}", f"{low:.2f} to {high:.2f}", "1 (vehicle file)", advice]
 
 

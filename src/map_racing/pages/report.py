@@ -158,7 +158,7 @@ def _place_list(i, j, reference, places, run):
     items = "".join(
         f'<li><button type="button" class="zoom" data-begin="{place.begin:.2f}" '
         f'data-end="{place.end if place.end > place.begin else place.end + length:.2f}">'
-        f"s = {place.begin:.0f} to {place.end:.0f} m"
+        f"s = {_stretch(place)} m"
         f"{', ' + escape(place.corner.name) if place.corner.name else ''}</button>: "
         f"<strong>{escape(place.loss)}</strong>; {escape(place.why)}</li>\n"
         for place in places
@@ -167,6 +167,12 @@ def _place_list(i, j, reference, places, run):
         f'<ol class="places" data-run="{i}" data-reference="{j}" data-name="{name}"{hidden}>\n'
         f"{items}</ol>\n"
     )
+
+
+def _stretch(place):
+    """Begin and end, with decimals only where they are needed to tell them apart."""
+    digits = 0 if abs(place.end - place.begin) >= 1.5 else 1
+    return f"{place.begin:.{digits}f} to {place.end:.{digits}f}"
 
 
 def _lap_strip(runs):

@@ -222,7 +222,7 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    wide, high = float(np.ptp(raceline.x)) + 3.5, float(np.ptp(raceline.y)) + 3.5
+    wide, high = float(np.ptp(raceline.x)) + 6.0, float(np.ptp(raceline.y)) + 5.0
     columns = max(map(len, rows))
     # Panels of the shape of the track, in inches, with room for ticks and titles between them.
     panel = min(4.2, 13.5 / columns)
@@ -242,17 +242,15 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
     for i, row in enumerate(rows):
         for j, (name, path, crashed) in enumerate(row):
             axes = figure.add_subplot(len(rows), columns, i * columns + j + 1)
-            draw_track(axes, raceline, most_marks=5)
+            draw_track(axes, raceline, most_marks=5, room=0.07)
+            axes.margins(0.15, 0.17)
             driven = {"color": COLORS[0], "lw": 1.2, "zorder": 3, "label": "driven"}
             axes.plot(path[:, 0], path[:, 1], **driven)
             if crashed:
                 end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
                 axes.plot(*path[-1], "x", label="crash", **end)
             axes.set_title(name, fontsize="medium")
-            if j:
-                axes.set_ylabel("")
-            if i < len(rows) - 1:
-                axes.set_xlabel("")
+            axes.label_outer()
     handles = {}
     for axes in figure.axes:
         for handle, name in zip(*axes.get_legend_handles_labels()):

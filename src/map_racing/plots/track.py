@@ -19,7 +19,9 @@ _NOT_FREE = 0.82  # gray of what a map has as wall or unknown
 _MOST_CELLS = 2000  # of a map in each direction; more cannot be seen
 
 
-def draw_track(axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12) -> None:
+def draw_track(
+    axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12, room: float = 0.03
+) -> None:
     """Walls, raceline, start line, direction and distances, to scale.
 
     Paths drawn over it with a ``zorder`` of 3 or more hide the raceline, never the other way round.
@@ -32,11 +34,13 @@ def draw_track(axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int
         Arc length of the start line [m].
     most_marks : int, optional
         Largest number of marks of the distance.
+    room : float, optional
+        Distance of texts and arrows from the track, as a share of its size: more for a small panel.
     """
     draw_walls(axes, line)
     every = line.sample(np.append(line.s, line.length))
     axes.plot(every.x, every.y, color=RACELINE, lw=0.8, ls="--", label="raceline", zorder=2)
-    draw_distances(axes, line, start_s, most_marks)
+    draw_distances(axes, line, start_s, most_marks, room)
 
 
 def draw_walls(axes: Axes, line: Raceline) -> None:
@@ -53,12 +57,14 @@ def draw_walls(axes: Axes, line: Raceline) -> None:
     axes.grid(alpha=0.25)
 
 
-def draw_distances(axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12) -> None:
+def draw_distances(
+    axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12, room: float = 0.03
+) -> None:
     """Start line, and outside of the track the distance from it and arrows in driving direction.
 
     Parameters
     ----------
-    axes, line, start_s, most_marks
+    axes, line, start_s, most_marks, room
         See `draw_track`.
     """
     size = max(float(np.ptp(line.x)), float(np.ptp(line.y)))
@@ -73,11 +79,11 @@ def draw_distances(axes: Axes, line: Raceline, start_s: float = 0.0, most_marks:
     for distance in marks:
         x, y = _beside(line, start_s + distance, side, 0.012 * size)
         axes.plot(x, y, color=START, lw=1.0, zorder=4)
-        x, y = _beside(line, start_s + distance, side, 0.035 * size)
+        x, y = _beside(line, start_s + distance, side, (room + 0.005) * size)
         text = {"ha": "center", "va": "center", "fontsize": "x-small", "color": "0.25"}
         axes.text(x[1], y[1], f"{distance:g} m", clip_on=True, zorder=4, **text)
     for distance in marks[:: max(1, math.ceil(marks.size / 4))] + 0.5 * step:
-        x, y = _beside(line, start_s + distance, side, 0.03 * size)
+        x, y = _beside(line, start_s + distance, side, room * size)
         psi, reach = line.pose(start_s + distance).psi, 0.025 * size
         along = reach * math.cos(psi), reach * math.sin(psi)
         axes.annotate(

@@ -56,7 +56,11 @@ KINDS = {
     "pose_nan": Kind("the position is not a number"),
     "second_publisher": Kind(
         "another node publishes odometry beside the first, off to the left",
-        *("m", 2.0, -100.0, 100.0, _SIMULATOR),
+        "m",
+        2.0,
+        -100.0,
+        100.0,
+        _SIMULATOR,
     ),
     "quaternion_length": Kind(
         "quaternions have another length than 1", "", 1.05, 0.2, 10.0, _SIMULATOR

@@ -44,7 +44,10 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
         raise ParameterError(f"{path}: model: expected {', '.join(MODELS)}, got {model!r}")
     parameters = read_parameters(path, MODELS[model], values)
     beside = path.parent / parameters.vehicle
-    vehicle = load_vehicle(beside if beside.is_file() else parameters.vehicle)
+    try:
+        vehicle = load_vehicle(beside if beside.is_file() else parameters.vehicle)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: vehicle: {error}") from None
     return replace(parameters, vehicle=vehicle)
 
 

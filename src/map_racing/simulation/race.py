@@ -13,6 +13,7 @@ import numpy as np
 from ..control.safety import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
+from ..vehicle.size import size_of
 from .car import Sample, SimulatedCar, hits_wall
 from .driver import DirectDriver, SupervisedDriver
 from .faults import Faults
@@ -21,7 +22,8 @@ from .grip import Grip
 __all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
-# The race begins and ends so far past the line [m] that noise does not take the car back over it.
+# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over
+# it, and that the last pose to arrive is beyond it.
 START_S = 0.3
 
 # A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
@@ -171,7 +173,8 @@ def race(
     if time_limit is None:
         time_limit = math.inf
 
-    start = raceline.pose(START_S)
+    start_s = START_S * size_of(plant.vehicle).length
+    start = raceline.pose(start_s)
     faults = Faults(faults, plant, "race") if faults else None
     car = SimulatedCar(plant, localization, rate, faults)
     car.put(start.x, start.y, start.psi)
@@ -182,7 +185,8 @@ def race(
     learning = getattr(controller, "adaptation", None)
     steering, speed = 0.0, 0.0
     samples, truth = [], []
-    processor, way = _Processor(driver.step, slowdown), _Way(raceline.length)
+    processor = _Processor(driver.step, slowdown, plant.time_step)
+    way = _Way(raceline.length, start_s)
     poses = 0
     longest = round(LOOK / plant.time_step)
     while True:
@@ -202,7 +206,7 @@ def race(
             if hits_wall(raceline, s, d, plant.vehicle.width):
                 outcome = Outcome.CRASHED
                 break
-            if way.driven > (laps + 1) * raceline.length + START_S:
+            if way.driven > (laps + 1) * raceline.length + start_s:
                 outcome = Outcome.COMPLETED
                 break
         if car.now > time_limit or car.now > way.headway_at + PATIENCE:
@@ -212,7 +216,10 @@ def race(
             steering, speed = result.steering_angle, result.speed
             samples.append(
                 Sample(
-                    *(seen.true, seen.measured, seen.arrival, seen.acceleration),
+                    seen.true,
+                    seen.measured,
+                    seen.arrival,
+                    seen.acceleration,
                     plant.steering_angle,
                     result,
                     None if learning is None else learning.belief,
@@ -247,10 +254,10 @@ def _take(driver, begun, ended):
 class _Way:
     """How far the car has come along the track, and when it last made headway."""
 
-    def __init__(self, length):
+    def __init__(self, length, start_s):
         self._length = length
-        self.driven, self._last_s = START_S, None
-        self._headway, self.headway_at = START_S, 0.0
+        self.driven, self._last_s = start_s, None
+        self._headway, self.headway_at = start_s, 0.0
 
     def update(self, s, now):
         """Take the place on the track [m] at a time [s]."""
@@ -264,8 +271,8 @@ class _Way:
 class _Processor:
     """Computes the steps of a controller, at once or in the time that they take."""
 
-    def __init__(self, step, slowdown):
-        self._step, self._slowdown = step, slowdown
+    def __init__(self, step, slowdown, tick):
+        self._step, self._slowdown, self._tick = step, slowdown, tick
         self._times, self._late = [], 0
         self._done = self._waiting = self.due = None
 
@@ -286,7 +293,12 @@ class _Processor:
             began = thread_time()
             self._done = seen, self._step(seen)
             self._times.append(thread_time() - began)
-            self.due = now + self._slowdown * self._times[-1]
+            # Commands act at ticks: at the nearest, or all would be late by one.
+            ticks = round(self._slowdown * self._times[-1] / self._tick)
+            if ticks:
+                self.due = now + ticks * self._tick
+            else:
+                finished.append(self._done)
         return finished
 
     def work(self, controller):

@@ -65,7 +65,10 @@ def drive_ramps(
                 command = ramp.update(t, x, y, v_x, True, r)
                 samples.append(
                     Sample(
-                        *(seen.true, seen.measured, seen.arrival, seen.acceleration),
+                        seen.true,
+                        seen.measured,
+                        seen.arrival,
+                        seen.acceleration,
                         plant.steering_angle,
                         command,
                     )

@@ -237,7 +237,10 @@ def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
     controller = build_controller(parameters, plant_parameters.vehicle, track)
     plant, localization = build_plant(plant_parameters, seed)
     log = race(
-        *(plant, controller, track, localization),
+        plant,
+        controller,
+        track,
+        localization,
         time_limit=END,
         faults=scenario.schedule(),
     )
@@ -251,7 +254,13 @@ def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
     aside = max(abs(track.project(s.x, s.y).d) for s in after if s.t <= until)
     begins, reason, back = (math.nan, Reason.NONE, math.nan) if stop is None else stop
     return Rehearsal(
-        *(scenario, log, reason, begins - BEGIN, stands - BEGIN, aside, back - end),
+        scenario,
+        log,
+        reason,
+        begins - BEGIN,
+        stands - BEGIN,
+        aside,
+        back - end,
         resumed=back >= end + RESUMES_AFTER,
         bounds=bounds_of(log, parameters, plant_parameters.vehicle),
     )
@@ -269,8 +278,10 @@ def bounds_of(log: RaceLog, parameters: ControllerParameters, vehicle: Vehicle) 
         beyond = max(beyond, abs(decision.steering_angle) - slowing.largest(abs(v_x)))
     return Bounds(
         len(log.commands),
-        *(max(c.decision.speed for c in log.commands), parameters.v_max_mps),
-        *(max(abs(c.decision.steering_angle) for c in log.commands), vehicle.delta_max),
+        max(c.decision.speed for c in log.commands),
+        parameters.v_max_mps,
+        max(abs(c.decision.steering_angle) for c in log.commands),
+        vehicle.delta_max,
         beyond,
     )
 

@@ -1,16 +1,20 @@
 """``map-racing evaluate`` as its users meet it."""
 
+import argparse
 import json
 import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.cli.evaluate import run_names
+from map_racing.cli.options.evaluate import add_evaluation_options
+from map_racing.evaluation.laps import LapLimits
 from map_racing.track.files.waypoints import waypoint_rows
 
 
@@ -54,6 +58,8 @@ def test_evaluate_refuses(bags, tmp_path, refused):
     assert "a folder without .db3" in refused("evaluate", tmp_path)
     assert "start line" in refused("evaluate", bag, "--start-line", "nan")
     assert "max-deviation" in refused("evaluate", bag, "--max-deviation", "0")
+    assert "max-stop" in refused("evaluate", bag, "--max-stop", "0")
+    assert "max-deceleration" in refused("evaluate", bag, "--max-deceleration", "nan")
     path = tmp_path / "run.csv"
     path.write_text("t,x,y\n0,0,0\n1,1,0\n")
     assert "no raceline" in refused("evaluate", path)
@@ -91,6 +97,28 @@ def test_the_report_tells_the_raceline_that_was_used(bags, tmp_path, capsys):
     assert main(["evaluate", str(bags["map"]), "--reverse"]) == 0
     printed = capsys.readouterr().out
     assert "raceline reversed" in printed and "0 laps counted" in printed
+
+
+def test_a_stop_that_is_allowed(tmp_path, capsys):
+    """A car circles at 2 m/s on 5 m of radius, and stands for 4 s in its second lap."""
+    t = np.arange(0.0, 80.0, 0.025)
+    angle = np.interp(t, [0.0, 30.0, 34.0, 80.0], [0.0, 60.0, 60.0, 152.0]) / 5.0 - 0.5
+    rows = [f"{at},{5 * np.cos(a)},{5 * np.sin(a)}" for at, a in zip(t, angle)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,x,y", *rows]))
+    ring = 2.0 * np.pi * np.arange(60) / 60
+    points = np.stack((5 * np.cos(ring), 5 * np.sin(ring)), axis=1)
+    np.savetxt(tmp_path / "line.csv", points, delimiter=",")
+    arguments = ["evaluate", str(tmp_path / "run.csv"), "--raceline", str(tmp_path / "line.csv")]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "stood 4.0 s at s = 26.0 m" in printed and "3 laps counted" in printed
+    assert main([*arguments, "--max-stop", "5"]) == 0
+    assert "4 laps counted" in capsys.readouterr().out
+    parser = argparse.ArgumentParser()
+    add_evaluation_options(parser)
+    given, limits = vars(parser.parse_args(["run.bag"])), LapLimits()
+    for name in ("max_deviation", "max_stop", "max_deceleration"):
+        assert given[name] == getattr(limits, name)
 
 
 def test_driven_the_other_way_round(shared_data, tmp_path):

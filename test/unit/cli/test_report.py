@@ -109,6 +109,12 @@ def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
     assert "beyond that not determined" in text
 
 
+def test_a_vehicle_file_of_another_car_is_doubted(page, bags, tmp_path):
+    assert "is it the file of this car" not in text_of(page)
+    text = text_of(report(tmp_path, bags["map"], "--vehicle", "sim"))
+    assert "not determined: the end of what is looked for" in text
+
+
 def test_what_cannot_be_read_is_left_out(bags, tmp_path, capsys, refused):
     (tmp_path / "text.bag").write_text("hello\n" * 100)
     output = tmp_path / "report.html"

@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from map_racing.control.adaptation import PRIOR, RISE, Adaptation
+from map_racing.control.adaptation import DELAY_RATE, PRIOR, RISE, Adaptation
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_plan import AdaptiveSpeedPlan, SpeedPlan
 from map_racing.control.state import CarState
 from map_racing.simulation.car import SimulatedCar
 from map_racing.simulation.plant import Localization, Plant
-from map_racing.simulation.plants import load_plant
+from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle, save_vehicle, scaled_tires
@@ -107,6 +107,20 @@ def test_below_the_limit_only_the_product_is_known():
     assert belief.friction_high / belief.friction_low > 1.25
 
 
+def test_braking_shifts_load_that_the_vehicle_file_does_not_know_of():
+    """The public simulator's car, whose center of gravity is 74 mm high instead of 20."""
+    plant, sim = load_plant("public_simulator"), load_vehicle("sim")
+    changes = {"speed_scale": 0.8, "reference_point": plant.reference_point}
+    controller = build_controller(OFF.with_(**changes), sim, REFERENCE)
+    log = race(build_plant(plant, 1)[0], controller, REFERENCE, laps=2)
+    adaptation = Adaptation(sim, 12.0, 0.07, behind=0.0)
+    for sample in log.samples:
+        adaptation.update(sample.measured, sample.result.steering_angle)
+    friction, front, rear = adaptation.belief.factors
+    # With the load wrong they are 0.64.
+    assert (friction * front, friction * rear) == pytest.approx((1.0, 1.0), rel=0.25)
+
+
 # -- what it leaves alone ------------------------------------------------------------------------
 
 
@@ -171,6 +185,19 @@ def test_what_is_believed_stays_within_its_share():
     assert belief.friction == pytest.approx(0.9)
     unmoved = learned(driven({"mu_scale": 0.7}), share=0.0).belief
     assert unmoved.factors == (1.0, 1.0, 1.0)
+
+
+def test_the_delay_in_use_follows_the_believed_one_slowly():
+    adaptation = Adaptation(NUC4, 12.0, 0.07)
+    before, learned_before = adaptation.delay, 0.0
+    for state, angle in driven({"steering_delay_s": 0.06}):
+        adaptation.update(state, angle)
+        step, learned_s = adaptation.delay - before, adaptation.learned_s - learned_before
+        assert abs(step) <= DELAY_RATE * learned_s + 1e-12
+        before, learned_before = adaptation.delay, adaptation.learned_s
+    assert adaptation.delay == pytest.approx(adaptation.belief.delay, abs=2e-3)
+    adaptation.forget()
+    assert adaptation.delay == pytest.approx(0.07)
 
 
 # -- down quickly, up slowly ---------------------------------------------------------------------
@@ -280,6 +307,20 @@ def test_a_cold_start_comes_close_to_one_that_was_told(changes):
     told, _ = raced(plant, OFF, true, laps=2)
     cold, _ = raced(plant, ADAPTIVE)
     assert told[-1] < cold[-1] < 1.03 * told[-1]
+
+
+@pytest.mark.parametrize("changes", [{"mu_scale": 1.12}, {"front_stiffness_scale": 1.16}], ids=str)
+def test_it_drives_a_plant_that_is_not_its_model(changes):
+    """The public simulator's, whose servo steps and whose braking unloads the rear axle more."""
+    plant = dataclasses.replace(load_plant("public_simulator"), **changes)
+    took = []
+    for parameters in (ADAPTIVE, OFF):
+        parameters = parameters.with_(slip_lookahead=0.5, reference_point=plant.reference_point)
+        controller = build_controller(parameters, load_vehicle("sim"), REFERENCE)
+        log = race(build_plant(plant, 1)[0], controller, REFERENCE, laps=3)
+        assert log.outcome is Outcome.COMPLETED
+        took.append(log.duration)
+    assert took[0] < 1.03 * took[1]
 
 
 def test_a_sudden_loss_of_grip_ends_on_the_track():

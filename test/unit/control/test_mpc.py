@@ -145,7 +145,7 @@ def test_computing_takes_time(monkeypatch):
         acted.append(seen.measured.t)
         return seen.measured.t
 
-    processor = races._Processor(step, 2.0)
+    processor = races._Processor(step, 2.0, 0.002)
     seen = [
         type("Seen", (), {"measured": CarState(t, 0, 0, 0, 0, 0, 0)})() for t in (0.0, 0.025, 0.05)
     ]
@@ -157,6 +157,9 @@ def test_computing_takes_time(monkeypatch):
     work = processor.work(None)
     assert (work.steps, work.late, work.failed) == (2, 1, 0)
     assert work.median_s == pytest.approx(0.015)
+    # On a plant with steps of 80 ms they are nearer to none than to one.
+    (finished,) = races._Processor(step, 2.0, 0.08).take(0.0, seen[:1])
+    assert finished == (seen[0], 0.0)
 
 
 @pytest.mark.parametrize("slowdown", [-1.0, math.nan, math.inf])

@@ -79,10 +79,9 @@ def test_compensation_is_on_by_default_and_off_as_published(name, steering_map):
 
 
 def test_a_file_reads_back(tmp_path):
-    path = written(tmp_path, m_m=-0.165, q_s=0.6, speed_scale=0, v_max_mps=7)
-    expected = load_controller_parameters("map").with_(
-        m_m=-0.165, q_s=0.6, speed_scale=0, v_max_mps=7
-    )
+    values = {"m_m": -0.165, "q_s": 0.6, "slip_lookahead": 0, "speed_scale": 0, "v_max_mps": 7}
+    path = written(tmp_path, **values)
+    expected = load_controller_parameters("map").with_(**values)
     assert load_controller_parameters(path) == expected
     assert load_controller_parameters(str(path)).lookahead(load_vehicle("nuc4")) == LookaheadLaw(
         -0.165, 0.6, 0.3, 5.0

@@ -42,6 +42,17 @@ def test_settings_come_back(controller, line):
     assert settings.planned_speed(line)(s) == pytest.approx(controller.planned_speed(s), abs=0.02)
 
 
+@pytest.mark.parametrize("track", ["reference", "club"])
+def test_the_end_of_the_lap_survives_rounding_to_millimeters(track):
+    line = load_raceline(track)
+    sectors = SpeedSectors([(0.0, 10.0, 0.5), (10.0, line.length, 0.6)], line.length)
+    parameters = load_controller_parameters("map").with_(grip_use=0.0)
+    controller = build_controller(parameters, load_vehicle("nuc4"), line, sectors)
+    settings = parse_settings(settings_text(controller))
+    s = np.linspace(0.0, line.length - 0.01, 200)
+    np.testing.assert_allclose(settings.planned_speed(line)(s), controller.planned_speed(s))
+
+
 def test_settings_of_model_predictive_control_come_back(line):
     controller = build_law(load_law("mpc_single_track"), load_vehicle("nuc4"), line)
     settings = parse_settings(settings_text(controller, name="mpc_single_track"))

@@ -43,7 +43,7 @@ def test_braking_and_steering_are_on_the_ellipse(v, share):
 
 
 def test_beyond_the_grip_nothing_is_left_for_braking():
-    assert SLOWING.braking(6.0, 0.4) == 0.0
+    assert SLOWING.braking(6.0, 0.4) == SLOWING.braking(6.0, -0.4) == 0.0
 
 
 def test_straight_ahead_all_of_it_is():
@@ -61,12 +61,14 @@ def test_a_stop_leaves_grip_for_steering():
 
 
 def test_the_rate_is_limited_from_the_last_command():
+    assert STEERING_RATE == 1.5
     assert SLOWING.steering(1.0, 0.4, -0.1, 0.0, 0.1) == pytest.approx(-0.1 + 0.1 * STEERING_RATE)
     assert SLOWING.steering(1.0, -0.4, 0.1, 0.0, 0.1) == pytest.approx(0.1 - 0.1 * STEERING_RATE)
 
 
 def test_no_angle_is_beyond_the_lock():
     small = Slowing(TABLE, BRAKE, 0.2)
+    assert small.always and small.largest(0.3) == 0.2
     assert small.steering(0.3, 0.9, 0.2, 0.0, 1.0) == 0.2
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from map_racing.control.controller import Controller, build_controller
@@ -80,6 +80,7 @@ def test_brakes_before_the_bend_and_within_its_limits():
     st.lists(st.floats(0.0, 20.0), min_size=12, max_size=12),
     st.floats(0.0, 1.5),
 )
+@example(use=1.0, scale=1.0, speeds=[0.0] * 11 + [5e-324], sector=0.0)
 def test_never_faster_than_asked_and_less_grip_is_never_faster(use, scale, speeds, sector):
     """On any speeds, stops among them."""
     angle = 2.0 * np.pi * np.arange(12) / 12

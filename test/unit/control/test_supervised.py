@@ -1,15 +1,21 @@
 """Controller and supervisor together."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from map_racing.control.controller import build_controller
+from map_racing.control.controller import ControlResult, Status, build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason, SafetyLimits
 from map_racing.control.state import CarState
-from map_racing.control.supervised import SupervisedController, build_supervisor
+from map_racing.control.steering import build_steering_map
+from map_racing.control.supervised import (
+    SupervisedController,
+    build_slowing,
+    build_supervisor,
+)
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -25,8 +31,8 @@ def circle(direction=1.0):
 class Drive:
     """Round the circle counter-clockwise at the commanded speed, which is reached at once."""
 
-    def __init__(self):
-        parameters = load_controller_parameters("map").with_(speed_scale=1.0)
+    def __init__(self, parameters=None):
+        parameters = parameters or load_controller_parameters("map").with_(speed_scale=1.0)
         controller = build_controller(parameters, load_vehicle("nuc4"), circle())
         self.told = []
         self.driver = SupervisedController(
@@ -62,14 +68,33 @@ def test_a_raceline_the_same_way_round_is_driven_at_once():
     assert drive.follow(other)
     assert drive.driver.controller.raceline is other
     assert drive.step().decision[:2] == (Mode.DRIVING, Reason.NONE)
+    # Nor is it anything new once the car stands.
+    drive.driver.supervisor.request_stop("service")
+    assert drive.drive(2.0)[-1].decision.mode is Mode.STOPPED
     assert drive.told == []
+
+
+def test_a_first_raceline_is_taken_however_the_car_rolls():
+    """Pushed over the track while the nodes start."""
+    drive = Drive()
+    controller = build_controller(drive.driver.controller.parameters, load_vehicle("nuc4"))
+    drive.driver = SupervisedController(
+        controller, build_supervisor(controller, SafetyLimits()), lambda: None
+    )
+    assert {step.decision.reason for step in drive.drive(0.5)} == {Reason.NO_RACELINE}
+    for _ in range(3):
+        drive.speed = 2.0
+        drive.step()
+    other = circle(-1.0)
+    assert drive.driver.supervisor.opposes(other)
+    assert drive.follow(other) and controller.raceline is other
 
 
 def test_a_raceline_against_the_motion_waits_until_the_car_stands():
     drive = Drive()
     drive.drive(1.0)
     old, other = drive.driver.controller.raceline, circle(-1.0)
-    assert not drive.follow(other)
+    assert not drive.follow(other) and drive.driver.controller.raceline is old
     steps = drive.drive(3.0)
     stopped = next(k for k, step in enumerate(steps) if step.decision.mode is Mode.STOPPED)
     assert {step.decision.reason for step in steps[:stopped]} == {Reason.OPPOSED_RACELINE}
@@ -109,3 +134,79 @@ def test_live_tuning_meanwhile_is_kept():
     controller.parameters = controller.parameters.with_(speed_scale=0.3)
     drive.drive(3.0)
     assert controller.parameters.speed_scale == pytest.approx(0.3)
+
+
+def test_a_clock_that_is_set_back_resets_the_controller(monkeypatch):
+    drive, resets = Drive(), []
+    monkeypatch.setattr(drive.driver.controller, "reset", lambda: resets.append(drive.now))
+    drive.drive(1.0)
+    assert resets == []
+    drive.now = 50.0
+    drive.drive(1.0)
+    assert resets == [50.0]
+
+
+def test_a_pose_that_is_not_trusted_does_not_reach_the_controller(monkeypatch):
+    drive, steps = Drive(), []
+    drive.drive(1.0)
+    controller = drive.driver.controller
+    step = controller.step
+    monkeypatch.setattr(controller, "step", lambda state: steps.append(state) or step(state))
+    for age, failed, asked in (
+        *((0.0, False, True), (0.0, True, False)),
+        *((1.0, False, False), (1.0, True, False)),
+    ):
+        angle = drive.angle
+        x, y, psi = RADIUS * math.cos(angle), RADIUS * math.sin(angle), angle + 0.5 * math.pi
+        state = CarState(drive.now - age, x, y, psi, 4.0, 0.0, 4.0 / RADIUS)
+        found = drive.driver.step(drive.now, state, failed)
+        assert (found.result is not None) is asked is (steps == [state])
+        steps.clear()
+        drive.now, drive.angle = drive.now + PERIOD, angle + 4.0 / RADIUS * PERIOD
+
+
+def test_nobody_need_be_told_of_a_raceline_that_waited():
+    drive = Drive()
+    drive.driver = SupervisedController(drive.driver.controller, drive.driver.supervisor)
+    drive.drive(1.0)
+    other = circle(-1.0)
+    assert not drive.follow(other)
+    drive.drive(3.0)
+    assert drive.driver.controller.raceline is other
+
+
+def test_what_adapts_is_told_the_angle_that_was_sent():
+    """Not the one that was asked for: in a stop the supervisor may lower it."""
+    parameters = load_controller_parameters("map_adaptive").with_(speed_scale=1.0)
+    drive, sent = Drive(parameters), []
+    controller = drive.driver.controller
+    told = controller.adaptation.sent
+    controller.adaptation.sent = lambda angle: sent.append(angle) or told(angle)
+    steps = drive.drive(1.0)
+    drive.driver.supervisor.request_stop("service")
+    steps += drive.drive(0.5)
+    assert sent == [step.decision.steering_angle for step in steps]
+    state = steps[-1].result.state
+    drive.driver.step(drive.now, CarState(drive.now, math.nan, *state[2:]))
+    assert len(sent) == len(steps)
+
+
+@pytest.mark.parametrize(("name", "always"), [("map", True), ("pure_pursuit", False)])
+def test_the_grip_is_that_of_the_car_or_of_its_table(name, always):
+    parameters, vehicle = load_controller_parameters(name), load_vehicle("nuc4")
+    own = build_slowing(parameters, vehicle)
+    assert own.always is always and own.bounded(99.0) == 0.8 * parameters.a_brake_max_mps2
+    assert own.largest(0.5) == vehicle.delta_max
+    weak = build_steering_map("table", replace(vehicle, mu=0.5 * vehicle.mu), 12.0)
+    assert build_slowing(parameters, vehicle, weak).largest(6.0) < own.largest(6.0)
+    # The supervisor has it.
+    controller = build_controller(parameters, vehicle, circle())
+    for grip, slowing in ((None, own), (weak, build_slowing(parameters, vehicle, weak))):
+        supervisor = build_supervisor(controller, SafetyLimits(), grip)
+        state = CarState(100.0, RADIUS, 0.0, 0.5 * math.pi, 6.0, 0.0, 1.0)
+        result = ControlResult(0.4, 6.0, Status.OK, state, *(0.0,) * 7)
+        for k in range(40):
+            at = 100.0 + k * PERIOD
+            assert supervisor.observe(at, state._replace(t=at, y=6.0 * k * PERIOD))
+            angle = supervisor.decide(at, result).steering_angle
+        assert angle == (slowing.largest(6.0) if always else 0.4)

@@ -77,6 +77,7 @@ PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
+    "./scripts/delays_of_laps",
     "./scripts/laps_to_car reference club --generated-seeds 1 2",
     "./scripts/heats",
     "./scripts/soak",

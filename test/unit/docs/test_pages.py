@@ -23,6 +23,13 @@ def test_the_readme_fits_on_a_few_screens():
     assert len((REPO / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
 
 
+def test_the_readme_shows_how_the_tests_end():
+    script = (REPO / "scripts" / "test").read_text(encoding="utf-8")
+    judged = re.findall(r'^ *(?:judge|finish) "([^",$]+)', script, re.MULTILINE)
+    shown = re.findall(r"^passed +([^,\n]+)", PAGES[0].read_text(encoding="utf-8"), re.MULTILINE)
+    assert shown == list(dict.fromkeys(judged))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):

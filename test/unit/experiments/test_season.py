@@ -228,3 +228,36 @@ def test_settings_are_columns(tmp_path, ring):
     first, second = evaluated(tmp_path, tmp_path / "out").heats
     assert (first["controller"], first["vehicle"], first["speed_scale"]) == ("map", "nuc4", 0.8)
     assert first["settings"] == second["settings"] != ""
+
+
+def test_a_run_that_was_split_is_one_heat(tmp_path, ring, capsys):
+    """By names and times; the lap over the cut counts. Heats that only have numbers stay two."""
+    folder = tmp_path / "bags"
+    heat(tmp_path / "whole.bag", ring, laps=4.3)
+    for number in range(2):
+        heat(folder / f"morning_{number}.bag", ring, T0 + 600 * number)
+        copy = folder / f"run_2023-11-14-22-13-{20 + 5 * number}_{number}.bag"
+        with BagWriter(copy) as bag:
+            if not number:
+                bag.waypoints(T0, waypoint_rows(ring))
+            rate = 3.0 * 0.025
+            for i in range(int(4.3 * ring.length / rate)):
+                point = ring.pose(rate * i - 1.0)
+                if (i >= 200) == bool(number):
+                    state = point.x, point.y, point.psi, 3.0, 0.0, 3.0 * point.kappa
+                    bag.odometry(T0 + 0.025 * i, *state)
+    found = find_bags([folder])
+    assert [len(one) if isinstance(one, tuple) else 1 for one in found] == [1, 1, 2]
+    words = ["season", str(folder), "--output", str(tmp_path / "out"), "--jobs", "1"]
+    assert main([*words, "--reports", "1"]) == 0
+    assert "3 bags: 3 read, 0 known; 3 heats" in capsys.readouterr().out
+    with (tmp_path / "out" / "season.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    joined = next(row for row in rows if "_1.bag" in row["bag"] and "..." in row["bag"])
+    (single,) = evaluated(tmp_path / "whole.bag", tmp_path / "other").heats
+    assert int(joined["laps"]) == single["laps"] == 4
+    assert float(joined["best_lap_time_s"]) == pytest.approx(single["best_lap_time_s"])
+    assert main(words) == 0 and "0 read, 3 known" in capsys.readouterr().out
+    with (folder / "run_2023-11-14-22-13-25_1.bag").open("ab") as file:
+        file.write(b" ")
+    assert main(words) == 0 and "1 read, 2 known" in capsys.readouterr().out

@@ -18,6 +18,7 @@ from map_racing.identification.delay import delay_data, delay_text, estimate_del
 from map_racing.resources import find_config
 from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.race import race
+from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -87,6 +88,26 @@ def test_of_the_shipped_car(shipped):
     assert delays.steering_dead_time.low <= 0.02 <= delays.steering_dead_time.high
     assert delays.steering_lag.low <= 0.03 <= delays.steering_lag.high
     assert delays.speed_lookahead.value == pytest.approx(0.07, abs=0.01)
+
+
+@pytest.mark.parametrize(("total", "rate", "scale"), [(0.02, 40.0, 0.9), (0.08, 100.0, 0.6)])
+def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
+    """The ends of what scripts/delays_of_laps measures."""
+    share = total / 0.07
+    changes = {
+        "localization_latency_s": 0.02 * share,
+        "steering_delay_s": 0.02 * share,
+        "steering_time_constant_s": 0.03 * share,
+    }
+    plant = dataclasses.replace(load_plant("nuc4"), localization_rate_hz=rate, **changes)
+    parameters = load_controller_parameters("map").with_(speed_scale=scale)
+    raceline = load_raceline("reference")
+    car, localization = build_plant(plant, 1)
+    controller = build_controller(parameters, NUC4, raceline)
+    log = race(car, controller, raceline, localization, laps=2)
+    write_race_bag(tmp_path / "laps.bag", log, raceline)
+    delays = estimate_delays([load_run(tmp_path / "laps.bag")], NUC4)
+    assert delays.delay.value == pytest.approx(total, abs=0.005)
 
 
 def test_without_a_file_of_the_car(shipped):

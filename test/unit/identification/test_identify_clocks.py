@@ -54,7 +54,7 @@ def stiffness(found):
 def test_they_are_found_said_and_repaired(ramps, shifted, topics, seconds):
     expected = stiffness(identify([ramps.run], ramps.base))
     run = shifted(topics, seconds)
-    assert any("the stamps are of another clock" in note for note in run.notes)
+    assert any("the stamps are from another clock" in note for note in run.notes)
     assert stiffness(identify([run], ramps.base)) == pytest.approx(expected, rel=0.02)
 
 

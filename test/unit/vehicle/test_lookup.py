@@ -290,8 +290,10 @@ def test_a_speed_without_stable_cell_is_as_the_one_before():
         (([1.0], [0.1, 0.5 * math.pi], [[1], [2]]), r"angles: expected values in"),
         (([1.0], [0.1], [[1, 2]]), r"a_lat: expected shape \(1, 1\), got \(1, 2\)"),
         (([1.0], [0.1], [[np.inf]]), "^a_lat: expected finite values or NaN, got inf$"),
+        (([1.0, 2.0], [0.1], [[1.0, np.inf]]), "^a_lat: expected finite values or NaN, got inf$"),
         (([1.0], [0.1], [[np.nan]]), "^a_lat: expected cells that rise .* got none$"),
         (([np.nan], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
+        (([1.0], [0.1, np.nan], [[1], [2]]), "angles: expected a list of finite numbers"),
         (([], [0.1], [[]]), "speeds: expected a list of finite numbers"),
         (([[1.0]], [0.1], [[1]]), "speeds: expected a list of finite numbers"),
     ],
@@ -415,3 +417,13 @@ def test_the_corner_cell_means_nothing(tmp_path, cell):
 def test_a_published_table_with_a_junk_corner(shared_data):
     table = load_table(shared_data / "vehicles" / "NUC5_glc_pacejka_lookup_table.csv")
     assert table.a_lat.shape == (60, 65) and table.l_wb == pytest.approx(0.32, abs=1e-4)
+
+
+def test_a_cell_that_was_mistyped_is_refused():
+    """1.0 for 0.1 in one cell of a published grid."""
+    table = TABLES[NUC4.name]
+    cells = table.a_lat.copy()
+    i, j = np.argwhere((cells > 0.5) & (cells < 1.0))[10]
+    cells[i, j] *= 10.0
+    with pytest.raises(ParameterError, match=f"at {table.speeds[j]:g} m/s and .* the cells beside"):
+        LookupTable(table.speeds, table.angles, cells)

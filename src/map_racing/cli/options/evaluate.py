@@ -42,6 +42,11 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     )
     add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     add_limit_options(parser)
+    # As in `map_racing.evaluation.laps.LapLimits`, which help must not wait for.
+    stop = "longest time that the car may stand in a lap that counts [s]"
+    add_number(parser, "--max-stop", 0.3, stop, metavar="S")
+    braking = "hardest braking that is not a wall's [m/s^2]"
+    add_number(parser, "--max-deceleration", 25.0, braking, metavar="A")
 
 
 def add_limit_options(parser: argparse.ArgumentParser) -> None:

@@ -37,6 +37,11 @@ def check_polygons(draft: Draft) -> None:
     line = draft.raceline
     if line.d_left is None:
         return
+    # No point of a closed curve is farther inside than in a circle.
+    inner = float(np.median(line.d_left if np.sum(line.kappa) > 0.0 else line.d_right))
+    if inner > line.length / (2.0 * math.pi):
+        text = f"the inner wall is {inner:.0f} m away, beyond the other side of the track: in m?"
+        draft.add("walls-far", WARNING, text)
     if _swapped(line):
         text = "left and right wall look swapped, by their shape or the line's place in the bends"
         draft.add("swapped-walls", WARNING, text)

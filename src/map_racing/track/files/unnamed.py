@@ -52,6 +52,10 @@ _WORDS = {
 }
 
 
+# Correlation with the bends below which a column is one of speeds, see `_Curve.falling`.
+_SLOWS = -0.6
+
+
 def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Finding]]:
     """Name columns by their numbers.
 
@@ -171,6 +175,15 @@ def _name_the_rest(names, values, left, curve, known, reasons):
         names[left[0]] = meaning
         reasons.append(f"column {left[0] + 1} is taken as {_WORDS[meaning]}, as {why}")
         return True
+    if all(curve.falling(values[:, k]) < _SLOWS for k in left):
+        names[left[0]] = "speed"
+        reasons.append(
+            f"columns {' and '.join(str(k + 1) for k in left)} all drop where the track bends: the "
+            "first is taken as speed"
+        )
+        for k in left[1:]:
+            names[k] = "-"
+        return True
     if len(left) == 2 and _are_walls(*values.T[left]) and not known:
         return _name_walls(names, values, left, reasons)
     constant = [k for k in left if np.ptp(values[:, k]) <= 1e-9]
@@ -183,7 +196,7 @@ def _name_the_rest(names, values, left, curve, known, reasons):
     slowing = [(curve.falling(values[:, k]), k) for k in left]
     least, k = min(slowing)
     others = [other for other in left if other != k]
-    if least < -0.6 and all(value > least + 0.2 for value, other in slowing if other != k):
+    if least < _SLOWS and all(value > least + 0.2 for value, other in slowing if other != k):
         names[k] = "speed"
         reasons.append(
             f"column {k + 1} is taken as speed, as it drops where the track bends "

@@ -266,6 +266,14 @@ def test_exchanged_walls():
     assert codes(RacelineTable(columns)) == {}
 
 
+@pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])
+def test_walls_in_other_units(unit):
+    line = load_raceline("reference")
+    columns = {"d_left": unit * line.d_left, "d_right": unit * line.d_right}
+    found = codes(RacelineTable({"x": line.x, "y": line.y, **columns}))
+    assert ("walls-far" in found) == (unit > 1.0)
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("track", ["reference", "club"])
 def test_a_line_along_one_wall_is_not_taken_for_exchanged(track, side):

@@ -32,6 +32,7 @@ COLUMNS = {
     "qz": np.sin(0.5 * AT.psi),
     "qw": np.cos(0.5 * AT.psi),
     "index": np.arange(150.0),
+    "slower": 0.8 * SLOW,
     "time": np.append(0.0, np.cumsum(np.diff(AT.s) / SLOW[1:])),
     "wild": 4.0 + np.sin(7.0 * T),
 }
@@ -99,6 +100,8 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y high d_right d_left", "x y d_right d_left", NOTE),
         ("index x y psi speed", "x y psi speed", WARNING),
         ("time x y psi speed", "x y psi speed", WARNING),
+        ("x y speed slower", "x y speed", WARNING),
+        ("x y psi speed slower", "x y psi speed", WARNING),
         ("time x y speed", "x y speed", WARNING),
     ],
 )
