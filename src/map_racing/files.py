@@ -59,7 +59,11 @@ def read_yaml_mapping(path: str | Path) -> dict:
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe loader that refuses duplicate keys and reads 1e-3 as a number, as YAML 1.2 does."""
+    """Safe loader that reads 1e-3 as a number, as YAML 1.2 does.
+
+    It refuses duplicate keys, and numbers that YAML 1.1 takes for another than they look like:
+    0105, which is octal, and 1:30, which is 90.
+    """
 
     def construct_mapping(self, node, deep=False):
         seen = set()
@@ -73,6 +77,21 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _decimal(kind):
+    """Constructor of numbers of a kind, ``int`` or ``float``."""
+    construct = getattr(yaml.SafeLoader, f"construct_yaml_{kind}")
+
+    def checked(loader, node):
+        if ":" in node.value or re.fullmatch(r"[-+]?0[0-9_]+", node.value):
+            problem = f"{node.value}: expected a decimal number"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return construct(loader, node)
+
+    return checked
+
+
+for _kind in ("int", "float"):
+    _UniqueKeyLoader.add_constructor(f"tag:yaml.org,2002:{_kind}", _decimal(_kind))
 _UniqueKeyLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),

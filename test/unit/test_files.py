@@ -31,6 +31,8 @@ def test_reads_a_mapping(tmp_path):
         (b"a: !!python/object:os.system x\n", ":1: expected YAML"),
         (b"a: 1\x00\n", "expected YAML"),
         (b"a: 1\nb: 2\na: 3\n", ":3: expected YAML: a: given twice"),
+        (b"a: 1\nseeds: [1, 0105]\n", ":2: expected YAML: 0105: expected a decimal number"),
+        (b"lap: 1:30\n", ":1: expected YAML: 1:30: expected a decimal number"),
         (b"s: {a: 1, a: 2}\n", ":1: expected YAML: a: given twice"),
         (b"? [a, b]\n: 1\n", ":1: expected YAML: found unhashable key"),
         (b"{a: 1}: 1\n", ":1: expected YAML: found unhashable key"),

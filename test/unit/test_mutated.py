@@ -193,7 +193,7 @@ def read_line(path):
 
 
 def read_map(path):
-    track = track_from_map(read_map_image(path), (3.0, 0.0), passage=0.3)
+    track = track_from_map(read_map_image(path), (2.77, 0.18), passage=0.3)
     return f"{track.length:.3f} m; {[str(finding) for finding in track.findings]}"
 
 
@@ -352,6 +352,13 @@ class Damage:
 
 
 COUNT = 400
+
+
+def test_intact_inputs_give_results(tmp_path):
+    damage = Damage(tmp_path)
+    for name, data, read, _ in damage.inputs:
+        (tmp_path / name).write_bytes(data)
+        assert read(tmp_path / name)
 
 
 @pytest.mark.parametrize("part", range(2))

@@ -62,7 +62,7 @@ class PoseMotion:
         """
         speed = abs(v_x)
         fast = speed >= MOVING
-        if self._now is not None and now > self._now:
+        if self._now is not None:
             self._driven += max(speed, self._speed) * (now - self._now)
         self._now = now
         least = max(SHARE * min(self._driven, MOST_DRIVEN), JITTER)
@@ -110,7 +110,7 @@ class Obedience:
         if command <= 0.0:
             self.restart()
             return
-        if last is not None and now > last:
+        if last is not None:
             elapsed = now - last
             self._expected = min(self._expected + GENTLE * elapsed, command)
             self.undriven += self._expected * elapsed
@@ -118,8 +118,8 @@ class Obedience:
         # The first one has moved by NaN.
         if not moved <= max(FOLLOWED * self.undriven, NOISE):
             self.moves = moved == moved
-            if self.moves and now > self._since:
-                self._expected = min(moved / (now - self._since), command)
+            if now > self._since:
+                self._expected = moved / (now - self._since)
             self._x, self._y, self._since = x, y, now
             self.undriven = 0.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Iterable
 
@@ -11,6 +12,7 @@ from scipy import ndimage
 
 from ..errors import ParameterError
 from ..files import read_yaml_mapping, replacing
+from ..printing import printable
 from ..validation import finite
 
 if TYPE_CHECKING:
@@ -106,8 +108,8 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     content = read_yaml_mapping(path)
     points = raceline.s_points
     limit = _number(path, content, "global_limit", 1.0)
-    sectors = []
-    for index in range(_index(path, content, "n_sectors")):
+    sectors, count = [], _index(path, content, "n_sectors")
+    for index in range(count):
         key = f"Sector{index}"
         sector = content.get(key)
         if not isinstance(sector, dict):
@@ -127,6 +129,17 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
         place = points[end + 1] if end + 1 < len(points) else raceline.length
         scale = min(_number(path, sector, "scaling", where=key), limit)
         sectors.append((points[start], place, scale))
+    own = [re.fullmatch(r"Sector(0|[1-9]\d*)", str(key)) for key in content]
+    unknown = [
+        str(key)
+        for key, sector in zip(content, own)
+        if key not in ("global_limit", "n_sectors") and not (sector and int(sector[1]) < count)
+    ]
+    if unknown:
+        raise ParameterError(
+            f"{path}: {unknown[0]}: unknown; known are global_limit, n_sectors and Sector0 to "
+            f"Sector{count - 1}"
+        )
     try:
         return SpeedSectors(sectors, raceline.length, elsewhere=min(1.0, limit))
     except ParameterError as error:
@@ -183,7 +196,7 @@ def save_speed_sectors(path: str | Path, sectors: list, notes: Iterable[str] = (
         Comments on top.
     """
     rows = [(*sector, 1.0)[:4] for sector in sectors]
-    lines = [f"# {note}" for note in notes]
+    lines = [f"# {printable(note)}" for note in notes]
     lines += [
         "# Scale of the raceline's speed from waypoint start to end, for each sector; none exceeds",
         "# the global limit.",

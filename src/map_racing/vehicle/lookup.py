@@ -57,6 +57,10 @@ class _Column(NamedTuple):
     slopes: list[float]  # [rad] per share, of the interval that begins at each node
 
 
+# Lateral acceleration by that of a rolling car: up to 1.1 in published tables and shipped cars'.
+_SPIKE = 3.0
+
+
 class LookupTable:
     """Steady-state lateral acceleration over speed and steering angle, and its inverse.
 
@@ -139,6 +143,7 @@ class LookupTable:
                 "a_lat: expected cells at small angles that give a wheelbase of 0.01 to 10 m, "
                 f"got {self.l_wb:.3g} m"
             )
+        self._refuse_spikes()
         self._at_rest = self._standstill()
         self._columns.append(self._infinite_speed())
         self._w.append(0.0)
@@ -252,6 +257,23 @@ class LookupTable:
         if len(first) == 1:
             return first[0] / self._w[0]
         return float(np.polyfit(self._w, first, 1)[0])
+
+    def _refuse_spikes(self):
+        """Refuse a cell far above both geometry and the next angle's, as one that was mistyped.
+
+        Where a car oversteers all cells are far above geometry.
+        """
+        rolling = np.tan(self.angles[:, None]) * self.speeds**2 / self.l_wb
+        with np.errstate(invalid="ignore"):
+            high = (self.a_lat > _SPIKE * rolling) & (self.a_lat > 1.0)
+            high[:-1] &= self.a_lat[1:] < 0.5 * self.a_lat[:-1]
+        high[-1] = False
+        if high.any():
+            i, j = np.argwhere(high)[0]
+            raise ParameterError(
+                f"a_lat: {self.a_lat[i, j]:g} m/s^2 at {self.speeds[j]:g} m/s and "
+                f"{self.angles[i]:g} rad: expected something between the cells beside it"
+            )
 
     def _standstill(self):
         """The first column as geometry has it, ``tan(delta) = l_wb a / v^2``, at the same speed."""

@@ -178,9 +178,28 @@ def test_repeated_poses_of_a_slow_localization_do_not_freeze():
 @pytest.mark.parametrize(("moved", "frozen"), [(0.0031, 0.0), (0.0029, 0.01)])
 def test_a_pose_moves_by_more_than_3_mm(v_x, moved, frozen):
     motion = PoseMotion()
-    assert motion.frozen(0.0, 0.0, 0.0, v_x) == 0.0
-    assert motion.frozen(0.005, 0.0, 0.0, v_x) == 0.005
-    assert motion.frozen(0.01, 0.0, moved, v_x) == frozen
+    assert motion.frozen(0.0, 0.0, 5.0, v_x) == 0.0
+    assert motion.frozen(0.005, 0.0, 5.0, v_x) == 0.005
+    assert motion.frozen(0.01, 0.0, 5.0 + moved, v_x) == frozen
+
+
+def test_3_mm_are_no_motion():
+    motion = PoseMotion()
+    motion.frozen(0.0, 0.0, 5.0, 1.0)
+    assert motion.frozen(0.01, 0.003, 5.0, 1.0) == 0.01
+
+
+def test_corrections_of_a_car_that_stands_are_no_motion():
+    """Also one after the other, and after it had driven; each gives it a velocity for once."""
+    motion = PoseMotion()
+    for k in range(40):
+        motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
+    at, found = 3.9, []
+    for k in range(40, 400):
+        jumped = k >= 240 and k % 12 == 0
+        at += 2.0 * jumped
+        found.append(motion.frozen(0.025 * k, at, 0.0, 4.0 * jumped, jumped))
+    assert max(found[160:]) == 0.0
 
 
 def test_a_pose_moves_by_more_than_a_tenth_of_the_way():
@@ -191,6 +210,14 @@ def test_a_pose_moves_by_more_than_a_tenth_of_the_way():
                 motion = PoseMotion()
                 motion.frozen(0.0, 0.0, 0.0, v_x)
                 assert (motion.frozen(way / 4.0, moved, 0.0, v_x) > 0.0) is frozen
+
+
+def test_a_velocity_that_ended_with_the_poses_counts_for_the_way():
+    motion = PoseMotion()
+    for k in range(20):
+        motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
+    frozen = [motion.frozen(0.5 + 0.025 * k, 1.9 + 0.005 * (k % 2), 0.0, 0.0) for k in range(20)]
+    assert frozen[-1] == pytest.approx(0.5)
 
 
 def test_a_car_that_is_carried_away_is_no_longer_frozen():
@@ -269,13 +296,37 @@ def test_a_car_that_waits_may_be_pushed():
     assert car.step().mode is Mode.DRIVING
 
 
-@pytest.mark.parametrize(("moved", "moves"), [(0.049, False), (0.051, True)])
+@pytest.mark.parametrize(("moved", "moves"), [(0.049, False), (0.05, False), (0.051, True)])
 def test_noise_of_5_cm_is_no_motion(moved, moves):
+    for x, y in ((0.0, moved), (moved, 0.0)):
+        obedience = Obedience()
+        obedience.update(0.0, 0.0, 0.0, 1.0)
+        assert not obedience.moves
+        obedience.update(0.1, x, y, 1.0)
+        assert obedience.moves is moves
+
+
+def test_a_car_moves_by_a_fifth_of_what_it_should_have_driven():
+    obedience = Obedience()
+    for k in range(201):
+        obedience.update(0.01 * k, 7.0, 5.0, 1.0)
+    assert obedience.undriven == pytest.approx(2.0 - 1.0 / 3.0, abs=0.02)
+    obedience.update(2.0, 7.0, 5.3, 1.0)
+    assert not obedience.moves and obedience.undriven > 1.6
+    obedience.update(2.0, 7.0, 5.35, 1.0)
+    assert obedience.moves and obedience.undriven == 0.0
+    # Two poses at one time give no speed.
+    obedience.update(2.0, 9.0, 5.0, 1.0)
+    assert obedience.moves
+
+
+def test_blocked_is_a_distance_and_a_time():
     obedience = Obedience()
     obedience.update(0.0, 0.0, 0.0, 1.0)
-    assert not obedience.moves
-    obedience.update(0.1, 0.0, moved, 1.0)
-    assert obedience.moves is moves
+    obedience.undriven = 1.0
+    assert obedience.blocked(0.21, 1.0, 0.2)
+    assert not obedience.blocked(0.2, 1.0, 0.2)
+    assert not obedience.blocked(0.21, 1.01, 0.2)
 
 
 def test_half_a_second_of_patience():
@@ -294,3 +345,33 @@ def test_the_distance_that_should_have_been_driven():
     assert obedience.undriven == pytest.approx(2.0 - 1.0 / 3.0, abs=2e-3)
     obedience.update(2.0, 0.5, 0.0, 1.0)
     assert obedience.undriven == 0.0 and obedience.moves
+
+
+@pytest.mark.parametrize(("pause", "frozen"), [(0.15, 0.0), (0.16, 0.14)])
+def test_a_velocity_counts_once_the_car_has_moved_for_150_ms(pause, frozen):
+    motion = PoseMotion()
+    motion.frozen(0.0, 0.0, 0.0, 4.0)
+    motion.frozen(pause, 0.6, 0.0, 4.0)
+    assert motion.frozen(0.3, 0.6, 0.0, 0.0) == pytest.approx(frozen)
+
+
+@pytest.mark.parametrize(("since", "frozen"), [(2.99, 2.99), (3.0, 0.0)])
+def test_a_velocity_that_ended_counts_for_3_s(since, frozen):
+    motion = PoseMotion()
+    motion.frozen(-1.0, 0.0, 0.0, 4.0)
+    motion.frozen(0.0, 4.0, 0.0, 4.0)
+    assert motion.frozen(since, 4.0, 0.0, 0.0) == frozen
+
+
+def test_a_car_that_stood_moves_by_its_first_centimeters():
+    motion = PoseMotion()
+    for k in range(10):
+        motion.frozen(0.1 * k, 0.0, 0.0, 0.0)
+    assert motion.frozen(0.925, 0.02, 0.0, 1.2) == 0.0
+
+
+def test_what_happened_while_the_car_was_told_to_stand_is_no_obedience():
+    obedience = Obedience()
+    obedience.update(0.0, 0.0, 0.0, 0.0)
+    obedience.update(1.0, 5.0, 0.0, 1.0)
+    assert not obedience.moves and obedience.undriven == 0.0

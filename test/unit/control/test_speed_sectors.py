@@ -111,6 +111,17 @@ def test_indices_are_those_of_the_racelines_points(tmp_path):
     assert sectors.scale_at(border) == sectors.scale_at(raceline.length - 1e-6) == 0.9
 
 
+@pytest.mark.parametrize("key", ["global_limt: 0.5", "Sector2: {start: 0, end: 1, scaling: 0.5}"])
+def test_keys_that_would_be_ignored_are_refused(tmp_path, key):
+    path = tmp_path / "speed_scaling.yaml"
+    sectors = "".join(f"Sector{i}: {{start: {i}, end: {i}, scaling: 1.0}}\n" for i in (0, 1))
+    path.write_text(f"n_sectors: 2\n{sectors}{key}\n")
+    with pytest.raises(
+        ParameterError, match=f"{key.split(':')[0]}: unknown; known are global_limit"
+    ):
+        load_speed_sectors(path, load_raceline("reference"))
+
+
 def test_the_global_limit_holds_between_sectors_too(tmp_path):
     sectors = load(
         tmp_path, "{global_limit: 0.6, n_sectors: 1, Sector0: {start: 5, end: 9, scaling: 0.4}}"

@@ -146,7 +146,8 @@ def test_the_file_gives_the_controller_these_scales(heat, reference, tmp_path, s
 
 def test_scales_above_1_raise_the_limit_of_the_file(tmp_path, reference):
     path = tmp_path / "speed_scaling.yaml"
-    save_speed_sectors(path, [(0, 99, "left", 1.2), (100, 365, "straight", 0.9)])
+    notes = ["after a.bag\nglobal_limit: 0.1"]  # as a name may be
+    save_speed_sectors(path, [(0, 99, "left", 1.2), (100, 365, "straight", 0.9)], notes)
     read = load_speed_sectors(path, reference)
     assert read.scale_at(1.0) == 1.2 and read.scale_at(20.0) == 0.9
 

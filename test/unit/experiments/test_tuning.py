@@ -10,7 +10,15 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.errors import MapRacingError
 from map_racing.evaluation.results import Lap
 from map_racing.experiments.jobs import RaceResult
-from map_racing.experiments.tuning import STEP_M, STEP_Q, frame_of, lap_error, tune, tune_robust
+from map_racing.experiments.tuning import (
+    ROBUST_STEPS,
+    STEP_M,
+    STEP_Q,
+    frame_of,
+    lap_error,
+    tune,
+    tune_robust,
+)
 from map_racing.vehicle.size import Size
 
 CONTROLLER = load_controller_parameters("map_paper")
@@ -155,6 +163,20 @@ def test_the_robust_search_first_completes_everything():
     found, _ = robustly(error_at)
     assert found[0].controller.delay_s == pytest.approx(0.06)
     assert all(math.isinf(c.error) for c in found if c.controller.delay_s < 0.057)
+
+
+@pytest.mark.parametrize("off", [(), ("slip_lookahead", "yaw_rate_gain_s")])
+def test_the_robust_search_varies_all_its_parameters_but_those_that_are_off(off):
+    given = load_controller_parameters("map").with_(**dict.fromkeys(off, 0.0))
+    plan = tune_robust(lambda controller: [controller], given)
+    try:
+        races = next(plan)
+        while True:
+            races = plan.send([raced(0.02) for _ in races])
+    except StopIteration as stop:
+        found = [candidate.controller for candidate in stop.value]
+    varied = {name for name in ROBUST_STEPS if len({getattr(c, name) for c in found}) > 1}
+    assert varied == set(ROBUST_STEPS) - set(off)
 
 
 def test_a_robust_search_without_anything_that_completes_is_an_error():

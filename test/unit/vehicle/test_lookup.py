@@ -417,3 +417,13 @@ def test_the_corner_cell_means_nothing(tmp_path, cell):
 def test_a_published_table_with_a_junk_corner(shared_data):
     table = load_table(shared_data / "vehicles" / "NUC5_glc_pacejka_lookup_table.csv")
     assert table.a_lat.shape == (60, 65) and table.l_wb == pytest.approx(0.32, abs=1e-4)
+
+
+def test_a_cell_that_was_mistyped_is_refused():
+    """1.0 for 0.1 in one cell of a published grid."""
+    table = TABLES[NUC4.name]
+    cells = table.a_lat.copy()
+    i, j = np.argwhere((cells > 0.5) & (cells < 1.0))[10]
+    cells[i, j] *= 10.0
+    with pytest.raises(ParameterError, match=f"at {table.speeds[j]:g} m/s and .* the cells beside"):
+        LookupTable(table.speeds, table.angles, cells)

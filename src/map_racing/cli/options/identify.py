@@ -38,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--controller-output",
         metavar="YAML",
-        help="also write the controller map with the delay_s that ordinary driving tells",
+        help="also write the controller map with the delay_s found in ordinary driving",
     )
     parser.add_argument("--name", help="name of the identified car (default: the name of the file)")
     add_signal_options(parser)
@@ -61,6 +61,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "and the worst channel of the worst run heads the report",
     )
     add_replay_window(parser)
+    _add_steady(parser)
+    parser.add_argument("--json", metavar="FILE", help="write the report as JSON")
+    parser.add_argument("--plots", metavar="DIR", help="write figures")
+    parser.set_defaults(run="identify.run")
+
+
+def _add_steady(parser):
+    """Add how steady cornering is found and fitted."""
     parser.add_argument(
         "--acceleration",
         choices=("imu", "yaw_rate"),
@@ -87,6 +95,3 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("--steady-time", "shortest_s", "shortest steady segment [s]"),
     ):
         add_number(parser, option, getattr(limits, name), meaning, dest=name, metavar="X")
-    parser.add_argument("--json", metavar="FILE", help="write the report as JSON")
-    parser.add_argument("--plots", metavar="DIR", help="write figures")
-    parser.set_defaults(run="identify.run")

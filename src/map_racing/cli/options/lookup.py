@@ -10,7 +10,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
+    _add_generate(actions)
+    _add_check(actions)
 
+
+def _add_generate(actions):
     generate = actions.add_parser(
         "generate",
         help="table of a vehicle",
@@ -31,6 +35,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     generate.add_argument("--plots", metavar="DIR", help="draw the table as surface and curves")
     generate.set_defaults(run="lookup.run_generate")
 
+
+def _add_check(actions):
     check = actions.add_parser(
         "check",
         help="describe a table, compare it with a vehicle",
