@@ -280,7 +280,7 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
 @pytest.mark.parametrize(
     ("name", "odom", "doubt"),
     [
-        ("cmd_clock_1s_early.bag", "/car_state/odom", "another clock, 1.00"),
+        ("cmd_clock_1s_early.bag", "/car_state/odom", "the stamps are from another clock"),
         ("one_topic_two_frames.bag", "/odom", "messages in another frame, odom, left out"),
     ],
 )

@@ -106,6 +106,10 @@ def read_map_image(path: str | Path) -> MapImage:
     # The rule of map_server: the darker a cell, the more likely it is occupied.
     occupied = gray / 255.0 if negate else (255.0 - gray) / 255.0
     free, findings = (occupied < free_below) & (occupied <= occupied_above), []
+    for key, value in (("free_thresh", free_below), ("occupied_thresh", occupied_above)):
+        if key not in content:
+            text = f"{key} is missing: taken as {value:g}"
+            findings.append(Finding("thresholds", WARNING, text))
     if occupied_above < free_below:
         text = (
             f"occupied_thresh {occupied_above:g} is below free_thresh {free_below:g}: cells up to "

@@ -150,6 +150,13 @@ def test_16_bits_are_those_of_8(tmp_path):
         read_map_image(written(tmp_path, gray.astype(np.float32) / 255.0, "tif"))
 
 
+def test_a_threshold_that_is_missing_is_said(tmp_path):
+    path = written(tmp_path, drawn(outside=UNKNOWN))
+    path.write_text(path.read_text().replace("free_thresh", "free_tresh"))
+    (finding,) = read_map_image(path).findings
+    assert finding.text == "free_thresh is missing: taken as 0.196"
+
+
 def test_thin_walls_in_the_open_are_enough(tmp_path):
     track = track_of(tmp_path, drawn(outside=FREE))
     assert np.abs(deviations(track, bean())).max() < 0.05
