@@ -118,8 +118,8 @@ class Obedience:
         # The first one has moved by NaN.
         if not moved <= max(FOLLOWED * self.undriven, NOISE):
             self.moves = moved == moved
-            if self.moves and now > self._since:
-                self._expected = min(moved / (now - self._since), command)
+            if now > self._since:
+                self._expected = moved / (now - self._since)
             self._x, self._y, self._since = x, y, now
             self.undriven = 0.0
 

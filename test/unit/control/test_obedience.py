@@ -296,13 +296,37 @@ def test_a_car_that_waits_may_be_pushed():
     assert car.step().mode is Mode.DRIVING
 
 
-@pytest.mark.parametrize(("moved", "moves"), [(0.049, False), (0.051, True)])
+@pytest.mark.parametrize(("moved", "moves"), [(0.049, False), (0.05, False), (0.051, True)])
 def test_noise_of_5_cm_is_no_motion(moved, moves):
+    for x, y in ((0.0, moved), (moved, 0.0)):
+        obedience = Obedience()
+        obedience.update(0.0, 0.0, 0.0, 1.0)
+        assert not obedience.moves
+        obedience.update(0.1, x, y, 1.0)
+        assert obedience.moves is moves
+
+
+def test_a_car_moves_by_a_fifth_of_what_it_should_have_driven():
+    obedience = Obedience()
+    for k in range(201):
+        obedience.update(0.01 * k, 7.0, 5.0, 1.0)
+    assert obedience.undriven == pytest.approx(2.0 - 1.0 / 3.0, abs=0.02)
+    obedience.update(2.0, 7.0, 5.3, 1.0)
+    assert not obedience.moves and obedience.undriven > 1.6
+    obedience.update(2.0, 7.0, 5.35, 1.0)
+    assert obedience.moves and obedience.undriven == 0.0
+    # Two poses at one time give no speed.
+    obedience.update(2.0, 9.0, 5.0, 1.0)
+    assert obedience.moves
+
+
+def test_blocked_is_a_distance_and_a_time():
     obedience = Obedience()
     obedience.update(0.0, 0.0, 0.0, 1.0)
-    assert not obedience.moves
-    obedience.update(0.1, 0.0, moved, 1.0)
-    assert obedience.moves is moves
+    obedience.undriven = 1.0
+    assert obedience.blocked(0.21, 1.0, 0.2)
+    assert not obedience.blocked(0.2, 1.0, 0.2)
+    assert not obedience.blocked(0.21, 1.01, 0.2)
 
 
 def test_half_a_second_of_patience():
