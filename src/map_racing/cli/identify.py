@@ -95,7 +95,7 @@ def _validated(arguments, found, channels):
         dataclasses.replace(load_run(path, channels), setup=found.setup)
         for path in joined(arguments.validate, arguments.join)
     ]
-    return replay(found.vehicle, runs, actuators, arguments.window)
+    return replay(found.vehicle, runs, actuators, arguments.window, found.largest_a_y)
 
 
 def _write_controller(path, found):

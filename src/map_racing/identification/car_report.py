@@ -21,6 +21,8 @@ SHOWN = (
     ("rear_stiffness_n_per_rad", "cornering stiffness of the rear axle", " N/rad", ".1f"),
     ("understeer_gradient_rad_s2_per_m", "understeer gradient", " rad per m/s^2", "+.5f"),
     ("friction", "friction", "", ".3f"),
+    ("shape", "factor on the shape C of both curves", "", ".3f"),
+    ("bend", "added to E of both curves", "", "+.3f"),
     ("delay_s", "steering, dead time and lag", " s", ".3f"),
     ("gain", "wheel angle per commanded angle", "", ".3f"),
     ("offset_rad", "wheel angle at 0", " rad", "+.4f"),
@@ -53,7 +55,7 @@ def laps_lines(laps: LapTires) -> list[str]:
         f"{', '.join(laps.runs)}: ordinary driving, {laps.windows} pieces of 1 s with turning; the "
         f"model explains {laps.explained:.1%} of the yaw rate"
     ]
-    for name, label, unit, form in SHOWN:
+    for name, label, unit, form in shown(laps):
         lines.append(f"  {label}: {parameter_text(laps, name, unit, form)}")
     lines.append(f"  grip demonstrated: {demonstrated_text(laps)}")
     noise = {"r": "yaw rate {:.3f} rad/s", "a_y": "lateral acceleration {:.2f} m/s^2"}
@@ -61,6 +63,12 @@ def laps_lines(laps: LapTires) -> list[str]:
     left = ", ".join(noise[name].format(value) for name, value in laps.noise.items())
     lines.append(f"  left by the model, noise included: {left}")
     return [*lines, *delay_text(replace(laps.delays, notes=[])).splitlines()]
+
+
+def shown(laps: LapTires) -> list[tuple]:
+    """The rows of `SHOWN`; of the shape only what was learned."""
+    hidden = ("shape", "bend")
+    return [row for row in SHOWN if row[0] not in hidden or laps.parameters[row[0]].determined]
 
 
 def parameter_text(laps: LapTires, name: str, unit: str, form: str) -> str:
@@ -156,7 +164,7 @@ def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
             f"Tires identified by map_racing {__version__} from ordinary driving, "
             f"{', '.join(laps.runs)}; the rest is of {laps.base.name}."
         )
-        for name, label, unit, form in SHOWN:
+        for name, label, unit, form in shown(laps):
             text = parameter_text(laps, name, unit, form)
             lines.append(f"{label[0].upper()}{label[1:]}: {text}.")
         lines.append(f"Grip demonstrated: {demonstrated_text(laps)}.")

@@ -38,17 +38,27 @@ __all__ = ["LapTires", "tires_from_laps"]
 LEAST_TURNING_RADPS, FEWEST_WINDOWS, MOST_WINDOWS = 0.15, 5, 60
 # The model must explain this share of the variance of the yaw rate.
 LEAST_EXPLAINED = 0.8
-# Standard deviations of what is believed before, all of logarithms of factors.
-PRIOR = {"front": 0.4, "rear": 0.6, "grip": 0.15, "shape": 0.15, "inertia": 0.15, "gain": 0.02}
+# Standard deviations of what is believed before, all but that of `bend` of logarithms of factors.
+PRIOR = {
+    "front": 0.4,
+    "rear": 0.6,
+    "grip": 0.15,
+    "shape": 0.15,
+    "bend": 0.3,
+    "inertia": 0.15,
+    "gain": 0.02,
+}
 # A gain so many of its standard deviations off is then looked for within this one.
 DOUBT, ANY_GAIN = 2.0, 0.2
 # A factor is determined with a smaller standard deviation.
-DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.05, "shape": 0.075}
+DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 0.0}
 # Friction is never taken from a drive that used less than this share of it, whatever the fit says:
 # at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
 # Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
+# The shape of the curves is the file's unless that moves the friction (its logarithm) by so much.
+SHAPE_MATTERS = 0.04
 # The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
 SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
 
@@ -68,8 +78,9 @@ class LapTires:
         Windows of 1 s that were used.
     parameters : dict of str to Parameter
         ``front_stiffness_n_per_rad`` and ``rear_stiffness_n_per_rad`` of the whole axle at rest,
-        ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C), and of the
-        steering ``delay_s`` (dead time and lag together), ``gain`` and ``offset_rad``.
+        ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C), ``bend`` (added
+        to E), and of the steering ``delay_s`` (dead time and lag together), ``gain`` and
+        ``offset_rad``.
     largest_a_y : float
         Largest sustained lateral acceleration [m/s^2].
     explained : float
@@ -196,7 +207,7 @@ def tires_from_laps(
         )
     prior = {**PRIOR, **(spreads or {})}
     if not isinstance(base.front, PacejkaTire):
-        prior.update(grip=0.0, shape=0.0)  # linear tires have neither
+        prior.update(grip=0.0, shape=0.0, bend=0.0)  # linear tires have neither
     demonstrated = _demonstrated(drives)
     free, fitted, unknown = _fitted(base, windows, prior, demonstrated)
     explained = _explained(windows, fitted)
@@ -228,12 +239,17 @@ def tires_from_laps(
 def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:
     """The car with the tires of a fit."""
     names = ("front", "rear", "grip", "shape")
-    front, rear, grip, bend = (math.exp(fitted[name]) for name in names)
+    front, rear, grip, wide = (math.exp(fitted[name]) for name in names)
     car = scaled_tires(base, grip, front / grip, rear / grip)
     if not isinstance(base.front, PacejkaTire):
         return car
     tires = {
-        axle: replace(tire, B=tire.B / bend, C=tire.C * bend)
+        axle: replace(
+            tire,
+            B=tire.B / wide,
+            C=tire.C * wide,
+            E=min(tire.E + fitted["bend"], max(tire.E, 1.0)),
+        )
         for axle, tire in (("front", car.front), ("rear", car.rear))
     }
     return replace(car, **tires)
@@ -264,11 +280,15 @@ def _fitted(base, windows, prior, demonstrated):
         if prior[name] == 0.0 or free.deviation({name: 1.0}) > enough
     }
     if demonstrated < LEAST_USE * _limit(car_of(base, free)):
-        unknown |= {"grip", "shape"}
+        unknown |= {"grip", "shape", "bend"}
     held = {**prior, **dict.fromkeys(unknown, 0.0)}
     if held == prior:
         return free, free, unknown
-    return free, fit_car(base, windows, beliefs(held), near=free), unknown
+    fitted = fit_car(base, windows, beliefs(held), near=free)
+    if "grip" not in unknown and abs(fitted["grip"] - free["grip"]) > SHAPE_MATTERS:
+        # With the file's shape the data ask for another friction: then the shape is wrong.
+        return free, free, unknown - {"shape", "bend"}
+    return free, fitted, unknown
 
 
 def _limit(vehicle: Vehicle) -> float:
@@ -310,7 +330,11 @@ def _parameters(vehicle, base, fitted, free, unknown):
     # Linear tires have no limit: nothing is known of it.
     spread = free.deviation({"grip": 1.0}) or PRIOR["grip"]
     put_factor("friction", vehicle.mu, spread, "grip" not in unknown)
-    put_factor("shape", math.exp(fitted["shape"]), free.deviation({"shape": 1.0}), False)
+    put_factor(
+        *("shape", math.exp(fitted["shape"]), free.deviation({"shape": 1.0})),
+        "shape" not in unknown,
+    )
+    put("bend", fitted["bend"], free.deviation({"bend": 1.0}), "bend" not in unknown)
     put("delay_s", fitted["delay"], free.deviation({"delay": 1.0}), True)
     put_factor("gain", math.exp(fitted["gain"]), free.deviation({"gain": 1.0}), True)
     put("offset_rad", fitted["offset"], free.deviation({"offset": 1.0}), True)

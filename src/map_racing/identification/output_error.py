@@ -20,12 +20,24 @@ from .robust_fit import Believed, Fitted, fit
 
 __all__ = ["NAMES", "believed", "fit_car", "simulate"]
 
-NAMES = ("front", "rear", "grip", "delay", "share", "gain", "offset", "inertia", "height", "shape")
+NAMES = (
+    "front",
+    "rear",
+    "grip",
+    "delay",
+    "share",
+    "gain",
+    "offset",
+    "inertia",
+    "height",
+    "shape",
+    "bend",
+)
 """The parameters: logarithms of factors on the cornering stiffness of both axles, on the grip, on
 the steering gain and on the moment of inertia; dead time and lag of the steering together [s], the
 lag's share of them, offset of the steering [rad], height of the center of gravity above the
-vehicle's [m], and logarithm of a factor on the shape factor C of both tires, which bends the curve
-between its slope at zero slip and its peak."""
+vehicle's [m], and logarithm of a factor on the shape factor C of both tires, and what is added to
+their E: both bend the curve between its slope at zero slip and its peak."""
 
 # Dead time and lag from which the search begins [s]; the better result counts.
 START_DELAYS = (0.03, 0.08)
@@ -53,6 +65,7 @@ def believed(**spreads: float) -> dict[str, Believed]:
         "inertia": (0.0, 0.25, -1.2, 1.2, 1e-3),
         "height": (0.0, 0.02, -0.05, 0.1, 1e-3),
         "shape": (0.0, 0.0, -0.5, 0.5, 1e-3),
+        "bend": (0.0, 0.0, -3.0, 1.0, 1e-3),
     }
     return {
         name: Believed(values[0], spreads.get(name, values[1]), *values[2:])
@@ -67,7 +80,7 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
     ----------
     vehicle : Vehicle
     windows : Windows
-    theta : ndarray, shape (p, 10)
+    theta : ndarray, shape (p, 11)
         Sets of parameters, see `NAMES`.
 
     Returns
@@ -80,13 +93,14 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
     h, steps = windows.step, windows.steps
     delta, ahead = _wheels(vehicle, windows, theta)
     shape = delta.shape[1:]
-    front, rear, grip, inertia, bend = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 7, 9))
+    front, rear, grip, inertia, wide = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 7, 9))
+    added = theta[:, 10][:, None]
     m, l_f, l_r = vehicle.m, vehicle.l_f, vehicle.l_r
     I_z = vehicle.I_z * inertia
     mu = vehicle.mu * grip
     # The stiffness is the tire's own: the grip only moves the peak.
-    curve_f = _curve(vehicle.front, front / grip, bend)
-    curve_r = _curve(vehicle.rear, rear / grip, bend)
+    curve_f = _curve(vehicle.front, front / grip, wide, added)
+    curve_r = _curve(vehicle.rear, rear / grip, wide, added)
     load = m / vehicle.l_wb
     a_long = windows.a_long
     transfer = np.maximum(vehicle.h_cg + theta[:, 8], 0.0)[:, None] * a_long[:, None, :]
@@ -150,8 +164,8 @@ def _wheels(vehicle, windows, theta):
     return delta, ahead
 
 
-def _curve(tire, factor, bend):
-    """Normalized force and slope of a tire whose slope at zero slip and C are scaled."""
+def _curve(tire, factor, wide, added):
+    """Force and slope, normalized, of a tire with slope at zero slip and C scaled, and E moved."""
     if not isinstance(tire, PacejkaTire):
         slope = tire.C_S * factor
 
@@ -159,7 +173,8 @@ def _curve(tire, factor, bend):
             return slope * alpha, slope
 
         return linear
-    B, C, D, E = tire.B * factor / bend, tire.C * bend, tire.D, tire.E
+    B, C, D = tire.B * factor / wide, tire.C * wide, tire.D
+    E = np.minimum(tire.E + added, max(tire.E, 1.0))
 
     def pacejka(alpha):
         x = B * alpha

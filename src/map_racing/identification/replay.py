@@ -43,6 +43,7 @@ FEWEST_WINDOWS, MOST_WINDOWS = 5, 40
 # The car's model ends where it stands [m/s].
 SLOWEST_MPS = 0.3
 HEADING_HZ = 3.0
+LEAST_BEYOND = 0.02  # share of the driving that is worth a note
 
 # Shares are of what was measured, or of this where it was less: an error on a straight is no large
 # share of a turn.
@@ -181,7 +182,11 @@ def actuators_of(runs: list[Run], vehicle: Vehicle) -> Actuators:
 
 
 def replay(
-    vehicle: Vehicle, runs: list[Run], actuators: Actuators, length: float = REPLAY_WINDOW_S
+    vehicle: Vehicle,
+    runs: list[Run],
+    actuators: Actuators,
+    length: float = REPLAY_WINDOW_S,
+    reached: float | None = None,
 ) -> Replay:
     """Drive a car open loop by the commands of recordings.
 
@@ -193,6 +198,9 @@ def replay(
     actuators : Actuators
     length : float, optional
         Of the windows [s].
+    reached : float, optional
+        Lateral acceleration up to which the tires were identified [m/s^2]: what is beyond it is
+        noted, as there they are extrapolated.
 
     Raises
     ------
@@ -208,7 +216,7 @@ def replay(
     found, refused = [], []
     for run in runs:
         try:
-            found.append(_replayed(vehicle, run, actuators, length))
+            found.append(_replayed(vehicle, run, actuators, length, reached))
         except IdentificationError as error:
             refused.append((run.label, str(error).replace(f"{run.name}: ", "")))
     if not found:
@@ -217,7 +225,7 @@ def replay(
     return Replay(length, found, refused)
 
 
-def _replayed(vehicle, run, actuators, length):
+def _replayed(vehicle, run, actuators, length, reached):
     """Replay of one run."""
     notes, path = [], None
     try:
@@ -238,6 +246,13 @@ def _replayed(vehicle, run, actuators, length):
         )
     if not any(note.startswith("no drift") for note in notes):
         path = _path(run, drive.t, motion.clock_offset_s)
+    if reached is not None:
+        beyond = float(np.mean(np.abs(drive.v_x * drive.r)[drive.usable] > reached))
+        if beyond > LEAST_BEYOND:
+            notes.append(
+                f"{beyond:.0%} of the driving is beyond the {reached:.2f} m/s^2 at which the tires "
+                "were identified: extrapolated"
+            )
     driven = drive.speed_command is not None and actuators.drive is not None
     if not driven:
         notes.append("speed as measured: no speed commands, or nothing tells of the drive")

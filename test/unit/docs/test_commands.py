@@ -47,7 +47,10 @@ READERS = {
         *("MY_BASE.yaml", "CIRCLES.csv"),
         *("steering_ramp_1.bag", "steering_ramp_2.bag"),
     ],
-    "doc/results.md": ["hangar.bag", "Austin_centerline.csv", "Austin_raceline.csv"],
+    "doc/results.md": [
+        *("hangar.bag", "Austin_centerline.csv", "Austin_raceline.csv", "MY_BASE.yaml"),
+        *("CIRCLES.csv", "OTHER_CIRCLES.csv", "HELD_CIRCLES.csv"),
+    ],
 }
 
 # The last value of an option counts; the longest beginning of a command.
@@ -215,6 +218,8 @@ MAKERS = {
     "Austin_raceline.csv": wider,
     "BY_HAND.bag": by_hand,
     "CIRCLES.csv": circles,
+    "OTHER_CIRCLES.csv": circles,
+    "HELD_CIRCLES.csv": circles,
     "FAULTS.yaml": faults,
     "HALL.yaml": hall,
     "LAPS.bag": laps,

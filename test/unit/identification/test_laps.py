@@ -12,6 +12,7 @@ from map_racing.identification.data import Signal
 from map_racing.identification.laps import tires_from_laps
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.single_track import GRAVITY
+from map_racing.vehicle.tires import PacejkaTire
 
 NUC4 = load_vehicle("nuc4")
 
@@ -131,6 +132,22 @@ def test_not_beyond_their_lock(low):
     found = identify_car([run], car, fix=True)
     assert found.setup.steering_gain == 1.0
     assert any("beyond their lock" in finding.text for finding in found.findings)
+
+
+def test_the_wrong_shape_of_a_curve_does_not_pass_for_friction(low):
+    run, true = low
+    C, E = 1.5, 0.9  # bends late, and then sharply
+    other = {
+        axle: PacejkaTire(tire.stiffness / (C * tire.D), C, tire.D, E)
+        for axle, tire in (("front", NUC4.front), ("rear", NUC4.rear))
+    }
+    found = tires_from_laps([run], dataclasses.replace(NUC4, **other))
+    friction = found.parameters["friction"]
+    limit = found.vehicle.mu * found.vehicle.front.peak
+    if friction.determined:
+        assert limit == pytest.approx(true.mu * true.front.peak, rel=0.12)
+    else:
+        assert found.vehicle.mu == NUC4.mu
 
 
 def test_linear_tires_have_no_friction_to_tell(low):

@@ -114,6 +114,13 @@ def test_pieces_with_a_command_to_stop_are_left_out(quiet):
     assert any("s with a speed command of 0 left out" in note for note in only.notes)
 
 
+def test_what_is_beyond_the_identified_tires_is_said(quiet):
+    run, true, actuators = quiet
+    least, most = replay(true, [run], actuators, reached=2.0), replay(true, [run], actuators)
+    assert any("% of the driving is beyond the 2.00 m/s^2" in note for note in least.runs[0].notes)
+    assert not most.runs[0].notes
+
+
 def test_a_real_car_from_its_other_circles(shared_data):
     channels = load_channel_map("circles_log")
     folder = shared_data / "tyre_id"
