@@ -39,6 +39,8 @@ STEPPING = 0.9
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
+# The delay is no better known than this [s]: half a step of the model, as servos have steps, too.
+COARSE_S = 0.5 * STEP_S
 # Poses as old as this are from another clock [s], and synchronized clocks differ by the other.
 OLDEST_S, FUTURE_S = 0.15, 0.02
 
@@ -183,7 +185,7 @@ def _steering(drives, models, notes):
         key=lambda entry: entry[0].noise["r"],
     )
     value, share = found["delay"], found["share"]
-    unsure = CONFIDENCE * found.deviation({"delay": 1.0})
+    unsure = float(np.hypot(CONFIDENCE * found.deviation({"delay": 1.0}), COARSE_S))
     explained = 1.0 - (found.noise["r"] / _spread(windows.observed["r"])) ** 2
     if explained < LEAST_SHARE:
         reason = f"the commands explain {max(explained, 0.0):.0%} of how the yaw rate varies"

@@ -259,15 +259,18 @@ class LookupTable:
         return float(np.polyfit(self._w, first, 1)[0])
 
     def _refuse_spikes(self):
-        """Refuse a cell far above both geometry and the next angle's, as one that was mistyped.
+        """Refuse a cell far above geometry and all cells beside it, as one that was mistyped.
 
         Where a car oversteers all cells are far above geometry.
         """
         rolling = np.tan(self.angles[:, None]) * self.speeds**2 / self.l_wb
+        low = 0.5 * self.a_lat
         with np.errstate(invalid="ignore"):
             high = (self.a_lat > _SPIKE * rolling) & (self.a_lat > 1.0)
-            high[:-1] &= self.a_lat[1:] < 0.5 * self.a_lat[:-1]
-        high[-1] = False
+            high[1:] &= self.a_lat[:-1] < low[1:]
+            high[:-1] &= self.a_lat[1:] < low[:-1]
+            high[:, 1:] &= self.a_lat[:, :-1] < low[:, 1:]
+            high[:, :-1] &= self.a_lat[:, 1:] < low[:, :-1]
         if high.any():
             i, j = np.argwhere(high)[0]
             raise ParameterError(

@@ -108,6 +108,7 @@ def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
     write_race_bag(tmp_path / "laps.bag", log, raceline)
     delays = estimate_delays([load_run(tmp_path / "laps.bag")], NUC4)
     assert delays.delay.value == pytest.approx(total, abs=0.005)
+    assert delays.delay.low <= total <= delays.delay.high
 
 
 def test_without_a_file_of_the_car(shipped):
