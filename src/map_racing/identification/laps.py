@@ -58,7 +58,8 @@ LEAST_USE = 0.5
 # Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
 # The shape of the curves is the file's unless that moves the friction (its logarithm) by so much.
-SHAPE_MATTERS = 0.04
+# Then the friction must be known better to count.
+SHAPE_MATTERS, SURE = 0.04, 0.05
 # The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
 SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
 
@@ -287,7 +288,11 @@ def _fitted(base, windows, prior, demonstrated):
     fitted = fit_car(base, windows, beliefs(held), near=free)
     if "grip" not in unknown and abs(fitted["grip"] - free["grip"]) > SHAPE_MATTERS:
         # With the file's shape the data ask for another friction: then the shape is wrong.
-        return free, free, unknown - {"shape", "bend"}
+        if free.deviation({"grip": 1.0}) <= SURE:
+            return free, free, unknown - {"shape", "bend"}
+        unknown = unknown | {"grip"}
+        held["grip"] = 0.0
+        fitted = fit_car(base, windows, beliefs(held), near=free)
     return free, fitted, unknown
 
 

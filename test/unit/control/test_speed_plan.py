@@ -218,10 +218,12 @@ def test_any_change_that_matters_makes_another_plan_and_no_other():
     assert subject.plan is not None
 
 
-def test_what_is_prepared_has_no_effect_until_it_is_applied():
+def test_what_is_prepared_has_no_effect_until_it_is_applied(monkeypatch):
+    """Applying it, between two control steps, plans nothing any more."""
     subject = Controller(LIMITED, TABLE, NUC4, REFERENCE)
     before = subject.step(at_start())
-    setup = subject.prepare(parameters=LIMITED.with_(speed_scale=0.1))
+    setup = subject.prepare(parameters=LIMITED.with_(speed_scale=0.1, grip_use=0.5))
+    monkeypatch.setattr("map_racing.control.controller.SpeedPlan", None)
     assert subject.step(at_start())[:2] == before[:2]
     subject.apply(setup)
     assert subject.step(at_start()).speed < 0.2 * before.speed
