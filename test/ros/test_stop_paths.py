@@ -5,6 +5,7 @@ the other tests run them as processes.
 """
 
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -17,6 +18,7 @@ from map_racing.control.safety import Mode, Reason
 from map_racing.errors import RacelineError
 from map_racing.nodes import controller, watchdog
 from map_racing.nodes.conversions import set_plane_pose
+from map_racing.nodes.node import SteadyClock
 from map_racing.simulation.driver import reversed_raceline
 from map_racing.track.files.load import load_raceline
 
@@ -156,6 +158,31 @@ def test_steps_of_the_clock_are_taken_from_the_stamps(car):
     car.clock.steps = 3600.0
     car.pose(stamp=car.clock.time + 3600.0 - 0.125)
     assert car.node._supervisor.pose_age == pytest.approx(0.125)
+
+
+def test_simulated_time_may_arrive_after_the_pose_of_that_time(car, monkeypatch):
+    """The pose waits for it, but no longer than one patience where stamps are in the future."""
+
+    def at(t):
+        monkeypatch.setattr(rospy.rostime, "_rostime_current", rospy.Time.from_sec(t))
+
+    waits = []
+
+    def sleep(_):
+        waits.append(None)
+        at(car.clock.time)
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    car.node._clock = SteadyClock()
+    at(START)
+    car.drive()
+    assert car.state == (Mode.DRIVING, Reason.NONE)
+    assert car.node._supervisor.pose_age == 0.0 and len(waits) == 15  # all but the first
+    monkeypatch.setattr(time, "sleep", waits.append)
+    monkeypatch.setattr(controller, "CLOCK_PATIENCE_S", 0.0)
+    car.drive(0.25)
+    assert car.state == (Mode.STOPPING, Reason.STALE_POSE)
+    assert car.node._supervisor.pose_age == -0.25 and len(waits) <= 16
 
 
 # -- failures ------------------------------------------------------------------------------------
