@@ -103,11 +103,11 @@ def make(monkeypatch, no_master):
     for name in ("collect", "freeze"):
         monkeypatch.setattr(controller.gc, name, lambda: None)
 
-    def build(**given):
+    def build(kind=Car, **given):
         no_master.params.update(
             {"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}}
         )
-        car = Car()
+        car = kind()
         car.said = no_master.said
         return car
 
@@ -401,13 +401,41 @@ def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
     assert subscribed == {source: ((kind, node._on_pose, read), latest)}
 
 
+class PosesOnly(Car):
+    """It has a localization that reports no velocity."""
+
+    def pose(self, **changes):
+        odometry = self.message(**changes)
+        message = PoseStamped(odometry.header, odometry.pose.pose)
+        message._connection_header = odometry._connection_header
+        self.node._on_pose(message, self.node._reader.pose)
+        self.clock.time += PERIOD
+        self.s += SPEED * PERIOD
+        return self.sent[-1:]
+
+
 def test_poses_without_velocity(make):
-    car = make(pose_source="pose")
-    message = car.message()
-    stamped = PoseStamped(message.header, message.pose.pose)
-    stamped._connection_header = message._connection_header
-    car.node._on_pose(stamped, car.node._reader.pose)
+    car = make(PosesOnly, pose_source="pose")
+    car.pose()
     assert car.state[0] is Mode.DRIVING
+
+
+@pytest.mark.parametrize("stamp", [{}, {"stamp": 0.0}], ids=["fresh", "no"])
+def test_frozen_poses_without_velocity(make, stamp):
+    """With fresh stamps, or without any, the car stops by a ramp from the speed that it had."""
+    car = make(PosesOnly, pose_source="pose", speed_scale=0.5)
+    car.drive(1.0)
+    at, ramp = car.s, []
+    for _ in range(40):
+        car.s = at
+        (command,) = car.pose(**stamp)
+        if car.state[0] is not Mode.DRIVING:
+            assert car.state[1] is Reason.FROZEN_POSE
+            ramp.append(command.drive.speed)
+    assert car.state[0] is Mode.STOPPED
+    begin = SPEED - 4.0 * PERIOD
+    expected = [max(begin - 4.0 * PERIOD * k, 0.0) for k in range(len(ramp))]
+    assert ramp == pytest.approx(expected, abs=1e-3)
 
 
 # -- the thread of the watchdog ------------------------------------------------------------------
