@@ -32,7 +32,7 @@ _STOP = object()
 _SILENCE_S = 5.0  # warn after this time without poses
 _SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
 # A shutdown waits until no message has come for this time, but no longer than the second one [s].
-_QUIET_S, _LAST_MESSAGES_S = 0.5, 3.0
+_QUIET_S, _LAST_MESSAGES_S = 0.3, 3.0
 _NAN = math.nan
 LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
 
@@ -141,8 +141,9 @@ class LapEvaluatorNode:
 
         A busy computer has not yet read all that was sent when a bag that is played fast ends.
         """
-        end = time.monotonic() + _LAST_MESSAGES_S
-        while time.monotonic() < min(self._arrived + _QUIET_S, end):
+        begin = time.monotonic()
+        end = begin + _LAST_MESSAGES_S
+        while time.monotonic() < min(max(self._arrived, begin) + _QUIET_S, end):
             time.sleep(0.02)
         self._queue.put((_STOP, None, 0, 0.0))
         self._idle.wait(_SUMMARY_S)
