@@ -121,9 +121,15 @@ def test_what_is_learned_while_driving_is_published(rig, listen):
     beliefs = listen("/map_racing/belief", Belief)
     rig.driving()
     wait_for(lambda: len(beliefs) >= 40, what="forty beliefs")
-    answered = {message.header.stamp for message in list(rig.drive)}
-    for belief in list(beliefs):
-        assert belief.header.stamp in answered and belief.header.frame_id == "map"
+    published = list(beliefs)
+
+    def answered():
+        return {message.header.stamp for message in list(rig.drive)}
+
+    wait_for(lambda: published[-1].header.stamp in answered(), what="the last one's command")
+    stamps = answered()
+    for belief in published:
+        assert belief.header.stamp in stamps and belief.header.frame_id == "map"
         for name in ("friction", "front_stiffness", "rear_stiffness"):
             low, high = (getattr(belief, f"{name}_{end}") for end in ("low", "high"))
             assert low <= getattr(belief, name) <= high

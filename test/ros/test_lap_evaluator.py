@@ -110,12 +110,17 @@ def evaluator(start):
     return run
 
 
-def play(processes, bag, *options):
-    """Play a bag to its end."""
+def playing(processes, bag, *options):
+    """Begin to play a bag."""
     # A queue that holds what a busy computer cannot take at once: nothing may be lost.
-    player = processes(
+    return processes(
         ["rosbag", "play", "--quiet", "--clock", "--queue=10000", "--delay=1", *options, bag]
     )
+
+
+def play(processes, bag, *options):
+    """Play a bag to its end."""
+    player = playing(processes, bag, *options)
     assert player.wait(120.0) == 0, player.output
 
 
@@ -312,6 +317,20 @@ def test_no_lap_is_lost_when_the_node_is_killed(race_bag, evaluator, processes, 
     node.signal(signal.SIGKILL)
     node.wait()
     assert_same(rows(table), offline(race_bag)[:3])
+
+
+def test_what_was_sent_is_evaluated_before_the_end(race_bag, evaluator, processes, tmp_path):
+    """The node, held up as by a busy computer, has not read it all when it is told to end."""
+    table = tmp_path / "laps.csv"
+    node = evaluator({"csv": str(table)})
+    player = playing(processes, race_bag, "--rate=10")
+    wait_for(lambda: table.is_file() and len(rows(table)) == 1, what="the first lap")
+    node.signal(signal.SIGSTOP)
+    assert player.wait(120.0) == 0, player.output
+    node.signal(signal.SIGINT)
+    node.signal(signal.SIGCONT)
+    assert node.wait() == 0
+    assert_same(rows(table), offline(race_bag))
 
 
 def test_waypoints_without_points_are_refused_and_later_ones_taken(start, advertise, ros):

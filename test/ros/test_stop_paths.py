@@ -5,6 +5,7 @@ the other tests run them as processes.
 """
 
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -17,6 +18,7 @@ from map_racing.control.safety import Mode, Reason
 from map_racing.errors import RacelineError
 from map_racing.nodes import controller, watchdog
 from map_racing.nodes.conversions import set_plane_pose
+from map_racing.nodes.node import SteadyClock
 from map_racing.simulation.driver import reversed_raceline
 from map_racing.track.files.load import load_raceline
 
@@ -101,11 +103,11 @@ def make(monkeypatch, no_master):
     for name in ("collect", "freeze"):
         monkeypatch.setattr(controller.gc, name, lambda: None)
 
-    def build(**given):
+    def build(kind=Car, **given):
         no_master.params.update(
             {"~raceline": "reference", **{f"~{k}": v for k, v in given.items()}}
         )
-        car = Car()
+        car = kind()
         car.said = no_master.said
         return car
 
@@ -156,6 +158,31 @@ def test_steps_of_the_clock_are_taken_from_the_stamps(car):
     car.clock.steps = 3600.0
     car.pose(stamp=car.clock.time + 3600.0 - 0.125)
     assert car.node._supervisor.pose_age == pytest.approx(0.125)
+
+
+def test_simulated_time_may_arrive_after_the_pose_of_that_time(car, monkeypatch):
+    """The pose waits for it, but no longer than one patience where stamps are in the future."""
+
+    def at(t):
+        monkeypatch.setattr(rospy.rostime, "_rostime_current", rospy.Time.from_sec(t))
+
+    waits = []
+
+    def sleep(_):
+        waits.append(None)
+        at(car.clock.time)
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    car.node._clock = SteadyClock()
+    at(START)
+    car.drive()
+    assert car.state == (Mode.DRIVING, Reason.NONE)
+    assert car.node._supervisor.pose_age == 0.0 and len(waits) == 15  # all but the first
+    monkeypatch.setattr(time, "sleep", waits.append)
+    monkeypatch.setattr(controller, "CLOCK_PATIENCE_S", 0.0)
+    car.drive(0.25)
+    assert car.state == (Mode.STOPPING, Reason.STALE_POSE)
+    assert car.node._supervisor.pose_age == -0.25 and len(waits) <= 16
 
 
 # -- failures ------------------------------------------------------------------------------------
@@ -374,13 +401,41 @@ def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
     assert subscribed == {source: ((kind, node._on_pose, read), latest)}
 
 
+class PosesOnly(Car):
+    """It has a localization that reports no velocity."""
+
+    def pose(self, **changes):
+        odometry = self.message(**changes)
+        message = PoseStamped(odometry.header, odometry.pose.pose)
+        message._connection_header = odometry._connection_header
+        self.node._on_pose(message, self.node._reader.pose)
+        self.clock.time += PERIOD
+        self.s += SPEED * PERIOD
+        return self.sent[-1:]
+
+
 def test_poses_without_velocity(make):
-    car = make(pose_source="pose")
-    message = car.message()
-    stamped = PoseStamped(message.header, message.pose.pose)
-    stamped._connection_header = message._connection_header
-    car.node._on_pose(stamped, car.node._reader.pose)
+    car = make(PosesOnly, pose_source="pose")
+    car.pose()
     assert car.state[0] is Mode.DRIVING
+
+
+@pytest.mark.parametrize("stamp", [{}, {"stamp": 0.0}], ids=["fresh", "no"])
+def test_frozen_poses_without_velocity(make, stamp):
+    """With fresh stamps, or without any, the car stops by a ramp from the speed that it had."""
+    car = make(PosesOnly, pose_source="pose", speed_scale=0.5)
+    car.drive(1.0)
+    at, ramp = car.s, []
+    for _ in range(40):
+        car.s = at
+        (command,) = car.pose(**stamp)
+        if car.state[0] is not Mode.DRIVING:
+            assert car.state[1] is Reason.FROZEN_POSE
+            ramp.append(command.drive.speed)
+    assert car.state[0] is Mode.STOPPED
+    begin = SPEED - 4.0 * PERIOD
+    expected = [max(begin - 4.0 * PERIOD * k, 0.0) for k in range(len(ramp))]
+    assert ramp == pytest.approx(expected, abs=1e-3)
 
 
 # -- the thread of the watchdog ------------------------------------------------------------------

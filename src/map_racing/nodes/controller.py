@@ -50,6 +50,8 @@ SWITCH_S = 0.0005
 QUIET_S = 1.0
 # Stop commands sent when the node ends: several, as the first may meet a full queue.
 LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
+# Longest wait [s of wall time] for /clock to reach a pose that overtook it.
+CLOCK_PATIENCE_S = 1.0
 
 POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
@@ -76,8 +78,8 @@ def _build():
     return controller, build_supervisor(controller, limits, grip), names, car
 
 
-def _publisher(topic, kind, queue_size=10):
-    return rospy.Publisher(topic, kind, queue_size=queue_size)
+def _publisher(topic, kind):
+    return rospy.Publisher(topic, kind, queue_size=10)
 
 
 class ControllerNode:
@@ -117,10 +119,12 @@ class ControllerNode:
         self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
         self._ending = self._failing = False
+        self._clock_follows = True
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
 
-        self._drive = _publisher("drive", AckermannDriveStamped, 1)
+        # With a queue of 1, rospy drops commands of a busy computer, others for each subscriber.
+        self._drive = _publisher("drive", AckermannDriveStamped)
         self._guidance = _publisher("guidance", Guidance)
         self._tracking = _publisher("tracking", Tracking)
         self._belief = _publisher(BELIEF_TOPIC, Belief)
@@ -179,10 +183,23 @@ class ControllerNode:
         rospy.Subscriber(source, kind, self._on_pose, read, **latest)
 
     def _on_pose(self, message, read):
+        if not rospy.rostime.is_wallclock():
+            self._await_clock(message.header)
         begin = time.perf_counter()
         with self._lock:
             if self._sender.sent(message):
                 self._act(begin, message.header, lambda t: read(message, t))
+
+    def _await_clock(self, header):
+        """Let simulated time reach a pose that overtook it: they come on different connections."""
+        end = time.monotonic() + CLOCK_PATIENCE_S
+        while header.stamp > rospy.Time.now():
+            # Stamps that are in the future hold up no more than one pose.
+            if not self._clock_follows or time.monotonic() > end:
+                self._clock_follows = False
+                return
+            time.sleep(SWITCH_S)
+        self._clock_follows = True
 
     def _on_transforms(self):
         begin = time.perf_counter()

@@ -31,6 +31,8 @@ __all__ = ["LapEvaluatorNode", "main"]
 _STOP = object()
 _SILENCE_S = 5.0  # warn after this time without poses
 _SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
+# A shutdown waits until no message has come for this time, but no longer than the second one [s].
+_QUIET_S, _LAST_MESSAGES_S = 0.3, 3.0
 _NAN = math.nan
 LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
 
@@ -66,7 +68,7 @@ class LapEvaluatorNode:
             if not value > 0.0:
                 raise ParameterError(f"~{name}: expected more than 0, got {value}")
 
-        self._queue = queue.SimpleQueue()
+        self._queue, self._arrived = queue.SimpleQueue(), -math.inf
         self._frame, self._heard = "map", -math.inf
         self._best, self._counted = _NAN, 0
         self._laps = LiveEvaluation(
@@ -118,7 +120,8 @@ class LapEvaluatorNode:
         )
 
     def _put(self, handle, message):
-        self._queue.put((handle, message, rospy.Time.now().to_nsec(), time.monotonic()))
+        self._arrived = time.monotonic()
+        self._queue.put((handle, message, rospy.Time.now().to_nsec(), self._arrived))
 
     def run(self):
         """Evaluate until the node is shut down, then summarize."""
@@ -134,7 +137,14 @@ class LapEvaluatorNode:
             self._idle.set()
 
     def _stop(self):
-        """Let the last lap be published before rospy closes the topics."""
+        """Let the last lap be published before rospy closes the topics.
+
+        A busy computer has not yet read all that was sent when a bag that is played fast ends.
+        """
+        begin = time.monotonic()
+        end = begin + _LAST_MESSAGES_S
+        while time.monotonic() < min(max(self._arrived, begin) + _QUIET_S, end):
+            time.sleep(0.02)
         self._queue.put((_STOP, None, 0, 0.0))
         self._idle.wait(_SUMMARY_S)
 

@@ -182,8 +182,9 @@ def two_runs(tmp_path_factory, reference):
     at = reference.sample(s)
     sooner = np.minimum(at.speed, reference.sample(s + 0.5).speed)
     speed = np.where((s > early.begin) & (s < early.apex), sooner, at.speed)
-    # Outside of the line around the exit, 0.35 m where it is most.
-    d = -0.35 * bump(s, reference.length, wide.apex - 1.0, wide.end)
+    # Outside of the line around the exit, 0.35 m where it is most, over so long a way that the car
+    # is on its line again before the next bend.
+    d = -0.35 * bump(s, reference.length, wide.apex - 1.5, wide.end + 0.5)
     x, y = reference.to_cartesian(s, d)
     bad = Raceline(x, y, vx_mps=speed, d_left_m=at.d_left - d, d_right_m=at.d_right + d, name="bad")
     return [simulated(line, folder / f"{line.name}.bag") for line in (bad, reference)]
