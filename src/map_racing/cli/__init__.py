@@ -25,7 +25,7 @@ COMMANDS = {
     "lookup": "make or check a steering lookup table",
     "raceline": "check, convert, optimize and record racelines",
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
-    "identify": "identify tires from recorded steady cornering, write vehicle file and table",
+    "identify": "identify tires from laps or steady cornering, write vehicle file and table",
     "delay": "delays of steering, drive and localization from recorded laps",
     "faults": "rehearse faults: what stops the car, how soon, and what lets it drive again",
     "tune": "find the lookahead with which a controller follows a track closest",

@@ -41,6 +41,7 @@ def run(arguments: argparse.Namespace) -> None:
     outputs.append(arguments.controller_output)
     recordings = [*arguments.data, *arguments.validate]
     check_outputs(outputs, [*recordings, arguments.vehicle, arguments.channels])
+    _check_held_out(arguments)
     base = read_vehicle(arguments.vehicle)
     channels = channel_map(arguments)
     sources = joined(arguments.data, arguments.join)
@@ -84,6 +85,16 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.plots:
         draw_identification(arguments.plots, found.steady, left_out, table)
         print(f"figures are in {arguments.plots}")
+
+
+def _check_held_out(arguments):
+    """Refuse to validate with what the car is fitted to."""
+    fitted = {Path(path).resolve() for path in arguments.data}
+    for path in arguments.validate:
+        if Path(path).resolve() in fitted:
+            raise ParameterError(
+                f"--validate: expected recordings that the car is not fitted to, got {path}"
+            )
 
 
 def _validated(arguments, found, channels):

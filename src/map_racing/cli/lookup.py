@@ -83,11 +83,14 @@ def _replay(arguments, vehicle):
     channels = channel_map(arguments)
     runs = [load_run(path, channels) for path in arguments.bag]
     actuators = actuators_of(runs, vehicle)
-    print(
-        f"  steering of these recordings: {actuators.delay:.3f} s of dead time and lag, fitted "
-        f"with {vehicle.name}'s tires held"
+    found = replay(vehicle, runs, actuators, arguments.window)
+    why = (
+        f"fitted with {vehicle.name}'s tires held"
+        if actuators.fitted
+        else "the usual ones, as they turn too little to fit them"
     )
-    for line in replay_lines(replay(vehicle, runs, actuators, arguments.window)):
+    print(f"  steering of these recordings: {actuators.delay:.3f} s of dead time and lag, {why}")
+    for line in replay_lines(found):
         print(f"  {line}")
 
 

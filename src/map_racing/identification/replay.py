@@ -67,11 +67,14 @@ class Actuators(NamedTuple):
         Dead time and lag of the steering together [s], and the lag's share of them.
     drive : ndarray or None
         Parameters of `map_racing.identification.drive.driven_speed`; None where nothing tells them.
+    fitted : bool, optional
+        Whether the steering's are fitted, not the usual ones.
     """
 
     delay: float
     share: float
     drive: np.ndarray | None
+    fitted: bool = True
 
 
 class ChannelError(NamedTuple):
@@ -161,7 +164,7 @@ def actuators_of(runs: list[Run], vehicle: Vehicle) -> Actuators:
             drives.append(driving_of(run))
         except IdentificationError:
             continue
-    delay, share, lane = USUAL_DELAY_S, 0.5, None
+    delay, share, lane, fitted = USUAL_DELAY_S, 0.5, None, False
     if drives:
         windows = windows_of(drives, step=STEP_S, channels=("r",), most=MOST_WINDOWS, least=0.15)
         if windows.count >= FEWEST_WINDOWS:
@@ -170,7 +173,7 @@ def actuators_of(runs: list[Run], vehicle: Vehicle) -> Actuators:
                 center=USUAL_DELAY_S, spread=DELAY_SPREAD_S
             )
             found = fit_car(vehicle, windows, beliefs)
-            delay, share = found["delay"], found["share"]
+            delay, share, fitted = found["delay"], found["share"], True
     commanded = [drive for drive in drives if drive.speed_command is not None]
     if commanded:
         windows = drive_windows(commanded)
@@ -178,7 +181,7 @@ def actuators_of(runs: list[Run], vehicle: Vehicle) -> Actuators:
             lane = fit_drive(windows).values
         else:
             lane = np.array([belief.center for belief in DRIVE_BELIEVED.values()])
-    return Actuators(delay, share, lane)
+    return Actuators(delay, share, lane, fitted)
 
 
 def replay(

@@ -373,7 +373,7 @@ def _sides(motions, setup, vehicle):
     if r.size < RATE_HZ or both_sides(r, vehicle):
         return []
     side = "left" if np.median(r) > 0.0 else "right"
-    text = f"sides: driven to the {side} only, which hides offsets of the sensors"
+    text = f"sides: steady cornering to the {side} only, which hides offsets of the sensors"
     return [SensorFinding("sides", text)]
 
 

@@ -195,6 +195,7 @@ def test_refusals(tmp_path, refused, capsys):
         ((bag, *good, "--channels", "nowhere"), "nor one of the shipped channels"),
         ((bag, *good, "--pose-topic", "/nowhere"), "/nowhere"),
         ((bag, *good, "--leave-one-out"), "--leave-one-out: expected steady cornering"),
+        ((bag, *good, "--validate", bag), "--validate: expected recordings that the car is not"),
     ):
         assert expected in refused("identify", *arguments)
     assert list(tmp_path.iterdir()) == [bag]

@@ -311,4 +311,4 @@ def test_second_real_car(shared_data):
     # One steering angle to one side does not tell a tire's peak.
     assert not found.axles["front"].pacejka.saturated and not found.axles["rear"].pacejka.saturated
     assert not found.axles["front"].pacejka.parameters["peak_n"].determined
-    assert any("driven to the left only" in finding.text for finding in found.findings)
+    assert any("steady cornering to the left only" in finding.text for finding in found.findings)

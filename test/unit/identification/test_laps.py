@@ -157,6 +157,15 @@ def test_linear_tires_have_no_friction_to_tell(low):
     assert found.least_friction is None
 
 
+def test_commands_too_early_to_be_the_delay(low):
+    """With the delay at its bound, tires would make up for the rest."""
+    run = low[0]
+    steering = run.signals["steering"]
+    early = {**run.signals, "steering": Signal(steering.t - 0.28, steering.value)}
+    with pytest.raises(IdentificationError, match="on one clock"):
+        tires_from_laps([dataclasses.replace(run, signals=early)], NUC4)
+
+
 def test_refusals(low):
     run, _ = low
     t = np.arange(0.0, 20.0, 0.025)

@@ -26,6 +26,13 @@ def quiet():
     return run, true, actuators_of([run], true)
 
 
+def test_without_commands_the_usual_delays_are_not_called_fitted(quiet):
+    run, true, actuators = quiet
+    assert actuators.fitted
+    signals = {key: signal for key, signal in run.signals.items() if key != "steering"}
+    assert not actuators_of([dataclasses.replace(run, signals=signals)], true).fitted
+
+
 def test_delays_with_the_tires_held(quiet):
     _, _, actuators = quiet
     assert actuators.delay == pytest.approx(0.05, abs=0.002)

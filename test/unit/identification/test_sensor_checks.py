@@ -154,7 +154,7 @@ def test_one_side_says_what_it_cannot_say(ramps):
     }
     findings = findings_of(dataclasses.replace(ramps.run, signals=half), ramps.base)
     texts = " ".join(finding.text for finding in findings)
-    assert "driven to the left only" in texts and "cannot be separated" in texts
+    assert "steady cornering to the left only" in texts and "cannot be separated" in texts
     assert not any(finding.fix for finding in findings)
 
 

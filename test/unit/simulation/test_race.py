@@ -88,6 +88,16 @@ def test_the_last_lap_of_a_fast_car_is_complete():
     assert sum(lap.valid for lap in evaluated(log, line).laps) == 1
 
 
+@pytest.mark.parametrize("latency", [0.02, 0.04, 0.1])
+def test_the_last_lap_is_complete_however_late_the_poses(latency):
+    """At 12 m/s a car is 1.2 m farther when a pose that is 0.1 s old arrives."""
+    plant = dataclasses.replace(PLANT, localization_latency_s=latency)
+    line = circle(30.0, 12.0)
+    log = drive(line, plant, seed=1)
+    assert log.outcome is Outcome.COMPLETED
+    assert sum(lap.valid for lap in evaluated(log, line).laps) == 1
+
+
 def test_lap_time_on_a_circle_is_length_over_speed():
     """At a speed long since reached and without lateral error: to 1 ms."""
     raceline = circle(3.0, 3.0)

@@ -54,6 +54,8 @@ _WORDS = {
 
 # Correlation with the bends below which a column is one of speeds, see `_Curve.falling`.
 _SLOWS = -0.6
+# A constant column below this is a height [m], not a speed [m/s] to race with.
+_SLOWEST_MPS = 0.5
 
 
 def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Finding]]:
@@ -190,9 +192,13 @@ def _name_the_rest(names, values, left, curve, known, reasons):
     if len(left) == 3 and len(constant) == 1:
         names[constant[0]] = "-"
         reasons.append(f"column {constant[0] + 1}, constant, is taken as the height")
+        # What a car can drive may be one speed for the whole lap.
+        speed = values[0, constant[0]] >= _SLOWEST_MPS
+        if speed:
+            reasons[-1] += ", though it may be the speed"
         left = [k for k in left if k not in constant]
         if _are_walls(*values.T[left]):
-            return _name_walls(names, values, left, reasons)
+            return _name_walls(names, values, left, reasons) or speed
     slowing = [(curve.falling(values[:, k]), k) for k in left]
     least, k = min(slowing)
     others = [other for other in left if other != k]
@@ -217,7 +223,7 @@ def _name_the_rest(names, values, left, curve, known, reasons):
         height = a if low[0] < low[2] and np.ptp(values[:, a]) < np.ptp(values[:, c]) else c
         names[height] = "-"
         reasons.append(f"column {height + 1} is taken as the height")
-        return _name_walls(names, values, [k for k in left if k != height], reasons)
+        _name_walls(names, values, [k for k in left if k != height], reasons)
     return True
 
 

@@ -98,6 +98,8 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y d_right d_left speed", "x y d_right d_left speed", WARNING),
         ("x y d_right d_left z", "x y d_right d_left", NOTE),
         ("x y high d_right d_left", "x y d_right d_left", NOTE),
+        # May as well be a speed.
+        ("x y constant d_right d_left", "x y d_right d_left", WARNING),
         ("index x y psi speed", "x y psi speed", WARNING),
         ("time x y psi speed", "x y psi speed", WARNING),
         ("x y speed slower", "x y speed", WARNING),
@@ -111,6 +113,14 @@ def test_columns_without_names(tmp_path, columns, expected, severity):
     for name, column in read.columns.items():
         np.testing.assert_allclose(column, COLUMNS[name], atol=1e-5, err_msg=name)
     assert codes(read.findings).get("unnamed-columns") == severity
+
+
+def test_three_constant_columns_are_a_guess(tmp_path):
+    """Speed and walls, or walls and height: nothing in the numbers tells."""
+    ones = np.ones(150)
+    path = write(tmp_path / "c.csv", "x", "y", 3.0 * ones, 1.1 * ones, 0.9 * ones)
+    (finding,) = read_raceline(path).findings
+    assert finding.severity == WARNING and "column 5 is taken as the height" in str(finding)
 
 
 @pytest.mark.parametrize("head", ["", "# timestamp tx ty tz qx qy qz qw\n"])
