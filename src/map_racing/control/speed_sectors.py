@@ -89,6 +89,8 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
 
     The file has ``global_limit``, ``n_sectors`` and ``Sector0: {start, end, scaling}``, ...;
     `start` and `end` are indices of the raceline's points, and no scale exceeds the global limit.
+    Sectors from the first point to the last but one reach to the end of the lap: they count the
+    points of another form of the raceline, such as a bag's.
 
     Parameters
     ----------
@@ -129,6 +131,9 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
         place = points[end + 1] if end + 1 < len(points) else raceline.length
         scale = min(_number(path, sector, "scaling", where=key), limit)
         sectors.append((points[start], place, scale))
+    if sectors and min(sectors)[0] == 0.0 and max(sectors)[1] == points[-1]:
+        start, _, scale = sectors.pop(sectors.index(max(sectors)))
+        sectors.append((start, raceline.length, scale))
     own = [re.fullmatch(r"Sector(0|[1-9]\d*)", str(key)) for key in content]
     unknown = [
         str(key)

@@ -11,7 +11,15 @@ from .delay import delay_data, delay_text
 from .identify import Prediction
 from .laps import LapTires
 from .replay import Replay, replay_data, replay_lines
-from .report import comparison, report_data, report_text, survey_data, survey_lines, tables
+from .report import (
+    check_line,
+    comparison,
+    report_data,
+    report_text,
+    survey_data,
+    survey_lines,
+    tables,
+)
 
 __all__ = ["car_data", "car_text", "provenance"]
 
@@ -181,5 +189,5 @@ def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
     if validated:
         lines.append(f"Validated by replay: {validated.headline}.")
     lines += [note for note in found.notes if "warning: " in note]
-    lines += [f"check: {finding.text}" for finding in found.findings if finding.critical]
+    lines += [check_line(finding) for finding in found.findings if finding.contradiction]
     return "\n".join(lines)

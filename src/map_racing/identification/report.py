@@ -12,9 +12,11 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.steady_state import steady_state_table
 from .identify import Identification, Prediction
 from .limits import RATE_HZ
+from .sensor_findings import SensorFinding
 from .tire_fit import AT_PEAK
 
 __all__ = [
+    "check_line",
     "comparison",
     "prediction_errors",
     "recorded_notes",
@@ -135,15 +137,17 @@ def survey_lines(found: Any) -> list[str]:
     """
     lines = [f"{run}: left out: {reason}" for run, reason in found.refused]
     lines += [f"corrected: {finding.text}" for finding in found.corrections]
-    lines += [
-        f"check: {finding.text}"
-        + (f"; --fix would set {_setup(finding.fix)}" if finding.fix else "")
-        for finding in found.findings
-    ]
+    lines += [check_line(finding) for finding in found.findings]
     if found.setup.changes():
         lines += ["sensor setup, in the form of a channel map:", "  setup:"]
         lines += [f"    {name}: {value}" for name, value in found.setup.changes().items()]
     return lines
+
+
+def check_line(finding: SensorFinding) -> str:
+    """A finding with its repair."""
+    repair = f"; --fix would set {_setup(finding.fix)}" if finding.fix else ""
+    return f"check: {finding.text}{repair}"
 
 
 def survey_data(found: Any) -> dict[str, Any]:

@@ -6,7 +6,9 @@ import yaml
 
 from map_racing.cli import main
 from map_racing.cli.options.advise import add_options
+from map_racing.control.speed_sectors import load_speed_sectors
 from map_racing.evaluation.advice import STEP
+from map_racing.track.files.load import load_raceline
 
 
 def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
@@ -18,6 +20,9 @@ def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
     scales = [content[f"Sector{i}"]["scaling"] for i in range(content["n_sectors"])]
     assert content["global_limit"] == 1.0
     assert max(scales) <= 0.7 * (1.0 + STEP) and min(scales) >= 0.7
+    # The track has a point more than the bag, and no place is left without an advice.
+    stretches = load_speed_sectors(file, load_raceline("reference")).stretches()
+    assert {scale for *_, scale in stretches} == set(scales)
     race = ["race", "--laps", "2", "--speed-scale", "1", "--speed-sectors", str(file)]
     assert main([*race, "--output", str(following)]) == 0
     capsys.readouterr()

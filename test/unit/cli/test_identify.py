@@ -84,6 +84,23 @@ def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypat
     assert load_vehicle(output).front == load_vehicle(identified / "my_car.yaml").front
 
 
+def test_what_a_fix_would_repair_stands_in_the_vehicle_file(identified, tmp_path, monkeypatch):
+    """A yaw rate that is a tenth too small is no reason to refuse, but to doubt the tires."""
+    assert "check: " not in (identified / "my_car.yaml").read_text()
+
+    def scaled(path, channels):
+        run = load_run(path, channels)
+        rate = run.signals["yaw_rate"]
+        run.signals["yaw_rate"] = rate._replace(value=0.9 * rate.value)
+        return run
+
+    monkeypatch.setattr("map_racing.cli.identify.load_run", scaled)
+    output = tmp_path / "a.yaml"
+    assert main(["identify", "nuc4_ramps", "--vehicle", "nuc4", "--output", str(output)]) == 0
+    (said,) = [line for line in output.read_text().splitlines() if line.startswith("# check: yaw")]
+    assert "yaw rate" in said and "--fix would set yaw_rate_scale" in said
+
+
 def test_the_example_is_as_the_plant(identified):
     """The shipped recording is of the plant nuc4, whose tires are not those of its vehicle."""
     found, nominal = load_vehicle(identified / "my_car.yaml"), load_vehicle("nuc4")

@@ -138,6 +138,19 @@ def test_ends_beyond_the_points_mean_the_line(tmp_path):
     assert sectors.scale_at(circle().length - 1e-6) == 0.5
 
 
+@pytest.mark.parametrize("end, at_the_line", [(17, 1.0), (18, 1.2), (19, 1.2), (20, 1.2)])
+def test_a_file_that_counts_one_point_less_reaches_the_line(tmp_path, end, at_the_line):
+    """A bag has its raceline every 0.1 m, so often a point more or less than the track's file."""
+    text = "{global_limit: 2, n_sectors: 2, Sector0: {start: 0, end: 9, scaling: 0.8}, Sector1: "
+    sectors = load(tmp_path, text + f"{{start: 10, end: {end}, scaling: 1.2}}}}")
+    assert sectors.scale_at(circle().length - 1e-6) == at_the_line
+
+
+def test_one_point_is_left_where_the_lap_is_not_covered(tmp_path):
+    sectors = load(tmp_path, "{n_sectors: 1, Sector0: {start: 5, end: 18, scaling: 0.5}}")
+    assert sectors.scale_at(circle().length - 1e-6) == 1.0
+
+
 @pytest.mark.parametrize("track, scale", [("circle", 0.7), ("hangar", 0.5)])
 def test_real_files(shared_data, track, scale):
     folder = shared_data / "tracks" / track
