@@ -155,6 +155,8 @@ def identify_car(
         laps = tires_from_laps(surveyed.ordinary, before, name, _spreads(steady))
     elif finding:
         surveyed = surveyed._replace(findings=[*surveyed.findings, finding])
+    if laps.runs_finding:
+        surveyed = surveyed._replace(findings=[*surveyed.findings, laps.runs_finding])
     return IdentifiedCar(base_vehicle, steady, laps, surveyed)
 
 

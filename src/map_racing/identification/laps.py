@@ -26,7 +26,7 @@ from .data import Run, SensorSetup
 from .delay import Delays, estimate_delays
 from .driving import GRID_HZ, LONGEST_DELAY_S, Driving, Windows, driving_of, windows_of
 from .kinematic_checks import LOCK_MARGIN
-from .output_error import believed, fit_car
+from .output_error import believed, fit_car, simulate
 from .robust_fit import CONFIDENCE, Fitted
 from .sensor_findings import SensorFinding
 from .tire_fit import Parameter
@@ -58,6 +58,9 @@ DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 
 # Friction is never taken from a drive that used less than this share of it, whatever the fit says:
 # at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
+# Runs are not of one car on one floor where the common fit leaves so many times what a fit of one
+# run's own does.
+MIXED = 1.5
 # Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
 # The shape of the curves is the file's unless that moves the friction (its logarithm) by so much.
@@ -97,6 +100,8 @@ class LapTires:
     fitted : Fitted
     delays : Delays
         Of the same runs.
+    runs_finding : SensorFinding or None
+        That the runs are not of one car on one floor.
     """
 
     vehicle: Vehicle
@@ -112,6 +117,7 @@ class LapTires:
     noise: dict[str, float]
     fitted: Fitted
     delays: Delays
+    runs_finding: SensorFinding | None = None
 
     @property
     def least_friction(self) -> float | None:
@@ -244,6 +250,7 @@ def tires_from_laps(
         noise=fitted.noise,
         fitted=fitted,
         delays=estimate_delays(used, vehicle),
+        runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,
     )
 
 
@@ -304,6 +311,29 @@ def _fitted(base, windows, prior, demonstrated):
         held["grip"] = 0.0
         fitted = fit_car(base, windows, beliefs(held), near=free)
     return free, fitted, unknown
+
+
+def _mixture(base, drives, labels, prior, fitted):
+    """The finding that fits of their own explain some runs much better than the common one."""
+    odd = []
+    for drive, label in zip(drives, labels):
+        windows = windows_of([drive], excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
+        if windows.count < FEWEST_WINDOWS:
+            continue
+        own = fit_car(base, windows, believed(**prior), near=fitted)
+        common, alone = (_left(base, windows, values) for values in (fitted, own))
+        if common > MIXED * alone:
+            odd.append(f"{label} {common:.3f} rad/s of its yaw rate, one of its own {alone:.3f}")
+    if not odd:
+        return None
+    text = "runs: not of one car on one floor: the common fit leaves of " + "; of ".join(odd)
+    return SensorFinding("runs", text, critical=True)
+
+
+def _left(base, windows, fitted):
+    """Standard deviation of what a fit leaves of the yaw rate, without outliers [rad/s]."""
+    simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
+    return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))
 
 
 def _limit(vehicle: Vehicle) -> float:

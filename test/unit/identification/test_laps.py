@@ -8,6 +8,7 @@ from driven_laps import QUIET, laps_of
 
 from map_racing.errors import IdentificationError
 from map_racing.identification.car import identify_car
+from map_racing.identification.car_report import car_text, provenance
 from map_racing.identification.data import Signal
 from map_racing.identification.laps import tires_from_laps
 from map_racing.vehicle.parameters import linearized, load_vehicle
@@ -56,6 +57,16 @@ def test_combinations_and_friction_are_the_cars(low, found):
     # Nothing else was learned.
     assert found.vehicle.I_z == NUC4.I_z and found.vehicle.h_cg == NUC4.h_cg
     assert found.vehicle.front.C == NUC4.front.C
+
+
+@pytest.mark.parametrize("scale, mu_scale, mixed", [(0.7, 0.7, True), (0.5, 0.88, False)])
+def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mixed):
+    """The same car at another speed is no contradiction, on another floor it is."""
+    other = dataclasses.replace(laps_of(scale, seed=2, mu_scale=mu_scale)[0], name="other.bag")
+    found = identify_car([low[0], other], NUC4)
+    doubts = [f.text for f in found.findings if f.critical]
+    assert bool(doubts) == mixed and all("not of one car on one floor" in d for d in doubts)
+    assert ("check: runs: " in provenance(found)) == mixed == ("check: runs: " in car_text(found))
 
 
 def test_far_from_the_limit_friction_stays_as_it_was():
