@@ -121,11 +121,13 @@ def test_mistakes_in_the_grid_are_one_line(tmp_path, capsys, text, expected):
     assert expected in said and said.count("\n") == 1
 
 
-def test_robust_tuning(folder, tmp_path, capsys, monkeypatch):
+def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
+    small = GRID.replace("generated_seeds: [13]", f"tracks: [{place / 'ring.csv'}]")
+    (tmp_path / "grid.yaml").write_text(small)
     output = tmp_path / "tuned"
     options = ("--controller", "map", "--grip-use", 0.8, "--output", output)
-    assert run(folder, "tune", "--robust", *options) == 0
+    assert run(tmp_path, "tune", "--robust", *options) == 0
     said = capsys.readouterr().out
     assert "all 3 races completed" in said and "grip_use 0.8: 3 of 3 completed" in said
     candidates = pd.read_csv(output / "candidates.csv")
