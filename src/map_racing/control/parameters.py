@@ -268,7 +268,8 @@ class MpcParameters:
         high=10.0,
     )
     steering_rate_weight_ms: float = parameter(
-        "Lateral error [m] that costs as much as a steering rate of 1 rad/s",
+        "Lateral error [m] that costs as much as a steering rate of 1 rad/s, counted as at least "
+        "0.005",
         "m s",
         low=0.0,
         high=10.0,
