@@ -228,8 +228,8 @@ class ControllerParameters:
 
 
 def growth(name: str, size: Size) -> float:
-    """Factor on a parameter for a car of another size."""
-    of_length, of_time = _GROWTH[name]
+    """Factor on a parameter for a car of another size; 1 for what does not grow with it."""
+    of_length, of_time = _GROWTH.get(name, (0, 0))
     return size.length**of_length * size.time**of_time
 
 

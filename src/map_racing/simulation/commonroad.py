@@ -33,7 +33,7 @@ __all__ = ["PARAMETER_SETS", "CommonRoadCar", "CommonRoadParameters"]
 
 # Parameter sets of the package, by its numbers. The fourth is a truck with a trailer.
 PARAMETER_SETS = {"ford_escort": 1, "bmw_320i": 2, "vw_vanagon": 3}
-# What a wheel under its static load may use of the stability limit of the midpoint rule, 2 per step.
+# What a wheel under its static load may use of the stability limit, 2 per step.
 STIFFEST = 1.4
 # Parameters of the package that its equations do not read.
 _UNUSED = frozenset(

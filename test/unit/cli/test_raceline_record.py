@@ -70,6 +70,12 @@ def test_a_lap_of_a_race_is_that_of_evaluate(bags, tmp_path, capsys):
     assert f"{best} s   <- taken" in recorded
 
 
+def test_a_larger_car_has_points_farther_apart(by_hand, tmp_path):
+    assert record(by_hand, tmp_path / "line.csv", "--vehicle", "bmw_320i", "--smoothing", "1") == 0
+    points = load_raceline(tmp_path / "line.csv").s_points
+    assert np.diff(points) == pytest.approx(0.8, abs=0.05)  # 0.1 m at the size of 8.06
+
+
 def test_refused(by_hand, tmp_path, refused):
     run, line = by_hand / "run.bag", tmp_path / "line.csv"
     start = ("raceline", "record", run, "--output", line)

@@ -179,6 +179,18 @@ def test_the_robust_search_varies_all_its_parameters_but_those_that_are_off(off)
     assert varied == set(ROBUST_STEPS) - set(off)
 
 
+def test_steps_of_the_robust_search_grow_with_the_car():
+    car = load_vehicle("bmw_320i")
+    given, size = load_controller_parameters("map").of_size(car), size_of(car)
+    plan = tune_robust(lambda controller: [controller], given, size)
+    next(plan)
+    around = plan.send([raced(0.02)])
+    steps = {round(abs(c.m_m - given.m_m), 4) for c in around if c.q_s == given.q_s}
+    assert steps == {0.0, round(2.0 * ROBUST_STEPS["m_m"] * size.length, 4)}
+    # A delay does not grow with the car.
+    assert {round(abs(c.delay_s - given.delay_s), 4) for c in around} == {0.0, 0.01}
+
+
 def test_a_robust_search_without_anything_that_completes_is_an_error():
     with pytest.raises(MapRacingError, match="lower grip_use"):
         robustly(lambda m, q, delay, job: math.inf if job == 3 else 0.1)
