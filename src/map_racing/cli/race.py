@@ -65,7 +65,7 @@ def run(arguments):
     supervision = {}
     if arguments.faults:
         supervision["faults"] = load_faults(arguments.faults)
-        supervision["limits"] = load_safety_limits(arguments.controller)
+        supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(
