@@ -312,7 +312,7 @@ class Controller:
     def learn(self):
         """Learn from the last step, with adaptation, if that has not been done.
 
-        The next step does it otherwise. It takes 0.05 ms, and 0.3 ms where the steering map
+        The next step does it otherwise. It takes 0.05 ms, and 0.15 ms where the steering map
         changes, so whoever sends commands does it when the last one is out.
         """
         if self._untaught is None:
