@@ -42,6 +42,13 @@ STANDSTILL = 0.3
 # Commands without poses: one per this time [s].
 PERIOD = 0.02
 
+# What a car could have braked in a gap of the commands is not made up for at once: the first step
+# of a ramp, and any other, are worth at most this time [s].
+FIRST_STEP, LONGEST_STEP = 0.05, 0.1
+
+# Meanwhile a car may have gained so much speed [m/s^2], but none above the last command.
+QUICKEST = 5.0
+
 # A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
 
@@ -208,7 +215,7 @@ class Supervisor:
         self.pose_age = math.nan
         self._seen = {}  # when each temporary cause was last seen
         self._pose = None
-        self._speed = 0.0
+        self._speed = self._measured = 0.0
         self._now = self._arrival = None
         self._motion, self._obedience = PoseMotion(), Obedience()
         self._blocked = self._slows = False
@@ -302,7 +309,7 @@ class Supervisor:
             trusted = False
         if trusted:
             if not frozen:
-                self._speed = v_x
+                self._speed, self._measured = v_x, now
             self._obeys(now, state)
         return trusted
 
@@ -470,12 +477,13 @@ class Supervisor:
         if self.mode is Mode.WAITING and not drives:
             return angle, 0.0
         last_angle, speed = self._command
-        elapsed = 0.0 if self._commanded is None else now - self._commanded
+        elapsed = 0.0 if self._commanded is None else min(now - self._commanded, LONGEST_STEP)
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows) or v - wanted > SUDDEN
         if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
-            speed = min(speed, self._speed)
+            speed = min(speed, self._speed + QUICKEST * (now - self._measured))
+            elapsed = min(elapsed, FIRST_STEP)
         if self._slowing is not None and self._slowing.always:
             most = self._slowing.largest(v)
             angle = min(max(angle, -most), most)

@@ -348,7 +348,7 @@ def delay_data(delays: Delays) -> dict[str, Any]:
 
 
 def delay_text(delays: Delays) -> str:
-    """The delays as lines of text."""
+    """The notes and the delays as lines of text."""
     rows = [
         ("age of the pose", delays.pose_age),
         ("steering, dead time and lag", delays.steering),
@@ -368,4 +368,4 @@ def delay_text(delays: Delays) -> str:
             lines.append(
                 f"{name}: {part.value:.3f} s (95 %: {part.low:.3f} to {part.high:.3f} s){note}"
             )
-    return "\n".join([*lines, *delays.notes])
+    return "\n".join([*delays.notes, *lines])

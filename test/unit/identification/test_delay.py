@@ -174,7 +174,8 @@ def test_no_answer_without_turning(steering):
     assert data["delay_interval_s"] is None and "straight or steady" in data["reason"]
     assert data["steering_lag"]["status"] == "not determined"
     assert data["speed_lookahead_s"] is None
-    assert "delay_s: not determined" in delay_text(delays)
+    text = delay_text(dataclasses.replace(delays, notes=["where the pose is from"]))
+    assert text.startswith("where the pose is from\n") and "delay_s: not determined" in text
 
 
 @pytest.mark.parametrize("noise", [0.5, 2.0])

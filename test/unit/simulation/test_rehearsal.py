@@ -6,12 +6,17 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.control.steering import build_steering_maps
 from map_racing.control.supervised import build_slowing
-from map_racing.simulation.faults import KINDS, kinds_table
+from map_racing.simulation.faults import KINDS, Fault, kinds_table
+from map_racing.simulation.plants import build_plant, load_plant
+from map_racing.simulation.race import race
 from map_racing.simulation.rehearsal import (
     BEGIN,
     HEADER,
@@ -20,6 +25,7 @@ from map_racing.simulation.rehearsal import (
     bounds_text,
     rehearse,
 )
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 PAGE = Path(__file__).resolve().parents[3] / "doc" / "safety.md"
@@ -45,6 +51,23 @@ def test_no_command_is_beyond_limit_lock_or_grip(scenario):
     assert bounds.speed <= bounds.max_speed == 12.0
     assert bounds.angle <= bounds.lock == VEHICLE.delta_max
     assert bounds.beyond <= 1e-9
+
+
+@pytest.mark.parametrize("at", [8.0, 11.5])
+def test_a_stop_without_poses_brakes_and_steers_within_the_grip(at):
+    """Of the true car, which accelerates out of a bend as its poses stop."""
+    parameters, plant_parameters = load_controller_parameters("map"), load_plant("nuc4")
+    parameters, track = parameters.with_(speed_scale=1.0), load_raceline("reference")
+    plant, localization = build_plant(plant_parameters, 1)
+    controller = build_controller(parameters, plant_parameters.vehicle, track)
+    dropout = [Fault("pose_dropout", at, 1.0)]
+    log = race(plant, controller, track, localization, time_limit=at + 1.0, faults=dropout)
+    t, _, _, _, v_x, _, r = np.array([state for state in log.truth if state.t >= at]).T
+    grip = build_steering_maps(parameters, plant_parameters.vehicle)[1]
+    across = v_x * r / grip.max_lateral_acceleration(6.0)
+    along = np.minimum(np.gradient(v_x, t), 0.0) / parameters.a_brake_max_mps2
+    assert t[-1] - t[0] > 0.9 and log.commands[-1].decision.mode is Mode.STOPPING
+    assert np.max(np.hypot(along, across)) < 1.0
 
 
 def test_an_angle_beyond_the_grip_would_be_told():
