@@ -69,8 +69,8 @@ class SupervisedController:
                 self._on_raceline()
         result = controller.step(state) if trusted and not failed else None
         decision = supervisor.decide(now, result)
-        if result is not None and controller.adaptation is not None:
-            controller.adaptation.sent(decision.steering_angle)
+        if result is not None:
+            controller.sent(decision.steering_angle)
         return SupervisedStep(result, decision)
 
     def follow(self, raceline: Raceline, sectors, setup: object) -> bool:

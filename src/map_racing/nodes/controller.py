@@ -239,6 +239,7 @@ class ControllerNode:
             self._reader.reset()
         self._command(header, decision)
         latency = time.perf_counter() - begin
+        self._controller.learn()
         self._diagnosis.add(latency, result)
         self._show(header, state, result, decision, latency)
 
