@@ -69,7 +69,7 @@ def _build():
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     if table and parameters.adaptation:
         raise ParameterError(f"~lookup_table: {source} adapts the vehicle's tires and uses none")
-    limits = overridden(load_safety_limits(source))
+    limits = overridden(load_safety_limits(source, vehicle))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
         steering_map = grip = load_table(table)
@@ -239,6 +239,7 @@ class ControllerNode:
             self._reader.reset()
         self._command(header, decision)
         latency = time.perf_counter() - begin
+        self._controller.learn()
         self._diagnosis.add(latency, result)
         self._show(header, state, result, decision, latency)
 

@@ -67,9 +67,10 @@ def test_a_raceline_without_speeds_is_raced_within_the_grip(tmp_path, capsys):
 def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
     path = tmp_path / "a.bag"
     arguments = ["--controller", "pure_pursuit_paper", "--speed-scale", "0.9"]
-    assert main(["race", *arguments, "--output", str(path)]) == 0
-    printed = capsys.readouterr().out
+    assert main(["race", *arguments, "--output", str(path)]) == 3
+    printed, error = capsys.readouterr()
     assert "crashed after 0 timed laps" in printed and "of the raceline" in printed
+    assert error == "map-racing: not completed (N.C.), crashed\n"
     assert main(["evaluate", str(path)]) == 0
     assert "N.C." in capsys.readouterr().out
 
