@@ -20,6 +20,7 @@ from ros2_bags import (
 )
 from rosbags import rosbag2
 
+from map_racing.bags import compression
 from map_racing.bags import messages as msg
 from map_racing.bags.cdr import connection_of, layout_of_ros1
 from map_racing.bags.compression import decompress
@@ -384,3 +385,14 @@ def test_identification_reads_them_like_one_bag_of_ros_1(ramps, tmp_path):
         for name, (t, values) in ramps.run.signals.items():
             np.testing.assert_array_equal(run.signals[name].t, t)
             np.testing.assert_array_equal(run.signals[name].value, values)
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_slow_decompression_of_messages_is_said_once(fast, monkeypatch, caplog):
+    monkeypatch.setattr(compression, "_zstd", lambda: (None, bytes.upper, fast))
+    compression._message_decompressor.cache_clear()
+    try:
+        assert [compression.decompress_message(b"a") for _ in range(3)] == [b"A"] * 3
+    finally:
+        compression._message_decompressor.cache_clear()
+    assert caplog.text.count("map_racing[zstd]") == (0 if fast else 1)
