@@ -112,8 +112,6 @@ def test_impossible_distances(driven):
 def test_laps_of_a_passenger_car_are_those_of_a_small_one_enlarged(track, driven):
     small, size = driven(laps=3.7, wait=2.0, noise=0.01, d=aside), size_of(load_vehicle("bmw_320i"))
     large = recording(size.time * small.t, size.length * small.x, size.length * small.y)
-    with pytest.raises(EvaluationError, match="no closed lap.* within 1 m"):
-        driven_laps(large)
     expected, laps = driven_laps(small), driven_laps(large, size=size)
     times = [lap.begin for lap in laps] + [lap.end for lap in laps]
     assert times == pytest.approx(

@@ -19,7 +19,8 @@ from map_racing.experiments.tuning import (
     tune,
     tune_robust,
 )
-from map_racing.vehicle.size import Size
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.size import Size, size_of
 
 CONTROLLER = load_controller_parameters("map_paper")
 NAN = math.nan
