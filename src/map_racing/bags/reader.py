@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 
@@ -120,7 +121,8 @@ def _read(path, bag, source, notes):
         stamps, received = command.stamps()
         own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)
         shifted = not clock.use_receipt and stamps is not own
-        commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic, shifted)
+        lag = 1e-9 * float(np.median(received - stamps)) if stamps.size else math.nan
+        commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic, shifted, lag)
         if at.size and (at[-1] < times[0] or at[0] > times[-1]):
             when = "before" if at[-1] < times[0] else "after"
             notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")

@@ -112,8 +112,9 @@ def run_robustness(arguments):
     """Robustness."""
     if arguments.laps is not None:
         check_laps(arguments.laps)
-    controllers = named_controllers(arguments.controller)
+    named_controllers(arguments.controller)  # an error now, not after a folder was made
     session = open_grid(arguments, "robustness")
+    controllers = named_controllers(arguments.controller, session.grid.vehicle)
     races = session.race(controllers)
     scale = session.grid.conditions.speed_scale
     table = grid_table(races, scale)
