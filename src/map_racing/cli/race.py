@@ -65,7 +65,7 @@ def run(arguments):
     supervision = {}
     if arguments.faults:
         supervision["faults"] = load_faults(arguments.faults)
-        supervision["limits"] = load_safety_limits(arguments.controller)
+        supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(
@@ -121,6 +121,8 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     sectors = None
     if arguments.speed_sectors:
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)
+        for doubt in sectors.doubts:
+            print(f"warning: {doubt}")
     if isinstance(parameters, MpcParameters):
         if arguments.lookup_table:
             raise ParameterError(f"{arguments.lookup_table}: {arguments.controller} uses no table")

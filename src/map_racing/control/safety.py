@@ -11,11 +11,12 @@ controller wait for `Supervisor.resume`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..validation import POSITIVE, check, documented, parameter
+from ..vehicle.size import size_of
 from .controller import ControlResult, Status
 from .obedience import MOVING, ROLLING, SETTLING, Obedience, PoseMotion
 from .slowing import Slowing
@@ -24,14 +25,12 @@ from .state import CarState
 
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
+    from ..vehicle.parameters import Vehicle
 
 __all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
 
 # A car that did not move as commanded rests for this long [s] before it tries again.
 REST = 3.0
-
-# A command this far below the measured speed [m/s] is more than a raceline's braking.
-SUDDEN = 2.0
 
 # Unless twice its largest speed is more, no car drives or turns faster [m/s, rad/s].
 FASTEST, FASTEST_TURN = 50.0, 100.0
@@ -161,6 +160,22 @@ class SafetyLimits:
 
     def __post_init__(self):
         check(self)
+
+    def of_size(self, vehicle: Vehicle) -> SafetyLimits:
+        """These limits, given for a 1:10 car, for a car of another size, see `size_of`.
+
+        Distances, speeds and the time of a slide grow with it; decelerations stay, and so do times
+        of sensors and computers. Nothing changes for 1:10 cars.
+        """
+        length, time = size_of(vehicle)
+        return replace(
+            self,
+            max_jump_m=self.max_jump_m * length,
+            max_deviation_m=self.max_deviation_m * length,
+            max_blocked_m=self.max_blocked_m * length,
+            max_overspeed_mps=self.max_overspeed_mps * time,
+            max_saturated_s=self.max_saturated_s * time,
+        )
 
 
 class Decision(NamedTuple):
@@ -479,7 +494,9 @@ class Supervisor:
         last_angle, speed = self._command
         elapsed = 0.0 if self._commanded is None else min(now - self._commanded, LONGEST_STEP)
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
-        slows = not (drives and follows) or v - wanted > SUDDEN
+        slows = not (drives and follows)
+        if self._slowing is not None and not slows:
+            slows = v - wanted > self._slowing.sudden
         if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
             speed = min(speed, self._speed + QUICKEST * (now - self._measured))

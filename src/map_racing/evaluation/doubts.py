@@ -7,8 +7,6 @@ import math
 import numpy as np
 
 from ..bags.samples import is_odometry_frame
-from ..track.findings import WARNING
-from ..track.raceline import Raceline
 from .results import Lap
 from .speed import speed_of
 
@@ -16,7 +14,6 @@ __all__ = [
     "alternation",
     "bunches",
     "frame_warning",
-    "raceline_warnings",
     "speed_warning",
     "uncommanded",
 ]
@@ -97,13 +94,6 @@ def bunches(topic: str, t: np.ndarray) -> str:
         f"{topic}: poses come in bunches, {np.median(apart):.2f} s apart: times and speeds are no "
         "better than that"
     )
-
-
-def raceline_warnings(raceline: Raceline, origin: str = "") -> list[str]:
-    """Doubts about a raceline from `origin`, and so about all that is measured against it."""
-    origin = origin or raceline.name or raceline.source
-    doubts = [finding for finding in raceline.findings if finding.severity == WARNING]
-    return [f"raceline {origin}: {finding}" for finding in doubts]
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:

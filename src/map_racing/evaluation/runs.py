@@ -9,13 +9,12 @@ import numpy as np
 
 from ..bags.samples import Recording
 from ..errors import EvaluationError
-from ..track.findings import WARNING
+from ..track.findings import WARNING, raceline_warnings
 from ..track.raceline import Raceline
 from .doubts import (
     alternation,
     bunches,
     frame_warning,
-    raceline_warnings,
     speed_warning,
     uncommanded,
 )

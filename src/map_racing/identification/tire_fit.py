@@ -40,6 +40,7 @@ __all__ = [
     "axle_points",
     "fit_linear",
     "fit_pacejka",
+    "left_by",
 ]
 
 # Bounds of B, C, D, E. The paper's limits of C and E keep the curve from turning back to zero.
@@ -256,6 +257,14 @@ def fit_pacejka(
     parameters, saturated = _intervals(theta, jacobian, noise, points.load, most)
     residual = force - points.load * tire.normalized_force(slip)
     return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise, reach, saturated)
+
+
+def left_by(tire: PacejkaTire, points: AxlePoints) -> float:
+    """Robust standard deviation of the points from a curve, in the metric of both noises [N]."""
+    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+    theta = (tire.B, tire.C, tire.D, tire.E)
+    error = _errors(theta, -points.slip, points.force, points.load, ratio)
+    return 1.4826 * float(np.median(np.abs(error)))
 
 
 def fit_linear(

@@ -24,7 +24,7 @@ from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
 from ..control.controller import Controller, Status
 from ..control.parameters import load_controller_parameters, load_safety_limits
 from ..control.safety import Mode
-from ..control.settings import settings_text
+from ..control.settings import doubts_of, settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..control.steering import build_steering_maps
 from ..control.supervised import SupervisedController, build_supervisor
@@ -69,7 +69,7 @@ def _build():
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     if table and parameters.adaptation:
         raise ParameterError(f"~lookup_table: {source} adapts the vehicle's tires and uses none")
-    limits = overridden(load_safety_limits(source))
+    limits = overridden(load_safety_limits(source, vehicle))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
         steering_map = grip = load_table(table)
@@ -386,6 +386,8 @@ class ControllerNode:
             self._logged_plan = plan
             text = plan or "the speeds are the raceline's, whatever the grip"
             rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
+            for doubt in doubts_of(controller):
+                rospy.logwarn(doubt)
         rows = waypoint_rows(raceline, speed=controller.planned_speed)
         message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
         message.header.stamp = rospy.Time.now()

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ..bags import messages
 from ..control.controller import Controller, ControlResult, Status
 from ..control.safety import Mode, Reason, Supervisor
+from ..control.settings import doubts_of
 from .node import why_silent
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ class Diagnosis:
             "steering map": parameters.steering_map,
             "speed scale": f"{parameters.speed_scale:g}",
             "raceline": "" if raceline is None else f"{raceline.name} ({raceline.length:.2f} m)",
+            "doubts": "; ".join(doubts_of(self._controller)),
             **_believed(self._controller.adaptation),
         }
 

@@ -11,8 +11,8 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
 from ..control.controller import ControlResult, Status, build_controller
-from ..control.parameters import load_controller_parameters
-from ..control.safety import Reason, SafetyLimits
+from ..control.parameters import load_controller_parameters, load_safety_limits
+from ..control.safety import Reason
 from ..control.state import CarState
 from ..control.steering_ramp import (
     Box,
@@ -41,8 +41,8 @@ class SteeringRampNode:
     """Answers each pose with a command, under the supervisor that the controller has."""
 
     def __init__(self):
-        self._parameters = overridden(RampParameters())
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "its lock, speed and grip"))
+        self._parameters = overridden(RampParameters.of(vehicle))
         self._parameters.check_vehicle(vehicle)
         self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
@@ -65,11 +65,12 @@ class SteeringRampNode:
                 "driving without a dead-man button: only the area and Ctrl-C stop the car"
             )
 
-        map_controller = load_controller_parameters("map").with_(
+        map_controller = load_controller_parameters("map", vehicle).with_(
             v_max_mps=self._parameters.speed_mps
         )
         self._supervisor = build_supervisor(
-            build_controller(map_controller, vehicle), overridden(SafetyLimits())
+            build_controller(map_controller, vehicle),
+            overridden(load_safety_limits("map", vehicle)),
         )
         self._lock, self._clock = threading.RLock(), SteadyClock()
         self._held_until = -math.inf
@@ -136,7 +137,7 @@ class SteeringRampNode:
         """What the maneuver asks for at a pose that can be trusted, as from a controller."""
         held = not self._dead_man or time.monotonic() < self._held_until
         enabled = held and self._supervisor.trouble(now) is Reason.NONE
-        command = self._ramp.update(state.t, state.x, state.y, state.v_x, enabled)
+        command = self._ramp.update(state.t, state.x, state.y, state.v_x, enabled, state.r)
         if command.phase is not self._phase:
             self._phase = command.phase
             rospy.loginfo("%s", command.phase.value)

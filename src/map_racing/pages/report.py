@@ -362,7 +362,8 @@ def _driven_with(runs):
 
 
 def _notes(run):
-    return [["note", note] for note in [*run.result.notes, *run.notes][:_MOST_ROWS]]
+    notes = [*run.result.notes, *run.notes]
+    return [["note", note] for note in list(dict.fromkeys(notes))[:_MOST_ROWS]]
 
 
 def _flat(values, before=""):

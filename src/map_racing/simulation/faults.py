@@ -80,11 +80,11 @@ KINDS = {
         "share of the acceleration that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"
     ),
     "motor_dead": Kind("no torque: the car rolls out", method="set_drive"),
-    "motor_runaway": Kind("the car drives at a speed of its own", "m/s", 7.0, POSITIVE, 20.0),
+    "motor_runaway": Kind("the car drives at a speed of its own", "m/s", 7.0, POSITIVE, 100.0),
     "brakes_weak": Kind(
         "share of the braking that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"
     ),
-    "battery_sag": Kind("largest speed that is left", "m/s", 2.5, POSITIVE, 20.0),
+    "battery_sag": Kind("largest speed that is left", "m/s", 2.5, POSITIVE, 100.0),
     "drive_loss": Kind("commands do not reach the car, which stops after 0.2 s by itself"),
     "drive_delay": Kind("commands reach the car later", "s", 0.1, 0.0, 1.0),
     "blocked": Kind("something holds the car in its place", method="hold"),
