@@ -154,7 +154,8 @@ def report_text(found: Identification, left_out: list[Prediction] | None = None)
         if worst:
             lines.append(
                 f"  yaw rate within 5% in {worst['within_5_percent']} of {worst['holds']} "
-                f"segments, worst {worst['error']:.1%} at {worst['v_mps']:.1f} m/s in {worst['run']}"
+                f"segments, worst {worst['error']:.1%} at {worst['v_mps']:.1f} m/s "
+                f"in {worst['run']}"
             )
     lines += comparison(found.base, found.vehicle, found.largest_a_y)
     return "\n".join(lines)
