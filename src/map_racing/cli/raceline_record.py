@@ -14,7 +14,8 @@ from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
 from ..track.files.report import facts_text, findings_count, raceline_facts
 from ..track.map_image import read_map_image
-from .inputs import joined
+from ..vehicle.size import size_of
+from .inputs import joined, read_vehicle
 from .outputs import check_outputs
 from .raceline import print_findings
 from .raceline_optimize import form_of
@@ -24,10 +25,12 @@ def run_record(arguments):
     """Read, choose a lap, write its line and check it."""
     form = form_of(arguments.output, arguments.format)
     given = split_source(arguments.raceline or "")[0]
-    check_outputs([arguments.output], [*arguments.recordings, given, arguments.map])
+    inputs = [*arguments.recordings, given, arguments.map, arguments.vehicle]
+    check_outputs([arguments.output], inputs)
     sources = joined(arguments.recordings, arguments.join)
     if len(sources) > 1:
         raise ParameterError("expected one recording, or --join for the parts of one")
+    size = size_of(read_vehicle(arguments.vehicle))
     recording = load_recording(sources[0], arguments.pose_topic, arguments.columns)
     print(printable(recording.source))
     for note in recording.notes:
@@ -37,13 +40,13 @@ def run_record(arguments):
         raceline = load_raceline(arguments.raceline)
     elif recording.waypoints is not None:
         raceline = recorded_raceline(recording)
-    laps = driven_laps(recording, raceline)
+    laps = driven_laps(recording, raceline, size)
     lap = chosen(laps, arguments.lap, recording.source)
     for one in laps:
         time = f"{one.end - one.begin:8.3f} s"
         mark = " <- taken" if one is lap else ""
         print(f"  lap {one.number:2d} {time}  {one.reason}{mark}".rstrip())
-    table = line_of_lap(recording, lap, arguments.spacing, arguments.smoothing)
+    table = line_of_lap(recording, lap, arguments.spacing, arguments.smoothing, size)
     columns = dict(table.columns)
     if arguments.speeds == "none":
         del columns["speed"]

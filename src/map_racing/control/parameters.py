@@ -228,8 +228,8 @@ class ControllerParameters:
 
 
 def growth(name: str, size: Size) -> float:
-    """Factor on a parameter for a car of another size."""
-    of_length, of_time = _GROWTH[name]
+    """Factor on a parameter for a car of another size; 1 for what does not grow with it."""
+    of_length, of_time = _GROWTH.get(name, (0, 0))
     return size.length**of_length * size.time**of_time
 
 
@@ -268,7 +268,8 @@ class MpcParameters:
         high=10.0,
     )
     steering_rate_weight_ms: float = parameter(
-        "Lateral error [m] that costs as much as a steering rate of 1 rad/s",
+        "Lateral error [m] that costs as much as a steering rate of 1 rad/s, counted as at least "
+        "0.005",
         "m s",
         low=0.0,
         high=10.0,

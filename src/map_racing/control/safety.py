@@ -45,8 +45,9 @@ PERIOD = 0.02
 # of a ramp, and any other, are worth at most this time [s].
 FIRST_STEP, LONGEST_STEP = 0.05, 0.1
 
-# Meanwhile a car may have gained so much speed [m/s^2], but none above the last command.
-QUICKEST = 5.0
+# Meanwhile a car that was getting faster did so as before, averaged over a time [s], but at most by
+# this [m/s^2], and not above the last command.
+RISING, QUICKEST = 0.1, 5.0
 
 # A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
@@ -230,7 +231,7 @@ class Supervisor:
         self.pose_age = math.nan
         self._seen = {}  # when each temporary cause was last seen
         self._pose = None
-        self._speed = self._measured = 0.0
+        self._speed = self._measured = self._rise = 0.0
         self._now = self._arrival = None
         self._motion, self._obedience = PoseMotion(), Obedience()
         self._blocked = self._slows = False
@@ -324,7 +325,7 @@ class Supervisor:
             trusted = False
         if trusted:
             if not frozen:
-                self._speed, self._measured = v_x, now
+                self._measure(now, v_x)
             self._obeys(now, state)
         return trusted
 
@@ -421,6 +422,15 @@ class Supervisor:
             return self._arrival + self.limits.max_pose_age_s
         return self._now + PERIOD
 
+    def _measure(self, now, v_x):
+        """Take a speed, and how it rises."""
+        elapsed = max(now - self._measured, 1e-3)
+        rise = self._rise + min(elapsed / RISING, 1.0) * (
+            (v_x - self._speed) / elapsed - self._rise
+        )
+        self._rise = min(max(rise, 0.0), QUICKEST)
+        self._speed, self._measured = v_x, now
+
     def _is_jump(self, last, state):
         elapsed = max(state.t - last.t, 0.0)
         speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self._max_speed)
@@ -499,7 +509,7 @@ class Supervisor:
             slows = v - wanted > self._slowing.sudden
         if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
-            speed = min(speed, self._speed + QUICKEST * (now - self._measured))
+            speed = min(speed, self._speed + self._rise * (now - self._measured))
             elapsed = min(elapsed, FIRST_STEP)
         if self._slowing is not None and self._slowing.always:
             most = self._slowing.largest(v)

@@ -37,6 +37,7 @@ from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run
+from .priority import urgent
 from .saving import Saver
 from .transforms import TransformListener
 from .tuning import TuningServer
@@ -463,4 +464,4 @@ def main():
     """Run the node."""
     # rospy sends in a thread of its own, which must not wait 5 ms for the one that computes.
     sys.setswitchinterval(SWITCH_S)
-    run("controller", ControllerNode)
+    run("controller", urgent(ControllerNode))

@@ -27,6 +27,7 @@ from ..errors import ParameterError
 from ..vehicle.parameters import load_vehicle
 from .conversions import frame, plane_pose, stamp_ns
 from .node import FirstSender, SteadyClock, get_parameter, overridden, run, sleep
+from .priority import urgent
 from .watchdog import Watchdog
 
 __all__ = ["SteeringRampNode", "main"]
@@ -178,4 +179,4 @@ class SteeringRampNode:
 
 def main():
     """Run the node."""
-    run("steering_ramp", SteeringRampNode)
+    run("steering_ramp", urgent(SteeringRampNode))

@@ -8,6 +8,7 @@ from map_racing.control.safety import (
     FIRST_STEP,
     LONGEST_STEP,
     QUICKEST,
+    RISING,
     Mode,
     Reason,
     SafetyLimits,
@@ -281,15 +282,21 @@ def test_a_stop_after_a_gap_begins_with_a_step_as_any_other():
     assert car.step().speed == pytest.approx(3.4 - 4.0 * PERIOD)
 
 
-@pytest.mark.parametrize("told, first", [(8.0, 2.0 + 0.2 * QUICKEST), (2.5, 2.5), (1.5, 1.5)])
-def test_a_car_may_have_accelerated_in_a_gap_but_not_beyond_the_command(told, first):
+@pytest.mark.parametrize(
+    ("gains", "told", "first"),
+    [(4.0, 8.0, 0.8), (4.0, 4.5, 0.5), (9.0, 8.0, 1.0), (0.0, 8.0, 0.0), (-4.0, 8.0, 0.0)],
+)
+def test_a_car_that_was_accelerating_did_so_in_a_gap_but_not_beyond_the_command(gains, told, first):
     """A command far below the speed that it has meanwhile would be hard braking."""
-    assert QUICKEST == 5.0
-    car = Car(speed=2.0, max_overspeed_mps=10.0)
-    car.drive(speed=told)
+    assert (RISING, QUICKEST) == (0.1, 5.0)
+    car = Car(speed=4.0 - gains, max_overspeed_mps=10.0)
+    for _ in range(33):
+        car.step(speed=told)
+        car.speed += gains * PERIOD
+    first += car.speed - gains * PERIOD
     decision = car.supervisor.watch(car.now - PERIOD + 0.2)
     assert decision.mode is Mode.STOPPING
-    assert decision.speed == pytest.approx(first - 4.0 * FIRST_STEP)
+    assert decision.speed == pytest.approx(first - 4.0 * FIRST_STEP, abs=1e-4)
 
 
 def test_the_deadline_is_the_limit_after_the_last_pose():

@@ -173,6 +173,24 @@ def test_a_ramp_ends_where_the_rear_breaks_away():
     assert (angle, speed, phase) == (0.0, 0.0, Phase.STOPPING)
 
 
+@pytest.mark.parametrize("settles, ends", [(0.29, 0.3), (0.3, 0.22), (1.0, 0.22)])
+def test_what_the_car_did_before_it_settled_does_not_count(settles, ends):
+    """Its wheels come from the other side; one that hardly settles is never said to break away."""
+    parameters = RampParameters(
+        rate_radps=0.02, start_rad=0.1, limit_rad=0.3, sides="left", settle_s=settles
+    )
+    ramp = SteeringRamp(parameters, WIDE)
+    t, speed, angle, wheels, reached = 0.0, 0.0, 0.0, -0.3, []
+    while ramp.completed == 0 and t < 30.0:
+        wheels += min(max(angle - wheels, -0.5 * STEP), 0.5 * STEP)
+        r = speed * wheels / 0.3 * (1.0 + 20.0 * max(wheels - 0.2, 0.0))
+        angle, speed, phase = ramp.update(t, 0.0, 0.0, speed, True, r)
+        if phase is Phase.RAMPING:
+            reached.append(angle)
+        t += STEP
+    assert max(reached) == pytest.approx(ends, abs=0.004)
+
+
 def test_an_understeering_car_is_driven_to_the_last_angle():
     parameters = RampParameters(sides="left", limit_rad=0.3)
     drives = [SteeringRamp(parameters, WIDE) for _ in range(2)]

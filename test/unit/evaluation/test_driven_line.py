@@ -7,6 +7,8 @@ from map_racing.bags.samples import Recording
 from map_racing.errors import EvaluationError, ParameterError
 from map_racing.evaluation.driven_line import driven_laps, line_of_lap
 from map_racing.track.files.checks import raceline_of
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.size import size_of
 
 
 def recording(t, x, y, v=None):
@@ -105,3 +107,22 @@ def test_impossible_distances(driven):
         line_of_lap(drive, lap, smoothing=float("nan"))
     with pytest.raises(EvaluationError, match="too few poses"):
         line_of_lap(drive, lap._replace(end=lap.begin + 0.05))
+
+
+def test_laps_of_a_passenger_car_are_those_of_a_small_one_enlarged(track, driven):
+    small, size = driven(laps=3.7, wait=2.0, noise=0.01, d=aside), size_of(load_vehicle("bmw_320i"))
+    large = recording(size.time * small.t, size.length * small.x, size.length * small.y)
+    expected, laps = driven_laps(small), driven_laps(large, size=size)
+    times = [lap.begin for lap in laps] + [lap.end for lap in laps]
+    assert times == pytest.approx(
+        [size.time * lap.begin for lap in expected] + [size.time * lap.end for lap in expected]
+    )
+    assert [lap.reason for lap in laps] == [lap.reason for lap in expected]
+    line, same = line_of_lap(small, expected[0]), line_of_lap(large, laps[0], size=size)
+    np.testing.assert_allclose(same.xy, size.length * line.xy, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(same.columns["speed"], size.time * line.columns["speed"], rtol=1e-6)
+
+
+def aside(s):
+    """More to the left in each lap."""
+    return 0.01 * s
