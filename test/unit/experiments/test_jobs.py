@@ -33,10 +33,10 @@ def test_lateral_acceleration_is_that_of_the_circle(job_of):
     angle = np.arange(200) * 2.0 * np.pi / 200
     circle = Raceline(radius * np.cos(angle), radius * np.sin(angle), vx_mps=np.full(200, v))
     controller = load_controller_parameters("map").with_(speed_scale=1.0)
-    result = execute(job_of(raceline=circle, controller=controller)).result
-    # More than on average in 1 % of the time: noise of the poses makes the steering work.
-    assert result.lateral_mps2 == pytest.approx(v**2 / radius, rel=0.1)
-    assert result.lateral_mps2 > v**2 / radius
+    noise = ("position_noise_m", "heading_noise_rad", "velocity_noise_mps", "yaw_rate_noise_radps")
+    plant = dataclasses.replace(load_plant("nuc4"), **dict.fromkeys(noise, 0.0))
+    result = execute(job_of(raceline=circle, controller=controller, plant=plant)).result
+    assert result.lateral_mps2 == pytest.approx(v**2 / radius, rel=0.05)
 
 
 def test_all_that_decides_is_in_the_fingerprint(job_of, ring):
