@@ -193,7 +193,8 @@ def check_laps(laps: int) -> None:
 def scaling_lines(table: pd.DataFrame) -> list[str]:
     """Table of velocity scaling for the terminal."""
     titles = ["scale", "controller", "days completed", "median RMS error [m]"]
-    rows = [[*titles, "max error [m]", "median lap [s]", "mean lap [s]"]]
+    titles += ["max error [m]", "median lap [s]", "mean lap [s]", "top speed [m/s]"]
+    rows = [[*titles, "lateral [m/s^2]"]]
     for row in table.itertuples():
         rows.append([f"{row.speed_scale:.3f}", row.controller, completion(row)])
         if row.days_completed:
@@ -202,9 +203,11 @@ def scaling_lines(table: pd.DataFrame) -> list[str]:
                 f"{row.max_abs_lateral_error_m:.3f}",
                 f"{row.median_lap_time_s:.3f}",
                 f"{row.mean_lap_time_s:.3f}",
+                f"{row.max_speed_mps:.2f}",
+                f"{row.lateral_acceleration_mps2:.2f}",
             ]
         else:
-            rows[-1] += [not_completed(row), "", "", ""]
+            rows[-1] += [not_completed(row), *[""] * 5]
     return aligned(rows, left=1)
 
 
