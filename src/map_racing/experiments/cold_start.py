@@ -18,7 +18,7 @@ from .laps_to_car import at_the_limit, truth
 __all__ = ["Learned", "cold_start", "loss_of_grip"]
 
 CONTROLLER, LAPS = "map_adaptive", 6
-# The lap in whose middle the grip is lost, and the one that is compared.
+# The lap in which the grip is lost, and the one that is compared.
 LOST_IN, COMPARED = 2, 4
 
 
@@ -60,8 +60,8 @@ def cold_start(job: RaceJob) -> Learned:
     return _beside(execute(_learning(job, LAPS)).result, LAPS, job)
 
 
-def loss_of_grip(job: RaceJob, factor: float = 0.8) -> Learned:
-    """Lose a share of the friction in the middle of the second lap, and compare the fourth.
+def loss_of_grip(job: RaceJob, factor: float = 0.8, at: float = 0.5) -> Learned:
+    """Lose a share of the friction in the second lap, and compare the fourth.
 
     Parameters
     ----------
@@ -69,13 +69,15 @@ def loss_of_grip(job: RaceJob, factor: float = 0.8) -> Learned:
         As for `cold_start`.
     factor : float
         On the friction.
+    at : float
+        Share of the lap that is driven by then.
     """
     plant = job.plant
     before = execute(_learning(job, LOST_IN)).result
     lost = before.laps[LOST_IN - 1] if len(before.laps) >= LOST_IN else None
     if lost is None:
         return _beside(before, COMPARED, job)
-    change = {"factor": factor, "after_s": 0.5 * (lost.start_time_s + lost.end_time_s)}
+    change = {"factor": factor, "after_s": lost.start_time_s + at * lost.lap_time_s}
     changed = dataclasses.replace(plant, grip_changes=(change,))
     weak = dataclasses.replace(plant, mu_scale=factor * plant.mu_scale)
     result = execute(_learning(dataclasses.replace(job, plant=changed), COMPARED)).result

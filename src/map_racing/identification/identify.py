@@ -29,6 +29,7 @@ from .tire_fit import (
     LinearFit,
     PacejkaFit,
     axle_points,
+    beside_rear,
     fit_linear,
     fit_pacejka,
     left_by,
@@ -245,8 +246,8 @@ def _require_evidence(used, surveyed):
 def _fit_axles(motions, vehicle, limits, front_force):
     """Both axles by name."""
     oversampling = _oversampling(limits)
-    axles = {}
-    for name, points in zip(("front", "rear"), points_of(motions, vehicle, front_force)):
+
+    def fitted(name, points):
         start = getattr(vehicle, name)
         if isinstance(start, PacejkaTire):  # as it is where mu is 1
             start = dataclasses.replace(start, D=start.D * vehicle.mu)
@@ -254,8 +255,15 @@ def _fit_axles(motions, vehicle, limits, front_force):
             fit = fit_pacejka(points, start, _threshold(vehicle), oversampling)
         except IdentificationError as error:
             raise IdentificationError(f"{name} axle: {error}") from None
-        axles[name] = Axle(points, fit, fit_linear(points, fit.inlier, oversampling))
-    return axles
+        return Axle(points, fit, fit_linear(points, fit.inlier, oversampling))
+
+    front, rear = points_of(motions, vehicle, front_force)
+    rear = fitted("rear", rear)
+    if len(motions) > 1:
+        # One run's localization errs in both curves alike, and hardly in the table, which takes
+        # their difference; another run's errs otherwise.
+        front = beside_rear(front, rear.points, rear.pacejka.tire)
+    return {"front": fitted("front", front), "rear": rear}
 
 
 def _mixture(motions, axles, vehicle, limits, front_force):
@@ -378,11 +386,10 @@ def steady_acceleration(vehicle: Vehicle, v: float, delta: float) -> float:
 
 
 def points_of(
-    motions: Iterable[ProcessedRun], vehicle: Vehicle, front_force: str = "model"
+    motions: list[ProcessedRun], vehicle: Vehicle, front_force: str = "model"
 ) -> tuple[AxlePoints, AxlePoints]:
     """Points of the front and the rear axle from the steady cornering of runs, at 10 Hz."""
     columns = [[] for _ in range(5)]
-    beta_noise, a_y_noise = [], []
     for motion in motions:
         v_y = motion.v_y(vehicle.l_r)
         for cut in motion.segments():
@@ -391,12 +398,17 @@ def points_of(
                 columns, (motion.v_x, v_y, motion.r, motion.delta, motion.a_y)
             ):
                 column.append(values[pick])
-        beta_noise.append(motion.beta_noise)
-        a_y_noise.append(motion.a_y_noise)
     front, rear = axle_points(vehicle, *map(np.concatenate, columns), front_force=front_force)
-    slip_noise, a_y_noise = float(np.median(beta_noise)), float(np.median(a_y_noise))
+    beta, a_y, turning = (
+        float(np.median([getattr(motion, f"{name}_noise") for motion in motions]))
+        for name in ("beta", "a_y", "turning")
+    )
     return tuple(
-        axle._replace(slip_noise=slip_noise, force_noise=axle.load / GRAVITY * a_y_noise)
+        axle._replace(
+            slip_noise=beta,
+            force_noise=axle.load / GRAVITY * a_y,
+            difference_noise=vehicle.l_wb * turning,
+        )
         for axle in (front, rear)
     )
 

@@ -17,7 +17,12 @@ from map_racing.identification.car_report import car_data, car_text, provenance
 from map_racing.identification.data import Signal, load_channel_map, load_run
 from map_racing.identification.identify import identify, leave_one_out, predict, steady_acceleration
 from map_racing.identification.limits import SteadyLimits
-from map_racing.identification.report import prediction_errors, report_data, report_text
+from map_racing.identification.report import (
+    prediction_errors,
+    report_data,
+    report_text,
+    worst_prediction,
+)
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.ramps import drive_ramps
@@ -266,11 +271,15 @@ def test_a_real_car_predicts_the_runs_it_was_not_fitted_to(circles):
     assert "localization diverged" in reasons["circles_025140/cmd.csv"]
     assert "never drove" in reasons["circles_060034/cmd.csv"]
     assert 5.0 < found.largest_a_y < 5.7
-    errors = prediction_errors(leave_one_out(circles, CIRCLES, fix=True))
+    left_out = leave_one_out(circles, CIRCLES, fix=True)
+    errors = prediction_errors(left_out)
     assert errors["below_limit"]["holds"] >= 40 and errors["at_limit"]["holds"] >= 6
     for quantity in ("yaw_rate", "lateral_acceleration"):
         assert errors["below_limit"][quantity] < 0.05
         assert errors["at_limit"][quantity] < 0.10
+    # Localization errs otherwise in each run, which is told by the rear axle.
+    worst = worst_prediction(left_out)
+    assert worst["within_5_percent"] >= 0.9 * worst["holds"] and worst["error"] < 0.1
 
 
 def test_each_bad_real_run_alone_is_refused(circles):
