@@ -113,7 +113,7 @@
   // -- charts ----------------------------------------------------------------------------------
 
   const CHARTS = [
-    { key: "delta", title: "time behind [s]" },
+    { key: "delta", title: "A behind B [s]" },
     { key: "v", title: "speed [m/s]" },
     { key: "d", title: "deviation [m], left +" },
     { key: "steering", title: "steering [rad], left +" },
@@ -156,7 +156,7 @@
     }
     add(3, a.steering_table, GREEN, "what the table has", dash("dot", 1.6));
     if (a.limit) {
-      add(4, a.limit, GREEN, "limit of the table", dash("dot", 1.6));
+      add(4, a.limit, GREEN, "limit of the tires", dash("dot", 1.6));
       add(4, each(a.limit, (x) => -x), GREEN, "", dash("dot", 1.6));
     }
     if (b !== a) {
@@ -172,11 +172,15 @@
   }
 
   const fontSize = () => (window.innerWidth >= 1800 ? 17 : 13);
+  const narrow = () => window.innerWidth < 600;
 
   function layout() {
-    const gap = 0.028, height = (1 - gap * (CHARTS.length - 1)) / CHARTS.length;
+    // Above each chart is its title with the legend, on a phone each in a line of its own.
+    const room = (narrow() ? 2.7 : 1.7) * fontSize(), bottom = 40;
+    const gap = room / (byId("charts").clientHeight - room - bottom);
+    const height = (1 - gap * (CHARTS.length - 1)) / CHARTS.length;
     const result = {
-      margin: { l: 58, r: 8, t: 4, b: 40 }, showlegend: false, hovermode: false,
+      margin: { l: 58, r: 8, t: room, b: bottom }, showlegend: false, hovermode: false,
       dragmode: window.matchMedia("(pointer: coarse)").matches ? false : "zoom",
       font: { family: FONT, size: fontSize(), color: INK }, paper_bgcolor: "#fff",
       plot_bgcolor: "#fff", annotations: [], shapes: [],
@@ -188,10 +192,10 @@
       const top = 1 - i * (height + gap);
       result["yaxis" + (i ? i + 1 : "")] = { domain: [Math.max(top - height, 0), top],
         fixedrange: true, gridcolor: "#ececec", zeroline: i !== 1, zerolinecolor: "#b5b5b5",
-        nticks: 6 };
-      result.annotations.push({ xref: "paper", yref: "paper", x: 0.004, y: top - 0.002,
-        xanchor: "left", yanchor: "top", showarrow: false, text: "<b>" + chart.title + "</b>",
-        bgcolor: "rgba(255,255,255,0.75)" });
+        nticks: 6, exponentformat: "none" };
+      result.annotations.push({ xref: "paper", yref: "paper", x: 0, y: top, xanchor: "left",
+        yanchor: "bottom", yshift: narrow() ? fontSize() : 0, showarrow: false, borderpad: 0,
+        text: "<b>" + chart.title + "</b>" });
     });
     for (const corner of state.a.track.corners) {
       result.shapes.push({ type: "line", xref: "x", yref: "paper", x0: corner.apex,
@@ -206,19 +210,16 @@
     const say = (i, entries) => {
       const text = entries.filter((e) => e).map(([color, name]) =>
         `<span style="color:${color}">${name}</span>`).join("   ");
-      // On a phone there is no room for them beside the title.
-      const narrow = window.innerWidth < 600, top = 1 - i * (height + gap);
-      if (text) result.annotations.push({ xref: "paper", yref: "paper", x: 0.998,
-        y: narrow ? top - height : top - 0.002, xanchor: "right",
-        yanchor: narrow ? "bottom" : "top", showarrow: false, text,
-        bgcolor: "rgba(255,255,255,0.75)", font: { size: fontSize() - (narrow ? 3 : 1) } });
+      if (text) result.annotations.push({ xref: "paper", yref: "paper", x: narrow() ? 0 : 1,
+        y: 1 - i * (height + gap), xanchor: narrow() ? "left" : "right", yanchor: "bottom",
+        showarrow: false, borderpad: 0, text, font: { size: fontSize() - (narrow() ? 3 : 1) } });
     };
     const a = state.a, track = a.track;
     say(1, [track.speed && [GRAY, "-- raceline"], planned[a.run] && [PURPLE, "-· asked for"],
       known(a.v_command) && ["#2b7fb0", "— commanded"], track.grip && [GREEN, "··· within the grip"]]);
     say(2, [track.left && [INK, "— walls"]]);
     say(3, [known(a.steering_table) && [GREEN, "··· what the table has for this turning"]]);
-    say(4, [a.limit && [GREEN, "··· limit of the table"]]);
+    say(4, [a.limit && [GREEN, "··· limit of the tires"]]);
   }
 
   const options = { displayModeBar: false, responsive: true, doubleClick: "reset", scrollZoom: false };
@@ -303,13 +304,14 @@
     if (track.left) found.push(wall(track.left, 1), wall(track.right, -1));
     found.push({ type: "scatter", mode: "lines", x: track.x, y: track.y, hoverinfo: "skip",
       line: { color: PALE, width: 1, dash: "dash" } });
-    found.push({ type: "scatter", mode: "markers", x: a.x, y: a.y, hoverinfo: "skip",
-      marker: { size: window.innerWidth >= 1800 ? 8 : 6, color: values, colorscale: scale,
+    found.push({ type: "scatter", mode: "markers", x: dense(a.x), y: dense(a.y), hoverinfo: "skip",
+      marker: { size: window.innerWidth >= 1800 ? 8 : 6, color: dense(values), colorscale: scale,
         cmin: low, cmax: high } });
-    const reach = 0.6, start = { type: "scatter", mode: "lines", hoverinfo: "skip",
+    const ends = track.left ? [-track.right[0], track.left[0]] : [-0.6, 0.6];
+    const start = { type: "scatter", mode: "lines", hoverinfo: "skip",
       line: { color: INK, width: 3 },
-      x: [-reach, reach].map((d) => track.x[0] - d * track.sin[0]),
-      y: [-reach, reach].map((d) => track.y[0] + d * track.cos[0]) };
+      x: ends.map((d) => track.x[0] - d * track.sin[0]),
+      y: ends.map((d) => track.y[0] + d * track.cos[0]) };
     found.push(start);
     const marks = placesShown().map((p, i) => {
       const k = indexAt(track, ((p.begin + (p.end > p.begin ? p.end : p.end + track.length)) / 2) % track.length);
@@ -333,6 +335,18 @@
     place();
   }
 
+  // Values with others between them, so that the marks of few places touch.
+  function dense(values) {
+    const parts = Math.ceil(600 / values.length), all = [];
+    for (let i = 0; i + 1 < values.length; i++) {
+      const one = values[i], next = values[i + 1];
+      for (let k = 0; k < parts; k++) {
+        all.push(one === null || next === null ? null : one + ((next - one) * k) / parts);
+      }
+    }
+    return all;
+  }
+
   // To which side of the line a label has more room: away from the middle of the track.
   function inward(track, k) {
     const mx = track.x.reduce((p, q) => p + q) / track.n, my = track.y.reduce((p, q) => p + q) / track.n;
@@ -349,15 +363,19 @@
     const limit = data.runs[state.a.run].limit;
     if (limit) {
       const speeds = state.a.v.filter((v) => v !== null).sort((p, q) => p - q);
-      [0.02, 0.5, 0.98].forEach((share, i) => {
-        const v = speeds[Math.floor(share * (speeds.length - 1))], most = limitAt(limit, v), x = [], y = [];
+      const at = [0.02, 0.5, 0.98].map((share) => speeds[Math.floor(share * (speeds.length - 1))]);
+      const limits = at.map((v) => limitAt(limit, v));
+      const same = Math.max(...limits) - Math.min(...limits) < 0.05 * limits[1];
+      at.forEach((v, i) => {
+        if (same && i !== 1) return; // one line, where speed hardly matters
+        const most = limits[i], x = [], y = [];
         for (let k = 0; k <= 120; k++) {
           const angle = (k * Math.PI) / 60, up = Math.sin(angle);
           x.push(most * Math.cos(angle));
           y.push(up * (up > 0 ? limit.drive : limit.brake));
         }
         found.push({ type: "scatter", mode: "lines", x, y, hoverinfo: "skip",
-          name: "limit at " + v.toFixed(1) + " m/s",
+          name: same ? "limit of the tires" : "limit at " + v.toFixed(1) + " m/s",
           line: { color: GREEN, width: 1.6, dash: ["dot", "dash", "solid"][i] } });
       });
     }
@@ -365,7 +383,8 @@
     cloud(state.a, A, "circle");
     Plotly.react("gg", found, { margin: { l: 55, r: 10, t: 10, b: 45 }, hovermode: false,
       dragmode: false, font: { family: FONT, size: fontSize(), color: INK },
-      legend: { orientation: "h", y: 1.12 }, paper_bgcolor: "#fff", plot_bgcolor: "#fff",
+      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", traceorder: "reversed" },
+      paper_bgcolor: "#fff", plot_bgcolor: "#fff",
       xaxis: { title: { text: "lateral acceleration, left + [m/s²]" }, gridcolor: "#ececec",
         zerolinecolor: "#b5b5b5" },
       yaxis: { title: { text: "longitudinal [m/s²]" }, gridcolor: "#ececec",
@@ -410,7 +429,8 @@
 
   function readout(k) {
     const body = byId("readout").tBodies[0], two = state.b !== state.a;
-    const show = (x, digits) => (x === null || x === undefined ? "–" : x.toFixed(digits));
+    const show = (x, digits) => (x === null || x === undefined ? "–"
+      : x.toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
     const rows = [["s = " + state.a.track.s[k].toFixed(1) + " m", "A", two ? "B" : ""]];
     if (two) rows.push(["A behind B", show(deltaOf(state.a)[k], 3) + " s", ""]);
     for (const [title, key, digits, unit] of ROWS) {

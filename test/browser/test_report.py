@@ -104,6 +104,26 @@ def charts(browser):
     return browser.find_element(By.CSS_SELECTOR, "#charts .nsewdrag")
 
 
+def boxes(browser, selector):
+    rects = [element.rect for element in browser.find_elements(By.CSS_SELECTOR, selector)]
+    return [(r["x"], r["y"], r["x"] + r["width"], r["y"] + r["height"]) for r in rects]
+
+
+def overlap(a, b, allowed=2):
+    return all(
+        min(a[i + 2], b[i + 2]) - max(a[i], b[i]) > allowed  # along x, along y
+        for i in (0, 1)
+    )
+
+
+def titles_are_apart(browser):
+    """Whether no title or legend of the charts covers another one or a curve."""
+    texts, areas = (boxes(browser, f"#charts {kind}") for kind in (".annotation-text", ".nsewdrag"))
+    assert len(texts) == 9 and len(areas) == 5
+    others = [texts[:i] + areas for i in range(len(texts))]
+    return not any(overlap(a, b) for a, rest in zip(texts, others) for b in rest)
+
+
 def move(browser, element, share):
     """Move the mouse to a share of an element's width."""
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
@@ -127,6 +147,7 @@ def test_the_first_screen_names_the_three_places_that_cost_most(opened):
     assert [number.text for number in numbers] == ["1", "2", "3"]
     assert all(number.rect["y"] < HEIGHT for number in numbers)
     assert "of the grip used" in places[0].text
+    assert titles_are_apart(opened)
     # Nothing is wider than the screen.
     wide = "return document.documentElement.scrollWidth"
     assert opened.execute_script(wide) <= WIDTH
@@ -224,6 +245,8 @@ def test_on_a_phone(opened):
     assert opened.execute_script("return document.documentElement.scrollWidth") <= 390
     first = opened.find_element(By.CSS_SELECTOR, ".places:not([hidden]) li")
     assert first.rect["y"] + first.rect["height"] <= 844
+    assert titles_are_apart(opened)
+    assert opened.find_element(By.ID, "map").rect["width"] > 0.9 * 390
 
 
 def test_on_paper(opened):

@@ -246,6 +246,16 @@ def test_speed_sectors(rig, listen, tmp_path):
     assert {m.s < raceline.s_points[half] for m in driven} == {True, False}
 
 
+def test_sectors_of_another_raceline_are_doubted(rig, tmp_path):
+    path = tmp_path / "speed_scaling.yaml"
+    path.write_text("n_sectors: 1\nSector0: {start: 0, end: 226, scaling: 0.5}\n")
+    rig = rig({"sectors": str(path)})
+    rig.driving()
+    doubt = "the last sector ends at point 226, the raceline has 366"
+    told(rig, doubt)
+    assert doubt in rig.status()["doubts"]
+
+
 def planned(raceline, **changes):
     """Speeds of the plan that the shipped `map` makes of a raceline."""
     parameters = load_controller_parameters("map").with_(speed_scale=1.0, **changes)

@@ -254,6 +254,14 @@ def test_poses_without_twist_or_command(race_bag, evaluator, processes, tmp_path
     assert laps[1]["speed_reference"] == "raceline"
 
 
+def test_a_start_line_beyond_the_lap_is_refused(race_bag, evaluator, processes):
+    node = evaluator({"start_line": 5000.0})
+    play(processes, race_bag, "--rate=10")
+    stop(node)
+    assert "start line: expected an arc length of at most" in node.output
+    assert "Traceback" not in node.output and "lap 2" not in node.output
+
+
 def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, listen, tmp_path):
     """Poses in a frame of odometry, and some in another frame in between."""
     bag, table = tmp_path / "odom.bag", tmp_path / "laps.csv"

@@ -99,11 +99,6 @@ def test_another_stack_is_refused(nodes_of):
         nodes_of("race", "stack:=autoware")
 
 
-def test_the_controller_may_have_priority(nodes_of):
-    assert nodes_of("race", "prefix:=chrt --rr 1")["controller"].launch_prefix == "chrt --rr 1"
-    assert not nodes_of("race")["controller"].launch_prefix
-
-
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])
 def test_topics_of_a_stack(launch, stack, listen):
     from nav_msgs.msg import Odometry

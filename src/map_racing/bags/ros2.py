@@ -246,7 +246,10 @@ def storage_files(path: Path, metadata: dict | None = None) -> list[Path]:
         return files
     files = [file for file in path.iterdir() if file.is_file() and file.name.endswith(SUFFIXES)]
     if not files:
-        raise BagError(f"{path}: expected a ROS 2 bag, got a folder without .db3 or .mcap files")
+        raise BagError(
+            f"{path}: expected a ROS 2 bag, got a folder without .db3 or .mcap files; map-racing "
+            "season takes folders of bags"
+        )
     return sorted(files, key=_natural)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple, Sequence
 
@@ -47,6 +48,8 @@ class Commands:
     shifted : bool
         Whether their stamps were from another clock, and were brought to the poses' by the times of
         receipt; then they are earlier than they were given by the age of the poses.
+    lag : float
+        From stamp to receipt [s], median; NaN where not both are known.
     """
 
     t: np.ndarray
@@ -54,6 +57,7 @@ class Commands:
     speed: np.ndarray
     topic: str = ""
     shifted: bool = False
+    lag: float = math.nan
 
     def held(self, t: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Those of `values`, one for each command, that are in force at each time; else NaN."""

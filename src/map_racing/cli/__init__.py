@@ -73,8 +73,8 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0, or 1 after an error, which is one line on stderr. argparse itself exits with 2
-        on arguments that it cannot take.
+        Exit code: 0, 1 after an error, which is one line on stderr, or 3 after a race that was not
+        completed. argparse itself exits with 2 on arguments that it cannot take.
     """
     with printing():
         return _run(argv)

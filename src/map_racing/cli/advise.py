@@ -14,7 +14,10 @@ def run(arguments):
     """Evaluate, advise, print, write."""
     check_evaluation(arguments)
     if len(arguments.recordings) > 1 and not arguments.join:
-        raise ParameterError("expected one recording, or --join for the parts of one")
+        raise ParameterError(
+            f"expected one recording, or --join for the parts of one, got "
+            f"{len(arguments.recordings)}: the next heat follows from one"
+        )
     if arguments.reverse:
         raise ParameterError("--reverse: speed sectors count the raceline's points as it is driven")
     given = split_source(arguments.raceline or "")[0]

@@ -67,13 +67,8 @@ def run_scaling(arguments: argparse.Namespace) -> None:
     print("\n".join(pairs_lines(against)))
 
     labels = [c.label for c in CONTENDERS]
-    ended = {
-        (row.speed_scale, row.controller): row.days - row.days_completed
-        for row in table.itertuples()
-    }
-    counted = laps[(laps.outcome == "completed") & laps.valid]
     title = f"Velocity scaling: {session.where}, {_laps(arguments)} on each of {session.days}"
-    draw_scaling(session.figures, counted, ended, labels, title)
+    _draw(session, table, laps, labels, title)
     session.report()
 
 
@@ -112,8 +107,9 @@ def run_robustness(arguments):
     """Robustness."""
     if arguments.laps is not None:
         check_laps(arguments.laps)
-    controllers = named_controllers(arguments.controller)
+    named_controllers(arguments.controller)  # an error now, not after a folder was made
     session = open_grid(arguments, "robustness")
+    controllers = named_controllers(arguments.controller, session.grid.vehicle)
     races = session.race(controllers)
     scale = session.grid.conditions.speed_scale
     table = grid_table(races, scale)
@@ -152,10 +148,19 @@ def run_mpc(arguments):
         print("\n".join(highest_lines(highest)), end="\n\n")
         print("\n".join(aligned(frame_rows(beliefs), left=2)), end="\n\n")
         print("\n".join(aligned(frame_rows(work), left=1)))
-        counted = laps[(laps.outcome == "completed") & laps.valid]
         title = f"MAP and MPC: {session.where}, {_laps(arguments)} on each of {session.days}"
-        draw_scaling(session.figures, counted, {}, labels, title)
+        _draw(session, table, laps, labels, title)
         session.report()
+
+
+def _draw(session, table, laps, labels, title):
+    """Figure of errors and laps over the scale, and of the days not completed."""
+    counted = laps[(laps.outcome == "completed") & laps.valid]
+    ended = {
+        (row.speed_scale, row.controller): row.days - row.days_completed
+        for row in table.itertuples()
+    }
+    draw_scaling(session.figures, counted, ended, labels, title)
 
 
 def frame_rows(frame):
@@ -192,7 +197,8 @@ def check_laps(laps: int) -> None:
 def scaling_lines(table: pd.DataFrame) -> list[str]:
     """Table of velocity scaling for the terminal."""
     titles = ["scale", "controller", "days completed", "median RMS error [m]"]
-    rows = [[*titles, "max error [m]", "median lap [s]", "mean lap [s]"]]
+    titles += ["max error [m]", "median lap [s]", "mean lap [s]", "top speed [m/s]"]
+    rows = [[*titles, "lateral [m/s^2]"]]
     for row in table.itertuples():
         rows.append([f"{row.speed_scale:.3f}", row.controller, completion(row)])
         if row.days_completed:
@@ -201,9 +207,11 @@ def scaling_lines(table: pd.DataFrame) -> list[str]:
                 f"{row.max_abs_lateral_error_m:.3f}",
                 f"{row.median_lap_time_s:.3f}",
                 f"{row.mean_lap_time_s:.3f}",
+                f"{row.max_speed_mps:.2f}",
+                f"{row.lateral_acceleration_mps2:.2f}",
             ]
         else:
-            rows[-1] += [not_completed(row), "", "", ""]
+            rows[-1] += [not_completed(row), *[""] * 5]
     return aligned(rows, left=1)
 
 

@@ -1,7 +1,7 @@
 """``map-racing faults``: rehearse faults of a simulated car, print a table."""
 
 from ..errors import ParameterError
-from ..simulation.faults import KINDS, kinds_table
+from ..simulation.faults import check_name, kinds_table
 from ..simulation.rehearsal import SCENARIOS, bounds_text, rehearse, table
 from .progress import progress_bar
 
@@ -12,8 +12,8 @@ def run(arguments):
         print(kinds_table(), end="")
         return
     name = arguments.fault
-    if name is not None and name not in KINDS:
-        raise ParameterError(f"--fault: expected {', '.join(KINDS)}, got {name}")
+    if name is not None:
+        check_name("--fault", name)
     chosen = [scenario for scenario in SCENARIOS if name in (None, scenario.fault)]
     if not chosen:
         raise ParameterError(

@@ -111,7 +111,7 @@ def _validated(arguments, found, channels):
 
 def _write_controller(path, found):
     """The shipped controller with the delay that was found."""
-    parameters = load_controller_parameters(CONTROLLER)
+    parameters = load_controller_parameters(CONTROLLER, found.vehicle)
     delay = found.laps.delays.delay if found.laps else None
     if delay is None or delay.value is None:
         reason = delay.reason if delay else "it takes ordinary driving"
@@ -119,5 +119,5 @@ def _write_controller(path, found):
     else:
         parameters = parameters.with_(delay_s=round(delay.value, 4))
         text = f"with delay_s of {parameters.delay_s:g} s"
-    save_controller_parameters(parameters, path, load_safety_limits(CONTROLLER))
+    save_controller_parameters(parameters, path, load_safety_limits(CONTROLLER, found.vehicle))
     print(f"controller {CONTROLLER} written to {path}, {text}")

@@ -1,6 +1,7 @@
 """``map-racing race``: drive a simulated car around a track and record a bag."""
 
 import math
+import sys
 from pathlib import Path
 
 from ..control.controller import Controller
@@ -23,13 +24,15 @@ from .inputs import read_plant, read_vehicle
 from .outputs import check_outputs
 from .progress import progress_bar
 
+# Exit code of a race that was recorded, but not driven to its end; 1 is for errors, 2 for usage.
+NOT_COMPLETED = 3
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
 LONGEST_LAP = 5000.0  # of a 1:10 car [m]
 
 
 def run(arguments):
-    """Race and record."""
+    """Race and record; exit code."""
     if not 1 <= arguments.laps <= MOST_LAPS:
         raise ParameterError(f"--laps: expected 1 to {MOST_LAPS}, got {arguments.laps}")
     inputs = [
@@ -62,7 +65,7 @@ def run(arguments):
     supervision = {}
     if arguments.faults:
         supervision["faults"] = load_faults(arguments.faults)
-        supervision["limits"] = load_safety_limits(arguments.controller)
+        supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(
@@ -91,6 +94,10 @@ def run(arguments):
         f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
         f"{log.duration:.1f} s{place_of_end(log, raceline)}"
     )
+    if log.outcome is Outcome.COMPLETED:
+        return 0
+    print(f"map-racing: not completed (N.C.), {log.outcome.value}", file=sys.stderr)
+    return NOT_COMPLETED
 
 
 def load_track(source, longest):
@@ -114,6 +121,8 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     sectors = None
     if arguments.speed_sectors:
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)
+        for doubt in sectors.doubts:
+            print(f"warning: {doubt}")
     if isinstance(parameters, MpcParameters):
         if arguments.lookup_table:
             raise ParameterError(f"{arguments.lookup_table}: {arguments.controller} uses no table")

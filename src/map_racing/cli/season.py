@@ -50,7 +50,7 @@ def run(arguments):
         file.write(season_page(heats))
     unread = [heat for heat in heats if heat["reason"]]
     for heat in unread[:20]:
-        print(f"not evaluated: {printable(heat['reason'])}")
+        print(f"not evaluated: {printable(heat['bag'])}: {printable(heat['reason'])}")
     if len(unread) > 20:
         print(f"... and {len(unread) - 20} more, see the table")
     print(

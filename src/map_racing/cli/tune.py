@@ -9,6 +9,7 @@ from ..experiments.campaign import Plan
 from ..experiments.robustness import grid_table
 from ..experiments.tuning import ROBUST_STEPS, tune_robust
 from ..files import make_folder
+from ..vehicle.size import size_of
 from .experiment import grid_lines, named_controllers
 from .session import open_grid, open_session
 
@@ -52,12 +53,13 @@ def run_robust(arguments, controllers):
             raise ParameterError(f"--robust: expected controllers with a lookahead, got {label}")
     session = open_grid(arguments, "tune-robust")
     grid = session.grid
+    controllers = named_controllers(arguments.controller, grid.vehicle)
 
     def steps(label, controller):
         def jobs_for(candidate):
             return grid.jobs(label, candidate)
 
-        candidates = yield from tune_robust(jobs_for, controller)
+        candidates = yield from tune_robust(jobs_for, controller, size_of(grid.vehicle))
         return candidates
 
     plans = [Plan(steps(*each), 6 * len(grid.names)) for each in controllers.items()]

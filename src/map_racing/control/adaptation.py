@@ -225,7 +225,7 @@ class Adaptation:
             As measured; ``v_y`` is NaN if nothing measures it. A pose that is not later than the
             last one, or much later, restarts the model.
         steering_angle : float
-            Commanded on it [rad].
+            Sent to the car on it [rad].
 
         Returns
         -------
@@ -252,11 +252,6 @@ class Adaptation:
         while times[1 if len(times) > 1 else 0] < t - LONGEST_DEAD_TIME - LONGEST_PAUSE:
             del times[0], angles[0]
         return changed
-
-    def sent(self, steering_angle):
-        """Correct the last command, where a supervisor sent another angle to the car [rad]."""
-        if self._angles:
-            self._angles[-1] = steering_angle
 
     def _settle(self, t, v_x, v_y, r):
         """Take the motion as measured, and the wheels as they were told to be."""

@@ -124,7 +124,7 @@ class Controller:
         ahead = vehicle.l_r if parameters.reference_point == "center_of_gravity" else 0.0
         self._estimate_v_y = SideslipEstimate(vehicle, ahead)
         self._behind = vehicle.l_r - ahead
-        self._learned = self._setup = self._guard = None
+        self._learned = self._setup = self._guard = self._adaptation = self._untaught = None
         self.apply(self._planned(_Setup(parameters, steering_map, grip, raceline, sectors)))
         self.reset()
 
@@ -158,6 +158,7 @@ class Controller:
 
         Another raceline restarts tracking; the steering goes on from where it is.
         """
+        self.learn()
         if setup.guard is not None and self._guard is not None:
             setup.guard.resume(self._guard)
         self._setup, self._adaptation = setup, setup.adaptation
@@ -245,7 +246,10 @@ class Controller:
 
     @property
     def adaptation(self):
-        """What learns the tires while driving, an `Adaptation`; None if that is off."""
+        """What learns the tires while driving, an `Adaptation`; None if that is off.
+
+        Of the last step only after `learn`.
+        """
         return self._adaptation
 
     @property
@@ -290,6 +294,7 @@ class Controller:
 
     def reset(self):
         """Forget the past, after the car was moved or time jumped back."""
+        self.learn()
         if self._tracker is not None:
             self._tracker.reset()
         self._last_t = None
@@ -298,6 +303,23 @@ class Controller:
             self._guard.reset()
         if self._adaptation is not None:
             self._adaptation.restart()
+
+    def sent(self, steering_angle):
+        """Tell that another angle than the last step's was sent to the car [rad]."""
+        if self._untaught is not None:
+            self._untaught = self._untaught[0], steering_angle
+
+    def learn(self):
+        """Learn from the last step, with adaptation, if that has not been done.
+
+        The next step does it otherwise. It takes 0.05 ms, and 0.15 ms where the steering map
+        changes, so whoever sends commands does it when the last one is out.
+        """
+        if self._untaught is None:
+            return
+        untaught, self._untaught = self._untaught, None
+        self._adaptation.update(*untaught)
+        self._follow_belief()
 
     def step(self, state):
         """Compute one command.
@@ -313,6 +335,7 @@ class Controller:
             Speed 0 and the last steering angle if the state is not finite or absurd, or without a
             raceline.
         """
+        self.learn()
         parameters = self._parameters
         t, x, y, psi, v_x, v_y, r = state
         # A NaN fails every comparison.
@@ -370,8 +393,7 @@ class Controller:
         if self._guard is not None:
             speed = self._guard.limited(t, v_x, a_lat / (law_speed * law_speed), speed)
         if self._adaptation is not None:
-            self._adaptation.update(measured, angle)
-            self._follow_belief()
+            self._untaught = measured, angle
         status = _SATURATED if saturated else _OK
         if self._tracker.lost or not -_RIGHT_ANGLE <= eta <= _RIGHT_ANGLE:
             status = _OFF_COURSE

@@ -41,6 +41,9 @@ SLOWEST = 1.0
 # Linear tires past their peak would turn the wheel the wrong way: at least this share of the
 # stiffness without slip is assumed.
 LEAST_STIFFNESS = 0.05
+# With less weight on the steering rate [m s] the program is so flat that the solver often does not
+# converge, and the car is worse off.
+LEAST_RATE_WEIGHT = 0.005
 # Time from pose to pose that a command is for [s]: at first, at least and at most.
 FIRST_PERIOD, SHORTEST_PERIOD, LONGEST_PERIOD = 0.025, 0.005, 0.05
 # Step of the prediction over the delay [s].
@@ -349,6 +352,7 @@ class _Program:
         If not, the rate is that of the last plan for this time, and 0 beyond its end.
         """
         p, n = self._parameters, self._parameters.stages
+        weight = max(p.steering_rate_weight_ms, LEAST_RATE_WEIGHT) ** 2
         fresh = self._motion is None
         motion = model.guess(v, kappa) if fresh else self._motion
         motion[0] = z0
@@ -369,12 +373,12 @@ class _Program:
             )
             offset = np.concatenate([free[1:, 0], np.einsum("ki,ki->k", direction, free[1:])])
             P = rows.T @ rows
-            P[np.arange(n), np.arange(n)] += p.steering_rate_weight_ms**2
+            P[np.arange(n), np.arange(n)] += weight
             fastest, lock = self._vehicle.delta_rate_max, self._vehicle.delta_max
             fastest = np.full(n, fastest)
             self._solver.update(
                 Px=P[self._upper],
-                q=rows.T @ offset - p.steering_rate_weight_ms**2 * rates,
+                q=rows.T @ offset - weight * rates,
                 l=np.concatenate([-fastest, np.full(n, -lock - z0[-1])]),
                 u=np.concatenate([fastest, np.full(n, lock - z0[-1])]),
             )

@@ -228,8 +228,8 @@ class ControllerParameters:
 
 
 def growth(name: str, size: Size) -> float:
-    """Factor on a parameter for a car of another size."""
-    of_length, of_time = _GROWTH[name]
+    """Factor on a parameter for a car of another size; 1 for what does not grow with it."""
+    of_length, of_time = _GROWTH.get(name, (0, 0))
     return size.length**of_length * size.time**of_time
 
 
@@ -268,7 +268,8 @@ class MpcParameters:
         high=10.0,
     )
     steering_rate_weight_ms: float = parameter(
-        "Lateral error [m] that costs as much as a steering rate of 1 rad/s",
+        "Lateral error [m] that costs as much as a steering rate of 1 rad/s, counted as at least "
+        "0.005",
         "m s",
         low=0.0,
         high=10.0,
@@ -334,8 +335,12 @@ def load_law(
     values = read_yaml_mapping(path)
     values.pop("safety", None)
     parameters = parameters_of(path, values)
-    shipped = path.parent == config_directory() / "controllers"
-    return parameters.of_size(vehicle) if shipped and vehicle is not None else parameters
+    return parameters.of_size(vehicle) if _shipped(path) and vehicle is not None else parameters
+
+
+def _shipped(path):
+    """Whether a file is for 1:10 cars, not somebody's own for a car."""
+    return path.parent == config_directory() / "controllers"
 
 
 def load_controller_parameters(
@@ -367,13 +372,15 @@ def load_controller_parameters(
     return parameters
 
 
-def load_safety_limits(source: str | Path) -> SafetyLimits:
+def load_safety_limits(source: str | Path, vehicle: Vehicle | None = None) -> SafetyLimits:
     """Read the mapping ``safety`` of a controller's file.
 
     Parameters
     ----------
     source : str or pathlib.Path
         As for `load_controller_parameters`.
+    vehicle : Vehicle, optional
+        The car: the limits of shipped files are scaled to its size by `SafetyLimits.of_size`.
 
     Returns
     -------
@@ -389,7 +396,8 @@ def load_safety_limits(source: str | Path) -> SafetyLimits:
     values = read_yaml_mapping(path).get("safety", {})
     if not isinstance(values, dict):
         raise ParameterError(f"{path}: safety: expected names and values, got {values!r}")
-    return read_parameters(f"{path}: safety", SafetyLimits, values)
+    limits = read_parameters(f"{path}: safety", SafetyLimits, values)
+    return limits.of_size(vehicle) if _shipped(path) and vehicle is not None else limits
 
 
 def save_controller_parameters(

@@ -11,11 +11,12 @@ controller wait for `Supervisor.resume`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..validation import POSITIVE, check, documented, parameter
+from ..vehicle.size import size_of
 from .controller import ControlResult, Status
 from .obedience import MOVING, ROLLING, SETTLING, Obedience, PoseMotion
 from .slowing import Slowing
@@ -24,14 +25,12 @@ from .state import CarState
 
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
+    from ..vehicle.parameters import Vehicle
 
 __all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
 
 # A car that did not move as commanded rests for this long [s] before it tries again.
 REST = 3.0
-
-# A command this far below the measured speed [m/s] is more than a raceline's braking.
-SUDDEN = 2.0
 
 # Unless twice its largest speed is more, no car drives or turns faster [m/s, rad/s].
 FASTEST, FASTEST_TURN = 50.0, 100.0
@@ -41,6 +40,14 @@ STANDSTILL = 0.3
 
 # Commands without poses: one per this time [s].
 PERIOD = 0.02
+
+# What a car could have braked in a gap of the commands is not made up for at once: the first step
+# of a ramp, and any other, are worth at most this time [s].
+FIRST_STEP, LONGEST_STEP = 0.05, 0.1
+
+# Meanwhile a car that was getting faster did so as before, averaged over a time [s], but at most by
+# this [m/s^2], and not above the last command.
+RISING, QUICKEST = 0.1, 5.0
 
 # A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
@@ -155,6 +162,22 @@ class SafetyLimits:
     def __post_init__(self):
         check(self)
 
+    def of_size(self, vehicle: Vehicle) -> SafetyLimits:
+        """These limits, given for a 1:10 car, for a car of another size, see `size_of`.
+
+        Distances, speeds and the time of a slide grow with it; decelerations stay, and so do times
+        of sensors and computers. Nothing changes for 1:10 cars.
+        """
+        length, time = size_of(vehicle)
+        return replace(
+            self,
+            max_jump_m=self.max_jump_m * length,
+            max_deviation_m=self.max_deviation_m * length,
+            max_blocked_m=self.max_blocked_m * length,
+            max_overspeed_mps=self.max_overspeed_mps * time,
+            max_saturated_s=self.max_saturated_s * time,
+        )
+
 
 class Decision(NamedTuple):
     """Command to the car, and why."""
@@ -208,7 +231,7 @@ class Supervisor:
         self.pose_age = math.nan
         self._seen = {}  # when each temporary cause was last seen
         self._pose = None
-        self._speed = 0.0
+        self._speed = self._measured = self._rise = 0.0
         self._now = self._arrival = None
         self._motion, self._obedience = PoseMotion(), Obedience()
         self._blocked = self._slows = False
@@ -302,7 +325,7 @@ class Supervisor:
             trusted = False
         if trusted:
             if not frozen:
-                self._speed = v_x
+                self._measure(now, v_x)
             self._obeys(now, state)
         return trusted
 
@@ -399,6 +422,15 @@ class Supervisor:
             return self._arrival + self.limits.max_pose_age_s
         return self._now + PERIOD
 
+    def _measure(self, now, v_x):
+        """Take a speed, and how it rises."""
+        elapsed = max(now - self._measured, 1e-3)
+        rise = self._rise + min(elapsed / RISING, 1.0) * (
+            (v_x - self._speed) / elapsed - self._rise
+        )
+        self._rise = min(max(rise, 0.0), QUICKEST)
+        self._speed, self._measured = v_x, now
+
     def _is_jump(self, last, state):
         elapsed = max(state.t - last.t, 0.0)
         speed = min(max(abs(last.v_x), self._command[1]), 2.0 * self._max_speed)
@@ -470,12 +502,15 @@ class Supervisor:
         if self.mode is Mode.WAITING and not drives:
             return angle, 0.0
         last_angle, speed = self._command
-        elapsed = 0.0 if self._commanded is None else now - self._commanded
+        elapsed = 0.0 if self._commanded is None else min(now - self._commanded, LONGEST_STEP)
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
-        slows = not (drives and follows) or v - wanted > SUDDEN
+        slows = not (drives and follows)
+        if self._slowing is not None and not slows:
+            slows = v - wanted > self._slowing.sudden
         if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
-            speed = min(speed, self._speed)
+            speed = min(speed, self._speed + self._rise * (now - self._measured))
+            elapsed = min(elapsed, FIRST_STEP)
         if self._slowing is not None and self._slowing.always:
             most = self._slowing.largest(v)
             angle = min(max(angle, -most), most)

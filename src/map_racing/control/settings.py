@@ -13,6 +13,8 @@ import yaml
 
 from .. import __version__
 from ..errors import ParameterError
+from ..printing import printable
+from ..track.findings import raceline_warnings
 from ..track.raceline import Raceline
 from ..validation import finite
 from ..vehicle.parameters import Vehicle, parameter_hash, vehicle_of, vehicle_values
@@ -22,7 +24,7 @@ from .parameters import ControllerParameters, MpcParameters, parameter_values, p
 from .safety import SafetyLimits
 from .speed_sectors import SpeedSectors
 
-__all__ = ["Settings", "parse_settings", "settings_text"]
+__all__ = ["Settings", "doubts_of", "parse_settings", "settings_text"]
 
 _MILLIMETER = 1e-3
 
@@ -42,7 +44,7 @@ class Settings:
     sectors : list of (float, float, float)
         Speed sectors: start and end [m], scale; empty without any.
     notes : tuple of str
-        What could not be read.
+        What could not be read, and with ``warning:`` what the controller doubted.
     """
 
     values: dict
@@ -92,6 +94,20 @@ class Settings:
         return controller.planned_speed
 
 
+def doubts_of(controller: Controller) -> list[str]:
+    """What makes it doubtful that a controller drives with what was meant.
+
+    Warnings about the vehicle file, the raceline and the speed sectors.
+    """
+    vehicle, raceline, sectors = controller.vehicle, controller.raceline, controller.sectors
+    mark = "warning: "
+    doubts = [note[len(mark) :] for note in vehicle.notes if note.startswith(mark)]
+    doubts = [f"vehicle {vehicle.name}: {doubt}" for doubt in doubts]
+    if raceline is not None:
+        doubts += raceline_warnings(raceline)
+    return doubts + list(sectors.doubts if sectors is not None else ())
+
+
 def settings_text(
     controller: Controller,
     *,
@@ -139,6 +155,9 @@ def settings_text(
                 for stretch in controller.sectors.stretches()
             ],
         }
+    doubts = doubts_of(controller)
+    if doubts:
+        values["doubts"] = doubts
     if limits is not None:
         values["safety"] = asdict(limits)
     values["versions"] = {
@@ -182,6 +201,9 @@ def parse_settings(text: str) -> Settings:
             notes.append(f"the recorded settings: {key}: {error}")
             return None
 
+    doubts = values.get("doubts")
+    if isinstance(doubts, list):
+        notes += [f"warning: {printable(doubt)}" for doubt in doubts if isinstance(doubt, str)]
     return Settings(
         values,
         part("controller", _controller),

@@ -6,10 +6,13 @@ import math
 
 import numpy as np
 
+from ..vehicle.size import ONE_TENTH, Size
+
 __all__ = ["Slowing"]
 
-# Largest rate of the steering angle meanwhile [rad/s]. Following a raceline takes less.
-STEERING_RATE = 1.5
+# Of a 1:10 car: largest rate of the steering angle meanwhile [rad/s] (following a raceline takes
+# less), and how far a command is below the measured speed [m/s] that is no raceline's braking.
+STEERING_RATE, SUDDEN = 1.5, 2.0
 
 # Most of the braking that the tires hold; the rest of the friction ellipse, 60 % of the lateral
 # grip, is for steering.
@@ -36,10 +39,25 @@ class Slowing:
     always : bool, optional
         Whether no angle is to be beyond the one of the largest lateral acceleration, also while the
         car is not too fast: not for pure pursuit, which knows no tires.
+    size : Size, optional
+        Of the car.
+
+    Attributes
+    ----------
+    sudden : float
+        A command so far below the measured speed is followed by a ramp [m/s].
     """
 
-    def __init__(self, grip, a_brake_max: float, delta_max: float, always: bool = True):
+    def __init__(
+        self,
+        grip,
+        a_brake_max: float,
+        delta_max: float,
+        always: bool = True,
+        size: Size = ONE_TENTH,
+    ):
         self._grip, self._brake, self.delta_max = grip, a_brake_max, delta_max
+        self._rate, self.sudden = STEERING_RATE / size.time, SUDDEN * size.time
         self.always = always
         self._peak = float(np.max(grip.max_lateral_acceleration(np.arange(1.0, 20.0))))
 
@@ -77,7 +95,7 @@ class Slowing:
         share = math.sqrt(1.0 - (deceleration / self._brake) ** 2)
         most = min(self._grip.steering(v, share * self._peak)[0], self.delta_max)
         angle = min(max(angle, -most), most)
-        slew = STEERING_RATE * elapsed
+        slew = self._rate * elapsed
         return min(max(angle, last - slew), last + slew)
 
     def braking(self, v: float, angle: float) -> float:

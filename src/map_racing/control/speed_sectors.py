@@ -41,6 +41,8 @@ class SpeedSectors:
         Length of the track [m].
     elsewhere : float
         Scale outside of all sectors.
+    doubts : iterable of str
+        What makes it doubtful that the sectors are of this track.
 
     Raises
     ------
@@ -49,7 +51,14 @@ class SpeedSectors:
         or overlapping sectors.
     """
 
-    def __init__(self, sectors: Iterable, length: float, elsewhere: float = 1.0):
+    def __init__(
+        self,
+        sectors: Iterable,
+        length: float,
+        elsewhere: float = 1.0,
+        doubts: Iterable[str] = (),
+    ):
+        self.doubts = tuple(doubts)
         if not 0.0 <= elsewhere < math.inf:
             raise ParameterError(f"speed elsewhere: expected a scale >= 0, got {elsewhere:g}")
         stretches = []
@@ -90,7 +99,8 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     The file has ``global_limit``, ``n_sectors`` and ``Sector0: {start, end, scaling}``, ...;
     `start` and `end` are indices of the raceline's points, and no scale exceeds the global limit.
     Sectors from the first point to the last but one reach to the end of the lap: they count the
-    points of another form of the raceline, such as a bag's.
+    points of another form of the raceline, such as a bag's. Sectors that leave more points at the
+    end of the lap without one may be of another raceline: that is a doubt.
 
     Parameters
     ----------
@@ -110,7 +120,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     content = read_yaml_mapping(path)
     points = raceline.s_points
     limit = _number(path, content, "global_limit", 1.0)
-    sectors, count = [], _index(path, content, "n_sectors")
+    sectors, count, last = [], _index(path, content, "n_sectors"), -1
     for index in range(count):
         key = f"Sector{index}"
         sector = content.get(key)
@@ -125,6 +135,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
                 f"{path}: {key}: end: expected an index of the raceline's {len(points)} points, "
                 f"got {end}"
             )
+        last = max(last, end)
         if start == len(points):
             continue
         # A sector extends to the first point of the next one.
@@ -145,8 +156,14 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
             f"{path}: {unknown[0]}: unknown; known are global_limit, n_sectors and Sector0 to "
             f"Sector{count - 1}"
         )
+    doubts = []
+    if count and last < len(points) - 2:
+        doubts.append(
+            f"{path}: the last sector ends at point {last}, the raceline has {len(points)}: are "
+            "the sectors of another one?"
+        )
     try:
-        return SpeedSectors(sectors, raceline.length, elsewhere=min(1.0, limit))
+        return SpeedSectors(sectors, raceline.length, min(1.0, limit), doubts)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error
 

@@ -54,7 +54,11 @@ class RampParameters:
     start_rad: float = parameter("First steering angle", "rad", low=0.0, default=0.1)
     limit_rad: float = parameter("Last steering angle", "rad", low=POSITIVE, default=0.4)
     settle_s: float = parameter(
-        "Time at constant speed and first angle before the ramp", "s", low=0.0, default=1.0
+        "Time at constant speed and first angle before the ramp. With less than 0.3 s nobody sees "
+        "that the rear breaks away",
+        "s",
+        low=0.0,
+        default=1.0,
     )
     acceleration_mps2: float = parameter(
         "Acceleration to that speed",
@@ -269,9 +273,9 @@ class SteeringRamp:
         self._phase = Phase.WAITING
         self._angle = 0.0
         self._speed = 0.0
-        self._since = 0.0
+        self._since = None
         self._last_t = None
-        self._gain = self._settled_gain = 0.0
+        self._turned = self._steered = self._settled_gain = 0.0
 
     def update(
         self, t: float, x: float, y: float, v: float, enabled: bool, r: float = math.nan
@@ -335,20 +339,23 @@ class SteeringRamp:
             return
         if self._since is None:
             self._since = t
+            self._turned = self._steered = 0.0  # before, the wheels may still have turned
         if t - self._since >= parameters.settle_s:
             self._phase = Phase.RAMPING
 
     def _average_gain(self, v, r, elapsed):
         """Curvature of the path by steering angle [1/(m rad)], averaged over a short time."""
-        if self._angle and v > STANDSTILL and math.isfinite(r):
+        if math.isfinite(r):
             share = min(elapsed / AVERAGED_S, 1.0)
-            self._gain += share * (r / (v * self._angle) - self._gain)
-        return self._gain
+            self._turned += share * (r - self._turned)
+            self._steered += share * (v * self._angle - self._steered)
+        return self._turned / self._steered if self._steered else 0.0
 
     def _ramp(self, elapsed, gain):
         side = self._sides[self.completed]
         angle = abs(self._angle) + self.parameters.rate_radps * elapsed
-        if 0.0 < BREAKS_AWAY * self._settled_gain < gain:
+        settled = self.parameters.settle_s >= AVERAGED_S
+        if settled and 0.0 < BREAKS_AWAY * self._settled_gain < gain:
             angle = 0.0  # to catch the car
         elif angle < self.parameters.limit_rad:
             self._angle = side * angle

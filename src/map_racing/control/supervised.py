@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Callable, NamedTuple
 
+from ..vehicle.size import size_of
 from .controller import Controller, ControlResult
 from .safety import Decision, SafetyLimits, Supervisor
 from .slowing import Slowing
@@ -68,8 +69,8 @@ class SupervisedController:
                 self._on_raceline()
         result = controller.step(state) if trusted and not failed else None
         decision = supervisor.decide(now, result)
-        if result is not None and controller.adaptation is not None:
-            controller.adaptation.sent(decision.steering_angle)
+        if result is not None:
+            controller.sent(decision.steering_angle)
         return SupervisedStep(result, decision)
 
     def follow(self, raceline: Raceline, sectors, setup: object) -> bool:
@@ -123,4 +124,5 @@ def build_slowing(parameters: ControllerParameters, vehicle: Vehicle, grip=None)
         parameters.a_brake_max_mps2,
         vehicle.delta_max,
         always=parameters.steering_map != "ackermann",
+        size=size_of(vehicle),
     )

@@ -191,7 +191,7 @@ class _Heat:
         self.ahead = getattr(controller, "speed_lookahead_s", 0.0)
         laps = [lap.lap for lap in profile.counted]
         self.grip = grip_of_day(run.recording, laps, self.vehicle, **known)
-        self.use = np.abs(self._mean("a_lat")) / (self.grip.low * _tires(limits, self.v))
+        self.use = np.abs(self._mean("a_lat")) / (self.grip.low * limits.lateral(self.v))
         d = np.array([lap.values["d"][:-1] for lap in profile.counted])
         self.off = np.max(np.abs(d), axis=0)
         self.clearance = np.full(self.s.size, math.nan)
@@ -356,13 +356,6 @@ def _stretches(sectors, line):
         if begin == end:
             begin, end = 0.0, line.length
         yield begin, end, one.scale
-
-
-def _tires(limits, v):
-    """Lateral limit of the tires at speeds [m/s^2]: a lock that is too small does not count."""
-    grid = np.linspace(0.25, max(limits.v_max, float(np.max(v)) + 1.0), 200)
-    limit = limits.table.max_lateral_acceleration(grid)
-    return np.interp(v, grid, np.maximum.accumulate(limit[::-1])[::-1])
 
 
 class _Drive(NamedTuple):

@@ -6,17 +6,16 @@ import math
 
 import numpy as np
 
-from ..bags.samples import is_odometry_frame
-from ..track.findings import WARNING
-from ..track.raceline import Raceline
+from ..bags.clocks import lag_of_effect
+from ..bags.samples import Recording, is_odometry_frame
 from .results import Lap
 from .speed import speed_of
 
 __all__ = [
     "alternation",
     "bunches",
+    "command_clock",
     "frame_warning",
-    "raceline_warnings",
     "speed_warning",
     "uncommanded",
 ]
@@ -99,11 +98,25 @@ def bunches(topic: str, t: np.ndarray) -> str:
     )
 
 
-def raceline_warnings(raceline: Raceline, origin: str = "") -> list[str]:
-    """Doubts about a raceline from `origin`, and so about all that is measured against it."""
-    origin = origin or raceline.name or raceline.source
-    doubts = [finding for finding in raceline.findings if finding.severity == WARNING]
-    return [f"raceline {origin}: {finding}" for finding in doubts]
+def command_clock(recording: Recording) -> str:
+    """Doubt about commands that are plainly not of the time at which the car turns; or empty."""
+    commands = recording.commands
+    if commands is None or recording.t.size < 10:
+        return ""
+    t, moved = recording.t, (np.gradient(v, recording.t) for v in (recording.x, recording.y))
+    speed = np.hypot(*moved)
+    turning = np.gradient(np.unwrap(np.where(np.isfinite(recording.psi), recording.psi, 0.0)), t)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = np.where(speed > _MOVING, turning / speed, math.nan)
+    known = np.isfinite(recording.psi)
+    lag = lag_of_effect(commands.t, commands.steering_angle, t[known], curvature[known])
+    if lag is None:
+        return ""
+    when = "after" if lag > 0.0 else "before"
+    return (
+        f"{commands.topic}: the car turns {abs(lag):.2f} s {when} its steering commands: they are "
+        "of another clock, so speed errors compare different moments"
+    )
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:

@@ -10,25 +10,35 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from ..bags.samples import Recording
 from ..errors import EvaluationError, ParameterError
 from ..track.files.table import RacelineTable
+from ..vehicle.size import ONE_TENTH, Size
 from .laps import LapLimits
 from .runs import evaluate
 
 __all__ = ["DrivenLap", "driven_laps", "line_of_lap"]
 
+# For 1:10 cars; for larger ones distances grow with their size.
 # Steps of the path in which noise of a slow or parked car is lost [m].
 _STEP = 0.1
 # Half of the line across the path that a lap passes [m], and places where it is tried.
 _HALF_GATE, _GATES = 1.0, 200
+_SAME_COURSE = 0.7  # cosine of the angle to it
 # Laps whose length differs more from the usual one took another way.
 _USUAL_LENGTH = 0.15
 _SHORTEST_LAP = 3.0  # [m]
 # A lap ends beside its beginning; the line is brought together over this share of it, both ways.
 _CLOSING = 0.25
+# How far apart they are is a mean over this time before and after [s].
+_AROUND = 0.25
 _GRID = 0.02  # [m]
+# Noise lengthens the path from pose to pose. Distances are therefore those along the smooth line,
+# which is made again with them, so many times.
+_PASSES = 4
+_SPACING, _SMOOTHING = 0.1, 1.5  # [m]
 
 
 class DrivenLap(NamedTuple):
@@ -40,7 +50,7 @@ class DrivenLap(NamedTuple):
     reason: str = ""
 
 
-def driven_laps(recording: Recording, raceline=None) -> list[DrivenLap]:
+def driven_laps(recording: Recording, raceline=None, size: Size = ONE_TENTH) -> list[DrivenLap]:
     """Complete laps of a recording.
 
     Parameters
@@ -49,6 +59,8 @@ def driven_laps(recording: Recording, raceline=None) -> list[DrivenLap]:
     raceline : Raceline, optional
         Laps are those of `map_racing.evaluation.runs.evaluate` on it, numbers included; without it
         they are found by the path alone.
+    size : Size, optional
+        Of the car.
 
     Returns
     -------
@@ -69,45 +81,45 @@ def driven_laps(recording: Recording, raceline=None) -> list[DrivenLap]:
         if not laps:
             raise EvaluationError(f"{recording.source}: no complete lap on {raceline.name}")
         return laps
-    rows = _moving(recording.x, recording.y)
+    rows = _moving(recording.x, recording.y, size)
     t, xy = recording.t[rows], np.stack((recording.x[rows], recording.y[rows]), axis=1)
-    passages = _best_passages(t, xy)
+    passages = _best_passages(t, xy, size)
     if passages is None:
         raise EvaluationError(
             f"{recording.source}: no closed lap: no place is passed twice in the same direction "
-            f"within {_HALF_GATE:g} m; drive on past the start of the lap"
+            f"within {_HALF_GATE * size.length:.3g} m; drive on past the start of the lap"
         )
     times, lengths = passages
     usual = float(np.median(lengths))
     return [
-        DrivenLap(number, begin, end, _fault(recording, begin, end, length / usual))
+        DrivenLap(number, begin, end, _fault(recording, begin, end, length / usual, size))
         for number, (begin, end, length) in enumerate(zip(times, times[1:], lengths), 1)
     ]
 
 
-def _moving(x, y):
+def _moving(x, y, size):
     """Indices of samples at least a step apart from the one kept before."""
     rows, x0, y0 = [], math.inf, math.inf
     for row, (x1, y1) in enumerate(zip(x.tolist(), y.tolist())):
-        if not math.hypot(x1 - x0, y1 - y0) < _STEP:
+        if not math.hypot(x1 - x0, y1 - y0) < _STEP * size.length:
             rows.append(row)
             x0, y0 = x1, y1
     return np.array(rows, dtype=int)
 
 
-def _best_passages(t, xy):
+def _best_passages(t, xy, size):
     """Times at the gate that most usual laps pass, on the straightest way, and their lengths."""
     if len(xy) < 8:
         return None
     steps = np.diff(xy, axis=0)
     s = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
     heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    course = uniform_filter1d(heading, 11, mode="nearest")
     best = None
     for place in np.linspace(0.0, s[-1], _GATES, endpoint=False):
         row = min(int(np.searchsorted(s, place)), len(steps) - 1)
         around = slice(max(row - 5, 0), row + 6)
-        psi = float(np.mean(heading[around]))
-        times, at = _passages(t, s, xy, xy[row], psi)
+        times, at = _passages(t, s, xy, course, row, size)
         lengths = np.diff(at)
         if not lengths.size:
             continue
@@ -118,23 +130,26 @@ def _best_passages(t, xy):
     return None if best is None else best[1:]
 
 
-def _passages(t, s, xy, gate, psi):
-    """Times and distances at which a gate across the heading is passed forwards."""
-    along, across = math.cos(psi), math.sin(psi)
-    dx, dy = xy[:, 0] - gate[0], xy[:, 1] - gate[1]
+def _passages(t, s, xy, course, row, size):
+    """Times and distances at which a gate across the course at a row is passed along it."""
+    along, across = math.cos(course[row]), math.sin(course[row])
+    half = _HALF_GATE * size.length
+    dx, dy = (xy - xy[row]).T
     ahead, aside = dx * along + dy * across, dy * along - dx * across
-    near = np.hypot(dx, dy) < 2.0 * _HALF_GATE
-    rows = np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & near[:-1] & near[1:])
+    near = np.hypot(dx, dy) < 2.0 * half
+    # Where the track crosses itself, the gate is passed by the other branch, too.
+    same = np.cos(course - course[row]) > _SAME_COURSE
+    rows = np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & near[:-1] & near[1:] & same)
     share = ahead[rows] / (ahead[rows] - ahead[rows + 1])
-    inside = np.abs(aside[rows] + share * (aside[rows + 1] - aside[rows])) < _HALF_GATE
+    inside = np.abs(aside[rows] + share * (aside[rows + 1] - aside[rows])) < half
     rows, share = rows[inside], share[inside]
     at = s[rows] + share * (s[rows + 1] - s[rows])
-    kept = [i for i in range(at.size) if i == 0 or at[i] - at[i - 1] > _SHORTEST_LAP]
+    kept = [i for i in range(at.size) if i == 0 or at[i] - at[i - 1] > _SHORTEST_LAP * size.length]
     rows, share, at = rows[kept], share[kept], at[kept]
     return t[rows] + share * (t[rows + 1] - t[rows]), at
 
 
-def _fault(recording, begin, end, relative_length):
+def _fault(recording, begin, end, relative_length, size):
     """Why a lap is no model for a line; empty if it is."""
     limits = LapLimits()
     inside = (recording.t >= begin) & (recording.t <= end)
@@ -143,7 +158,8 @@ def _fault(recording, begin, end, relative_length):
     if np.max(np.diff(t)) > limits.max_gap:
         faults.append("gap")
     step = np.hypot(np.diff(recording.x[inside]), np.diff(recording.y[inside]))
-    most = limits.max_speed * np.diff(recording.t[inside]) + limits.jump_margin
+    fastest, margin = limits.max_speed * size.time, limits.jump_margin * size.length
+    most = fastest * np.diff(recording.t[inside]) + margin
     if np.any(step > most):
         faults.append("jump")
     if abs(relative_length - 1.0) > _USUAL_LENGTH:
@@ -152,7 +168,11 @@ def _fault(recording, begin, end, relative_length):
 
 
 def line_of_lap(
-    recording: Recording, lap: DrivenLap, spacing: float = 0.1, smoothing: float = 1.5
+    recording: Recording,
+    lap: DrivenLap,
+    spacing: float | None = None,
+    smoothing: float | None = None,
+    size: Size = ONE_TENTH,
 ) -> RacelineTable:
     """The closed line of a lap, with the speeds driven.
 
@@ -164,10 +184,13 @@ def line_of_lap(
     recording : Recording
     lap : DrivenLap
     spacing : float, optional
-        Distance between the points [m], rounded so that they divide the lap evenly.
+        Distance between the points [m], rounded so that they divide the lap evenly; 0.1 m for a
+        1:10 car.
     smoothing : float, optional
         Wavelength [m] of which half the amplitude is left; longer ones keep theirs: of 4 times the
-        wavelength 99.98 %.
+        wavelength 99.98 %. 1.5 m for a 1:10 car.
+    size : Size, optional
+        Of the car.
 
     Returns
     -------
@@ -181,49 +204,69 @@ def line_of_lap(
     EvaluationError
         If the lap has too few samples.
     """
+    spacing = _SPACING * size.length if spacing is None else spacing
+    smoothing = _SMOOTHING * size.length if smoothing is None else smoothing
     for key, value, most in (("spacing", spacing, 10.0), ("smoothing", smoothing, 100.0)):
         if not 0.001 <= value <= most:
             raise ParameterError(f"{key}: expected 0.001 to {most:g} m, got {value:g}")
     inside = (recording.t > lap.begin) & (recording.t < lap.end)
     t = np.concatenate(([lap.begin], recording.t[inside], [lap.end]))
     x, y = (np.interp(t, recording.t, column) for column in (recording.x, recording.y))
-    rows = _moving(x, y)
+    rows = _moving(x, y, size)
     rows = rows[rows < t.size - 1]
     if rows.size < 8:
         raise EvaluationError(f"{recording.source}: lap {lap.number} has too few poses for a line")
     rows = np.append(rows, t.size - 1)
     z = x[rows] + 1j * y[rows]
     s = np.append(0.0, np.cumsum(np.abs(np.diff(z))))
-    count = max(16, int(round(s[-1] / _GRID)))
-    grid = np.arange(count + 1) * (s[-1] / count)
-    z = np.interp(grid, s, z.real) + 1j * np.interp(grid, s, z.imag)
-    z = _smoothed(_closed(z), s[-1], smoothing)
-    path = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(z, z[0])))))
-    speed = _measured_speed(recording, np.interp(grid[:-1], s, t[rows]))
+    gap = _gap(recording, lap, size)
+    for _ in range(_PASSES):
+        grid, line = _smooth_line(s, z, gap, smoothing, _GRID * size.length)
+        path = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(line, line[0])))))
+        s, before = np.interp(s, grid, path), s
+    times = np.interp(grid, before, t[rows])
+    speed = _measured_speed(recording, times[:-1])
     if speed is None:
-        # Noise lengthens the path between poses, but not the smooth line.
-        pace = _smoothed(np.diff(np.interp(grid, s, t[rows])), s[-1], smoothing).real
-        speed = np.diff(path) / pace
-    speed = np.maximum(_smoothed(speed, s[-1], smoothing).real, 0.1)
+        speed = np.diff(path) / _smoothed(np.diff(times), grid[-1], smoothing).real
+    speed = np.maximum(_smoothed(speed, grid[-1], smoothing).real, 0.1)
     points = max(8, int(round(path[-1] / spacing)))
     at = np.arange(points) * (path[-1] / points)
     columns = {
-        "x": np.interp(at, path, np.append(z, z[0]).real),
-        "y": np.interp(at, path, np.append(z, z[0]).imag),
+        "x": np.interp(at, path, np.append(line, line[0]).real),
+        "y": np.interp(at, path, np.append(line, line[0]).imag),
         "speed": np.interp(at, path, np.append(speed, speed[0])),
     }
     what = f"lap {lap.number} of {recording.topic}"
     return RacelineTable(columns, source=f"{recording.source}: {what}", layout=what)
 
 
-def _closed(values):
-    """Values over a lap, the last of which repeats the first: without it, and brought together."""
+def _gap(recording, lap, size):
+    """From the begin of a lap to its end, as a mean of what was driven around both."""
+    around = np.linspace(-1.0, 1.0, 41) * _AROUND * size.time
+    known = (lap.begin + around >= recording.t[0]) & (lap.end + around <= recording.t[-1])
+    x, y = (
+        np.interp(lap.end + around[known], recording.t, column)
+        - np.interp(lap.begin + around[known], recording.t, column)
+        for column in (recording.x, recording.y)
+    )
+    return complex(np.mean(x), np.mean(y))
+
+
+def _smooth_line(s, z, gap, wavelength, step):
+    """Equal steps along a lap, from begin to end, and its smooth line there, but for the end."""
+    count = max(16, int(round(s[-1] / step)))
+    grid = np.arange(count + 1) * (s[-1] / count)
+    z = np.interp(grid, s, z.real) + 1j * np.interp(grid, s, z.imag)
+    return grid, _smoothed(_closed(z, gap), s[-1], wavelength)
+
+
+def _closed(values, gap):
+    """Values over a lap but for the last, brought together where the lap leaves a gap."""
     n = values.size - 1
     place = np.arange(n) / n
     nearest = np.minimum(place, 1.0 - place)
     share = np.where(nearest < _CLOSING, 0.5 + 0.5 * np.cos(np.pi * nearest / _CLOSING), 0.0)
-    shift = 0.5 * (values[-1] - values[0]) * share
-    return values[:-1] + np.where(place < 0.5, shift, -shift)
+    return values[:-1] + np.where(place < 0.5, 0.5, -0.5) * gap * share
 
 
 def _smoothed(values, length, wavelength):

@@ -128,7 +128,7 @@ class LapEvaluator:
     ----------
     raceline : Raceline
     start_s : float, optional
-        Arc length of the start line [m].
+        Arc length of the start line [m], at most that of the lap.
     car_width : float, optional
         Width of the car [m].
     sectors : int, optional
@@ -166,6 +166,11 @@ class LapEvaluator:
     ):
         check_options(start_s, car_width, sectors)
         self.raceline, self.limits = raceline, (limits or LapLimits()).on(raceline)
+        if abs(start_s) > raceline.length + 0.01:  # as printed, with two digits
+            raise ParameterError(
+                f"start line: expected an arc length of at most {raceline.length:.2f} m, the lap, "
+                f"got {start_s:g}"
+            )
         self._start_s = start_s % raceline.length
         self._car_width, self._sectors = float(car_width), int(sectors)
         self._keep_traces = keep_traces

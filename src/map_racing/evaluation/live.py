@@ -22,9 +22,10 @@ import numpy as np
 from ..bags.clocks import COMMAND_DELAY_NS, LATENCY_NS
 from ..bags.samples import COMMAND_HOLD_S
 from ..errors import FileFormatError, MapRacingError, ParameterError
+from ..track.findings import raceline_warnings
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
-from .doubts import raceline_warnings, uncommanded
+from .doubts import uncommanded
 from .laps import LapEvaluator, LapLimits, check_options
 from .recordings import same_raceline
 from .report import csv_cells
@@ -256,13 +257,19 @@ class LiveEvaluation:
         return self._poses[0].received + self._patience
 
     def set_raceline(self, raceline: Raceline) -> None:
-        """Evaluate on this raceline from now on; an identical one changes nothing."""
+        """Evaluate on this raceline from now on; an identical one changes nothing.
+
+        Raises
+        ------
+        ParameterError
+            If the start line is beyond its lap; then the raceline before stays.
+        """
+        if self._raceline is not None and same_raceline(self._raceline, raceline):
+            return
+        evaluator = LapEvaluator(raceline, **self._options)
         if self._raceline is not None:
-            if same_raceline(self._raceline, raceline):
-                return
             self.finish()
-        self._evaluator = LapEvaluator(raceline, **self._options)
-        self._raceline = raceline
+        self._evaluator, self._raceline = evaluator, raceline
 
     def doubt(self, text: str) -> None:
         """Say what makes the numbers of the present run doubtful; it stands beside its laps."""

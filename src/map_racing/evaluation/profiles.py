@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -78,6 +79,19 @@ class CarLimits:
     a_brake_max: float
     v_max: float
 
+    def lateral(self, v: np.ndarray) -> np.ndarray:
+        """Largest lateral acceleration of the tires [m/s^2] at speeds [m/s].
+
+        Where the steering lock allows less, at low speeds, that of the next higher speed counts.
+        """
+        return np.interp(v, *self._lateral)
+
+    @cached_property
+    def _lateral(self):
+        speeds = np.linspace(0.25, max(self.v_max, 1.0), 200)
+        limit = self.table.max_lateral_acceleration(speeds)
+        return speeds, np.maximum.accumulate(limit[::-1])[::-1]
+
 
 def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None) -> CarLimits:
     """Limits of a car: those of the vehicle, or of the controller's parameters if lower."""
@@ -138,7 +152,7 @@ class LapProfile:
         Share of the lap's time in which the command asked for the largest useful steering angle
         or more; NaN if unknown.
     grip_used : ndarray, shape (n,)
-        Lateral acceleration as a share of the table's limit at that speed; NaN without a table.
+        Lateral acceleration as a share of `CarLimits.lateral`; NaN without a table.
     """
 
     lap: Lap
@@ -277,7 +291,7 @@ def _lap_profile(lap, s, track, signals, recording, limits):
     saturated, grip = np.nan, np.full(track.s.size, np.nan)
     values["steering_table"] = grip
     if limits is not None:
-        limit = limits.table.max_lateral_acceleration(values["v"])
+        limit = limits.lateral(values["v"])
         grip = np.abs(values["a_lat"]) / np.maximum(limit, 1e-6)
         values["steering_table"] = _angles(limits, values["v"], values["a_lat"])
         useful = _angles(limits, values["v"], 2.0 * limit)

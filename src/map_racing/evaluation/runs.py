@@ -9,13 +9,13 @@ import numpy as np
 
 from ..bags.samples import Recording
 from ..errors import EvaluationError
-from ..track.findings import WARNING
+from ..track.findings import WARNING, raceline_warnings
 from ..track.raceline import Raceline
 from .doubts import (
     alternation,
     bunches,
+    command_clock,
     frame_warning,
-    raceline_warnings,
     speed_warning,
     uncommanded,
 )
@@ -146,6 +146,7 @@ def evaluate(
         alternation(recording.topic, recording.x, recording.y),
         bunches(recording.topic, recording.t),
         speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
+        command_clock(recording),
     ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)

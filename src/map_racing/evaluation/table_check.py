@@ -22,7 +22,7 @@ class Band(NamedTuple):
     Attributes
     ----------
     low, high : float
-        Lateral acceleration as a share of the table's limit.
+        Lateral acceleration as a share of what the tires give.
     share : float
         Of the laps' length.
     more_rad : float

@@ -153,6 +153,8 @@ class RaceResult(NamedTuple):
         None if it was over before the first control step.
     work : Work or None
         What the steps cost, if the race had a ``slowdown``.
+    lateral_mps2 : float
+        Lateral acceleration, speed times yaw rate, that is exceeded 1 % of the time [m/s^2].
     """
 
     outcome: str
@@ -161,6 +163,7 @@ class RaceResult(NamedTuple):
     path: tuple = ()
     end: End | None = None
     work: Work | None = None
+    lateral_mps2: float = math.nan
 
     @property
     def completed(self):
@@ -192,12 +195,13 @@ def execute(job: RaceJob, path: bool = False, bag: bool = False) -> Executed:
     log = race(plant, controller, job.raceline, localization, **given)
     states = log.true_path() if log.samples else np.empty((0, 7))
     evaluator = LapEvaluator(job.raceline, car_width=plant.vehicle.width)
-    t, x, y, _, v_x, v_y, _ = states.T
+    t, x, y, _, v_x, v_y, r = states.T
     evaluator.update(t, x, y, np.hypot(v_x, v_y))
     stretches = tuple(Lap(**lap_row(lap)) for lap in evaluator.finish().laps)
     driven = tuple(zip(t.tolist(), x.tolist(), y.tolist())) if path else ()
     end = _end_of(log, job.raceline)
-    result = RaceResult(log.outcome.value, stretches, log.duration, driven, end, log.work)
+    lateral = float(np.percentile(np.abs(v_x * r), 99.0)) if t.size else math.nan
+    result = RaceResult(log.outcome.value, stretches, log.duration, driven, end, log.work, lateral)
     recorded = _bag_of(log, job.raceline) if bag else None
     return Executed(result, recorded, process_time() - begin, code_fingerprint())
 

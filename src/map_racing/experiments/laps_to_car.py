@@ -16,11 +16,13 @@ import numpy as np
 
 from ..identification.car import identify_car
 from ..identification.data import Run, Signal, load_run
+from ..vehicle.parameters import Vehicle
 from .jobs import RaceJob, execute
+from .robustness import Grid, load_robustness
 
-__all__ = ["Found", "laps_to_car"]
+__all__ = ["Found", "at_the_limit", "laps_to_car", "nine_cars", "truth"]
 
-CAUTIOUS, SECONDS, LAPS = 0.7, 30.0, 3
+CAUTIOUS, SECONDS, LAPS, GRIP_USE = 0.7, 30.0, 3, 0.95
 FASTEST_MPS = 8.0
 
 
@@ -50,7 +52,42 @@ class Found(NamedTuple):
     delay_error_s: float
 
 
-def laps_to_car(job: RaceJob, grip_use: float = 0.95) -> Found:
+def nine_cars(tracks: list[str], generated_seeds: list[int], seed: int) -> Grid:
+    """The cars of the robustness grid that are made from ``nuc4``, on some tracks.
+
+    Parameters
+    ----------
+    tracks : list of str
+        Names or files.
+    generated_seeds : list of int
+        More tracks.
+    seed : int
+        Of the noise.
+    """
+    shipped = load_robustness("robustness")
+    cars = {name: values for name, values in shipped.cars.items() if "plant" not in values}
+    given = dict(cars=cars, tracks=tracks, generated_seeds=generated_seeds, seed=seed)
+    return Grid(dataclasses.replace(shipped, **given))
+
+
+def truth(job: RaceJob) -> tuple[Vehicle, float]:
+    """The controller's vehicle with the true tires of a job's plant, and its true ``delay_s``."""
+    plant = job.plant
+    tires = plant.build_vehicle()
+    vehicle = dataclasses.replace(job.vehicle, mu=tires.mu, front=tires.front, rear=tires.rear)
+    delay = plant.localization_latency_s + plant.steering_delay_s + plant.steering_time_constant_s
+    return vehicle, delay
+
+
+def at_the_limit(
+    job: RaceJob, vehicle: Vehicle, delay_s: float, grip_use: float = GRIP_USE, laps: int = LAPS
+) -> RaceJob:
+    """The race of a job's controller that believes in these tires and this delay."""
+    settings = job.controller.with_(speed_scale=1.0, grip_use=grip_use, delay_s=delay_s)
+    return dataclasses.replace(job, controller=settings, vehicle=vehicle, laps=laps)
+
+
+def laps_to_car(job: RaceJob, grip_use: float = GRIP_USE) -> Found:
     """Identify a car from laps at 70 % of the speed, and race it at the raceline's speeds.
 
     Parameters
@@ -62,22 +99,15 @@ def laps_to_car(job: RaceJob, grip_use: float = 0.95) -> Found:
         Of the races.
     """
     run = _cautious_laps(job)
-    before = job.vehicle
-    laps = identify_car([run], before).laps
+    laps = identify_car([run], job.vehicle).laps
     delay = laps.delays.delay.value
-    plant = job.plant
-    tires = plant.build_vehicle()
-    true = dataclasses.replace(before, mu=tires.mu, front=tires.front, rear=tires.rear)
-    true_delay = plant.localization_latency_s + plant.steering_delay_s
-    true_delay += plant.steering_time_constant_s
+    true, true_delay = truth(job)
     races = []
     for vehicle, delay_s in (
         (laps.vehicle, job.controller.delay_s if delay is None else delay),
         (true, true_delay),
     ):
-        settings = job.controller.with_(speed_scale=1.0, grip_use=grip_use, delay_s=delay_s)
-        raced = dataclasses.replace(job, controller=settings, vehicle=vehicle, laps=LAPS)
-        result = execute(raced).result
+        result = execute(at_the_limit(job, vehicle, delay_s, grip_use)).result
         times = [lap.lap_time_s for lap in result.laps]
         races.append((result.outcome, float(np.mean(times)) if times else math.nan))
     found = laps.vehicle

@@ -159,8 +159,9 @@ def scaling_plan(
 def race_frame(races: list[Race]) -> pd.DataFrame:
     """One row for each race, with its seed.
 
-    Lateral errors cover everything driven after the out-lap (the out-lap itself where the race
-    ended there): mean over time, and maximum.
+    Lateral errors and the top speed cover everything driven after the out-lap (the out-lap itself
+    where the race ended there): mean over time, and maximum. The lateral acceleration of the race
+    is exceeded 1 % of the time.
     """
     rows = []
     for race in races:
@@ -185,6 +186,8 @@ def race_frame(races: list[Race]) -> pd.DataFrame:
                 "max_abs_lateral_error_m": max(
                     (s.max_abs_lateral_error_m for s in driven), default=math.nan
                 ),
+                "max_speed_mps": max((s.max_speed_mps for s in driven), default=math.nan),
+                "lateral_acceleration_mps2": result.lateral_mps2,
                 "duration_s": result.duration_s,
                 "fingerprint": race.job.fingerprint,
             }
@@ -237,7 +240,8 @@ def scaling_table(races: pd.DataFrame, laps: pd.DataFrame) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``days`` and ``days_completed``; minimum, quartiles and maximum of the RMS lateral error and
-        of the lap time on the days completed; NaN without any.
+        of the lap time on the days completed, the top speed, and the median of the lateral
+        accelerations; NaN without any.
     """
     counted = laps[(laps.outcome == "completed") & laps.valid]
     rows = []
@@ -252,6 +256,9 @@ def scaling_table(races: pd.DataFrame, laps: pd.DataFrame) -> pd.DataFrame:
         row["max_abs_lateral_error_m"] = (
             float(own.max_abs_lateral_error_m.max()) if len(own) else math.nan
         )
+        done = group[group.outcome == "completed"]
+        row["max_speed_mps"] = float(done.max_speed_mps.max())
+        row["lateral_acceleration_mps2"] = float(done.lateral_acceleration_mps2.median())
         rows.append(row)
     return pd.DataFrame(rows)
 

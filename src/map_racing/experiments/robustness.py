@@ -16,8 +16,10 @@ from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..track.findings import WARNING
 from ..track.generator import TrackShape, draw_track
+from ..track.raceline import Raceline
 from ..validation import finite, read_parameters
 from ..vehicle.parameters import load_vehicle
+from ..vehicle.size import ONE_TENTH, size_of
 from .campaign import Plan
 from .jobs import RaceJob, fingerprint, plain
 from .results import software
@@ -126,6 +128,27 @@ def any_shape(seed):
     )
 
 
+def drawn(seed, vehicle):
+    """The generated track of a seed, of the shape `any_shape`, in the size of a vehicle.
+
+    Parameters
+    ----------
+    seed : int
+    vehicle : Vehicle
+
+    Returns
+    -------
+    Raceline
+    """
+    track, size = draw_track(seed, any_shape(seed)), size_of(vehicle)
+    if size == ONE_TENTH:
+        return track
+    columns = (track.x, track.y, track.d_left, track.d_right)
+    x, y, left, right = (size.length * column for column in columns)
+    speed = np.minimum(size.time * track.speed, vehicle.v_max)
+    return Raceline(x, y, vx_mps=speed, d_left_m=left, d_right_m=right, name=track.name)
+
+
 class Car(NamedTuple):
     """A car of the grid: its name, its plant, and the vehicle that the controller believes in."""
 
@@ -145,10 +168,15 @@ class Grid:
     def __post_init__(self):
         given = self.conditions
         tracks = [load_raceline(source) for source in given.tracks]
-        tracks += [draw_track(seed, any_shape(seed)) for seed in given.generated_seeds]
+        tracks += [drawn(seed, self.vehicle) for seed in given.generated_seeds]
         object.__setattr__(self, "tracks", tuple(tracks))
         cars = [_car(name, given.plant, changes) for name, changes in given.cars.items()]
         object.__setattr__(self, "cars", tuple(cars))
+
+    @property
+    def vehicle(self):
+        """The vehicle of the plant that the cars are made from; its size is that of the tracks."""
+        return load_plant(self.conditions.plant).vehicle
 
     def jobs(self, label, controller):
         """The races of a controller: every car on every track, the cars of a track together.

@@ -269,7 +269,11 @@ def evaluate_season(
         finally:
             for future in running:
                 future.cancel()
-    rows = [dict(row, bag=source_name(path)) for path in bags for row in heats[path]]
+    rows = [
+        dict(row, bag=source_name(path), reason=_without_name(row["reason"], path))
+        for path in bags
+        for row in heats[path]
+    ]
     rows.sort(key=lambda row: (row["date"], row["bag"], row["run"]))
     _name_tracks(rows, options.tracks)
     return Season(rows, len(bags) - kept, kept)
@@ -280,6 +284,14 @@ def _absolute(source):
     if isinstance(source, tuple):
         return tuple(os.path.abspath(str(part)) for part in source)
     return os.path.abspath(str(source))
+
+
+def _without_name(reason, path):
+    """A reason without the name of its bag, which its row has, or without the folder of it."""
+    name = f"{source_name(_absolute(path))}: "
+    if reason.startswith(name):
+        return reason[len(name) :]
+    return reason.replace(os.path.dirname(_absolute(_first(path))) + os.sep, "")
 
 
 def _outcome(future):

@@ -78,6 +78,7 @@ class Store:
                 "path": result.path,
                 "end": result.end,
                 "work": result.work,
+                "lateral_mps2": result.lateral_mps2,
             },
         }
         write_json(self.folder / "runs" / f"{job.fingerprint}.json", record, indent=None)
@@ -102,11 +103,14 @@ def _result(record, path):
         driven = tuple((t, x, y) for t, x, y in values["path"])
         end = values["end"] and End(*values["end"])
         work = values.get("work") and Work(*values["work"])
-        result = RaceResult(values["outcome"], stretches, values["duration_s"], driven, end, work)
+        lateral = math.nan if values["lateral_mps2"] is None else values["lateral_mps2"]
+        result = RaceResult(
+            values["outcome"], stretches, values["duration_s"], driven, end, work, lateral
+        )
         Outcome(result.outcome)
         # The last column is text.
         numbers = [getattr(lap, name) for lap in stretches for name in LAP_COLUMNS[:-1]]
-        for value in chain([result.duration_s], numbers, end or (), work or (), *driven):
+        for value in chain([result.duration_s, lateral], numbers, end or (), work or (), *driven):
             math.isnan(value)  # a TypeError for anything but a number
         return result
     except (KeyError, TypeError, ValueError):

@@ -295,7 +295,7 @@ def typical_error(results):
     return float(np.exp(np.mean(np.log(np.maximum(errors, 1e-6)))))
 
 
-def tune_robust(jobs_for, controller):
+def tune_robust(jobs_for, controller, size=ONE_TENTH):
     """Plan that tunes the parameters in `ROBUST_STEPS` over many tracks and cars.
 
     The races are driven in one random order, those first that the given values do not complete, so
@@ -307,6 +307,8 @@ def tune_robust(jobs_for, controller):
         ``jobs_for(controller) -> list of RaceJob``: the races that judge it.
     controller : ControllerParameters
         Where the search begins.
+    size : Size, optional
+        Of the cars; the steps of the search grow with it.
 
     Returns
     -------
@@ -328,7 +330,9 @@ def tune_robust(jobs_for, controller):
     for width in (2, 1):
         for _ in range(MOST_MOVES):
             around = [
-                near for near in _around(best.controller, width) if _key(near) not in candidates
+                near
+                for near in _around(best.controller, width, size)
+                if _key(near) not in candidates
             ]
             groups = [[jobs_for(near)[k] for k in order] for near in around]
             # Until something completes all races, the search goes for what completes most.
@@ -349,12 +353,13 @@ def tune_robust(jobs_for, controller):
     return [best, *(c for c in candidates.values() if c is not best)]
 
 
-def _around(controller, width):
+def _around(controller, width, size):
     """Controllers a step away in one parameter, or in m and q such that the lookahead stays."""
+    steps = {name: step * growth(name, size) for name, step in ROBUST_STEPS.items()}
     moves = []
     for sign in (width, -width):
-        moves += [{name: sign * step} for name, step in ROBUST_STEPS.items()]
-        moves.append({"m_m": 2.0 * sign * ROBUST_STEPS["m_m"], "q_s": -sign * ROBUST_STEPS["q_s"]})
+        moves += [{name: sign * step} for name, step in steps.items()]
+        moves.append({"m_m": 2.0 * sign * steps["m_m"], "q_s": -sign * steps["q_s"]})
     around = []
     for move in moves:
         values = {name: getattr(controller, name) for name in move}

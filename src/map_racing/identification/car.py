@@ -11,6 +11,8 @@ from typing import Iterable
 
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle, linearized
+from ..vehicle.plausibility import HIGHEST_FRICTION
+from ..vehicle.single_track import GRAVITY
 from .data import Run, SensorSetup
 from .identify import Identification, steady_tires
 from .laps import PRIOR, LapTires, tires_from_laps
@@ -89,12 +91,27 @@ class IdentifiedCar:
 
     @property
     def notes(self) -> list[str]:
-        """What was noted while files were read."""
+        """What was noted while files were read, and what is doubtful about the result."""
         notes = [f"{self.base.name}: {note}" for note in self.base.notes]
         if self.steady:
             for motion in self.steady.motions:
                 notes += [f"{motion.run.label}: {note}" for note in motion.run.notes]
-        return notes + (self.laps.notes if self.laps else [])
+        notes += self.laps.notes if self.laps else []
+        return notes + [f"warning: {doubt}" for doubt in self.doubts]
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is doubtful about the result."""
+        friction = self.largest_a_y / GRAVITY
+        if self.laps and self.laps.parameters["friction"].determined:
+            tires = self.vehicle.front, self.vehicle.rear
+            friction = max(friction, self.vehicle.mu * min(tire.peak for tire in tires))
+        if friction <= HIGHEST_FRICTION:
+            return []
+        return [
+            f"friction of {friction:.2f}, expected at most {HIGHEST_FRICTION:g} of rubber on a "
+            "floor without downforce: check units and scales of speed, yaw rate and acceleration"
+        ]
 
 
 def identify_car(
@@ -128,6 +145,7 @@ def identify_car(
     if surveyed.steady:
         try:
             steady = steady_tires(surveyed, base_vehicle, limits, front_force, acceleration, name)
+            surveyed = surveyed._replace(findings=steady.findings)
         except IdentificationError:
             if not surveyed.ordinary:
                 raise

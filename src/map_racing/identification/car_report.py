@@ -54,6 +54,7 @@ def car_text(
         lines += laps_lines(laps)
         lines += comparison(laps.base, laps.vehicle, found.largest_a_y)
         parts.append("\n".join(lines))
+    parts += [f"warning: {doubt}" for doubt in found.doubts]
     return "\n\n".join(parts)
 
 

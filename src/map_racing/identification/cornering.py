@@ -73,8 +73,9 @@ class ProcessedRun:
         Lateral velocity of the odometry at the localized point [m/s].
     moving, coherent, steady : ndarray of bool
         Whether the car moves; whether localization and sensors agree; whether it is steady.
-    beta_noise, a_y_noise : float
-        Standard deviations of the noise that the low-pass left.
+    beta_noise, a_y_noise, turning_noise : float
+        Standard deviations of the noise that the low-pass left; the last of the yaw rate over the
+        speed [1/m].
     clock_offset_s : float
         Shift of the clock of the poses against the others.
     clocks_apart_s : float
@@ -104,6 +105,7 @@ class ProcessedRun:
     steady: np.ndarray
     beta_noise: float
     a_y_noise: float
+    turning_noise: float
     clock_offset_s: float
     clocks_apart_s: float
     spikes: dict[str, float]
@@ -201,6 +203,7 @@ def motion_of(
         steady=known & (v_x > size.time * SLOWEST_MPS) & _steady(v_x, r, smooth["delta"], limits),
         beta_noise=0.0,
         a_y_noise=0.0,
+        turning_noise=0.0,
         clock_offset_s=offset,
         clocks_apart_s=apart,
         spikes={name: share for name, share in spikes.items() if share > 0.0},
@@ -208,7 +211,9 @@ def motion_of(
         size=size,
     )
     cuts = motion.segments()
-    return replace(motion, beta_noise=_noise(motion.beta, cuts), a_y_noise=_noise(motion.a_y, cuts))
+    turning = motion.r / np.where(motion.moving, motion.v_x, np.inf)
+    signals = {"beta_noise": motion.beta, "a_y_noise": motion.a_y, "turning_noise": turning}
+    return replace(motion, **{name: _noise(values, cuts) for name, values in signals.items()})
 
 
 def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:

@@ -184,6 +184,8 @@ class Run:
         From stamp to receipt of the poses [s]: median between the 2.5th and the 97.5th percentile.
     commands_shifted : bool
         See `map_racing.bags.samples.Commands`.
+    command_lag : float, optional
+        From stamp to receipt of the commands [s]: median.
     """
 
     name: str
@@ -193,6 +195,7 @@ class Run:
     notes: list[str] = field(default_factory=list)
     pose_lag: tuple[float, float, float] | None = None
     commands_shifted: bool = False
+    command_lag: float | None = None
 
     @property
     def label(self) -> str:
@@ -326,11 +329,13 @@ def run_of(
     signals.update(others or {})
     path = name or recording.source
     run = _run(path, signals, setup or SensorSetup(), recording.notes)
-    lag = None
+    lag = command_lag = None
     if clock is not None and not clock.use_receipt and clock.lag.size:
         lag = tuple(1e-9 * np.percentile(clock.lag, (2.5, 50.0, 97.5)))
+        if commands is not None and math.isfinite(commands.lag):
+            command_lag = commands.lag
     shifted = commands is not None and commands.shifted
-    return dataclasses.replace(run, pose_lag=lag, commands_shifted=shifted)
+    return dataclasses.replace(run, pose_lag=lag, commands_shifted=shifted, command_lag=command_lag)
 
 
 def _load_csv(path, channel_map):

@@ -17,7 +17,7 @@ from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
 from .data import Run
 from .drive import drive_windows, fit_drive
-from .driving import LONGEST_DELAY_S, driving_of, windows_of
+from .driving import AT_LONGEST_S, LONGEST_DELAY_S, driving_of, windows_of
 from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE
 from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
@@ -155,17 +155,31 @@ def estimate_delays(
 
 def _pose_age(runs):
     """Age of the poses on arrival, and whether commands were shifted to the poses' clock."""
-    stamped = [run.pose_lag for run in runs if run.pose_lag is not None]
-    shifted = any(run.commands_shifted for run in runs)
+    shifted, recorded = any(run.commands_shifted for run in runs), ""
+    stamped = []
+    for run in runs:
+        lag = run.pose_lag
+        if lag is None:
+            continue
+        if not _is_age(lag[1]) and run.command_lag is not None and not run.commands_shifted:
+            # The recorder's clock is another one. Commands are stamped when they are sent.
+            lag = tuple(value - run.command_lag for value in lag)
+            recorded = "relative to the commands', as the recorder's clock is another one"
+        stamped.append(lag)
     if not stamped:
         return Part(reason="the recording does not say when poses were received"), shifted
     low, middle, high = (float(np.median(values)) for values in zip(*stamped))
-    if not -FUTURE_S <= middle <= OLDEST_S:
+    if not _is_age(middle):
         reason = f"the stamps of the poses are from another clock ({middle:+.3f} s)"
-        return Part(reason=reason), True
+        return Part(reason=reason), shifted
     if low == high == 0.0:
         return Part(reason="poses are stamped when they are received"), shifted
-    return Part(middle, low, high), shifted
+    return Part(middle, low, high, recorded), shifted
+
+
+def _is_age(lag):
+    """Whether from stamp to receipt so much time [s] may pass on one clock."""
+    return -FUTURE_S <= lag <= OLDEST_S
 
 
 def _steering(drives, models, notes):
@@ -195,7 +209,13 @@ def _steering(drives, models, notes):
         text = f"the servo turns in steps of {SAMPLE_S:g} s, behind a line of {samples} samples"
         total = _part(samples * SAMPLE_S, 0.5 * SAMPLE_S, text)
         return total, total, Part(0.0, 0.0, 0.0, text)
-    if unsure > WIDEST_STEERING_S or value > LONGEST_DELAY_S - 0.015:
+    if value > AT_LONGEST_S:
+        reason = (
+            f"the wheels turn {value:.2f} s or more after their commands, expected less than "
+            f"{LONGEST_DELAY_S:g} s: are commands and measurements on one clock?"
+        )
+        return (Part(reason=reason),) * 3
+    if unsure > WIDEST_STEERING_S:
         reason = f"{value:.3f} +- {unsure:.3f} s: too little turning"
         return (Part(reason=reason),) * 3
     dead = CONFIDENCE * found.deviation({"delay": 1.0 - share, "share": -value})
@@ -328,7 +348,7 @@ def delay_data(delays: Delays) -> dict[str, Any]:
 
 
 def delay_text(delays: Delays) -> str:
-    """The delays as lines of text."""
+    """The notes and the delays as lines of text."""
     rows = [
         ("age of the pose", delays.pose_age),
         ("steering, dead time and lag", delays.steering),
@@ -348,4 +368,4 @@ def delay_text(delays: Delays) -> str:
             lines.append(
                 f"{name}: {part.value:.3f} s (95 %: {part.low:.3f} to {part.high:.3f} s){note}"
             )
-    return "\n".join([*lines, *delays.notes])
+    return "\n".join([*delays.notes, *lines])

@@ -27,6 +27,8 @@ SLOWEST_MPS = 1.0
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # Longest dead time and lag together that are looked for [s].
 LONGEST_DELAY_S = 0.3
+# So late an estimate is at that bound, and other parameters make up for the rest [s].
+AT_LONGEST_S = 0.285
 # An acceleration of the IMU counts as lateral if it follows speed times yaw rate with such a slope.
 SLOPES = (0.7, 1.4)
 # An outlier is farther from the median of so many samples around it than so many usual distances,

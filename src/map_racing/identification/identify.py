@@ -24,7 +24,16 @@ from .data import Run, SensorSetup
 from .limits import RATE_HZ, SteadyLimits
 from .sensor_findings import SensorFinding
 from .survey import Survey, survey
-from .tire_fit import AxlePoints, LinearFit, PacejkaFit, axle_points, fit_linear, fit_pacejka
+from .tire_fit import (
+    AxlePoints,
+    LinearFit,
+    PacejkaFit,
+    axle_points,
+    beside_rear,
+    fit_linear,
+    fit_pacejka,
+    left_by,
+)
 
 __all__ = [
     "Axle",
@@ -44,6 +53,9 @@ WINDOW_S = 1.5
 # Relative errors of, and tires from, smaller lateral accelerations mean nothing [m/s^2].
 SMALLEST_MPS2 = 1.0
 AT_LIMIT = 0.9
+# Runs are not of one car on one floor where the common curve leaves so many times what one of the
+# run's own does, and so much of the load.
+MIXED, MIXED_SHARE = 2.0, 0.01
 
 
 class Prediction(NamedTuple):
@@ -200,6 +212,7 @@ def steady_tires(
     used = surveyed.steady
     _require_evidence(used, surveyed)
     axles = _fit_axles(used, base_vehicle, limits, front_force)
+    mixture = _mixture(used, axles, base_vehicle, limits, front_force)
     name = name or base_vehicle.name + "_identified"
     tires = {key: axle.pacejka.tire for key, axle in axles.items()}
     linear = {key: axle.linear.tire for key, axle in axles.items()}
@@ -210,7 +223,7 @@ def steady_tires(
         axles=axles,
         motions=used,
         refused=surveyed.refused,
-        findings=surveyed.findings,
+        findings=[*surveyed.findings, *mixture],
         corrections=surveyed.corrections,
         setup=surveyed.setup,
         front_force=front_force,
@@ -232,9 +245,9 @@ def _require_evidence(used, surveyed):
 
 def _fit_axles(motions, vehicle, limits, front_force):
     """Both axles by name."""
-    oversampling = max(POINT_RATE_HZ / (2.0 * limits.cutoff_hz), 1.0)
-    axles = {}
-    for name, points in zip(("front", "rear"), points_of(motions, vehicle, front_force)):
+    oversampling = _oversampling(limits)
+
+    def fitted(name, points):
         start = getattr(vehicle, name)
         if isinstance(start, PacejkaTire):  # as it is where mu is 1
             start = dataclasses.replace(start, D=start.D * vehicle.mu)
@@ -242,8 +255,42 @@ def _fit_axles(motions, vehicle, limits, front_force):
             fit = fit_pacejka(points, start, _threshold(vehicle), oversampling)
         except IdentificationError as error:
             raise IdentificationError(f"{name} axle: {error}") from None
-        axles[name] = Axle(points, fit, fit_linear(points, fit.inlier, oversampling))
-    return axles
+        return Axle(points, fit, fit_linear(points, fit.inlier, oversampling))
+
+    front, rear = points_of(motions, vehicle, front_force)
+    rear = fitted("rear", rear)
+    if len(motions) > 1:
+        # One run's localization errs in both curves alike, and hardly in the table, which takes
+        # their difference; another run's errs otherwise.
+        front = beside_rear(front, rear.points, rear.pacejka.tire)
+    return {"front": fitted("front", front), "rear": rear}
+
+
+def _mixture(motions, axles, vehicle, limits, front_force):
+    """The finding that a curve of its own fits some run much better than the common one; or none.
+
+    So do runs on floors whose friction differs by a tenth.
+    """
+    odd = []
+    for motion in motions if len(motions) > 1 else ():
+        for (name, axle), points in zip(axles.items(), points_of([motion], vehicle, front_force)):
+            tire = axle.pacejka.tire
+            try:
+                own = fit_pacejka(points, tire, _threshold(vehicle), _oversampling(limits)).tire
+            except IdentificationError:  # too few points for one
+                continue
+            common, alone = (left_by(each, points) for each in (tire, own))
+            if common > max(MIXED * alone, MIXED_SHARE * points.load):
+                odd.append(f"{motion.run.label}, {name} {common:.2f} N, one of its own {alone:.2f}")
+    if not odd:
+        return []
+    text = "runs: not of one car on one floor: the common curve leaves of " + "; of ".join(odd)
+    return [SensorFinding("runs", text, critical=True)]
+
+
+def _oversampling(limits):
+    """Points per independent measurement."""
+    return max(POINT_RATE_HZ / (2.0 * limits.cutoff_hz), 1.0)
 
 
 def _threshold(vehicle):
@@ -339,11 +386,10 @@ def steady_acceleration(vehicle: Vehicle, v: float, delta: float) -> float:
 
 
 def points_of(
-    motions: Iterable[ProcessedRun], vehicle: Vehicle, front_force: str = "model"
+    motions: list[ProcessedRun], vehicle: Vehicle, front_force: str = "model"
 ) -> tuple[AxlePoints, AxlePoints]:
     """Points of the front and the rear axle from the steady cornering of runs, at 10 Hz."""
     columns = [[] for _ in range(5)]
-    beta_noise, a_y_noise = [], []
     for motion in motions:
         v_y = motion.v_y(vehicle.l_r)
         for cut in motion.segments():
@@ -352,12 +398,17 @@ def points_of(
                 columns, (motion.v_x, v_y, motion.r, motion.delta, motion.a_y)
             ):
                 column.append(values[pick])
-        beta_noise.append(motion.beta_noise)
-        a_y_noise.append(motion.a_y_noise)
     front, rear = axle_points(vehicle, *map(np.concatenate, columns), front_force=front_force)
-    slip_noise, a_y_noise = float(np.median(beta_noise)), float(np.median(a_y_noise))
+    beta, a_y, turning = (
+        float(np.median([getattr(motion, f"{name}_noise") for motion in motions]))
+        for name in ("beta", "a_y", "turning")
+    )
     return tuple(
-        axle._replace(slip_noise=slip_noise, force_noise=axle.load / GRAVITY * a_y_noise)
+        axle._replace(
+            slip_noise=beta,
+            force_noise=axle.load / GRAVITY * a_y,
+            difference_noise=vehicle.l_wb * turning,
+        )
         for axle in (front, rear)
     )
 

@@ -24,7 +24,15 @@ from ..vehicle.tires import PacejkaTire
 from .cornering import low_passed
 from .data import Run, SensorSetup
 from .delay import Delays, estimate_delays
-from .driving import GRID_HZ, LONGEST_DELAY_S, Driving, Windows, driving_of, windows_of
+from .driving import (
+    AT_LONGEST_S,
+    GRID_HZ,
+    LONGEST_DELAY_S,
+    Driving,
+    Windows,
+    driving_of,
+    windows_of,
+)
 from .kinematic_checks import LOCK_MARGIN
 from .output_error import believed, fit_car, simulate
 from .robust_fit import CONFIDENCE, Fitted
@@ -38,9 +46,6 @@ __all__ = ["LapTires", "tires_from_laps"]
 LEAST_TURNING_RADPS, FEWEST_WINDOWS, MOST_WINDOWS = 0.15, 5, 60
 # The model must explain this share of the variance of the yaw rate.
 LEAST_EXPLAINED = 0.8
-# A delay so close to the longest is at the bound of the fit, and the other parameters make up for
-# the rest of it [s].
-LATE_S = 0.015
 # Standard deviations of what is believed before, all but that of `bend` of logarithms of factors.
 PRIOR = {
     "front": 0.4,
@@ -228,7 +233,7 @@ def tires_from_laps(
             f"yaw rate, expected {LEAST_EXPLAINED:.0%}: not the commands of this drive, or not the "
             "size of this car"
         )
-    if fitted["delay"] > LONGEST_DELAY_S - LATE_S:
+    if fitted["delay"] > AT_LONGEST_S:
         raise IdentificationError(
             f"{', '.join(labels)}: the wheels turn {fitted['delay']:.2f} s or more after their "
             f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "

@@ -25,6 +25,7 @@ __all__ = [
     "survey_data",
     "survey_lines",
     "tables",
+    "worst_prediction",
 ]
 
 SPEEDS_MPS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
@@ -50,6 +51,30 @@ def prediction_errors(predictions: Iterable[Prediction]) -> dict[str, dict[str, 
             "lateral_acceleration": _mean(abs(p.a_y_predicted / p.a_y - 1.0) for p in own),
         }
     return result
+
+
+def worst_prediction(predictions: Iterable[Prediction]) -> dict[str, Any] | None:
+    """The worst relative error of the yaw rate, and how many are small.
+
+    Returns
+    -------
+    dict or None
+        ``holds``, of which ``within_5_percent``, and of the worst ``error``, ``run``, ``t_s`` and
+        ``v_mps``; None without predictions.
+    """
+    errors = [(abs(p.r_predicted / p.r - 1.0), p) for p in predictions]
+    errors = [entry for entry in errors if math.isfinite(entry[0])]
+    if not errors:
+        return None
+    error, worst = max(errors, key=lambda entry: entry[0])
+    return {
+        "holds": len(errors),
+        "within_5_percent": sum(error < 0.05 for error, _ in errors),
+        "error": error,
+        "run": worst.run,
+        "t_s": worst.t,
+        "v_mps": worst.v,
+    }
 
 
 def report_data(found: Identification, left_out: list[Prediction] | None = None) -> dict[str, Any]:
@@ -94,6 +119,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
         "understeer_gradient_rad_s2_per_m": found.understeer_gradient,
         "fit_errors": prediction_errors(found.predictions()),
         "leave_one_out": prediction_errors(left_out) if left_out is not None else None,
+        "leave_one_out_yaw_rate": worst_prediction(left_out) if left_out is not None else None,
         "tables": tables(found.base, found.vehicle),
     }
 
@@ -124,6 +150,13 @@ def report_text(found: Identification, left_out: list[Prediction] | None = None)
         for run in dict.fromkeys(p.run for p in left_out):
             own = [p for p in left_out if p.run == run]
             lines += [f"  {line}" for line in _predictions(run, own)]
+        worst = worst_prediction(left_out)
+        if worst:
+            lines.append(
+                f"  yaw rate within 5% in {worst['within_5_percent']} of {worst['holds']} "
+                f"segments, worst {worst['error']:.1%} at {worst['v_mps']:.1f} m/s "
+                f"in {worst['run']}"
+            )
     lines += comparison(found.base, found.vehicle, found.largest_a_y)
     return "\n".join(lines)
 

@@ -5,12 +5,15 @@ the slip angles from the velocity of the center of gravity, the yaw rate and the
 (Becker et al., ICRA 2023, section on the identification of the tires; Voser et al., 2010). A curve
 through these points is the tire of the axle.
 
-Two things differ from the paper; tests show why:
+Three things differ from the paper; tests show why:
 
 - The paper divides the front force by the cosine of the steering angle, which neither its equations
   of motion nor ours (`single_track`) have. A tire identified with it and used without it promises
   ``1 / cos(delta)`` more acceleration than was measured, 8 % at 0.4 rad. So the default is the
   force in the equations of motion; ``front_force="paper"`` divides it.
+- Localization's errors are in the slip of both axles alike. So the points of the stiffer rear axle
+  are moved to its curve, and those of the front axle as far: what they differ by, yaw rate and
+  steering tell without localization.
 - Slip angles are noisy, too; on a stiff axle the noise exceeds the slip. Least squares on the
   force then gives too soft a curve, with any amount of data. So the residual is the first-order
   distance to the curve in the metric of both noises (Sampson 1982) [N], which equals the paper's
@@ -38,8 +41,10 @@ __all__ = [
     "Parameter",
     "PacejkaFit",
     "axle_points",
+    "beside_rear",
     "fit_linear",
     "fit_pacejka",
+    "left_by",
 ]
 
 # Bounds of B, C, D, E. The paper's limits of C and E keep the curve from turning back to zero.
@@ -55,6 +60,7 @@ AT_PEAK, ABOVE = 0.95, 1.1
 # They must also have risen to it: the smallest of them are below this share of the largest.
 RISEN = 0.75
 FEWEST_POINTS = 20
+NEAREST_STEPS = 5  # to the nearest place of a curve
 FEW_POINTS = 300  # are enough for the first fit
 CONFIDENCE = 1.96  # of a normal distribution: 95 %
 
@@ -72,6 +78,8 @@ class AxlePoints(NamedTuple):
         Static vertical load [N].
     slip_noise, force_noise : float
         Standard deviations of their errors [rad], [N], of which only the ratio matters.
+    difference_noise : float
+        Standard deviation of the error of the difference between the slips of both axles [rad].
     """
 
     slip: np.ndarray
@@ -79,6 +87,7 @@ class AxlePoints(NamedTuple):
     load: float
     slip_noise: float = 0.0
     force_noise: float = 0.0
+    difference_noise: float = 0.0
 
 
 class Parameter(NamedTuple):
@@ -196,6 +205,28 @@ def axle_points(
     return AxlePoints(alpha_f, F_yf, load_f), AxlePoints(alpha_r, F_yr, load_r)
 
 
+def beside_rear(front: AxlePoints, rear: AxlePoints, tire: PacejkaTire) -> AxlePoints:
+    """Points of the front axle without the errors of the sideslip, as the rear axle tells them.
+
+    Parameters
+    ----------
+    front, rear : AxlePoints
+        Of the same motions.
+    tire : PacejkaTire
+        Of the rear axle: its points are moved to the nearest place of the curve, and the front
+        axle's as far.
+
+    Returns
+    -------
+    AxlePoints
+    """
+    theta = tire.B, tire.C, tire.D, tire.E
+    move = _to_curve(theta, -rear.slip, rear.force, rear.load, _ratio(rear), NEAREST_STEPS)
+    if not np.any(move):
+        return front
+    return front._replace(slip=front.slip - move, slip_noise=front.difference_noise)
+
+
 def fit_pacejka(
     points: AxlePoints,
     start: Tire | None = None,
@@ -228,7 +259,7 @@ def fit_pacejka(
         raise IdentificationError(
             f"expected at least {FEWEST_POINTS} points of steady cornering, got {slip.size}"
         )
-    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+    ratio = _ratio(points)
     prior = _prior(start)
     first = _robust(slip, force, points.load, ratio, prior)
     error = _errors(first, slip, force, points.load, ratio)
@@ -258,6 +289,14 @@ def fit_pacejka(
     return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise, reach, saturated)
 
 
+def left_by(tire: PacejkaTire, points: AxlePoints) -> float:
+    """Robust standard deviation of the points from a curve, in the metric of both noises [N]."""
+    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+    theta = (tire.B, tire.C, tire.D, tire.E)
+    error = _errors(theta, -points.slip, points.force, points.load, ratio)
+    return 1.4826 * float(np.median(np.abs(error)))
+
+
 def fit_linear(
     points: AxlePoints, inlier: np.ndarray | None = None, oversampling: float = 1.0
 ) -> LinearFit:
@@ -273,7 +312,7 @@ def fit_linear(
     """
     keep = slice(None) if inlier is None else inlier
     slip, force = -points.slip[keep], points.force[keep]
-    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+    ratio = _ratio(points)
 
     def residuals(stiffness):
         return (force - stiffness[0] * slip) / math.hypot(1.0, ratio * stiffness[0])
@@ -288,6 +327,11 @@ def fit_linear(
         Parameter(stiffness, stiffness - spread, stiffness + spread, spread < 0.5 * stiffness),
         float(np.mean(np.abs(force - stiffness * slip))),
     )
+
+
+def _ratio(points):
+    """Noise of the slip over that of the force [rad/N]."""
+    return points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
 
 
 def _prior(start):
@@ -316,9 +360,22 @@ def _errors(theta, slip, force, load, ratio):
 
 def _covered(theta, slip, force, load, ratio):
     """98th percentile of the slip of the points, each moved to the nearest place of the curve."""
-    normalized, slope = _curve(theta, slip)
-    gain = ratio * ratio * load * slope / (1.0 + (ratio * load * slope) ** 2)
-    return float(np.percentile(np.abs(slip + gain * (force - load * normalized)), 98.0))
+    moved = slip + _to_curve(theta, slip, force, load, ratio)
+    return float(np.percentile(np.abs(moved), 98.0))
+
+
+def _to_curve(theta, slip, force, load, ratio, steps=1):
+    """How much more slip the nearest place of the curve has than each point [rad].
+
+    By Gauss's and Newton's steps.
+    """
+    move = np.zeros_like(slip)
+    for _ in range(steps):
+        normalized, slope = _curve(theta, slip + move)
+        steep = ratio * load * slope
+        missing = ratio * (force - load * normalized)
+        move = move + (steep * missing - move) / (1.0 + steep * steep)
+    return move
 
 
 def _robust(slip, force, load, ratio, prior):

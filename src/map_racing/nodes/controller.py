@@ -5,7 +5,6 @@ Controller and supervisor are in `map_racing.control`; the node converts message
 """
 
 import gc
-import os
 import sys
 import threading
 import time
@@ -24,7 +23,7 @@ from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
 from ..control.controller import Controller, Status
 from ..control.parameters import load_controller_parameters, load_safety_limits
 from ..control.safety import Mode
-from ..control.settings import settings_text
+from ..control.settings import doubts_of, settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..control.steering import build_steering_maps
 from ..control.supervised import SupervisedController, build_supervisor
@@ -36,7 +35,8 @@ from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
-from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run
+from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run, trace
+from .priority import urgent
 from .saving import Saver
 from .transforms import TransformListener
 from .tuning import TuningServer
@@ -69,7 +69,7 @@ def _build():
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
     if table and parameters.adaptation:
         raise ParameterError(f"~lookup_table: {source} adapts the vehicle's tires and uses none")
-    limits = overridden(load_safety_limits(source))
+    limits = overridden(load_safety_limits(source, vehicle))
     steering_map, grip = build_steering_maps(parameters, vehicle)
     if table:
         steering_map = grip = load_table(table)
@@ -221,7 +221,7 @@ class ControllerNode:
             else:
                 self._refuse_frame(now, header)
         except Exception:
-            rospy.logerr_throttle(QUIET_S, _trace("the control step failed"))
+            rospy.logerr_throttle(QUIET_S, trace("the control step failed"))
             self._failing = True
             self._supervisor.fail()
             try:
@@ -239,6 +239,7 @@ class ControllerNode:
             self._reader.reset()
         self._command(header, decision)
         latency = time.perf_counter() - begin
+        self._controller.learn()
         self._diagnosis.add(latency, result)
         self._show(header, state, result, decision, latency)
 
@@ -269,7 +270,7 @@ class ControllerNode:
             else:
                 self._diagnosis.report()
         except Exception:
-            rospy.logerr_throttle(QUIET_S, _trace("the watchdog failed"))
+            rospy.logerr_throttle(QUIET_S, trace("the watchdog failed"))
             self._send(header, self._last_angle, 0.0)
 
     # -- commands ----------------------------------------------------------------------------
@@ -385,6 +386,8 @@ class ControllerNode:
             self._logged_plan = plan
             text = plan or "the speeds are the raceline's, whatever the grip"
             rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
+            for doubt in doubts_of(controller):
+                rospy.logwarn(doubt)
         rows = waypoint_rows(raceline, speed=controller.planned_speed)
         message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
         message.header.stamp = rospy.Time.now()
@@ -445,19 +448,8 @@ class ControllerNode:
 _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
 
 
-def _trace(text):
-    """A text with the current exception and its origin, in one line."""
-    error = sys.exc_info()[1]
-    trace = error.__traceback__
-    while trace.tb_next is not None:
-        trace = trace.tb_next
-    code = trace.tb_frame.f_code
-    where = f"{os.path.basename(code.co_filename)}:{trace.tb_lineno}"
-    return f"{text}: {type(error).__name__}: {error} ({where} in {code.co_name})"
-
-
 def main():
     """Run the node."""
     # rospy sends in a thread of its own, which must not wait 5 ms for the one that computes.
     sys.setswitchinterval(SWITCH_S)
-    run("controller", ControllerNode)
+    run("controller", urgent(ControllerNode))

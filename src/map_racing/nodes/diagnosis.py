@@ -12,7 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ..bags import messages
 from ..control.controller import Controller, ControlResult, Status
 from ..control.safety import Mode, Reason, Supervisor
+from ..control.settings import doubts_of
 from .node import why_silent
+from .priority import present_priority
 
 if TYPE_CHECKING:
     import threading
@@ -117,10 +119,12 @@ class Diagnosis:
             "pose rate [Hz]": f"{rate:.1f}",
             "pose age [s]": f"{supervisor.pose_age:.3f}",
             "saturated share": f"{saturated:.3f}",
+            "priority": present_priority(),
             "longest control step [ms]": f"{1e3 * slowest:.3f}",
             "steering map": parameters.steering_map,
             "speed scale": f"{parameters.speed_scale:g}",
             "raceline": "" if raceline is None else f"{raceline.name} ({raceline.length:.2f} m)",
+            "doubts": "; ".join(doubts_of(self._controller)),
             **_believed(self._controller.adaptation),
         }
 

@@ -174,7 +174,11 @@ class LapEvaluatorNode:
 
     def _set_raceline(self, raceline, _received_ns, _received):
         first = self._laps.raceline is None
-        self._laps.set_raceline(raceline)
+        try:
+            self._laps.set_raceline(raceline)
+        except MapRacingError as error:
+            rospy.logerr_throttle(30.0, str(error))
+            return
         name = raceline.name or raceline.source
         rospy.loginfo("%s %s, %.2f m", "raceline" if first else "now on", name, raceline.length)
 

@@ -10,6 +10,7 @@ from ..control.speed_sectors import load_speed_sectors
 from ..errors import ParameterError
 from ..track.files.load import load_raceline
 from ..track.files.waypoints import waypoint_rows
+from ..track.findings import raceline_warnings
 from .conversions import frame, set_plane_pose
 from .markers import raceline_markers
 from .node import get_parameter, run, sleep
@@ -33,11 +34,10 @@ class RacelinePublisherNode:
         for name, value in (("spacing", spacing), ("period", self._period)):
             if not value > 0.0:
                 raise ParameterError(f"~{name}: expected a positive number, got {value}")
-        speed = scaled_speed(
-            self._raceline,
-            scale,
-            load_speed_sectors(sectors, self._raceline) if sectors else None,
-        )
+        sectors = load_speed_sectors(sectors, self._raceline) if sectors else None
+        for doubt in [*raceline_warnings(self._raceline), *(sectors.doubts if sectors else ())]:
+            rospy.logwarn(doubt)
+        speed = scaled_speed(self._raceline, scale, sectors)
         self._rows = waypoint_rows(self._raceline, spacing, speed)
         rospy.loginfo(
             "%s: %.2f m, %d waypoints, %.2f to %.2f m/s",

@@ -19,13 +19,15 @@ __all__ = ["report_page"]
 
 # A page may have this size [bytes]. What is left beside plotly.js and the tables is for the charts'
 # data, but at least the second; a value takes 2.7 bytes, the rest of the data a tenth more.
-_PAGE, _LEAST = 5_900_000, 200_000
+_PAGE, _LEAST = 5_800_000, 200_000
 _VALUE = 1.1 * 8.0 / 3.0
 _CHARTED = ("v", "v_command", "d", "steering", "steering_table", "a_lat", "a_lon")
-# Speeds at which the limit of the table is drawn.
+_DATED = 10**17  # 1973 [ns]
+# Speeds at which the limit of the tires is drawn.
 _LIMITS = 40
-# Rows of states and notes that a page shows.
-_MOST_ROWS = 60
+# Rows of states and notes that a page shows, laps in its tables and as buttons, and other runs that
+# each is compared with.
+_MOST_ROWS, _MOST_LAPS, _MOST_BUTTONS, _MOST_OTHERS = 60, 1000, 200, 5
 
 
 def report_page(runs: list[RunAnalysis], title: str = "") -> str:
@@ -75,11 +77,23 @@ def _comparisons(run, runs):
     """References with the places that cost most against each."""
     if not run.profile.counted:
         return []
-    others = [other for other in runs if other is not run]
+    others = [o for o in runs if o is not run and o.profile.counted and same_track(run, o)]
+    if len(others) > _MOST_OTHERS:
+        others.sort(key=lambda other: other.result.summary.mean_lap_time_s)
+        del others[_MOST_OTHERS:]
     return [
         (reference, costliest(run.profile, reference, run.corners))
         for reference in references(run, others)
     ]
+
+
+def _some(laps, most, best=None):
+    """Laps as they are, or of many the best, those that do not count and others at equal steps."""
+    if len(laps) <= most:
+        return laps
+    kept = [i for i, lap in enumerate(laps) if not lap.valid][: most // 2]
+    steps = np.linspace(0, len(laps) - 1, most - len(kept)).round().astype(int).tolist()
+    return [lap for i, lap in enumerate(laps) if i in {*kept, *steps} or lap is best]
 
 
 # -- first screen ----------------------------------------------------------------------------------
@@ -87,7 +101,8 @@ def _comparisons(run, runs):
 
 def _head(title, runs):
     facts = [_track_name(runs[0])]
-    stamps = [run.recording.t0_ns for run in runs if run.recording.t0_ns > 0]
+    # Earlier dates are those of clocks that were never set, and of simulated time.
+    stamps = [run.recording.t0_ns for run in runs if run.recording.t0_ns > _DATED]
     if stamps:
         when = datetime.fromtimestamp(1e-9 * min(stamps), timezone.utc)
         facts.append(when.strftime("%Y-%m-%d %H:%M UTC"))
@@ -100,7 +115,8 @@ def _track_name(run):
     line = run.result.raceline
     recorded = run.settings.values.get("raceline") if run.settings is not None else None
     name = recorded.get("name") if isinstance(recorded, dict) else None
-    return f"{name or line.name or 'raceline'}, {line.length:.1f} m"
+    name = name or (line.name if line.name != run.name else "")
+    return f"{name or 'raceline'}, {line.length:.1f} m"
 
 
 def _driver(run):
@@ -127,7 +143,7 @@ def _first_screen(runs, compared):
             ]
         )
     head = ["run"] if len(runs) > 1 else []
-    head += ["laps that count", "best lap", "ideal lap", "mean lap", "RMS error"]
+    head += ["laps counted", "best lap", "ideal lap", "mean lap", "RMS error"]
     head += ["clearance", "saturated"]
     parts = ['<section id="first">\n', table(head, rows, "summary"), _lap_strip(runs)]
     parts.append('<div class="bar"><h2>Where the time goes</h2>')
@@ -182,7 +198,8 @@ def _lap_strip(runs):
         charted = {id(profile.lap): k for k, profile in enumerate(run.profile.laps)}
         best = run.profile.best
         chips = []
-        for lap in run.result.laps:
+        most = max(_MOST_BUTTONS // len(runs), 20)
+        for lap in _some(run.result.laps, most, best.lap if best else None):
             time = "" if math.isnan(lap.lap_time_s) else f" {lap.lap_time_s:.3f}"
             mark = "✓" if lap.valid else f"✗ {lap.reason}"
             kind = "valid" if lap.valid else "invalid"
@@ -213,8 +230,8 @@ def _charts(runs, shown):
         )
     return f"""<section id="over-distance">
 <div class="bar"><h2>Over distance</h2>
-<label><span class="swatch a"></span> <select id="lap-a"></select></label>
-<label><span class="swatch b"></span> against <select id="lap-b"></select></label>
+<label><span class="swatch a"></span> A <select id="lap-a"></select></label>
+<label><span class="swatch b"></span> B <select id="lap-b"></select></label>
 <label><input type="checkbox" id="all-laps"> all laps</label>
 <button type="button" id="whole">whole lap</button></div>
 <div id="charts" class="plot"></div>
@@ -238,7 +255,8 @@ def _map():
 def _grip(runs):
     known = any(run.limits is not None for run in runs)
     text = (
-        "The lines are what the tires of the vehicle file give at three speeds."
+        "The lines are sideways what the tires of the vehicle file give, lengthwise "
+        "the acceleration and braking that vehicle file and controller allow."
         if known
         else "The car is not known: no settings are in the recording, so give --vehicle for the "
         "limits of its tires and for what its table asks of the steering."
@@ -278,32 +296,39 @@ def _corners(runs):
 
 def _laps(runs):
     parts = ['<section id="laps"><h2>Laps</h2>\n']
+    most, left_out = max(_MOST_LAPS // len(runs), 20), 0
     for run in runs:
-        sectors = len(run.result.laps[0].sector_times_s) if run.result.laps else 0
+        best = run.profile.best
+        laps = _some(run.result.laps, most, best.lap if best else None)
+        left_out += len(run.result.laps) - len(laps)
+        sectors = len(laps[0].sector_times_s) if laps else 0
         head = ["lap", "time", *(f"sector {i}" for i in range(1, sectors + 1))]
         head += ["error RMS", "mean", "95 %", "largest", "clearance", "mean speed", "top speed"]
         head += ["speed error", "saturated", "counts"]
         saturated = {id(profile.lap): profile.saturated for profile in run.profile.laps}
-        rows = [
-            [
-                lap.lap,
-                _number(lap.lap_time_s, "{:.3f} s"),
-                *(_number(time, "{:.3f}") for time in lap.sector_times_s),
-                _number(lap.rms_lateral_error_m, "{:.3f} m"),
-                _number(lap.mean_lateral_error_m, "{:+.3f}"),
-                _number(lap.p95_abs_lateral_error_m, "{:.3f}"),
-                _number(lap.max_abs_lateral_error_m, "{:.3f}"),
-                _number(lap.min_clearance_m, "{:.2f} m"),
-                _number(lap.mean_speed_mps, "{:.2f} m/s"),
-                _number(lap.max_speed_mps, "{:.2f}"),
-                _number(lap.rms_speed_error_mps, "{:.2f}"),
-                _share([saturated.get(id(lap), math.nan)]),
-                "yes" if lap.valid else lap.reason,
-            ]
-            for lap in run.result.laps
-        ]
+        rows = [[*_lap_cells(lap), _share([saturated.get(id(lap), math.nan)])] for lap in laps]
+        rows = [[*row, "yes" if lap.valid else lap.reason] for row, lap in zip(rows, laps)]
         parts += [_run_name(run, runs), table(head, rows)]
-    return "".join([*parts, "</section>\n"])
+    said = "Saturated: share of the time in which the steering was at its largest useful angle."
+    if left_out:
+        said += f" {left_out} laps are not listed; map-racing evaluate --csv has all."
+    return "".join([*parts, f'<p class="hint">{said}</p></section>\n'])
+
+
+def _lap_cells(lap):
+    return [
+        lap.lap,
+        _number(lap.lap_time_s, "{:.3f} s"),
+        *(_number(time, "{:.3f} s") for time in lap.sector_times_s),
+        _number(lap.rms_lateral_error_m, "{:.3f} m"),
+        _number(lap.mean_lateral_error_m, "{:+.3f} m"),
+        _number(lap.p95_abs_lateral_error_m, "{:.3f} m"),
+        _number(lap.max_abs_lateral_error_m, "{:.3f} m"),
+        _number(lap.min_clearance_m, "{:.2f} m"),
+        _number(lap.mean_speed_mps, "{:.2f} m/s"),
+        _number(lap.max_speed_mps, "{:.2f} m/s"),
+        _number(lap.rms_speed_error_mps, "{:.2f} m/s"),
+    ]
 
 
 def _poses(runs):
@@ -362,7 +387,8 @@ def _driven_with(runs):
 
 
 def _notes(run):
-    return [["note", note] for note in [*run.result.notes, *run.notes][:_MOST_ROWS]]
+    notes = [*run.result.notes, *run.notes]
+    return [["note", note] for note in list(dict.fromkeys(notes))[:_MOST_ROWS]]
 
 
 def _flat(values, before=""):
@@ -509,7 +535,7 @@ def _limit(run):
     v = np.linspace(0.0, max(limits.v_max, 1.0), _LIMITS)
     return {
         "v": v.round(3).tolist(),
-        "a": limits.table.max_lateral_acceleration(v).round(3).tolist(),
+        "a": limits.lateral(v).round(3).tolist(),
         "drive": min(limits.a_drive_max, GRAVITY * 2.0),
         "brake": min(limits.a_brake_max, GRAVITY * 2.0),
     }

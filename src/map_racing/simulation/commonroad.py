@@ -7,7 +7,8 @@ wheels with rotation, PAC2002 tires with combined slip and camber) and the singl
 Würsching, "CommonRoad: Vehicle Models", 2020.
 
 Both take a rate of the steering angle and an acceleration; servo and drive are those of the other
-plants. They are integrated by RK4 with fixed steps. Their wheels turn so stiffly at low speed, at
+plants. They are integrated by the midpoint rule with fixed steps: of a millisecond it is as close
+as RK4, for half the work. Their wheels turn so stiffly at low speed, at
 ``R_w^2 C / (I_y_w v)`` per second, that below a few m/s (`CommonRoadCar.slowest`) the package's
 kinematic model drives the car instead, as in the package itself below 0.1 m/s.
 
@@ -32,7 +33,7 @@ __all__ = ["PARAMETER_SETS", "CommonRoadCar", "CommonRoadParameters"]
 
 # Parameter sets of the package, by its numbers. The fourth is a truck with a trailer.
 PARAMETER_SETS = {"ford_escort": 1, "bmw_320i": 2, "vw_vanagon": 3}
-# Share of the stability limit of RK4, 2.78 per step, that a wheel under its static load may use.
+# What a wheel under its static load may use of the stability limit, 2 per step.
 STIFFEST = 1.4
 # Parameters of the package that its equations do not read.
 _UNUSED = frozenset(
@@ -230,14 +231,12 @@ class CommonRoadCar(ActuatedCar):
             self._x = [x, y, angle, 0.0, psi]
 
     def _integrate(self, inputs):
-        """One step of RK4."""
+        """One step of the midpoint rule."""
         f = self._model.derivatives if self._dynamic else self._kinematic
         x, car, step = self._x, self._car, self._integration_step
         half = 0.5 * step
         k1 = f(x[:], inputs, car)
         k2 = f([a + half * b for a, b in zip(x, k1)], inputs, car)
-        k3 = f([a + half * b for a, b in zip(x, k2)], inputs, car)
-        k4 = f([a + step * b for a, b in zip(x, k3)], inputs, car)
         if self._dynamic:
             self.acceleration = self._model.acceleration(x, k1)
         else:
@@ -245,8 +244,7 @@ class CommonRoadCar(ActuatedCar):
             along, across = k1[3], x[3] * k1[4]
             cos, sin = math.cos(beta), math.sin(beta)
             self.acceleration = along * cos - across * sin, along * sin + across * cos
-        sixth = step / 6.0
-        self._x = [a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4)]
+        self._x = [a + step * b for a, b in zip(x, k2)]
 
     def _kinematic_sideslip(self):
         car = self._car

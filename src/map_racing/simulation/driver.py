@@ -43,6 +43,7 @@ class SupervisedDriver:
     ----------
     controller : Controller
     limits : SafetyLimits, optional
+        By default those of the car's size.
 
     Attributes
     ----------
@@ -52,7 +53,8 @@ class SupervisedDriver:
     """
 
     def __init__(self, controller, limits=None):
-        self.supervisor = build_supervisor(controller, limits or SafetyLimits())
+        limits = limits or SafetyLimits().of_size(controller.vehicle)
+        self.supervisor = build_supervisor(controller, limits)
         self._driver = SupervisedController(controller, self.supervisor)
         self._raceline, self._failing = controller.raceline, False
         self.commands = []

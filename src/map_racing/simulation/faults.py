@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
 from ..validation import POSITIVE, check, documented, finite, parameter
 
-__all__ = ["KINDS", "Fault", "Faults", "kinds_table", "load_faults"]
+__all__ = ["KINDS", "Fault", "Faults", "check_name", "kinds_table", "load_faults"]
 
 # Rolling resistance of a car without motor torque [m/s^2].
 COASTING = 0.5
@@ -79,11 +80,11 @@ KINDS = {
         "share of the acceleration that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"
     ),
     "motor_dead": Kind("no torque: the car rolls out", method="set_drive"),
-    "motor_runaway": Kind("the car drives at a speed of its own", "m/s", 7.0, POSITIVE, 20.0),
+    "motor_runaway": Kind("the car drives at a speed of its own", "m/s", 7.0, POSITIVE, 100.0),
     "brakes_weak": Kind(
         "share of the braking that is left", "", 0.2, POSITIVE, 1.0, method="set_drive"
     ),
-    "battery_sag": Kind("largest speed that is left", "m/s", 2.5, POSITIVE, 20.0),
+    "battery_sag": Kind("largest speed that is left", "m/s", 2.5, POSITIVE, 100.0),
     "drive_loss": Kind("commands do not reach the car, which stops after 0.2 s by itself"),
     "drive_delay": Kind("commands reach the car later", "s", 0.1, 0.0, 1.0),
     "blocked": Kind("something holds the car in its place", method="hold"),
@@ -110,6 +111,24 @@ def kinds_table() -> str:
     return "\n".join(rows) + "\n"
 
 
+def check_name(option: str, name: object) -> None:
+    """Refuse what is no name of a fault, with the names that are spelled like it.
+
+    Raises
+    ------
+    ParameterError
+        ``OPTION: expected a fault that map-racing faults --list names, got 'pose_jmp' (like
+        pose_jump)``.
+    """
+    if isinstance(name, str) and name in KINDS:
+        return
+    near = get_close_matches(str(name), KINDS)
+    like = f" (like {' or '.join(near)})" if near else ""
+    raise ParameterError(
+        f"{option}: expected a fault that map-racing faults --list names, got {name!r}{like}"
+    )
+
+
 @documented
 @dataclass(frozen=True)
 class Fault:
@@ -133,6 +152,7 @@ class Fault:
     )
 
     def __post_init__(self):
+        check_name("fault", self.fault)
         check(self)
         kind = KINDS[self.fault]
         if self.size is None:

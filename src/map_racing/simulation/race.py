@@ -220,6 +220,8 @@ def race(
             break
         for seen, result in processor.take(car.now, arrived):
             steering, speed = result.steering_angle, result.speed
+            if learning is not None:
+                controller.learn()
             samples.append(
                 Sample(
                     seen.true,

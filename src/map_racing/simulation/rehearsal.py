@@ -1,22 +1,28 @@
 """Every fault once, at 4 m/s in a bend: what the supervised car does.
 
-The table of the page on safety is made of these.
+The table of the page on safety is made of these. Distances, speeds and times are those of a 1:10
+car, and follow the size of a larger one.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..control.controller import build_controller
-from ..control.parameters import ControllerParameters, load_controller_parameters
-from ..control.safety import FASTEST, Reason
+from ..control.parameters import (
+    ControllerParameters,
+    load_controller_parameters,
+    load_safety_limits,
+)
+from ..control.safety import FASTEST, Reason, SafetyLimits
 from ..control.supervised import build_slowing
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle
+from ..vehicle.size import ONE_TENTH, Size, size_of
 from .faults import KINDS, Fault
 from .plants import build_plant, load_plant
 from .race import Outcome, RaceLog, race
@@ -50,17 +56,26 @@ class Scenario:
     size: float | None = None
     for_s: float = 2.0
 
-    def schedule(self) -> list[Fault]:
-        """The fault, and the driver who resumes after it."""
-        resumed = Fault("resumed", BEGIN + self.for_s + RESUMES_AFTER, 1.0)
-        return [Fault(self.fault, BEGIN, self.for_s, size=self.size), resumed]
+    def schedule(self, time: float = 1.0) -> list[Fault]:
+        """The fault, and the driver who resumes after it; `time` is the factor on times."""
+        resumed = Fault("resumed", BEGIN * time + self.for_s + RESUMES_AFTER, 1.0)
+        return [Fault(self.fault, BEGIN * time, self.for_s, size=self.size), resumed]
+
+    def of_size(self, size: Size) -> Scenario:
+        """The same for a car of another size."""
+        kind = KINDS[self.fault]
+        grows = {"m": size.length, "m/s": size.time, "rad/s": 1.0 / size.time}.get(kind.unit, 1.0)
+        value = None if self.size is None else self.size * grows
+        # What is within the limit of the poses' age stays there.
+        long = self.for_s > SafetyLimits.max_pose_age_s
+        return replace(self, size=value, for_s=self.for_s * (size.time if long else 1.0))
 
     @property
     def text(self) -> str:
         """The fault in words."""
         kind = KINDS[self.fault]
         size = kind.default if self.size is None else self.size
-        return kind.text if size is None else f"{kind.text}: {size:g} {kind.unit}".rstrip()
+        return kind.text if size is None else f"{kind.text}: {size:.6g} {kind.unit}".rstrip()
 
 
 # The resume of the driver is part of each; what race cannot inject is tested on the nodes.
@@ -186,7 +201,7 @@ class Rehearsal:
             back = f"{self.back_s:.1f} s after its end"
         return [
             f"`{scenario.fault}`",
-            f"{scenario.text}, for {scenario.for_s:g} s",
+            f"{scenario.text}, for {scenario.for_s:.3g} s",
             self.reason.value if stops else "no stop",
             f"{self.begins_s:.2f}" if stops else "",
             "" if math.isnan(self.stands_s) else f"{self.stands_s:.1f}",
@@ -201,17 +216,16 @@ HEADER = (
 )
 
 
-def rehearsal_track() -> Raceline:
+def rehearsal_track(size: Size = ONE_TENTH) -> Raceline:
     """Two straights of 12 m and two bends of 4 m radius, 4 m wide, at 4 m/s."""
     steps = np.arange(0.0, STRAIGHT, 0.2)
     turn = np.arange(0.0, math.pi, 0.05)
     x = np.r_[steps, STRAIGHT + RADIUS * np.sin(turn)]
     y = np.r_[0.0 * steps, RADIUS * (1.0 - np.cos(turn))]
     x, y = np.r_[x, STRAIGHT - x], np.r_[y, 2.0 * RADIUS - y]
-    width = np.full(x.size, HALF_WIDTH)
-    return Raceline(
-        x, y, vx_mps=np.full(x.size, SPEED), d_left_m=width, d_right_m=width, name="rehearsal"
-    )
+    x, y = x * size.length, y * size.length
+    width, speed = np.full(x.size, HALF_WIDTH * size.length), np.full(x.size, SPEED * size.time)
+    return Raceline(x, y, vx_mps=speed, d_left_m=width, d_right_m=width, name="rehearsal")
 
 
 def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
@@ -229,40 +243,44 @@ def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
     -------
     Rehearsal
     """
-    track = rehearsal_track()
-    parameters = load_controller_parameters("map").with_(speed_scale=1.0)
     plant_parameters = load_plant(car)
+    vehicle = plant_parameters.vehicle
+    size = size_of(vehicle)
+    track, scenario = rehearsal_track(size), scenario.of_size(size)
+    parameters = load_controller_parameters("map", vehicle).with_(speed_scale=1.0)
     if plant_parameters.reference_point != "rear_axle":
         parameters = parameters.with_(reference_point=plant_parameters.reference_point)
-    controller = build_controller(parameters, plant_parameters.vehicle, track)
+    controller = build_controller(parameters, vehicle, track)
     plant, localization = build_plant(plant_parameters, seed)
     log = race(
         plant,
         controller,
         track,
         localization,
-        time_limit=END,
-        faults=scenario.schedule(),
+        time_limit=END * size.time,
+        limits=load_safety_limits("map", vehicle),
+        faults=scenario.schedule(size.time),
     )
-    end = BEGIN + scenario.for_s
-    stop = next((stop for stop in log.stops() if stop[0] >= BEGIN), None)
-    after = [state for state in log.truth if state.t >= BEGIN]
+    begin = BEGIN * size.time
+    end = begin + scenario.for_s
+    stop = next((stop for stop in log.stops() if stop[0] >= begin), None)
+    after = [state for state in log.truth if state.t >= begin]
     stands = math.nan
     if stop is not None:
         stands = next((s.t for s in after if abs(s.v_x) < STANDSTILL), math.nan)
-    until = END if math.isnan(stands) else stands
+    until = math.inf if math.isnan(stands) else stands
     aside = max(abs(track.project(s.x, s.y).d) for s in after if s.t <= until)
     begins, reason, back = (math.nan, Reason.NONE, math.nan) if stop is None else stop
     return Rehearsal(
         scenario,
         log,
         reason,
-        begins - BEGIN,
-        stands - BEGIN,
+        begins - begin,
+        stands - begin,
         aside,
         back - end,
         resumed=back >= end + RESUMES_AFTER,
-        bounds=bounds_of(log, parameters, plant_parameters.vehicle),
+        bounds=bounds_of(log, parameters, vehicle),
     )
 
 

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Iterable, NamedTuple
+from typing import TYPE_CHECKING, Iterable, NamedTuple
 
-__all__ = ["ERROR", "NOTE", "WARNING", "Finding", "Place", "points", "worst_first"]
+if TYPE_CHECKING:
+    from .raceline import Raceline
+
+__all__ = [
+    "ERROR",
+    "NOTE",
+    "WARNING",
+    "Finding",
+    "Place",
+    "points",
+    "raceline_warnings",
+    "worst_first",
+]
 
 NOTE = "note"
 """A convention: nothing is wrong."""
@@ -66,3 +78,10 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
 def points(count: int, adjective: str = "") -> str:
     """``"1 point"`` or ``"2 points"``, for the texts of findings."""
     return " ".join(filter(None, (str(count), adjective, "point" if count == 1 else "points")))
+
+
+def raceline_warnings(raceline: Raceline, origin: str = "") -> list[str]:
+    """Doubts about a raceline from `origin`, and so about all that is driven or measured by it."""
+    origin = origin or raceline.name or raceline.source
+    doubts = [finding for finding in raceline.findings if finding.severity == WARNING]
+    return [f"raceline {origin}: {finding}" for finding in doubts]

@@ -16,6 +16,7 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..resources import find_config
 from ..validation import POSITIVE, check, documented, finite, parameter, positive
+from .plausibility import doubts_of_vehicle
 from .single_track import GRAVITY
 from .tires import LinearTire, PacejkaTire
 
@@ -85,6 +86,10 @@ class Vehicle:
             raise ParameterError(f"rear: expected a tire as in front, got {self.rear!r}")
         if self.delta_max >= 0.5 * math.pi:
             raise ParameterError(f"delta_max: expected less than pi/2 rad, got {self.delta_max:g}")
+        if self.h_cg > self.l_wb:
+            raise ParameterError(
+                f"h_cg: expected at most the wheelbase, {self.l_wb:g} m, got {self.h_cg:g}"
+            )
         for key, lever in (("a_max", self.l_r), ("a_brake_max", self.l_f)):
             value, most = getattr(self, key), GRAVITY * lever
             if value * self.h_cg >= most:
@@ -136,7 +141,8 @@ def load_vehicle(source: str | Path) -> Vehicle:
     Newer public stacks split a car: mass and geometry are in ``car_model.yaml``, the tires of each
     floor in a file beside it or in ``pacejka/FLOOR/``. Either of the two stands for both.
 
-    Keys that are not used and what is assumed are in `Vehicle.notes`.
+    Keys that are not used, what is assumed, and values that cars of this size do not have are in
+    `Vehicle.notes`; those that are certainly in another unit are refused.
 
     Parameters
     ----------
@@ -352,6 +358,7 @@ def _vehicle(values, default_name):
         if not published:
             raise ParameterError(text)
         notes.append(f"{text}: not used")  # nor is it by the readers of these files
+    notes += [f"warning: {doubt}" for doubt in doubts_of_vehicle(vehicle)]
     return dataclasses.replace(vehicle, notes=tuple(notes))
 
 

@@ -20,6 +20,7 @@ from ros2_bags import (
 )
 from rosbags import rosbag2
 
+from map_racing.bags import compression
 from map_racing.bags import messages as msg
 from map_racing.bags.cdr import connection_of, layout_of_ros1
 from map_racing.bags.compression import decompress
@@ -384,3 +385,36 @@ def test_identification_reads_them_like_one_bag_of_ros_1(ramps, tmp_path):
         for name, (t, values) in ramps.run.signals.items():
             np.testing.assert_array_equal(run.signals[name].t, t)
             np.testing.assert_array_equal(run.signals[name].value, values)
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_slow_decompression_of_messages_is_said_once(fast, monkeypatch, caplog):
+    monkeypatch.setattr(compression, "_zstd", lambda: (None, bytes.upper, fast))
+    compression._message_decompressor.cache_clear()
+    try:
+        assert [compression.decompress_message(b"a") for _ in range(3)] == [b"A"] * 3
+    finally:
+        compression._message_decompressor.cache_clear()
+    assert caplog.text.count("map_racing[zstd]") == (0 if fast else 1)
+
+
+@pytest.mark.parametrize("rate", [10.0, 40.0, 100.0])
+@pytest.mark.parametrize("write", [write_sqlite, write_mcap])
+def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, write, rate):
+    """A joystick that commands to stand still beside a controller that drives."""
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(800):
+            t = 1600000000.0 + 0.025 * i
+            bag.odometry(t, 5.0 * t % 100.0, 0.0, 0.0, 5.0, 0.0, 0.0)
+            bag.drive(t, 0.3 * np.sin(0.05 * i), 5.0)
+        for i in range(int(20.0 * rate)):
+            bag.drive(1600000000.003 + i / rate, 0.0, 0.0)
+    messages = sorted(messages_of(tmp_path / "a.bag"), key=lambda message: message[2])
+    suffix = "" if write is write_sqlite else ".mcap"
+    notes = read_recording(write(tmp_path / f"b{suffix}", messages)).notes
+    assert [note for note in notes if note.startswith("warning:") and "of two nodes?" in note]
+
+
+def test_commands_of_one_node_are_not_doubted(made, tmp_path):
+    notes = read_recording(write_sqlite(tmp_path / "b", made)).notes
+    assert not any("of two nodes?" in note for note in notes)

@@ -55,7 +55,7 @@ def test_evaluate_refuses(bags, tmp_path, refused):
     assert "no pose on /" in refused("evaluate", bag, "--pose-topic", "")
     assert "'': expected the name" in refused("evaluate", bag, "--raceline", "")
     assert "'': expected the name" in refused("evaluate", "")
-    assert "a folder without .db3" in refused("evaluate", tmp_path)
+    assert "map-racing season takes folders of bags" in refused("evaluate", tmp_path)
     assert "start line" in refused("evaluate", bag, "--start-line", "nan")
     assert "max-deviation" in refused("evaluate", bag, "--max-deviation", "0")
     assert "max-stop" in refused("evaluate", bag, "--max-stop", "0")

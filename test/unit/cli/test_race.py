@@ -35,6 +35,7 @@ def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
 
 
 def test_model_predictive_control_is_raced_recorded_and_evaluated(tmp_path, capsys):
+    pytest.importorskip("osqp")
     bag = str(tmp_path / "mpc.bag")
     sectors = tmp_path / "sectors.yaml"
     sectors.write_text(SECTORS)
@@ -67,9 +68,10 @@ def test_a_raceline_without_speeds_is_raced_within_the_grip(tmp_path, capsys):
 def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
     path = tmp_path / "a.bag"
     arguments = ["--controller", "pure_pursuit_paper", "--speed-scale", "0.9"]
-    assert main(["race", *arguments, "--output", str(path)]) == 0
-    printed = capsys.readouterr().out
+    assert main(["race", *arguments, "--output", str(path)]) == 3
+    printed, error = capsys.readouterr()
     assert "crashed after 0 timed laps" in printed and "of the raceline" in printed
+    assert error == "map-racing: not completed (N.C.), crashed\n"
     assert main(["evaluate", str(path)]) == 0
     assert "N.C." in capsys.readouterr().out
 
@@ -80,6 +82,14 @@ def test_same_seed_same_bag(tmp_path):
         assert main(["race", "--laps", "1", "--seed", seed, "--output", output]) == 0
     a, b, c = (read_recording(tmp_path / f"{name}.bag") for name in "abc")
     assert np.array_equal(a.x, b.x) and not np.array_equal(a.x[:50], c.x[:50])
+
+
+def test_sectors_of_another_track_are_doubted_where_they_are_raced(tmp_path, capsys):
+    sectors, bag = tmp_path / "s.yaml", str(tmp_path / "a.bag")
+    sectors.write_text(SECTORS.replace("365", "226"))
+    assert main(["race", "--laps", "1", "--speed-sectors", str(sectors), "--output", bag]) == 0
+    doubt = f"warning: {sectors}: the last sector ends at point 226, the raceline has 366"
+    assert doubt in capsys.readouterr().out
 
 
 def test_race_with_a_table_and_sectors(tmp_path):
@@ -120,9 +130,14 @@ def test_race_refuses_a_track_in_millimeters(tmp_path, refused):
     angle = np.arange(100) * 2.0 * np.pi / 100
     path = tmp_path / "mm.csv"
     rows = zip((5000.0 * np.cos(angle)).tolist(), (5000.0 * np.sin(angle)).tolist())
-    path.write_text("x_m,y_m,vx_mps\n" + "\n".join(f"{x},{y},3" for x, y in rows))
+    path.write_text("x_m,y_m\n" + "\n".join(f"{x},{y}" for x, y in rows))
     line = refused("race", "--track", path, "--output", tmp_path / "a.bag")
     assert "expected a lap of at most 5000 m, got 31416 m: is it in meters?" in line
+    path.write_text(
+        "x_m,y_m,v\n" + path.read_text().partition("\n")[2].replace("\n", ",3\n") + ",3"
+    )
+    line = refused("race", "--track", path, "--output", tmp_path / "a.bag")
+    assert "expected meters, got a lap of 3.14e+04, which takes 1.05e+04 s" in line
 
 
 def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch):

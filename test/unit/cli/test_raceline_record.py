@@ -12,17 +12,22 @@ from map_racing.track.files.load import load_raceline
 RADIUS = 2.0
 
 
+def drive(path, radius, speeds):
+    """Two and a half rounds, the first slower, into a bag."""
+    with BagWriter(path) as bag:
+        angle, t = 0.3, 100.0
+        while angle < 0.3 + 5.0 * np.pi:
+            v = speeds[angle >= 0.3 + 2.0 * np.pi]
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            bag.odometry(t, x, y, angle + 0.5 * np.pi, v, 0.0, v / radius)
+            angle, t = angle + v * 0.02 / radius, t + 0.02
+
+
 @pytest.fixture(scope="module")
 def by_hand(tmp_path_factory):
     """Two and a half rounds at 2 and 3 m/s, without a raceline, and the map of the hall."""
     folder = tmp_path_factory.mktemp("by_hand")
-    with BagWriter(folder / "run.bag") as bag:
-        angle, t = 0.3, 100.0
-        while angle < 0.3 + 5.0 * np.pi:
-            v = 2.0 if angle < 0.3 + 2.0 * np.pi else 3.0
-            x, y = RADIUS * np.cos(angle), RADIUS * np.sin(angle)
-            bag.odometry(t, x, y, angle + 0.5 * np.pi, v, 0.0, v / RADIUS)
-            angle, t = angle + v * 0.02 / RADIUS, t + 0.02
+    drive(folder / "run.bag", RADIUS, (2.0, 3.0))
     y, x = np.mgrid[3.975:-4.0:-0.05, -3.975:4.0:0.05]
     radius = np.hypot(x, y)
     pixels = np.where((radius > 1.5) & (radius < 3.0), 254, 0).astype(np.uint8)
@@ -70,6 +75,14 @@ def test_a_lap_of_a_race_is_that_of_evaluate(bags, tmp_path, capsys):
     assert f"{best} s   <- taken" in recorded
 
 
+def test_a_larger_car_has_points_farther_apart(tmp_path):
+    drive(tmp_path / "run.bag", 20.0, (8.0, 10.0))
+    assert record(tmp_path, tmp_path / "line.csv", "--vehicle", "bmw_320i") == 0
+    line = load_raceline(tmp_path / "line.csv")
+    assert np.diff(line.s_points) == pytest.approx(0.8, abs=0.05)  # 0.1 m at the size of 8.06
+    assert line.length == pytest.approx(2.0 * np.pi * 20.0, rel=0.005)
+
+
 def test_refused(by_hand, tmp_path, refused):
     run, line = by_hand / "run.bag", tmp_path / "line.csv"
     start = ("raceline", "record", run, "--output", line)
@@ -82,3 +95,15 @@ def test_refused(by_hand, tmp_path, refused):
     (by_hand / "moved.yaml").write_text(yaml.safe_dump(moved))
     assert "is it the map of that drive?" in refused(*start, "--map", by_hand / "moved.yaml")
     assert not line.exists()
+
+
+def test_a_lap_along_a_wall_is_told(by_hand, tmp_path, capsys):
+    """Of a car 0.3 m wide on a radius of 1.6 m, 0.1 m from the inner wall; inside it at 1.4 m."""
+    drive(tmp_path / "run.bag", 1.6, (2.0, 3.0))
+    output = tmp_path / "line.csv"
+    assert record(tmp_path, output, "--map", by_hand / "hall.yaml") == 0
+    printed = capsys.readouterr().out
+    assert "from the line at s" in printed and "1 warning" in printed and "touches" in printed
+    drive(tmp_path / "run.bag", 1.4, (2.0, 3.0))
+    assert record(tmp_path, output, "--map", by_hand / "hall.yaml") == 1
+    assert "choose another lap with --lap" in capsys.readouterr().err

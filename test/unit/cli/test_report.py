@@ -3,6 +3,8 @@
 import html
 import json
 import re
+import shutil
+from types import SimpleNamespace
 
 import pytest
 
@@ -48,7 +50,7 @@ def test_its_numbers_are_those_of_evaluate(page, bags, tmp_path):
         for lap in run["laps"]:
             if lap["valid"]:
                 cells = [f"{lap['lap']} {lap['lap_time_s']:.3f} s"]
-                cells += [f"{lap[f'sector_{i}_s']:.3f}" for i in (1, 2, 3)]
+                cells += [f"{lap[f'sector_{i}_s']:.3f} s" for i in (1, 2, 3)]
                 cells += [f"{lap['rms_lateral_error_m']:.3f} m"]
                 assert " ".join(cells) in text
 
@@ -160,3 +162,23 @@ def test_more_laps_than_fit(tmp_path, monkeypatch, ring):
     assert 4 <= len(numbers) <= 6 and numbers[-1] == 12 and 5 in numbers
     assert run["laps"][run["best"]]["number"] == 5 and run["left_out"] == 12 - len(numbers)
     assert "charts show" in text_of(page) and "11 3." in text_of(page)
+
+
+def test_of_many_laps_the_best_and_those_that_do_not_count_are_listed():
+    laps = [SimpleNamespace(lap=i, valid=i not in (3, 700)) for i in range(5000)]
+    some = pages._some(laps, 100, best=laps[1234])
+    numbers = [lap.lap for lap in some]
+    assert len(some) <= 101 and numbers == sorted(set(numbers))
+    assert {0, 3, 700, 1234, 4999} <= set(numbers)
+    assert max(b - a for a, b in zip(numbers, numbers[1:])) < 60
+    assert pages._some(laps[:100], 100) == laps[:100]
+
+
+def test_each_of_many_runs_is_compared_with_the_fastest(bags, tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "_MOST_OTHERS", 1)
+    copies = [tmp_path / f"{name}.bag" for name in ("a", "b", "c")]
+    for copy, name in zip(copies, ("pure_pursuit", "map", "pure_pursuit")):
+        shutil.copy(str(bags[name]), str(copy))
+    page = report(tmp_path, *copies)
+    against = re.findall(r'run="(\d)" data-reference="0" data-name="the mean lap of (\w)"', page)
+    assert against == [("0", "b"), ("1", "a"), ("2", "b")]

@@ -7,9 +7,15 @@ import pandas as pd
 import pytest
 
 from map_racing.cli import main
-from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
+from map_racing.control.parameters import (
+    load_controller_parameters,
+    load_law,
+    save_controller_parameters,
+)
 from map_racing.experiments import tuning
-from map_racing.experiments.robustness import Grid, Robustness
+from map_racing.experiments.robustness import Grid, Robustness, load_robustness
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.size import size_of
 
 GRID = """\
 plant: nuc4
@@ -119,6 +125,26 @@ def test_mistakes_in_the_grid_are_one_line(tmp_path, capsys, text, expected):
     assert run(tmp_path, *command) == 1
     said = capsys.readouterr().err
     assert expected in said and said.count("\n") == 1
+
+
+def test_a_grid_of_passenger_cars_is_raced_at_their_size(folder, tmp_path, capsys):
+    small = Grid(load_robustness(folder / "grid.yaml")).tracks[0]
+    (tmp_path / "car.yaml").write_text("vehicle: bmw_320i\na_max_mps2: 3.5\n")
+    text = GRID.replace("nuc4", str(tmp_path / "car.yaml")).replace("as shipped: {}", "own: {}")
+    (tmp_path / "grid.yaml").write_text("\n".join(text.splitlines()[:3] + text.splitlines()[5:]))
+    track = Grid(load_robustness(tmp_path / "grid.yaml")).tracks[0]
+    size = size_of(load_vehicle("bmw_320i"))
+    assert track.length == pytest.approx(size.length * small.length)
+    assert track.d_left.mean() == pytest.approx(size.length * small.d_left.mean())
+    # The same lateral accelerations.
+    assert np.median(track.speed**2 * np.abs(track.kappa)) == pytest.approx(
+        np.median(small.speed**2 * np.abs(small.kappa)), rel=0.02
+    )
+    assert run(tmp_path, "experiment", "robustness", "--output", tmp_path / "out") == 0
+    assert "map: 1 of 1 completed" in capsys.readouterr().out
+    content = json.loads((tmp_path / "out" / "results.json").read_text())
+    controller = content["provenance"]["controllers"]["map"]
+    assert controller["m_m"] == load_law("map", load_vehicle("bmw_320i")).m_m
 
 
 def test_robust_tuning(place, tmp_path, capsys, monkeypatch):

@@ -244,6 +244,34 @@ def test_a_race_is_replayed_to_the_last_bit():
     assert controller.adaptation.belief == again.belief != learned([]).belief
 
 
+@pytest.mark.parametrize("between", [lambda c: None, lambda c: c.learn(), lambda c: c.reset()])
+def test_a_step_teaches_once_whoever_asks(drive, between):
+    """At once, by the next step, or before the past is forgotten."""
+    controller, steps = build_controller(ADAPTIVE, NUC4, REFERENCE), []
+    update = controller.adaptation.update
+    controller.adaptation.update = lambda *step: steps.append(step) or update(*step)
+    states = [state for state, _ in drive[:5]]
+    angles = []
+    for state in states:
+        angles.append(controller.step(state).steering_angle)
+        assert len(steps) == len(angles) - 1
+        between(controller)
+        if len(steps) == len(angles):
+            continue
+        controller.step(state._replace(x=math.nan))
+    assert steps == list(zip(states, angles))
+
+
+def test_what_was_driven_before_a_switch_is_learned_by_what_drove_it(drive):
+    controller = build_controller(ADAPTIVE, NUC4, REFERENCE)
+    steps, (state, _) = [], drive[0]
+    controller.adaptation.update = lambda *step: steps.append(step)
+    angle = controller.step(state).steering_angle
+    assert not steps
+    controller.parameters = OFF
+    assert steps == [(state, angle)]
+
+
 def test_a_pause_restarts_the_model_and_keeps_the_belief(drive):
     adaptation = learned(drive)
     before = adaptation.belief

@@ -4,7 +4,16 @@ import pytest
 from supervised_car import PERIOD, Car
 
 from map_racing.control.controller import Status
-from map_racing.control.safety import Mode, Reason, SafetyLimits, Supervisor
+from map_racing.control.safety import (
+    FIRST_STEP,
+    LONGEST_STEP,
+    QUICKEST,
+    RISING,
+    Mode,
+    Reason,
+    SafetyLimits,
+    Supervisor,
+)
 from map_racing.errors import ParameterError
 
 
@@ -249,14 +258,45 @@ def test_poses_that_stop_coming():
     assert supervisor.watch(begin + 0.19) is None
     decision = supervisor.watch(begin + 0.25)
     assert decision[:3] == (Mode.STOPPING, Reason.STALE_POSE, 0.1)
-    assert decision.speed == 4.0 - 4.0 * 0.25
-    assert supervisor.watch(begin + 0.75).speed == 1.0
-    assert supervisor.watch(begin + 1.05)[::3] == (Mode.STOPPED, 0.0)
-    assert supervisor.watch(begin + 3.0).speed == 0.0
-    assert supervisor.watch(begin + 3.1) is None
+    assert decision.speed == 4.0 - 4.0 * FIRST_STEP
+    speeds = [supervisor.watch(begin + 0.25 + 0.0625 * k).speed for k in range(1, 16)]
+    assert speeds == pytest.approx([3.8 - 0.25 * k for k in range(1, 16)])
+    assert supervisor.watch(begin + 1.25)[::3] == (Mode.STOPPED, 0.0)
+    assert supervisor.watch(begin + 3.25).speed == 0.0
+    assert supervisor.watch(begin + 3.26) is None
     car.now = begin + 5.0
     assert car.drive(0.5)[-1].mode is Mode.STOPPED
     assert car.drive(0.1)[-1].mode is Mode.DRIVING
+
+
+def test_a_stop_after_a_gap_begins_with_a_step_as_any_other():
+    """The command held meanwhile: what could have been braked is not made up for at once."""
+    assert (FIRST_STEP, LONGEST_STEP) == (0.05, 0.1)
+    car = Car(max_pose_age_s=0.5)
+    car.drive()
+    car.supervisor.request_stop("service")
+    car.now += 0.4
+    assert car.step().speed == 4.0 - 4.0 * FIRST_STEP
+    car.now += 0.4 - PERIOD
+    assert car.step().speed == pytest.approx(3.8 - 4.0 * LONGEST_STEP)
+    assert car.step().speed == pytest.approx(3.4 - 4.0 * PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("gains", "told", "first"),
+    [(4.0, 8.0, 0.8), (4.0, 4.5, 0.5), (9.0, 8.0, 1.0), (0.0, 8.0, 0.0), (-4.0, 8.0, 0.0)],
+)
+def test_a_car_that_was_accelerating_did_so_in_a_gap_but_not_beyond_the_command(gains, told, first):
+    """A command far below the speed that it has meanwhile would be hard braking."""
+    assert (RISING, QUICKEST) == (0.1, 5.0)
+    car = Car(speed=4.0 - gains, max_overspeed_mps=10.0)
+    for _ in range(33):
+        car.step(speed=told)
+        car.speed += gains * PERIOD
+    first += car.speed - gains * PERIOD
+    decision = car.supervisor.watch(car.now - PERIOD + 0.2)
+    assert decision.mode is Mode.STOPPING
+    assert decision.speed == pytest.approx(first - 4.0 * FIRST_STEP, abs=1e-4)
 
 
 def test_the_deadline_is_the_limit_after_the_last_pose():

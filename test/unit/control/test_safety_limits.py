@@ -184,9 +184,11 @@ def test_a_stopped_car_is_held_for_as_long_as_stated():
     car = Car(max_pose_age_s=QUARTER, hold_s=2.0, stop_deceleration_mps2=4.0)
     car.drive()
     supervisor, last = car.supervisor, car.now - PERIOD
-    assert supervisor.watch(last + 1.0)[::3] == (Mode.STOPPED, 0.0)
-    assert supervisor.watch(last + 3.0).speed == 0.0
-    assert supervisor.watch(last + 3.03125) is None
+    for k in range(1, 20):
+        assert supervisor.watch(last + 0.0625 * k) or k < 4
+    assert supervisor.watch(last + 1.25)[::3] == (Mode.STOPPED, 0.0)
+    assert supervisor.watch(last + 3.25).speed == 0.0
+    assert supervisor.watch(last + 3.28125) is None
 
 
 # -- what is trusted -----------------------------------------------------------------------------

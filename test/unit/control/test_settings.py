@@ -10,7 +10,7 @@ from map_racing.control.laws import build_law
 from map_racing.control.parameters import load_controller_parameters, load_law
 from map_racing.control.safety import SafetyLimits
 from map_racing.control.settings import parse_settings, settings_text
-from map_racing.control.speed_sectors import SpeedSectors
+from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle, vehicle_values
 
@@ -54,6 +54,7 @@ def test_the_end_of_the_lap_survives_rounding_to_millimeters(track):
 
 
 def test_settings_of_model_predictive_control_come_back(line):
+    pytest.importorskip("osqp")
     controller = build_law(load_law("mpc_single_track"), load_vehicle("nuc4"), line)
     settings = parse_settings(settings_text(controller, name="mpc_single_track"))
     assert settings.controller == controller.parameters and settings.notes == ()
@@ -95,3 +96,25 @@ def test_parts_of_another_version(controller):
     values["speed_sectors"] = {"sectors": [{"start_m": 0.0}]}
     settings = parse_settings(yaml.safe_dump(values))
     assert settings.sectors == () and "end_m: missing" in settings.notes[-1]
+
+
+def test_doubts_of_vehicle_raceline_and_sectors_are_kept(line, tmp_path):
+    """So that the report has them beside the laps that were driven with them."""
+    car = {**vehicle_values(load_vehicle("nuc4")), "delta_rate_max": 183.0}
+    (tmp_path / "car.yaml").write_text(yaml.safe_dump(car))
+    (tmp_path / "s.yaml").write_text("{n_sectors: 1, Sector0: {start: 0, end: 9, scaling: 0.5}}")
+    (tmp_path / "line.csv").write_text(
+        "# x_m,y_m\n"
+        + "".join(f"{20 * np.cos(a)},{20 * np.sin(a)}\n" for a in np.arange(0, 5.8, 0.1))
+    )
+    line = load_raceline(tmp_path / "line.csv")
+    sectors = load_speed_sectors(tmp_path / "s.yaml", line)
+    vehicle = load_vehicle(tmp_path / "car.yaml")
+    controller = build_controller(load_controller_parameters("map"), vehicle, line, sectors)
+    notes = parse_settings(settings_text(controller)).notes
+    assert [note.split(": ")[:2] for note in notes] == [
+        ["warning", "vehicle NUC4"],
+        ["warning", "raceline line"],
+        ["warning", str(tmp_path / "s.yaml")],
+    ]
+    assert "closed over a gap" in notes[1]

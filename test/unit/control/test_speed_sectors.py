@@ -146,6 +146,35 @@ def test_a_file_that_counts_one_point_less_reaches_the_line(tmp_path, end, at_th
     assert sectors.scale_at(circle().length - 1e-6) == at_the_line
 
 
+@pytest.mark.parametrize("end, doubted", [(2, True), (17, True), (18, False), (20, False)])
+def test_sectors_that_end_long_before_the_lap_are_doubted(tmp_path, end, doubted):
+    """Those of a track with fewer points, which would scale other places than were meant."""
+    text = f"{{n_sectors: 1, Sector0: {{start: 0, end: {end}, scaling: 0.5}}}}"
+    doubts = load(tmp_path, text).doubts
+    assert len(doubts) == doubted
+    if doubted:
+        assert doubts[0].endswith(
+            f"speed_scaling.yaml: the last sector ends at point {end}, the raceline has 20: are "
+            "the sectors of another one?"
+        )
+
+
+def test_the_order_of_the_sectors_does_not_matter_for_the_doubt(tmp_path):
+    text = "{n_sectors: 2, Sector0: {start: 10, end: 19, scaling: 1}, "
+    assert load(tmp_path, text + "Sector1: {start: 0, end: 9, scaling: 0.5}}").doubts == ()
+
+
+def test_no_sectors_are_no_doubt(tmp_path):
+    assert load(tmp_path, "{n_sectors: 0, global_limit: 0.5}").doubts == ()
+
+
+def test_real_sectors_of_another_track_are_doubted(shared_data):
+    """Those of the circle have 227 points, the hangar's raceline has 396."""
+    line = load_raceline(shared_data / "tracks" / "hangar" / "global_waypoints.json.gz")
+    sectors = load_speed_sectors(shared_data / "tracks" / "circle" / "speed_scaling.yaml", line)
+    assert "ends at point 227" in sectors.doubts[0]
+
+
 def test_one_point_is_left_where_the_lap_is_not_covered(tmp_path):
     sectors = load(tmp_path, "{n_sectors: 1, Sector0: {start: 5, end: 18, scaling: 0.5}}")
     assert sectors.scale_at(circle().length - 1e-6) == 1.0
@@ -157,7 +186,7 @@ def test_real_files(shared_data, track, scale):
     raceline = load_raceline(folder / "global_waypoints.json.gz")
     sectors = load_speed_sectors(folder / "speed_scaling.yaml", raceline)
     found = {sectors.scale_at(s) for s in np.linspace(0.0, raceline.length, 1000)}
-    assert found == {scale}
+    assert found == {scale} and sectors.doubts == ()
 
 
 @pytest.mark.parametrize(

@@ -180,14 +180,19 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     parameters = load_controller_parameters("map_adaptive").with_(speed_scale=1.0)
     drive, sent = Drive(parameters), []
     controller = drive.driver.controller
-    told = controller.adaptation.sent
-    controller.adaptation.sent = lambda angle: sent.append(angle) or told(angle)
+    update = controller.adaptation.update
+    controller.adaptation.update = lambda state, angle: sent.append(angle) or update(state, angle)
     steps = drive.drive(1.0)
     drive.driver.supervisor.request_stop("service")
     steps += drive.drive(0.5)
+    # The last command goes out before anything is learned from it.
+    assert len(sent) == len(steps) - 1
+    controller.learn()
+    controller.learn()
     assert sent == [step.decision.steering_angle for step in steps]
     state = steps[-1].result.state
     drive.driver.step(drive.now, CarState(drive.now, math.nan, *state[2:]))
+    controller.learn()
     assert len(sent) == len(steps)
 
 

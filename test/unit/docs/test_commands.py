@@ -86,7 +86,7 @@ PREPARATION = {
     "./scripts/soak",
     "./scripts/test",
     "catkin build map_racing",
-    "chrt --rr 1 ./scripts/latency --tuning --dropouts 40",
+    "./scripts/latency --tuning --dropouts 40",
     "cd ..",
     "cd ~/catkin_ws/src",
     "git clone <this repository> map_racing",

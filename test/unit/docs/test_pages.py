@@ -150,7 +150,8 @@ def test_programs_that_rosrun_starts_are_installed():
 def test_parameters_of_the_nodes_are_documented():
     """Each parameter that a node reads by its name is in the node's table, and no other."""
     text = (REPO / "doc" / "nodes.md").read_text(encoding="utf-8")
-    known = {"waypoints_from"}  # read for several nodes by nodes/waypoints.py
+    # Read for several nodes by nodes/waypoints.py and nodes/priority.py.
+    known = {"waypoints_from", "realtime_priority"}
     for kind in (ControllerParameters, SafetyLimits, RampParameters):
         known |= {field.name for field in dataclasses.fields(kind)}
     for title, section in re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", text, re.M | re.S):

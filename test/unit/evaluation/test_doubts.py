@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from map_racing.evaluation.doubts import alternation, bunches, frame_warning, speed_warning
+from map_racing.bags.samples import Commands, Recording
+from map_racing.evaluation.doubts import (
+    alternation,
+    bunches,
+    command_clock,
+    frame_warning,
+    speed_warning,
+)
 
 T = np.arange(0.0, 30.0, 0.0125)
 
@@ -59,3 +66,20 @@ def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
     assert said in doubt and bool(doubt) == bool(said)
     still = np.zeros(T.size)
     assert speed_warning("/odom", T, still, still, still) == ""
+
+
+@pytest.mark.parametrize(
+    ("shift", "said"),
+    [(0.0, ""), (0.1, ""), (-0.3, ""), (0.5, "0.40 s before"), (-1.0, "1.10 s after")],
+)
+@pytest.mark.parametrize("turned", [0.0, 3.0])
+def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, turned):
+    """Stamps and receipts are of the other clock, so only the driving tells."""
+    kappa = 0.3 * np.sin(1.3 * T) + 0.2 * np.sin(2.9 * T)
+    psi = turned + np.cumsum(5.0 * kappa) * 0.0125
+    x, y = (np.cumsum(5.0 * f(psi)) * 0.0125 for f in (np.cos, np.sin))
+    unknown = np.full(T.size, np.nan)
+    commands = Commands(T - 0.1 + shift, 0.32 * kappa, 5.0 + 0.0 * T, "/drive")
+    driven = Recording(T, x, y, psi, unknown, unknown, unknown, commands=commands)
+    doubt = command_clock(driven)
+    assert said in doubt and bool(doubt) == bool(said)

@@ -7,6 +7,8 @@ from map_racing.bags.samples import Recording
 from map_racing.errors import EvaluationError, ParameterError
 from map_racing.evaluation.driven_line import driven_laps, line_of_lap
 from map_racing.track.files.checks import raceline_of
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.size import size_of
 
 
 def recording(t, x, y, v=None):
@@ -105,3 +107,44 @@ def test_impossible_distances(driven):
         line_of_lap(drive, lap, smoothing=float("nan"))
     with pytest.raises(EvaluationError, match="too few poses"):
         line_of_lap(drive, lap._replace(end=lap.begin + 0.05))
+
+
+def test_laps_of_a_passenger_car_are_those_of_a_small_one_enlarged(track, driven):
+    small, size = driven(laps=3.7, wait=2.0, noise=0.01, d=aside), size_of(load_vehicle("bmw_320i"))
+    large = recording(size.time * small.t, size.length * small.x, size.length * small.y)
+    expected, laps = driven_laps(small), driven_laps(large, size=size)
+    times = [lap.begin for lap in laps] + [lap.end for lap in laps]
+    assert times == pytest.approx(
+        [size.time * lap.begin for lap in expected] + [size.time * lap.end for lap in expected]
+    )
+    assert [lap.reason for lap in laps] == [lap.reason for lap in expected]
+    line, same = line_of_lap(small, expected[0]), line_of_lap(large, laps[0], size=size)
+    np.testing.assert_allclose(same.xy, size.length * line.xy, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(same.columns["speed"], size.time * line.columns["speed"], rtol=1e-6)
+
+
+def aside(s):
+    """More to the left in each lap."""
+    return 0.01 * s
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.3, -0.3, 1.5])
+def test_a_crossing_is_no_lap(begin):
+    """A figure of eight passes its middle twice in every lap."""
+    u = begin + 2.0 * np.pi * np.arange(1300) / 500.0  # 2.6 laps
+    length = 36.583  # of x = 6 sin u, y = 6 sin u cos u, by quadrature
+    noise = 0.02 * np.random.RandomState(1).standard_normal((2, u.size))
+    x, y = 6.0 * np.sin(u) + noise[0], 6.0 * np.sin(u) * np.cos(u) + noise[1]
+    drive = recording(0.02 * np.arange(u.size), x, y)
+    laps = driven_laps(drive)
+    assert [lap.end - lap.begin for lap in laps] == pytest.approx([10.0] * len(laps), abs=0.1)
+    assert line_of_lap(drive, laps[0]).xy.shape[0] == pytest.approx(10 * length, abs=3)
+
+
+def test_much_noise_neither_lengthens_nor_bends_the_line(track, driven):
+    """As far from the line as the car moves between two poses."""
+    drive = driven(noise=0.08)
+    line = raceline_of(line_of_lap(drive, driven_laps(drive)[0]))
+    assert line.length == pytest.approx(track.length, rel=0.01)
+    assert 1.0 / np.abs(line.kappa).max() > 0.3
+    assert np.sqrt(np.mean(deviation(track, line) ** 2)) < 0.04  # of noise of 0.11 m

@@ -165,7 +165,7 @@ def test_stretches_before_and_after_are_reported(drive, line):
         assert before.end_time_s == after.start_time_s
 
 
-@pytest.mark.parametrize("start", [0.3, 0.5, 1.7, -0.2])
+@pytest.mark.parametrize("start", [0.3, 0.5, 0.95, -0.2])
 def test_start_line_can_be_moved(drive, track, line, start):
     result = run(line, *drive(16.0), start_s=start * track.length)
     assert result.start_s == pytest.approx(start % 1.0 * track.length)
@@ -175,6 +175,12 @@ def test_start_line_can_be_moved(drive, track, line, start):
     assert valid[0].start_time_s == pytest.approx(expected, abs=1e-3)
     for lap in valid:
         assert lap.lap_time_s == pytest.approx(track.length / V, abs=1e-3)
+
+
+@pytest.mark.parametrize("start", [1.01, 17.0, -1.01])
+def test_a_start_line_beyond_the_lap_is_refused(track, line, start):
+    with pytest.raises(ParameterError, match="start line: expected an arc length of at most"):
+        LapEvaluator(line, start_s=start * track.length)
 
 
 def test_a_standing_start_on_the_line_is_an_out_lap(drive, line):

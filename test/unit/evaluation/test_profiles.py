@@ -47,7 +47,7 @@ def test_channels_of_steady_driving(reference, driving, limits):
     table = limits.table
     expected = [table.steering(v, a)[0] for v, a in zip(values["v"], values["a_lat"])]
     assert values["steering_table"] == pytest.approx(expected)
-    limit = table.max_lateral_acceleration(values["v"])
+    limit = limits.lateral(values["v"])
     assert run.laps[0].grip_used == pytest.approx(np.abs(values["a_lat"]) / limit)
     assert run.laps[0].saturated == 0.0
 
@@ -97,3 +97,15 @@ def test_a_run_without_a_lap_still_has_its_stretch(reference, driving):
     assert run.counted == [] and run.best is None and len(run.laps) == 1
     v = run.laps[0].values["v"]
     assert np.isnan(v[-1]) and v[1] == pytest.approx(3.0)
+
+
+def test_the_limit_of_the_tires_does_not_depend_on_the_lock(limits):
+    """At walking pace the lock holds the car far below the tires' limit, which rules at speed."""
+    table = limits.table
+    assert table.max_lateral_acceleration(1.5) < 0.5 * table.max_lateral_acceleration(5.0)
+    v = np.array([0.5, 1.5, 3.0, 5.0, 2.0 * limits.v_max])
+    fast = np.linspace(0.25, limits.v_max, 1000)
+    most = np.max(table.max_lateral_acceleration(fast))
+    assert limits.lateral(v)[:2] == pytest.approx(most, rel=1e-3)
+    above = table.max_lateral_acceleration(np.minimum(v, limits.v_max))
+    assert np.all(limits.lateral(v) >= 0.999 * above)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from map_racing.bags.reader import read_recording
+from map_racing.control.parameters import load_controller_parameters
 from map_racing.errors import MapRacingError
 from map_racing.evaluation.runs import evaluate
 from map_racing.experiments.jobs import code_fingerprint, execute, fingerprint
@@ -25,6 +26,17 @@ def test_the_same_job_gives_the_same_result_wherever_it_goes(job_of):
     assert first.result.completed and len(first.result.laps) == 2
     assert first.code == code_fingerprint() and first.bag is None
     assert repr(pickle.loads(pickle.dumps(first)).result) == repr(first.result)
+
+
+def test_lateral_acceleration_is_that_of_the_circle(job_of):
+    radius, v = 3.0, 3.0
+    angle = np.arange(200) * 2.0 * np.pi / 200
+    circle = Raceline(radius * np.cos(angle), radius * np.sin(angle), vx_mps=np.full(200, v))
+    controller = load_controller_parameters("map").with_(speed_scale=1.0)
+    noise = ("position_noise_m", "heading_noise_rad", "velocity_noise_mps", "yaw_rate_noise_radps")
+    plant = dataclasses.replace(load_plant("nuc4"), **dict.fromkeys(noise, 0.0))
+    result = execute(job_of(raceline=circle, controller=controller, plant=plant)).result
+    assert result.lateral_mps2 == pytest.approx(v**2 / radius, rel=0.05)
 
 
 def test_all_that_decides_is_in_the_fingerprint(job_of, ring):

@@ -56,7 +56,7 @@ def race(job_of, label, scale, seed, laps, last=None):
     if last:
         stretches.append(stretch(len(laps) + 1, NAN, *last[1:], False, last[0]))
     outcome = "crashed" if last else "completed"
-    result = RaceResult(outcome, tuple(stretches), 50.0)
+    result = RaceResult(outcome, tuple(stretches), 50.0, lateral_mps2=5.0 + 0.5 * len(laps))
     return paper.Race(label, scale, seed, job_of(seed=seed), result)
 
 
@@ -209,6 +209,7 @@ def test_scaling_table(races):
     assert second.mean_lap_time_s == pytest.approx(8.3)
     assert second.max_abs_lateral_error_m == 0.12
     assert (third.days_completed, third.laps_until_end) == (1, "0")
+    assert (second.max_speed_mps, second.lateral_acceleration_mps2) == (5.0, 6.0)
 
 
 def test_a_scale_that_nobody_completed_is_a_row_without_values(races):

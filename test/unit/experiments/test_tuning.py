@@ -19,7 +19,8 @@ from map_racing.experiments.tuning import (
     tune,
     tune_robust,
 )
-from map_racing.vehicle.size import Size
+from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.size import Size, size_of
 
 CONTROLLER = load_controller_parameters("map_paper")
 NAN = math.nan
@@ -177,6 +178,18 @@ def test_the_robust_search_varies_all_its_parameters_but_those_that_are_off(off)
         found = [candidate.controller for candidate in stop.value]
     varied = {name for name in ROBUST_STEPS if len({getattr(c, name) for c in found}) > 1}
     assert varied == set(ROBUST_STEPS) - set(off)
+
+
+def test_steps_of_the_robust_search_grow_with_the_car():
+    car = load_vehicle("bmw_320i")
+    given, size = load_controller_parameters("map").of_size(car), size_of(car)
+    plan = tune_robust(lambda controller: [controller], given, size)
+    next(plan)
+    around = plan.send([raced(0.02)])
+    steps = {round(abs(c.m_m - given.m_m), 4) for c in around if c.q_s == given.q_s}
+    assert steps == {0.0, round(2.0 * ROBUST_STEPS["m_m"] * size.length, 4)}
+    # A delay does not grow with the car.
+    assert {round(abs(c.delay_s - given.delay_s), 4) for c in around} == {0.0, 0.01}
 
 
 def test_a_robust_search_without_anything_that_completes_is_an_error():

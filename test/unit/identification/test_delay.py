@@ -10,6 +10,7 @@ import pytest
 from rosbags.rosbag1 import Writer
 
 from map_racing.bags.opening import open_bag
+from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
@@ -161,7 +162,11 @@ def test_the_line_in_a_recording_of_the_public_simulator(shared_data):
     assert delays.delay.value == pytest.approx(0.05, abs=0.003)
 
 
-@pytest.mark.parametrize("steering", [straight, lambda t: 0.2], ids=["straight", "circle"])
+@pytest.mark.parametrize(
+    "steering",
+    [straight, lambda t: 0.2, lambda t: 0.3 * weaving(t), lambda t: 0.2 if t > 7.0 else 0.0],
+    ids=["straight", "circle", "weak", "one bend"],
+)
 def test_no_answer_without_turning(steering):
     delays = estimate_delays([driven("nuc4", steering)], NUC4)
     data = delay_data(delays)
@@ -169,7 +174,23 @@ def test_no_answer_without_turning(steering):
     assert data["delay_interval_s"] is None and "straight or steady" in data["reason"]
     assert data["steering_lag"]["status"] == "not determined"
     assert data["speed_lookahead_s"] is None
-    assert "delay_s: not determined" in delay_text(delays)
+    text = delay_text(dataclasses.replace(delays, notes=["where the pose is from"]))
+    assert text.startswith("where the pose is from\n") and "delay_s: not determined" in text
+
+
+@pytest.mark.parametrize("noise", [0.5, 2.0])
+def test_noise_is_no_turning(noise):
+    run = driven("nuc4", straight, yaw_rate_noise_radps=noise)
+    assert estimate_delays([run], NUC4).delay.status == "not determined"
+
+
+def test_a_car_that_stands_shows_nothing(shipped):
+    """Wheels are turned; noise is all that the sensors see."""
+    signals = dict(shipped.signals)
+    for name in ("v_x", "v_y", "yaw_rate"):
+        signals[name] = Signal(signals[name].t, 0.001 * signals[name].value)
+    delays = estimate_delays([dataclasses.replace(shipped, signals=signals)], NUC4)
+    assert delays.delay.status == delays.drive_lag.status == "not determined"
 
 
 def test_commands_of_another_car_explain_nothing(shipped):
@@ -189,6 +210,58 @@ def test_the_age_is_within_where_clocks_differ(shipped):
     delays = estimate_delays([run], NUC4)
     assert delays.delay.value == pytest.approx(0.07, abs=0.005)
     assert delays.pose_age.status == "not determined"
+
+
+@pytest.mark.parametrize(("offset", "age"), [(0.0, 0.02), (-0.4, 0.02), (1e6, 0.02)])
+def test_the_age_where_the_recorder_has_another_clock(tmp_path, offset, age):
+    """Poses and commands are of one computer's clock, times of receipt of another's."""
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        for i in range(200):
+            t = 1.6e9 + 0.025 * i
+            received = t + age + offset
+            bag.odometry(t, 0.05 * i, 0.0, 0.0, 2.0, 0.0, 0.0, received=received)
+            bag.drive(t + age, 0.001 * i, 2.0, received=received)
+    delays = estimate_delays([load_run(path)], NUC4)
+    assert delays.pose_age.value == pytest.approx(age, abs=1e-6)
+    assert ("another one" in delays.pose_age.reason) == (offset != 0.0)
+
+
+def test_an_age_that_nothing_tells_is_not_said_to_be_within(shipped):
+    run = dataclasses.replace(shipped, pose_lag=(-0.98,) * 3)
+    delays = estimate_delays([run], NUC4)
+    assert delays.delay.value == delays.steering.value
+    assert "without the age of the pose: the stamps" in delays.delay.reason
+
+
+def test_a_servo_later_than_what_is_looked_for():
+    run = driven("nuc4", weaving, steering_delay_s=0.32)
+    reason = estimate_delays([run], NUC4).steering.reason
+    assert "or more after their commands, expected less than 0.3 s" in reason
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"yaw_rate_noise_radps": 0.09},
+        {"steering_delay_s": 0.0, "steering_time_constant_s": 0.05},
+        {"steering_delay_s": 0.05, "steering_time_constant_s": 0.0},
+    ],
+    ids=["three times the noise", "all of it lag", "all of it dead time"],
+)
+def test_of_other_servos_and_sensors(changes):
+    delays = estimate_delays([driven("nuc4", weaving, seconds=18.0, **changes)], NUC4)
+    assert delays.delay.value == pytest.approx(0.07, abs=0.005)
+
+
+def test_poses_whose_stamps_are_not_even(shipped):
+    rng = np.random.default_rng(0)
+    t = np.sort(shipped.signals["v_x"].t + rng.normal(0.0, 0.006, shipped.signals["v_x"].t.size))
+    signals = dict(shipped.signals)
+    for name in ("v_x", "v_y", "yaw_rate"):
+        signals[name] = Signal(t, signals[name].value)
+    delays = estimate_delays([dataclasses.replace(shipped, signals=signals)], NUC4)
+    assert delays.delay.value == pytest.approx(0.07, abs=0.005)
 
 
 def test_the_command(tmp_path, capsys):

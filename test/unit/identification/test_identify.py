@@ -12,10 +12,17 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.steering import build_steering_map
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
+from map_racing.identification.car import identify_car
+from map_racing.identification.car_report import car_data, car_text, provenance
 from map_racing.identification.data import Signal, load_channel_map, load_run
 from map_racing.identification.identify import identify, leave_one_out, predict, steady_acceleration
 from map_racing.identification.limits import SteadyLimits
-from map_racing.identification.report import prediction_errors, report_data, report_text
+from map_racing.identification.report import (
+    prediction_errors,
+    report_data,
+    report_text,
+    worst_prediction,
+)
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.ramps import drive_ramps
@@ -264,11 +271,15 @@ def test_a_real_car_predicts_the_runs_it_was_not_fitted_to(circles):
     assert "localization diverged" in reasons["circles_025140/cmd.csv"]
     assert "never drove" in reasons["circles_060034/cmd.csv"]
     assert 5.0 < found.largest_a_y < 5.7
-    errors = prediction_errors(leave_one_out(circles, CIRCLES, fix=True))
+    left_out = leave_one_out(circles, CIRCLES, fix=True)
+    errors = prediction_errors(left_out)
     assert errors["below_limit"]["holds"] >= 40 and errors["at_limit"]["holds"] >= 6
     for quantity in ("yaw_rate", "lateral_acceleration"):
         assert errors["below_limit"][quantity] < 0.05
         assert errors["at_limit"][quantity] < 0.10
+    # Localization errs otherwise in each run, which is told by the rear axle.
+    worst = worst_prediction(left_out)
+    assert worst["within_5_percent"] >= 0.9 * worst["holds"] and worst["error"] < 0.1
 
 
 def test_each_bad_real_run_alone_is_refused(circles):
@@ -312,3 +323,38 @@ def test_second_real_car(shared_data):
     assert not found.axles["front"].pacejka.saturated and not found.axles["rear"].pacejka.saturated
     assert not found.axles["front"].pacejka.parameters["peak_n"].determined
     assert any("steady cornering to the left only" in finding.text for finding in found.findings)
+
+
+@pytest.mark.parametrize("friction, mixed", [(1.0, False), (0.88, True), (0.7, True)])
+def test_ramps_on_two_floors_are_no_silent_mixture(ramps, tmp_path, friction, mixed):
+    """The same car at another speed is no contradiction, on another floor it is."""
+    floor = dataclasses.replace(ramps.parameters, mu_scale=friction * ramps.parameters.mu_scale)
+    write_ramp_bag(tmp_path / "b.bag", drive_ramps(floor, [RampParameters(speed_mps=2.5)], seed=3))
+    found = identify_car([ramps.run, load_run(tmp_path / "b.bag")], ramps.base)
+    doubts = [finding.text for finding in found.findings if finding.critical]
+    assert bool(doubts) == mixed and all("not of one car on one floor" in d for d in doubts)
+    assert ("check: runs: " in provenance(found)) == mixed == ("check: runs: " in car_text(found))
+    assert found.doubts == []
+
+
+def test_real_circles_are_of_one_floor(shared_data):
+    channels = load_channel_map("circles_log")
+    folders = sorted((shared_data / "tyre_id").glob("circles_*"))
+    runs = [load_run(folder / "cmd.csv", channels) for folder in folders]
+    found = identify(runs, load_vehicle("nuc4"), fix=True)
+    assert len(found.motions) == 5
+    assert not [finding for finding in found.findings if finding.check == "runs"]
+
+
+def test_a_friction_that_no_floor_has_is_doubted(ramps):
+    """Speed and yaw rate in other units than they seem: here a slow-motion clock."""
+    factors = {"a_y": 0.49, "v_x": 0.7, "v_y": 0.7, "yaw_rate": 0.7}
+    signals = {
+        name: Signal(0.7 * s.t, s.value / factors.get(name, 1.0))
+        for name, s in ramps.run.signals.items()
+    }
+    found = identify_car([dataclasses.replace(ramps.run, signals=signals)], ramps.base)
+    assert found.largest_a_y > 1.3 * 9.81
+    assert "expected at most 1.3 of rubber" in car_text(found)
+    assert "warning: friction of 1." in provenance(found)
+    assert any("friction of 1." in note for note in car_data(found)["notes"])

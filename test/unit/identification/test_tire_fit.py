@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import IdentificationError, ParameterError
-from map_racing.identification.tire_fit import AxlePoints, axle_points, fit_linear, fit_pacejka
+from map_racing.identification.tire_fit import (
+    AxlePoints,
+    axle_points,
+    beside_rear,
+    fit_linear,
+    fit_pacejka,
+)
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.single_track import GRAVITY
 from map_racing.vehicle.steady_state import steady_state_table
@@ -74,6 +80,27 @@ def test_the_papers_front_force_has_the_cosine():
     )
     with pytest.raises(ParameterError, match="front_force"):
         axle_points(vehicle, *motion, front_force="theirs")
+
+
+def test_errors_that_both_axles_share_are_told_by_the_rear():
+    """Each third of the points with another error of the heading, and noise of it: not in front."""
+    rng, rear_tire, count = np.random.default_rng(4), PacejkaTire(25.0, 1.3, 1.2, 0.4), 600
+    front = measured(FRONT, 0.2, count)
+    force = front.force
+    rear = AxlePoints(-rear_tire.slip(np.abs(force) / LOAD) * np.sign(force), force, LOAD)
+    shared = np.repeat([0.012, -0.008, 0.004], count // 3) + rng.normal(0.0, 0.005, count)
+    noise = {"slip_noise": 0.005, "force_noise": 0.05, "difference_noise": 1e-3}
+    seen = [axle._replace(slip=axle.slip + shared, **noise) for axle in (front, rear)]
+    found = beside_rear(*seen, rear_tire)
+    assert np.max(np.abs(found.slip - front.slip)) < 2e-3
+    assert found.slip_noise == 1e-3 and found.force is seen[0].force
+    true, without = (worst(FRONT, fit_pacejka(p).tire, 0.2) for p in (found, seen[0]))
+    assert true < 0.01 < without
+
+
+def test_without_noise_nothing_is_moved():
+    points = measured(FRONT)
+    assert beside_rear(points, points, PacejkaTire(8.0, 1.4, 1.0, 0.0)) is points
 
 
 def test_exact_points_give_the_curve_back():

@@ -71,8 +71,8 @@ def test_one_step_per_millisecond_is_converged(models, parameters, speed, amplit
         for steps in (1, 4)
     )
     assert abs(fine.r) > 0.05
-    # Less than a millimeter after 20 m.
-    np.testing.assert_allclose(coarse, fine, rtol=0.0, atol=5e-4)
+    # Less than a tenth of a millimeter after 20 m.
+    np.testing.assert_allclose(coarse, fine, rtol=0.0, atol=5e-5)
 
 
 def test_the_drift_model_turns_as_its_cornering_stiffness_says(models):

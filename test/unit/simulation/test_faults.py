@@ -1,6 +1,8 @@
 """Faults by name: what they do to measurements and commands, and the refusals."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +19,7 @@ from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.rehearsal import rehearsal_track
 from map_racing.track.files.load import load_raceline
 
+REPO = Path(__file__).resolve().parents[3]
 STATE = (0.5, 3.0, 4.0, 0.0, 2.0, 0.1, 0.3)
 
 
@@ -193,7 +196,10 @@ def test_a_plant_without_the_method_says_so(parameters):
         ("- {fault: pose_nan}", "expected keys and values, got list"),
         ("faults: pose_nan", "expected one list, faults"),
         ("faults: [pose_nan]", "entry 1: expected fault: NAME, got 'pose_nan'"),
-        ("faults: [{fault: pose_nan}, {fault: magic}]", "entry 2: fault: expected pose_dropout or"),
+        ("faults: [{fault: pose_nan}, {fault: magic}]", r"entry 2: fault: .*, got 'magic'$"),
+        ("faults: [{fault: pose_jmp}]", r"--list names, got 'pose_jmp' \(like pose_jump"),
+        ("faults: [{fault: [pose_jump]}]", r"fault: .*, got \['pose_jump'\]"),
+        ("faults: [{fault: }]", "entry 1: fault: .*, got None"),
         ("faults: [{fault: pose_nan, after: 3}]", r"entry 1: unknown after \(known: fault, at_s"),
         ("faults: [{fault: pose_nan, size: 3}]", "entry 1: size: pose_nan has none, got 3"),
         ("faults: [{fault: pose_jump, size: far}]", "entry 1: size: expected a finite number"),
@@ -207,6 +213,22 @@ def test_schedules_that_are_refused(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises((ParameterError, FileFormatError), match=words):
         load_faults(path)
+
+
+def test_the_schedule_of_the_page_stops_the_car_as_it_says_and_is_completed(parameters, tmp_path):
+    page = (REPO / "doc" / "safety.md").read_text(encoding="utf-8")
+    (tmp_path / "faults.yaml").write_text(re.search(r"```yaml\n(.*?)```", page, re.S).group(1))
+    line = load_raceline("reference")
+    controller = build_controller(load_controller_parameters("map"), parameters.vehicle, line)
+    plant, localization = build_plant(parameters, 1)
+    schedule = load_faults(tmp_path / "faults.yaml")
+    log = race(plant, controller, line, localization, laps=2, faults=schedule)
+    assert log.outcome is Outcome.COMPLETED
+    twice = ["pose too old", "pose jumped"] * 2
+    assert [why.value for _, why, _ in log.stops()] == [*twice, "no motion although commanded"]
+    assert all(math.isfinite(again) for *_, again in log.stops())
+    # A simulator node injects each of them, too.
+    assert all(KINDS[fault.fault].where == ("race", "simulator") for fault in schedule)
 
 
 # -- in a race -----------------------------------------------------------------------------------

@@ -6,21 +6,31 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 
+from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.control.steering import build_steering_maps
 from map_racing.control.supervised import build_slowing
-from map_racing.simulation.faults import KINDS, kinds_table
+from map_racing.resources import find_config
+from map_racing.simulation.faults import KINDS, Fault, kinds_table
+from map_racing.simulation.plants import build_plant, load_plant
+from map_racing.simulation.race import race
 from map_racing.simulation.rehearsal import (
     BEGIN,
     HEADER,
     SCENARIOS,
+    Scenario,
     bounds_of,
     bounds_text,
     rehearse,
 )
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.size import ONE_TENTH, size_of
 
 PAGE = Path(__file__).resolve().parents[3] / "doc" / "safety.md"
 POSE_S = 1 / 40
@@ -45,6 +55,65 @@ def test_no_command_is_beyond_limit_lock_or_grip(scenario):
     assert bounds.speed <= bounds.max_speed == 12.0
     assert bounds.angle <= bounds.lock == VEHICLE.delta_max
     assert bounds.beyond <= 1e-9
+
+
+@pytest.mark.parametrize("at", [8.0, 11.5])
+def test_a_stop_without_poses_brakes_and_steers_within_the_grip(at):
+    """Of the true car, which accelerates out of a bend as its poses stop."""
+    parameters, plant_parameters = load_controller_parameters("map"), load_plant("nuc4")
+    parameters, track = parameters.with_(speed_scale=1.0), load_raceline("reference")
+    plant, localization = build_plant(plant_parameters, 1)
+    controller = build_controller(parameters, plant_parameters.vehicle, track)
+    dropout = [Fault("pose_dropout", at, 1.0)]
+    log = race(plant, controller, track, localization, time_limit=at + 1.0, faults=dropout)
+    t, _, _, _, v_x, _, r = np.array([state for state in log.truth if state.t >= at]).T
+    grip = build_steering_maps(parameters, plant_parameters.vehicle)[1]
+    across = v_x * r / grip.max_lateral_acceleration(6.0)
+    along = np.minimum(np.gradient(v_x, t), 0.0) / parameters.a_brake_max_mps2
+    assert t[-1] - t[0] > 0.9 and log.commands[-1].decision.mode is Mode.STOPPING
+    assert np.max(np.hypot(along, across)) < 1.0
+
+
+@pytest.fixture(scope="module")
+def road_car(tmp_path_factory):
+    """Plant file of a passenger car on the single-track model, which needs no other library."""
+    values = yaml.safe_load(find_config("plants", "nuc4", (".yaml",)).read_text())
+    values.update(vehicle="bmw_320i", drive_time_constant_s=0.3, a_max_mps2=3.5, a_brake_max_mps2=7)
+    path = tmp_path_factory.mktemp("plants") / "road_car.yaml"
+    path.write_text(yaml.safe_dump(values))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "reason"),
+    [
+        ("pose_dropout", None, "pose too old"),
+        ("pose_jump", 0.4, ""),
+        ("pose_jump", 3.0, "pose jumped"),
+        ("stop_requested", None, "stop requested"),
+    ],
+)
+def test_a_road_car_is_supervised_as_a_small_one(road_car, fault, value, reason):
+    """Limits, track and size of the faults are those of its size: it does the same."""
+    scenario = Scenario(fault, value)
+    found, small = rehearse(scenario, road_car), rehearsed(scenario)
+    assert found.reason.value == small.reason.value == reason
+    assert found.row()[-1] == small.row()[-1] or reason == "pose jumped"
+    assert found.bounds.beyond <= 1e-9
+    size = size_of(load_vehicle("bmw_320i"))
+    assert found.scenario.size == (None if value is None else value * size.length)
+    assert max(state.v_x for state in found.log.truth) == pytest.approx(4.0 * size.time, rel=0.02)
+    if reason:
+        assert found.begins_s == pytest.approx(small.begins_s, abs=0.03)
+        assert found.stands_s < small.stands_s * 1.5 * size.time
+
+
+def test_a_rehearsal_of_another_size_keeps_what_is_no_length_or_speed():
+    car = size_of(load_vehicle("bmw_320i"))
+    assert Scenario("grip_lost", 0.5).of_size(car).size == 0.5
+    assert Scenario("servo_slow", 0.5).of_size(car).size == 0.5 / car.time
+    assert Scenario("pose_dropout", for_s=0.15).of_size(car).for_s == 0.15
+    assert all(scenario.of_size(ONE_TENTH) == scenario for scenario in SCENARIOS)
 
 
 def test_an_angle_beyond_the_grip_would_be_told():

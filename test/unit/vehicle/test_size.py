@@ -5,7 +5,14 @@ from dataclasses import replace
 
 import pytest
 
+from map_racing.control.parameters import (
+    load_controller_parameters,
+    load_safety_limits,
+    save_controller_parameters,
+)
+from map_racing.control.safety import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
+from map_racing.control.supervised import build_slowing
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.size import ONE_TENTH, size_of
 
@@ -16,6 +23,33 @@ def test_1_10_cars_are_the_measure(name):
     assert size_of(vehicle) is ONE_TENTH
     assert RampParameters.of(vehicle) == RampParameters()
     assert RampParameters.of(vehicle, speed_mps=4.0) == RampParameters(speed_mps=4.0)
+
+
+def test_safety_limits_are_those_of_the_size(tmp_path):
+    """Of the shipped controllers; a file of one's own is taken as it stands."""
+    assert load_safety_limits("map", load_vehicle("nuc4")) == SafetyLimits()
+    car = load_vehicle("bmw_320i")
+    length, time = size_of(car)
+    limits = load_safety_limits("map", car)
+    assert limits == replace(
+        SafetyLimits(),
+        max_jump_m=0.5 * length,
+        max_deviation_m=1.5 * length,
+        max_blocked_m=1.0 * length,
+        max_overspeed_mps=2.0 * time,
+        max_saturated_s=1.5 * time,
+    )
+    own = tmp_path / "own.yaml"
+    save_controller_parameters(load_controller_parameters("map", car), own, SafetyLimits())
+    assert load_safety_limits(own, car) == SafetyLimits()
+
+
+def test_a_stop_of_a_road_car_turns_its_wheels_slower():
+    car = load_vehicle("bmw_320i")
+    slowing = build_slowing(load_controller_parameters("map", car), car)
+    _, time = size_of(car)
+    assert slowing.sudden == 2.0 * time
+    assert slowing.steering(0.5, 0.5, 0.0, 0.0, 0.1) == pytest.approx(0.15 / time)
 
 
 def test_cars_up_to_twice_the_wheelbase_drive_with_the_same_values():

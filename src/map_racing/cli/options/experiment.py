@@ -114,7 +114,7 @@ def _add_mpc(kinds):
     parser.add_argument("--no-tuning", action="store_true", help="race all as shipped")
     slowdown = "factor on the computing time, as of a slower processor"
     add_number(parser, "--slowdown", 1.0, slowdown, metavar="FACTOR")
-    add_number(parser, "--laps", 3, "timed laps of a race")
+    add_number(parser, "--laps", 2, "timed laps of a race")
     add_effort_options(parser)
     parser.set_defaults(run="experiment.run_mpc")
 

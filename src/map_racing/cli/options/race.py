@@ -11,8 +11,8 @@ KINDS = ("tracks", "controllers", "plants", "vehicles")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Race a simulated car from a standing start: an out-lap, then timed laps. A crash is a "
-        "result, not an error. Shipped: "
+        "Race a simulated car from a standing start: an out-lap, then timed laps. A race that "
+        "ends in a crash or a stall is recorded as well; the exit code is then 3. Shipped: "
         + "; ".join(f"{kind} {', '.join(list_config(kind))}" for kind in KINDS)
         + "."
     )

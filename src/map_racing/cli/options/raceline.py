@@ -117,9 +117,7 @@ def add_optimize(actions):
 
 
 def _add_line(line):
-    line.add_argument(
-        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
-    )
+    add_vehicle(line)
     line.add_argument(
         "--margin",
         type=float,
@@ -143,6 +141,13 @@ def _add_line(line):
         type=float,
         metavar="M",
         help="distance between the points that are moved [m] (default: as of --margin)",
+    )
+
+
+def add_vehicle(parser):
+    """Add the option for the car."""
+    parser.add_argument(
+        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
     )
 
 
@@ -221,12 +226,18 @@ def add_record(actions):
         help="speeds of the output (default: %(default)s)",
     )
     parser.add_argument("--map", metavar="YAML", help="take the walls from this map of map_server")
-    add_number(parser, "--spacing", 0.1, "distance between the points [m]", metavar="M")
-    add_number(
-        parser,
-        "--smoothing",
-        1.5,
-        "treat waves of the path shorter than this as noise [m]",
+    add_vehicle(parser)
+    parser.add_argument(
+        "--spacing",
+        type=float,
         metavar="M",
+        help="distance between the points [m] (default: 0.1 for a 1:10 car, more for a larger one)",
+    )
+    parser.add_argument(
+        "--smoothing",
+        type=float,
+        metavar="M",
+        help="treat waves of the path shorter than this as noise [m] (default: 1.5, as of "
+        "--spacing)",
     )
     parser.set_defaults(run="raceline_record.run_record")

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...angles import wrap
 from ..crossings import crossings
-from ..findings import NOTE, WARNING, points
+from ..findings import ERROR, NOTE, WARNING, points
 from .draft import Draft
 
 __all__ = ["check_shape", "check_size", "check_stated"]
@@ -21,6 +21,9 @@ TIGHTEST = 1.4  # [1/m]
 SHORTEST, LONGEST = 3.0, 2000.0
 # The largest lateral acceleration [m/s^2] of a lap in any car, and the widest track [m].
 ACCELERATIONS, WIDEST = (2.0, 60.0), 30.0
+# Nobody races a lap that takes longer [s] and needs less lateral acceleration [m/s^2], on a track
+# that is wider [m], or on one that is shorter [m]: it is in another unit.
+CRAWLING, LONGEST_LAP, FIELD, TINY = 0.1, 300.0, 100.0, 0.5
 
 # Headings as files state them: code, severity, meaning, and the conversion to rad from +x.
 _HEADINGS = (
@@ -57,12 +60,34 @@ _HEADINGS = (
 def check_size(draft: Draft) -> None:
     """Check that the length is one of a track in meters."""
     length = draft.raceline.length
+    certain = _other_unit(draft.raceline)
+    if certain:
+        text = f"expected meters, got a lap of {length:.3g}, {certain}: name the unit, as in x [cm]"
+        draft.add("unit", ERROR, text)
+        return
     if not SHORTEST <= length <= LONGEST and not (length > LONGEST and _full_size(draft.raceline)):
         text = (
             f"the track is {length:.3g} m long, tracks for 1:10 cars are {SHORTEST:g} to "
             f"{LONGEST:g} m: is it in meters?"
         )
         draft.add("size", WARNING, text)
+
+
+def _other_unit(line):
+    """Why a track is certainly not in meters; empty if it may be."""
+    if line.length < TINY:
+        return "shorter than a car"
+    if line.d_left is not None and line.length > LONGEST:
+        width = float(np.median(line.d_left + line.d_right))
+        if width > FIELD:
+            return f"{width:.3g} wide"
+    if line.speed is None or not line.speed.any():
+        return ""
+    needed = float(np.max(line.speed**2 * np.abs(line.kappa)))
+    duration = line.length / float(np.mean(line.speed))
+    if needed < CRAWLING and duration > LONGEST_LAP:
+        return f"which takes {duration:.3g} s and needs at most {needed:.2g} m/s^2 in its bends"
+    return ""
 
 
 def _full_size(line):

@@ -225,7 +225,7 @@ def test_bends_too_tight_for_a_car():
 
 
 def test_tracks_in_another_unit():
-    for scale in (1000.0, 0.001):
+    for scale in (1000.0, 0.05):
         found = codes(RacelineTable({key: scale * GOOD[key] for key in ("x", "y")}))["size"]
         assert found.severity == WARNING and "is it in meters?" in found.text
     assert "size" not in codes(RacelineTable({key: GOOD[key] for key in ("x", "y")}))
@@ -361,7 +361,31 @@ def test_long_tracks_of_full_size_cars_are_told_from_other_units():
     wide = {**grown, "d_left": 6.0 * GOOD["d_left"], "d_right": 6.0 * GOOD["d_right"]}
     for columns in (fast, wide):
         assert "size" not in codes(RacelineTable(columns))
-    slow = {**grown, "speed": GOOD["speed"]}
-    walls = {**grown, "d_left": 60.0 * GOOD["d_left"], "d_right": 60.0 * GOOD["d_right"]}
-    for columns in (grown, slow, walls, {**walls, "speed": GOOD["speed"]}):
+    slow = {**grown, "speed": 2.0 * GOOD["speed"]}
+    walls = {**grown, "d_left": 35.0 * GOOD["d_left"], "d_right": 35.0 * GOOD["d_right"]}
+    for columns in (grown, slow, walls, {**walls, "speed": 2.0 * GOOD["speed"]}):
         assert codes(RacelineTable(columns))["size"].severity == WARNING
+
+
+@pytest.mark.parametrize("scale", [100.0, 1000.0])
+@pytest.mark.parametrize("without", [("speed",), ("d_left", "d_right"), ()])
+def test_a_track_that_is_certainly_in_another_unit_is_refused(scale, without):
+    """In centimeters a lap takes minutes without a bend, or is as wide as a field."""
+    lengths = ("x", "y", "d_left", "d_right")
+    columns = {key: GOOD[key] * (scale if key in lengths else 1.0) for key in (*lengths, "speed")}
+    for key in without:
+        del columns[key]
+    found = codes(RacelineTable(columns))["unit"]
+    assert found.severity == ERROR and "name the unit, as in x [cm]" in found.text
+
+
+def test_a_track_smaller_than_a_car_is_refused():
+    tiny = codes(RacelineTable({key: 0.001 * GOOD[key] for key in ("x", "y")}))["unit"]
+    assert tiny.severity == ERROR and "shorter than a car" in tiny.text
+
+
+@pytest.mark.parametrize("speed, size", [(0.5, 1.0), (1.5, 10.0), (15.0, 100.0)])
+def test_slow_laps_in_meters_are_driven(speed, size):
+    """At walking pace around a hall or a parking lot; at the speed of a full-size car."""
+    columns = {key: size * GOOD[key] for key in ("x", "y")}
+    assert "unit" not in codes(RacelineTable({**columns, "speed": speed + 0.0 * GOOD["speed"]}))

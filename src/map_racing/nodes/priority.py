@@ -1,0 +1,75 @@
+"""Real-time priority of a node that commands the car, where the computer grants it.
+
+Without it, a process that wants the processor waits its turn, for tens of milliseconds where
+several others want it as well.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from typing import Callable
+
+import rospy
+
+from ..errors import ParameterError
+from .node import get_parameter
+
+__all__ = ["present_priority", "take_priority", "urgent"]
+
+HIGHEST = 99
+THREADS = "/proc/self/task"
+
+
+def urgent(make: Callable[[], object]) -> Callable[[], object]:
+    """A function that makes a node with the priority of its parameter ``~realtime_priority``."""
+
+    def build():
+        wanted = get_parameter("realtime_priority", 1, "1 to 99; 0: as the other processes")
+        if not 0 <= wanted <= HIGHEST:
+            raise ParameterError(f"~realtime_priority: expected 0 to {HIGHEST}, got {wanted}")
+        refused = take_priority(wanted) if wanted else ""
+        if refused:
+            rospy.logwarn(
+                "no real-time priority (%s): where other processes want the processor, commands "
+                "and stops come tens of milliseconds later. rtprio in /etc/security/limits.conf "
+                "permits it, see doc/safety.md; ~realtime_priority 0 does without",
+                refused,
+            )
+        return make()
+
+    return build
+
+
+def take_priority(priority: int) -> str:
+    """Give all threads of this process, and so those to come, a real-time priority.
+
+    A process that was started with one keeps it.
+
+    Returns
+    -------
+    str
+        Why not; empty if it has one.
+    """
+    if _scheduled():
+        return ""
+    try:
+        for thread in os.listdir(THREADS):
+            with suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
+    except (OSError, AttributeError) as error:  # the latter but on Linux
+        return getattr(error, "strerror", None) or "not on this system"
+    return ""
+
+
+def present_priority() -> str:
+    """The priority of this thread, in words."""
+    return f"real-time {os.sched_getparam(0).sched_priority}" if _scheduled() else "ordinary"
+
+
+def _scheduled():
+    """Whether this thread has a real-time priority."""
+    try:
+        return os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR)
+    except AttributeError:
+        return False

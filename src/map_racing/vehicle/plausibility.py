@@ -1,0 +1,130 @@
+"""Can a car have the values of its file? Another unit is told by the size of the car.
+
+Cars of all sizes are built alike: the mass grows as the third power of the wheelbase, the other
+lengths grow with it, and speeds and times with its root (see `map_racing.vehicle.size`). A 1:43
+model, a 1:10 race car, a kart, a formula car and a van are all within the ranges here; grams,
+millimeters or degrees are not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Iterator, NamedTuple
+
+from ..errors import ParameterError
+
+if TYPE_CHECKING:
+    from .parameters import Vehicle
+
+__all__ = ["HIGHEST_FRICTION", "doubts_of_vehicle", "friction_doubt"]
+
+HIGHEST_FRICTION = 1.3
+"""More than rubber holds on a clean floor without downforce."""
+WHEELBASE = 0.32  # of 1:10 race cars [m]
+# Beyond the range by this factor, a value is certainly wrong.
+CERTAIN = 10.0
+
+_LENGTHS = {"cm": 0.01, "mm": 0.001}
+_INERTIAS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "g cm^2": 1e-7, "kg mm^2": 1e-6, "g mm^2": 1e-9}
+_DEGREE = math.pi / 180.0
+
+
+class _Range(NamedTuple):
+    """Field, its value, the range of cars like this one, and the unit; other units it may be in."""
+
+    field: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    others: dict = {}
+    certain: float = CERTAIN
+    got: str = ""
+
+    def text(self, car):
+        inside = (name for name, si in self.others.items() if self._holds(self.value * si))
+        name = next(inside, None)
+        usual = f"{_rounded(self.low)} to {_rounded(self.high)} {self.unit}".rstrip()
+        text = f"{self.field}: expected {usual}{car}, got {self.got or f'{self.value:g}'}"
+        return f"{text}: in {name}?" if name else text
+
+    def _holds(self, value):
+        return self.low <= value <= self.high
+
+    def doubtful(self):
+        return not self._holds(self.value)
+
+    def wrong(self):
+        return not self.low / self.certain <= self.value <= self.high * self.certain
+
+
+def _rounded(value):
+    """Two digits, and no power of ten: 4000."""
+    return f"{float(f'{value:.2g}'):.6g}"
+
+
+def doubts_of_vehicle(vehicle: Vehicle) -> list[str]:
+    """Doubts about the values of a car.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    list of str
+        A line for each value that is unusual, with what is usual.
+
+    Raises
+    ------
+    ParameterError
+        If a value is certainly in another unit.
+    """
+    doubts = []
+    for found in _ranges(vehicle):
+        car = "" if found.field == "l_f + l_r" else f", wheelbase {vehicle.l_wb:.3g} m"
+        if found.wrong():
+            raise ParameterError(found.text(car))
+        if found.doubtful():
+            doubts.append(found.text(car))
+    return doubts + friction_doubt(vehicle)
+
+
+def friction_doubt(vehicle: Vehicle) -> list[str]:
+    """Doubt about the grip of a car's tires, of the axle that has less; empty without."""
+    peaks = [vehicle.mu * getattr(tire, "D", 1.0) for tire in (vehicle.front, vehicle.rear)]
+    grip = min(peaks)
+    if 0.1 <= grip <= HIGHEST_FRICTION:
+        return []
+    return [
+        f"friction: expected 0.1 to {HIGHEST_FRICTION:g} of rubber on a floor without downforce, "
+        f"got {grip:.3g}"
+    ]
+
+
+def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
+    wheelbase, m = vehicle.l_wb, vehicle.m
+    time = math.sqrt(wheelbase / WHEELBASE) if wheelbase > 2.0 * WHEELBASE else 1.0
+    levers = f"{vehicle.l_f:g} + {vehicle.l_r:g}"
+    yield _Range("l_f + l_r", wheelbase, 0.05, 7.0, "m", _LENGTHS, 1.5, levers)
+    for field in ("l_f", "l_r"):
+        value = getattr(vehicle, field)
+        yield _Range(field, value, 0.15 * wheelbase, 0.85 * wheelbase, "m", _LENGTHS)
+    yield _Range("m", m, 10.0 * wheelbase**3, 500.0 * wheelbase**3, "kg", {"g": 1e-3, "t": 1e3})
+    low, high = m * (0.2 * wheelbase) ** 2, m * (0.9 * wheelbase) ** 2
+    yield _Range("I_z", vehicle.I_z, low, high, "kg m^2", _INERTIAS)
+    yield _Range("h_cg", vehicle.h_cg, 0.0, 0.6 * wheelbase, "m", _LENGTHS)
+    yield _Range("mu", vehicle.mu, 0.1, 3.0, "", {"percent": 0.01})
+    for name, tire in (("front", vehicle.front), ("rear", vehicle.rear)):
+        field = f"{name} tire: cornering stiffness over load"
+        others = {"1/deg": 1.0 / _DEGREE}
+        yield _Range(field, vehicle.mu * tire.stiffness, 1.0, 100.0, "1/rad", others)
+    yield _Range("delta_max", vehicle.delta_max, 0.1, 1.2, "rad", {"deg": _DEGREE})
+    rate = vehicle.delta_rate_max
+    yield _Range("delta_rate_max", rate, 0.1, 20.0 / time, "rad/s", {"deg/s": _DEGREE}, 1e9)
+    kmh = {"km/h": 1.0 / 3.6}
+    yield _Range("v_max", vehicle.v_max, 0.5 * time, 40.0 * time, "m/s", kmh, 1e9)
+    for field in ("a_max", "a_brake_max"):
+        yield _Range(field, getattr(vehicle, field), 0.3, 40.0, "m/s^2", {}, 1e9)
+    yield _Range("width", vehicle.width, 0.25 * wheelbase, 1.6 * wheelbase, "m", _LENGTHS)
+    yield _Range("length", vehicle.length, wheelbase, 3.0 * wheelbase, "m", _LENGTHS)

@@ -1,0 +1,38 @@
+"""A controller that learns the day comes near one that was told it."""
+
+import dataclasses
+
+import pytest
+
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.experiments.cold_start import cold_start, loss_of_grip
+from map_racing.experiments.jobs import RaceJob
+from map_racing.simulation.plants import load_plant
+from map_racing.track.files.load import load_raceline
+
+
+@pytest.fixture
+def job():
+    plant, settings = load_plant("nuc4"), load_controller_parameters("map")
+    return RaceJob("map", settings, plant.vehicle, plant, load_raceline("reference"), 1, 1)
+
+
+def test_the_last_lap_of_a_cold_start_is_beside_one_that_was_told(job):
+    found = cold_start(job)
+    assert found.outcome == "completed"
+    assert abs(found.slower) < 0.03 and found.slower == found.lap_s / found.told_lap_s - 1.0
+    assert 0.0 < found.error_m < 0.1 and found.clearance_m > 0.3
+
+
+def test_after_a_loss_of_grip_laps_are_those_of_less_grip(job):
+    lost, told_before = loss_of_grip(job), cold_start(job).told_lap_s
+    assert lost.outcome == "completed" and lost.told_lap_s > 1.05 * told_before
+    assert abs(lost.slower) < 0.02
+    # Nearly all of the friction is no loss that any controller could meet.
+    assert loss_of_grip(job, factor=0.15).outcome != "completed"
+
+
+def test_a_race_that_ends_before_the_lap_gives_no_figures(job):
+    plant = dataclasses.replace(job.plant, mu_scale=0.15)
+    found = loss_of_grip(dataclasses.replace(job, plant=plant))
+    assert found.outcome != "completed" and found.lap_s != found.lap_s

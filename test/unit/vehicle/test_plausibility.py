@@ -1,0 +1,105 @@
+"""Values of vehicle files in other units are told by the size of the car."""
+
+import pytest
+import yaml
+
+from map_racing.errors import ParameterError
+from map_racing.vehicle.parameters import load_vehicle, vehicle_values
+
+SMALL = vehicle_values(load_vehicle("sim"))
+LARGE = vehicle_values(load_vehicle("bmw_320i"))
+VAN = {**LARGE, "m": 3000.0, "I_z": 7500.0, "l_f": 1.6, "l_r": 1.8, "h_cg": 0.9, "width": 2.0}
+VAN.update(length=6.0, a_brake_max=4.0)
+FORMULA = {**LARGE, "m": 800.0, "I_z": 1000.0, "l_f": 1.9, "l_r": 1.7, "h_cg": 0.3, "width": 2.0}
+KART = {**LARGE, "m": 180.0, "I_z": 22.0, "l_f": 0.6, "l_r": 0.45, "h_cg": 0.2, "width": 1.3}
+KART.update(length=1.9, a_brake_max=4.0)
+MODEL = {**SMALL, "m": 0.041, "I_z": 2.8e-5, "l_f": 0.029, "l_r": 0.033, "h_cg": 0.01}
+MODEL.update(width=0.05, length=0.11)
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(values, **changes):
+        path = tmp_path / "car.yaml"
+        path.write_text(yaml.safe_dump({**values, **changes}), encoding="utf-8")
+        return load_vehicle(path)
+
+    return load
+
+
+@pytest.mark.parametrize("values", [SMALL, LARGE, VAN, FORMULA, KART, MODEL])
+def test_cars_of_any_size_are_plausible(load, values):
+    assert load(values).notes == ()
+
+
+@pytest.mark.parametrize("car", [SMALL, LARGE])
+@pytest.mark.parametrize(
+    "field, unit, factor",
+    [
+        ("m", "g", 1e3),
+        ("I_z", "g m^2", 1e3),
+        ("I_z", "kg cm^2", 1e4),
+        ("l_f", "mm", 1e3),
+        ("l_r", "cm", 1e2),
+        ("width", "mm", 1e3),
+        ("length", "cm", 1e2),
+    ],
+)
+def test_another_unit_is_refused_with_file_field_value_and_expectation(
+    load, tmp_path, car, field, unit, factor
+):
+    value = car[field] * factor
+    with pytest.raises(ParameterError) as caught:
+        load(car, **{field: value})
+    text = str(caught.value)
+    assert text.startswith(f"{tmp_path / 'car.yaml'}: ") and f"{value:g}" in text
+    # A lever in other units makes the wheelbase impossible, or its own share of it.
+    assert field in text and "expected" in text
+    assert field in ("l_f", "l_r") or f"in {unit}?" in text
+
+
+@pytest.mark.parametrize("factor", [1e2, 1e3])
+@pytest.mark.parametrize("car", [SMALL, LARGE])
+def test_geometry_in_another_unit_throughout(load, car, factor):
+    lengths = {key: car[key] * factor for key in ("l_f", "l_r", "h_cg", "width", "length")}
+    with pytest.raises(ParameterError, match=r"l_f \+ l_r: expected 0.05 to 7 m, got"):
+        load(car, **lengths)
+
+
+@pytest.mark.parametrize("value", [74.0, 7.4])
+def test_the_height_in_another_unit(load, value):
+    with pytest.raises(ParameterError, match="h_cg: expected at most the wheelbase, 0.3302 m, got"):
+        load(SMALL, h_cg=value)
+
+
+@pytest.mark.parametrize(
+    "car, changes, expected",
+    [
+        (SMALL, {"delta_rate_max": 183.0}, "delta_rate_max: expected 0.1 to 20 rad/s"),
+        (LARGE, {"delta_rate_max": 23.0}, "delta_rate_max: expected 0.1 to 7 rad/s"),
+        (SMALL, {"v_max": 54.0}, "v_max: expected 0.5 to 40 m/s"),
+        (LARGE, {"v_max": 180.0}, "v_max: expected 1.4 to 110 m/s"),
+        (SMALL, {"mu": 1.5}, "friction: expected 0.1 to 1.3"),
+        (SMALL, {"C_Sf": 270.0}, "front tire: cornering stiffness over load: expected 1 to 100"),
+        (SMALL, {"C_Sr": 0.1}, "rear tire: cornering stiffness over load: expected 1 to 100"),
+        (LARGE, {"width": 0.296}, "width: expected 0.64 to 4.1 m, wheelbase 2.58 m, got 0.296"),
+        (SMALL, {"m": 0.3}, "m: expected 0.36 to 18 kg, wheelbase 0.33 m, got 0.3"),
+    ],
+)
+def test_unusual_values_are_doubted(load, car, changes, expected):
+    note = load(car, **changes).notes[0]
+    assert note.startswith(f"warning: {expected}")
+
+
+@pytest.mark.parametrize(
+    "field, value, expected",
+    [
+        ("m", 3.47e-3, "in t?"),
+        ("mu", 85.0, "in percent?"),
+        ("delta_max", 24.0, "delta_max: expected less than pi/2 rad, got 24"),
+    ],
+)
+def test_values_that_are_certainly_wrong(load, field, value, expected):
+    with pytest.raises(ParameterError) as caught:
+        load(SMALL, **{field: value})
+    assert expected in str(caught.value)
