@@ -187,7 +187,7 @@ def test_three_laps_as_in_the_core(launch, listen, tmp_path):
 def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path, capsys):
     inbox = listen("/lap_result", LapResult)
     process = launch(
-        "simulate.launch", clock_rate=8, lockstep="true", record="true", record_to=tmp_path / "run"
+        "simulate.launch", clock_rate=4, lockstep="true", record="true", record_to=tmp_path / "run"
     )
     # The recorder may begin late and end early: of three laps it has one at least.
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
