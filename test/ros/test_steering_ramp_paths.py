@@ -363,8 +363,12 @@ def test_a_failure_of_the_watch_stops_at_once(car, monkeypatch):
     assert any("the watchdog failed: ZeroDivisionError" in said for said in car.said)
 
 
-def test_the_end_commands_standstill_and_nothing_after_it(car, monkeypatch):
+def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
+    ends = []
+    monkeypatch.setattr(rospy, "on_shutdown", ends.append)
     monkeypatch.setattr(time, "sleep", lambda _: None)
+    car = make(dead_man=False)
+    assert ends == [car.node._end] and car.drive()[1] == 2.0
     count, angle = len(car.sent), car.angle
     car.node._end()
     last = [(m.drive.steering_angle, m.drive.speed) for m in car.sent[count:]]

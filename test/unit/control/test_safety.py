@@ -167,10 +167,11 @@ def test_a_jump_stops_and_the_new_place_is_accepted_after_a_while(move):
     car.drive()
     first = car.pose()
     base = first._replace(**{name: getattr(first, name) + by for name, by in move.items()})
-    offset = base.x - first.x
     decisions = []
     for _ in range(30):
-        decisions.append(car.step(base._replace(t=car.now, x=car.x + offset)))
+        way = car.x - first.x  # on to where its heading is now
+        x, y = base.x + way * math.cos(base.psi), base.y + way * math.sin(base.psi)
+        decisions.append(car.step(base._replace(t=car.now, x=x, y=y)))
     assert decisions[0].reason is Reason.JUMP
     assert decisions[0].steering_angle == 0.1
     assert [decision.mode for decision in decisions[:17]] == [Mode.STOPPING] * 17
