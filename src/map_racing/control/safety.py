@@ -509,7 +509,8 @@ class Supervisor:
         if self.mode is Mode.WAITING and not drives:
             return angle, 0.0
         last_angle, speed = self._command
-        elapsed = 0.0 if self._commanded is None else min(now - self._commanded, LONGEST_STEP)
+        elapsed = 0.0 if self._commanded is None else now - self._commanded
+        elapsed = min(max(elapsed, 0.0), LONGEST_STEP)  # a clock may go back a little
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows)
         if self._slowing is not None and not slows:
