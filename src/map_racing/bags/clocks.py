@@ -10,14 +10,38 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import correlate
 
-__all__ = ["COMMAND_DELAY_NS", "LATENCY_NS", "Clock", "stamps_are_unusable"]
+__all__ = [
+    "COMMAND_DELAY_NS",
+    "LATENCY_NS",
+    "LONGEST_LAG_S",
+    "Clock",
+    "lag_of_effect",
+    "stamps_are_unusable",
+]
 
 LATENCY_NS = 15 * 10**7
 """Larger differences between the lags of two topics [ns] are no latency."""
 COMMAND_DELAY_NS = 5 * 10**7
 """Commands are stamped when they are sent, sensors when they measure, and none is received later
 than that [ns]; only localization computes for longer."""
+
+LONGEST_LAG_S = 0.5
+"""A car acts at most so long after a command [s], and never before it but by an error."""
+_EARLIEST_LAG_S = -0.05
+
+# Variances below this are none.
+_NOTHING = 1e-12
+# How an effect follows its cause is looked for in steps, up to a lag [s], in the first part of a
+# recording [s]. Both are averaged over so many steps, without their average over more: what changes
+# slowly shows no lag, and may not be proportional. Fewer samples show nothing.
+_STEP_S, _FARTHEST_S, _PART_S, _SMOOTH, _SLOW, _FEWEST = 0.02, 20.0, 1200.0, 11, 201, 500
+# It is plain that the lag is impossible if the best of all correlations is so high, and leaves less
+# than this share of what the best possible one leaves. Others that are as good but for so much are
+# those of other laps.
+_FOLLOWS, _PLAIN, _AS_GOOD = 0.8, 0.6, 0.02
 
 _SECOND = 10**9
 # The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
@@ -147,3 +171,86 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
             way = "ahead" if step > 0.0 else "back"
             return f"header stamps jump {way} by {abs(step) / _SECOND:.1f} s"
     return None
+
+
+def lag_of_effect(
+    t: np.ndarray,
+    cause: np.ndarray,
+    at: np.ndarray,
+    effect: np.ndarray,
+    longest_s: float = LONGEST_LAG_S,
+) -> float | None:
+    """How much later an effect comes than its cause, where that is plainly impossible.
+
+    Commands that were recorded on another clock, and stamped and received on it, are told from
+    others only by what they cause: a car turns shortly after its wheels are told to.
+
+    Parameters
+    ----------
+    t, cause : ndarray, shape (k,)
+        Times [s], increasing, and values, each held until the next, such as steering angles.
+    at, effect : ndarray, shape (n,)
+        Times [s], increasing, and what is proportional to the cause, such as the curvature of the
+        path; NaN where it is unknown.
+    longest_s : float, optional
+        Longest possible lag [s].
+
+    Returns
+    -------
+    float or None
+        [s]; None where the lag is possible, or not plain.
+    """
+    if t.size < 2 or at.size < 2:
+        return None
+    grid = np.arange(at[0], min(at[-1], at[0] + _PART_S), _STEP_S)
+    most = round(_FARTHEST_S / _STEP_S)
+    wide = grid[0] + _STEP_S * np.arange(-most, grid.size + most)
+    finite, given = np.isfinite(effect), np.isfinite(cause)
+    if np.count_nonzero(finite) < 2 or np.count_nonzero(given) < 2:
+        return None
+    known = np.interp(grid, at, finite.astype(float)) > 0.999
+    effect = np.interp(grid, at[finite], effect[finite])
+    last = np.searchsorted(t, wide, side="right") - 1
+    told = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
+    last = np.searchsorted(t[given], wide, side="right") - 1
+    held = cause[given][np.maximum(last, 0)]
+    # At the ends there is no average around.
+    edge = 0.5 * _SLOW * _STEP_S
+    known &= (grid > grid[0] + edge) & (grid < grid[-1] - edge)
+    told &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
+    held, effect = (
+        uniform_filter1d(values, _SMOOTH) - uniform_filter1d(values, _SLOW)
+        for values in (held, effect)
+    )
+    follows = _correlation(held, told, effect, known)
+    lags = _STEP_S * np.arange(most, -most - 1, -1)
+    possible = (lags >= _EARLIEST_LAG_S) & (lags <= longest_s)
+    best, usual = float(np.max(follows)), float(np.max(follows[possible]))
+    plain = best > usual + _AS_GOOD and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
+    if best < _FOLLOWS or not plain:
+        return None
+    peaks = np.flatnonzero(follows > best - _AS_GOOD)
+    nearest = peaks[np.argmin(np.abs(lags[peaks]))]
+    nearby = np.abs(lags - lags[nearest]) < 0.5
+    peak = int(np.argmax(np.where(nearby, follows, -1.0)))
+    # What still rises where the search ends is no peak.
+    return float(lags[peak]) if 0 < peak < lags.size - 1 else None
+
+
+def _correlation(held, told, effect, known):
+    """Size of the correlation of an effect with all parts of its cause that are as long."""
+
+    def sums(one, other):
+        return correlate(one, other, mode="valid", method="fft")
+
+    held = np.where(told, held - (np.mean(held[told]) if told.any() else 0.0), 0.0)
+    effect = np.where(known, effect - (np.mean(effect[known]) if known.any() else 0.0), 0.0)
+    told, known = told.astype(float), known.astype(float)
+    count = np.maximum(sums(told, known), 1.0)
+    a, b = sums(held, known) / count, sums(told, effect) / count
+    variances = (sums(held**2, known) / count - a**2) * (sums(told, effect**2) / count - b**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        result = (sums(held, effect) / count - a * b) / np.sqrt(variances)
+    enough = count > max(_FEWEST, 0.5 * float(np.max(count)))
+    # A sign that is wrong is not a matter of clocks.
+    return np.where(enough & (variances > _NOTHING), np.abs(result), 0.0)

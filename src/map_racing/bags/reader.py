@@ -13,7 +13,7 @@ from . import messages as msg
 from .clocks import COMMAND_DELAY_NS, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording
-from .series import Series
+from .series import Series, commands_of_two
 from .topics import drive_connections, imu_topic, pose_sources
 from .waypoints import WaypointCollection
 
@@ -123,6 +123,8 @@ def _read(path, bag, source, notes):
         shifted = not clock.use_receipt and stamps is not own
         lag = 1e-9 * float(np.median(received - stamps)) if stamps.size else math.nan
         commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic, shifted, lag)
+        doubt = commands_of_two(drive_topic, angle, speed)
+        notes += [f"warning: {doubt}"] if doubt else []
         if at.size and (at[-1] < times[0] or at[0] > times[-1]):
             when = "before" if at[-1] < times[0] else "after"
             notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")

@@ -11,9 +11,13 @@ from .clocks import LATENCY_NS, Clock
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
 from .samples import in_order, jump_back, usable
 
-__all__ = ["PoseSeries", "Series", "quaternion_note"]
+__all__ = ["PoseSeries", "Series", "commands_of_two", "quaternion_note"]
 
 _BATCH = 2048
+# Commands of two nodes: of each block of messages at least this share differs from both neighbors
+# by so much [rad, m/s], while these agree with each other, and many times as much as most do.
+_BLOCK, _SHARE, _ANGLE, _SPEED = 200, 0.075, 0.05, 0.3
+_AGREE, _MANY, _MOST = 0.2, 5.0, 30.0
 # After so long without a message [ns] a node is gone, and another may take its place.
 _SENDER_GONE = 10**9
 
@@ -232,3 +236,35 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
             f"{np.median(other):.3g}: normalized"
             + (", no heading without length" if not np.all(other > SHORTEST_QUATERNION) else "")
         )
+
+
+def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
+    """Doubt about commands that go to and fro, as of two nodes that nothing names; or empty.
+
+    Parameters
+    ----------
+    topic : str
+    angle, speed : ndarray, shape (k,)
+        Steering angles [rad] and speeds [m/s], in the order of time.
+    """
+    share = max(_to_and_fro(angle, _ANGLE), _to_and_fro(speed, _SPEED))
+    if share < _SHARE:
+        return ""
+    return (
+        f"{topic}: up to {share:.0%} of the commands are unlike those before and after, which "
+        "agree: of two nodes? All of them count"
+    )
+
+
+def _to_and_fro(values, least):
+    """Largest share, of the blocks, of values that leave those around them for one message."""
+    if values.size < _BLOCK:
+        return 0.0
+    steps = np.abs(np.diff(values))
+    away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
+    count, most = away.size // _BLOCK or 1, 0.0
+    for one, other in zip(np.array_split(away, count), np.array_split(across, count)):
+        if np.isfinite(one).all():
+            usual = float(np.percentile(other, _MOST))
+            most = max(most, np.mean((one > max(least, _MANY * usual)) & (other < _AGREE * one)))
+    return float(most)

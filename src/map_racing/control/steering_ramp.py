@@ -273,7 +273,7 @@ class SteeringRamp:
         self._phase = Phase.WAITING
         self._angle = 0.0
         self._speed = 0.0
-        self._since = 0.0
+        self._since = None
         self._last_t = None
         self._turned = self._steered = self._settled_gain = 0.0
 
@@ -345,7 +345,7 @@ class SteeringRamp:
 
     def _average_gain(self, v, r, elapsed):
         """Curvature of the path by steering angle [1/(m rad)], averaged over a short time."""
-        if v > STANDSTILL and math.isfinite(r):
+        if math.isfinite(r):
             share = min(elapsed / AVERAGED_S, 1.0)
             self._turned += share * (r - self._turned)
             self._steered += share * (v * self._angle - self._steered)

@@ -166,7 +166,7 @@ class LapEvaluator:
     ):
         check_options(start_s, car_width, sectors)
         self.raceline, self.limits = raceline, (limits or LapLimits()).on(raceline)
-        if abs(start_s) > raceline.length:
+        if abs(start_s) > raceline.length + 0.01:  # as printed, with two digits
             raise ParameterError(
                 f"start line: expected an arc length of at most {raceline.length:.2f} m, the lap, "
                 f"got {start_s:g}"

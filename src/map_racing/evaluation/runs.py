@@ -14,6 +14,8 @@ from ..track.raceline import Raceline
 from .doubts import (
     alternation,
     bunches,
+    command_clock,
+    command_units,
     frame_warning,
     speed_warning,
     uncommanded,
@@ -145,6 +147,8 @@ def evaluate(
         alternation(recording.topic, recording.x, recording.y),
         bunches(recording.topic, recording.t),
         speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
+        command_clock(recording),
+        *command_units(recording),
     ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)

@@ -335,9 +335,7 @@ def run_of(
         if commands is not None and math.isfinite(commands.lag):
             command_lag = commands.lag
     shifted = commands is not None and commands.shifted
-    return dataclasses.replace(
-        run, pose_lag=lag, commands_shifted=shifted, command_lag=command_lag
-    )
+    return dataclasses.replace(run, pose_lag=lag, commands_shifted=shifted, command_lag=command_lag)
 
 
 def _load_csv(path, channel_map):

@@ -14,6 +14,7 @@ from typing import Callable
 
 import numpy as np
 
+from ..bags.clocks import LONGEST_LAG_S, lag_of_effect
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
@@ -41,6 +42,9 @@ LARGEST_SPREAD = 0.35
 # An IMU axis measures lateral acceleration if it follows speed times yaw rate with at least this
 # slope (its unit may be g) and this share of its variance explained.
 LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
+# A scale or offset of the accelerometer counts if it is so many standard errors off; the low-pass
+# leaves one independent sample in so many.
+SURE, INDEPENDENT = 3.0, RATE_HZ / 2.0
 # A setup with contradictions left after so many corrections is beyond repair.
 MOST_CORRECTIONS = 16
 
@@ -187,7 +191,30 @@ def correct(
 
 
 def _clocks(motions, setup, vehicle):
-    """Do the poses turn when the yaw rate says so?"""
+    """Do the poses turn when the yaw rate says so, and the car after its commands?"""
+    return [
+        *_commands_late(motions, vehicle),
+        *_poses_late(motions),
+    ]
+
+
+def _commands_late(motions, vehicle):
+    findings = []
+    for motion in motions:
+        v_x = np.where(motion.moving, motion.v_x, np.nan)
+        longest = LONGEST_LAG_S * size_of(vehicle).time
+        lag = lag_of_effect(motion.t, motion.delta, motion.t, motion.r / v_x, longest)
+        if lag is not None:
+            text = (
+                f"clock: {motion.run.label}: the car turns {abs(lag):.2f} s "
+                f"{'after' if lag > 0.0 else 'before'} its steering commands: they are not of the "
+                "same clock (--steering-delay takes a known delay)"
+            )
+            findings.append(SensorFinding("clock", text, critical=True))
+    return findings
+
+
+def _poses_late(motions):
     return [
         SensorFinding(
             "clock",
@@ -293,6 +320,12 @@ def _lateral_axis(motions, setup, vehicle):
         return abs(slope) > LEAST_SLOPE and share > LEAST_SHARE
 
     own = setup.lateral_axis
+    low, middle, high = np.percentile(expected, (5.0, 50.0, 95.0))
+    if high - low < abs(middle) and own in fits and not follows(own):
+        # Bends to one side at about one acceleration show no slope, but whether that is there.
+        there = np.median(np.concatenate([motion.axes[own][motion.steady] for motion in motions]))
+        if 0.5 < setup.lateral_scale * there / middle < 2.0:
+            return []
     if not follows(own):
         best = max((axis for axis in fits if follows(axis)), key=lambda a: fits[a][2], default=None)
         there = np.concatenate([m.axes[own] for m in motions if own in m.axes] or [np.zeros(1)])
@@ -333,23 +366,46 @@ def _lateral_scale(motions, setup, vehicle):
     a_y = np.concatenate([motion.a_y[motion.usable] for motion in motions])
     standing = [motion.a_y[_standing(motion)] for motion in motions]
     standing = np.concatenate([values for values in standing if values.size] or [np.zeros(0)])
-    slope, offset, _ = _line(expected, a_y)
-    if standing.size > LEAST_STANDING_S * RATE_HZ:
-        offset = float(np.median(standing))
-        slope = float((a_y - offset) @ expected / (expected @ expected))
-    scale = 1.0 if abs(slope - 1.0) < 0.03 or slope <= 0.0 else slope
+    if standing.size <= LEAST_STANDING_S * RATE_HZ:
+        standing = None
+    slope, offset, slope_error, offset_error = _scale_and_offset(expected, a_y, standing)
+    scaled = slope > 0.0 and abs(slope - 1.0) > max(0.03, SURE * slope_error)
+    shifted = abs(offset) > max(0.05, SURE * offset_error)
     text = f"lateral acceleration: {slope:.3f} times speed times yaw rate {offset:+.3f} m/s^2"
+    if not (scaled or shifted) and max(slope_error, 0.1 * offset_error) > 0.03:
+        text += f" (+- {slope_error:.3f} and {offset_error:.3f}: too little cornering to tell)"
     fix = {}
-    if scale != 1.0 or abs(offset) > 0.05:
+    if scaled or shifted:
+        scale = slope if scaled else 1.0
         fix = {
             "lateral_scale": round(setup.lateral_scale / scale, 4),
             "lateral_offset_mps2": round((setup.lateral_offset_mps2 - offset) / scale, 4),
         }
-        if 0.0 < slope - 1.0 < 0.2:
+        if scaled and 0.0 < slope - 1.0 < 0.2:
             roll = (slope - 1.0) / GRAVITY
             text += f": the body rolls {math.degrees(roll):.2f} degrees per m/s^2"
-    critical = abs(slope - 1.0) > 0.25 or abs(offset) > 0.75
+    critical = (scaled and abs(slope - 1.0) > 0.25) or (shifted and abs(offset) > 0.75)
     return [SensorFinding("lateral acceleration", text, fix, critical)]
+
+
+def _scale_and_offset(expected, measured, standing):
+    """Slope and offset of a line, and their standard errors; the offset at rest where known.
+
+    The low-pass leaves about two independent samples per second.
+    """
+    count = max(expected.size / INDEPENDENT, 1.0)
+    if standing is not None:
+        offset = float(np.median(standing))
+        slope = float((measured - offset) @ expected / (expected @ expected))
+        left = float(np.std(measured - offset - slope * expected))
+        slope_error = left / math.sqrt(count * float(np.mean(expected**2)))
+        return slope, offset, slope_error, float(np.std(standing))
+    slope, offset, _ = _line(expected, measured)
+    left = float(np.std(measured - offset - slope * expected))
+    left *= math.sqrt(count / max(count - 2.0, 0.1))
+    slope_error = left / (math.sqrt(count) * max(float(np.std(expected)), 1e-9))
+    mean = float(np.mean(expected))
+    return slope, offset, slope_error, math.hypot(left / math.sqrt(count), mean * slope_error)
 
 
 def _lateral_velocity(motions, setup, vehicle):

@@ -5,7 +5,6 @@ Controller and supervisor are in `map_racing.control`; the node converts message
 """
 
 import gc
-import os
 import sys
 import threading
 import time
@@ -36,7 +35,7 @@ from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
 from .conversions import StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
-from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run
+from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run, trace
 from .priority import urgent
 from .saving import Saver
 from .transforms import TransformListener
@@ -222,7 +221,7 @@ class ControllerNode:
             else:
                 self._refuse_frame(now, header)
         except Exception:
-            rospy.logerr_throttle(QUIET_S, _trace("the control step failed"))
+            rospy.logerr_throttle(QUIET_S, trace("the control step failed"))
             self._failing = True
             self._supervisor.fail()
             try:
@@ -271,7 +270,7 @@ class ControllerNode:
             else:
                 self._diagnosis.report()
         except Exception:
-            rospy.logerr_throttle(QUIET_S, _trace("the watchdog failed"))
+            rospy.logerr_throttle(QUIET_S, trace("the watchdog failed"))
             self._send(header, self._last_angle, 0.0)
 
     # -- commands ----------------------------------------------------------------------------
@@ -447,17 +446,6 @@ class ControllerNode:
 
 
 _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
-
-
-def _trace(text):
-    """A text with the current exception and its origin, in one line."""
-    error = sys.exc_info()[1]
-    trace = error.__traceback__
-    while trace.tb_next is not None:
-        trace = trace.tb_next
-    code = trace.tb_frame.f_code
-    where = f"{os.path.basename(code.co_filename)}:{trace.tb_lineno}"
-    return f"{text}: {type(error).__name__}: {error} ({where} in {code.co_name})"
 
 
 def main():

@@ -30,6 +30,7 @@ __all__ = [
     "run",
     "sleep",
     "to_launch_folder",
+    "trace",
     "why_silent",
 ]
 
@@ -310,3 +311,14 @@ def sleep(seconds: float) -> bool:
             return True
         time.sleep(min(left, 0.05))
     return False
+
+
+def trace(text: str) -> str:
+    """A text with the current exception and its origin, in one line."""
+    error = sys.exc_info()[1]
+    trace = error.__traceback__
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    code = trace.tb_frame.f_code
+    where = f"{os.path.basename(code.co_filename)}:{trace.tb_lineno}"
+    return f"{text}: {type(error).__name__}: {error} ({where} in {code.co_name})"

@@ -26,7 +26,7 @@ from ..control.supervised import build_supervisor
 from ..errors import ParameterError
 from ..vehicle.parameters import load_vehicle
 from .conversions import frame, plane_pose, stamp_ns
-from .node import FirstSender, SteadyClock, get_parameter, overridden, run, sleep
+from .node import FirstSender, SteadyClock, get_parameter, overridden, run, sleep, trace
 from .priority import urgent
 from .watchdog import Watchdog
 
@@ -35,6 +35,7 @@ __all__ = ["SteeringRampNode", "main"]
 # What the supervisor may say while nothing is wrong.
 READY = (Reason.NONE, Reason.NO_POSE, Reason.STOP_REQUESTED)
 LOOK_S = 0.05
+QUIET_S = 1.0
 LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
 
 
@@ -95,9 +96,14 @@ class SteeringRampNode:
                 rospy.signal_shutdown("done")
 
     def _watch(self, now):
-        decision = self._supervisor.watch(now)
-        if decision is not None:
-            self._command(Header(stamp=rospy.Time.now()), decision)
+        header = Header(stamp=rospy.Time.now())
+        try:
+            decision = self._supervisor.watch(now)
+            if decision is not None:
+                self._command(header, decision)
+        except Exception:
+            rospy.logerr_throttle(QUIET_S, trace("the watchdog failed"))
+            self._send(header, self._angle, 0.0)
 
     def _on_joy(self, message):
         self._hold(len(message.buttons) > self._button and message.buttons[self._button] == 1)
@@ -110,34 +116,42 @@ class SteeringRampNode:
         self._held_until = time.monotonic() + self._patience if held else -math.inf
 
     def _on_odometry(self, message):
-        header, twist = message.header, message.twist.twist
-        stamp = stamp_ns(header, 0)
         with self._lock:
             if self._ended or not self._sender.sent(message):
                 return
             now = self._clock.now()
-            t = 1e-9 * stamp - self._clock.steps if stamp else now
-            name = frame(header.frame_id)
-            if self._frame not in (None, name):
-                rospy.logerr_throttle(
-                    10.0, f"expected poses in the frame {self._frame}, got one in {name}"
-                )
-                self._command(header, self._supervisor.refuse(now))
-                return
-            pose = plane_pose(message.pose.pose)
-            state = CarState(t, *pose, twist.linear.x, twist.linear.y, twist.angular.z)
-            trusted = self._supervisor.observe(now, state)
-            if trusted and self._frame is None:
-                self._frame = name
-                if self._ramp is None:
-                    self._ramp = SteeringRamp(self._parameters, Circle(*pose[:2], self._radius))
-            result = self._maneuver(now, state) if trusted else None
-            self._command(header, self._supervisor.decide(now, result))
+            try:
+                decision = self._answer(now, message)
+            except Exception:
+                rospy.logerr_throttle(QUIET_S, trace("the maneuver failed"))
+                self._supervisor.fail()
+                decision = self._supervisor.decide(now, None)
+            self._command(message.header, decision)
+
+    def _answer(self, now, message):
+        """The supervisor's decision on a pose."""
+        stamp, name = stamp_ns(message.header, 0), frame(message.header.frame_id)
+        t = 1e-9 * stamp - self._clock.steps if stamp else now
+        if self._frame not in (None, name):
+            rospy.logerr_throttle(
+                10.0, f"expected poses in the frame {self._frame}, got one in {name}"
+            )
+            return self._supervisor.refuse(now)
+        pose, twist = plane_pose(message.pose.pose), message.twist.twist
+        state = CarState(t, *pose, twist.linear.x, twist.linear.y, twist.angular.z)
+        trusted = self._supervisor.observe(now, state)
+        if trusted and self._frame is None:
+            self._frame = name
+            if self._ramp is None:
+                self._ramp = SteeringRamp(self._parameters, Circle(*pose[:2], self._radius))
+        return self._supervisor.decide(now, self._maneuver(now, state) if trusted else None)
 
     def _maneuver(self, now, state):
         """What the maneuver asks for at a pose that can be trusted, as from a controller."""
+        supervisor = self._supervisor
         held = not self._dead_man or time.monotonic() < self._held_until
-        enabled = held and self._supervisor.trouble(now) is Reason.NONE
+        # Where time was set back, as in a simulation that begins anew, so does the ramp.
+        enabled = held and supervisor.trouble(now) is Reason.NONE and not supervisor.restarted
         command = self._ramp.update(state.t, state.x, state.y, state.v_x, enabled, state.r)
         if command.phase is not self._phase:
             self._phase = command.phase
@@ -150,9 +164,9 @@ class SteeringRampNode:
             )
         # A stop is the supervisor's: within the grip at the speed that the car has.
         if command.speed > 0.0:
-            self._supervisor.withdraw("maneuver")
+            supervisor.withdraw("maneuver")
         else:
-            self._supervisor.request_stop("maneuver")
+            supervisor.request_stop("maneuver")
         return ControlResult(command.steering_angle, command.speed, Status.OK, state, *(0.0,) * 7)
 
     def _command(self, header, decision):
@@ -160,7 +174,8 @@ class SteeringRampNode:
             self._reason = decision.reason
             if decision.reason not in READY:
                 rospy.logwarn("%s: %s", decision.mode.value, decision.reason.value)
-        self._send(header, decision.steering_angle, decision.speed)
+        if not self._ended:
+            self._send(header, decision.steering_angle, decision.speed)
 
     def _send(self, header, steering_angle, speed):
         self._angle = steering_angle

@@ -7,6 +7,7 @@ import pytest
 
 from map_racing.bags import messages as msg
 from map_racing.bags.bag import Connection, Message
+from map_racing.bags.clocks import lag_of_effect
 from map_racing.bags.reader import read_recording, read_signals
 from map_racing.bags.series import Series
 from map_racing.bags.topics import DRIVE_TOPIC
@@ -237,3 +238,37 @@ def test_a_single_transform_holds_only_at_its_time(tmp_path):
         BagError, match=r"at least two poses, got 1 .*map to odom ends 5.0 s before"
     ):
         read_recording(tmp_path / "a.bag")
+
+
+def turning(t):
+    """Steering that never repeats."""
+    return 0.1 * sum(np.sin(math.sqrt(k) * t + k) for k in (1, 3, 5, 7, 11, 13, 17))
+
+
+@pytest.mark.parametrize("shift", [-8.0, -2.0, -0.7, -0.4, 0.0, 0.1, 0.3, 1.0, 9.0])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_an_effect_before_its_cause_or_long_after_it_is_told(shift, noise):
+    """The car turns 0.1 s after its commands, whose times are `shift` late."""
+    at, t = np.arange(0.0, 40.0, 0.025), np.arange(0.0, 40.0, 0.02)
+    effect = 3.0 * turning(at - 0.1) + np.random.default_rng(1).normal(0.0, 3.0 * noise, at.size)
+    effect[100:120] = math.nan
+    lag = lag_of_effect(t + shift, turning(t), at, effect)
+    if -0.4 <= shift <= 0.1:
+        assert lag is None
+    else:
+        assert lag == pytest.approx(0.1 - shift, abs=0.03)
+
+
+def test_nothing_is_said_of_commands_that_explain_nothing_or_repeat():
+    at = np.arange(0.0, 40.0, 0.02)
+    for cause, effect in (
+        (turning(at), np.random.default_rng(2).normal(size=at.size)),
+        (0.0 * at, turning(at)),
+        # With a period of a second a lag is any number of them.
+        (np.sin(2.0 * np.pi * at), np.sin(2.0 * np.pi * (at - 0.1))),
+        # A sign that is wrong is another matter.
+        (turning(at), -turning(at - 0.1)),
+    ):
+        assert lag_of_effect(at, cause, at, effect) is None
+    assert lag_of_effect(at[:1], at[:1], at, at) is None
+    assert lag_of_effect(at, at, at[:20], at[:20]) is None

@@ -367,6 +367,11 @@ def test_parts_of_different_runs(race_bag, tmp_path, capsys):
     assert any("3.0 s missing between run_0.bag and run_2.bag" in note for note in run["notes"])
     assert main(["evaluate", "--join", str(first), str(race_bag())]) == 1
     assert "overlap by" in capsys.readouterr().err
+    later = tmp_path / "later.bag"
+    with BagWriter(later) as bag:
+        bag.odometry(1e-9 * T0_NS + 7200.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+    assert main(["evaluate", "--join", str(first), str(later)]) == 1
+    assert "s apart: two runs?" in capsys.readouterr().err
     (tmp_path / "a.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
     assert main(["evaluate", "--join", str(first), str(tmp_path / "a.csv")]) == 1
     assert "--join: expected bags" in capsys.readouterr().err
@@ -396,3 +401,25 @@ def test_slow_decompression_of_messages_is_said_once(fast, monkeypatch, caplog):
     finally:
         compression._message_decompressor.cache_clear()
     assert caplog.text.count("map_racing[zstd]") == (0 if fast else 1)
+
+
+@pytest.mark.parametrize("rate", [10.0, 40.0, 100.0])
+@pytest.mark.parametrize("write", [write_sqlite, write_mcap])
+def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, write, rate):
+    """A joystick that commands to stand still beside a controller that drives."""
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(800):
+            t = 1600000000.0 + 0.025 * i
+            bag.odometry(t, 5.0 * t % 100.0, 0.0, 0.0, 5.0, 0.0, 0.0)
+            bag.drive(t, 0.3 * np.sin(0.05 * i), 5.0)
+        for i in range(int(20.0 * rate)):
+            bag.drive(1600000000.003 + i / rate, 0.0, 0.0)
+    messages = sorted(messages_of(tmp_path / "a.bag"), key=lambda message: message[2])
+    suffix = "" if write is write_sqlite else ".mcap"
+    notes = read_recording(write(tmp_path / f"b{suffix}", messages)).notes
+    assert [note for note in notes if note.startswith("warning:") and "of two nodes?" in note]
+
+
+def test_commands_of_one_node_are_not_doubted(made, tmp_path):
+    notes = read_recording(write_sqlite(tmp_path / "b", made)).notes
+    assert not any("of two nodes?" in note for note in notes)

@@ -126,13 +126,41 @@ def test_areas():
         ),
         (lambda: RampParameters(settle_s=-1.0), "settle_s"),
         (lambda: RampParameters(sides="up"), "sides: expected both or left or right, got 'up'"),
+        (lambda: RampParameters(start_rad=0.4), "start_rad: expected less than limit_rad"),
         (lambda: Box(1.0, 1.0, 0.0, 1.0), "area: expected a box"),
+        (lambda: Box(0.0, 1.0, 1.0, 1.0), "area: expected a box"),
         (lambda: Circle(0.0, 0.0, 0.0), "area: expected a circle"),
+        (lambda: Circle(0.0, 0.0, math.inf), "area: expected a circle"),
     ],
 )
 def test_refusals(make, words):
     with pytest.raises(ParameterError, match=words):
         make()
+
+
+def test_edges_belong_to_the_area():
+    box = Box(-1.0, 2.0, -3.0, 4.0)
+    for x, y in ((-1.0, 0.0), (2.0, 0.0), (0.0, -3.0), (0.0, 4.0)):
+        assert box.contains(x, y) and not box.contains(1.01 * x, 1.01 * y)
+    assert (box.room, Box(-3.0, 4.0, -1.0, 2.0).room) == (3.0, 3.0)
+    assert Circle(1.0, 0.0, 2.0).contains(3.0, 0.0)
+    assert Circle(0.0, 0.0, 0.5).room == 0.5
+
+
+def test_a_ramp_ends_at_the_last_angle_and_the_next_begins_at_standstill():
+    """In numbers that are exact: 8 steps of 1/64 rad, and 0.1 m/s is standstill."""
+    parameters = RampParameters(
+        rate_radps=0.25, start_rad=0.125, limit_rad=0.25, settle_s=0.0, acceleration_mps2=100.0
+    )
+    ramp = SteeringRamp(parameters, WIDE)
+    commands = [ramp.update(k / 16, 0.0, 0.0, 0.1 if k == 0 else 2.0, True) for k in range(11)]
+    assert commands[0].phase is Phase.STARTING
+    angles = [c.steering_angle for c in commands if c.phase is Phase.RAMPING]
+    assert angles == [0.125 + k / 64 for k in range(len(angles))] and len(angles) == 8
+    assert commands[9] == (0.25, 0.0, Phase.STOPPING) and ramp.completed == 1
+    for v in (0.11, -0.11):
+        assert ramp.update(1.0, 0.0, 0.0, v, True).phase is Phase.STOPPING
+    assert ramp.update(1.1, 0.0, 0.0, 0.1, True).phase is Phase.STARTING
 
 
 def test_the_simulated_car_is_taken_through_its_steady_states():
@@ -155,14 +183,17 @@ def test_the_simulated_car_is_taken_through_its_steady_states():
     assert a_lat == pytest.approx(expected, rel=0.01)
 
 
-def test_a_ramp_ends_where_the_rear_breaks_away():
+@pytest.mark.parametrize("wheelbase", [0.3, 3.0])
+def test_a_ramp_ends_where_the_rear_breaks_away(wheelbase):
     """A car that turns by geometry up to 0.2 rad, and from there on ever faster."""
     parameters = RampParameters(speed_mps=2.0, rate_radps=0.02, start_rad=0.1, sides="left")
     ramp = SteeringRamp(parameters, WIDE)
     t, speed, angle, reached = 0.0, 0.0, 0.0, []
     while ramp.completed == 0 and t < 30.0:
         excess = max(abs(angle) - 0.2, 0.0)
-        r = speed * angle / 0.3 * (1.0 + 20.0 * excess)
+        r = speed * angle / wheelbase * (1.0 + 20.0 * excess)
+        if round(t / STEP) % 20 == 10:
+            r = math.nan  # a sensor that fails now and then
         angle, speed, phase = ramp.update(t, 0.0, 0.0, speed, True, r)
         if phase is Phase.RAMPING:
             reached.append(angle)
@@ -189,6 +220,20 @@ def test_what_the_car_did_before_it_settled_does_not_count(settles, ends):
             reached.append(angle)
         t += STEP
     assert max(reached) == pytest.approx(ends, abs=0.004)
+
+
+@pytest.mark.parametrize(("start", "silent"), [(0.1, 3.0), (0.0, 0.0)])
+def test_without_a_turn_to_compare_with_nothing_breaks_away(start, silent):
+    """A yaw rate that is 0 until the ramp has begun, and a ramp that begins straight ahead."""
+    parameters = RampParameters(start_rad=start, limit_rad=0.3, sides="left", rate_radps=0.1)
+    ramp = SteeringRamp(parameters, WIDE)
+    t, speed, angle, reached = 0.0, 0.0, 0.0, []
+    while ramp.completed == 0 and t < 30.0:
+        r = speed * angle / 0.3 if t >= silent else 0.0
+        angle, speed, phase = ramp.update(t, 0.0, 0.0, speed, True, r)
+        reached.append(angle)
+        t += STEP
+    assert max(reached) == 0.3
 
 
 def test_an_understeering_car_is_driven_to_the_last_angle():

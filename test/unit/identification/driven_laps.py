@@ -17,13 +17,13 @@ QUIET = {name: 0.0 for name in ("position_noise_m", "heading_noise_rad", "veloci
 QUIET.update(yaw_rate_noise_radps=0.0, acceleration_noise_mps2=0.0)
 
 
-def laps_of(scale, seed=1, **changes):
+def laps_of(scale, seed=1, raceline=RACELINE, plant="nuc4", **changes):
     """Twenty seconds of laps of the simulated car, as a run, and its true vehicle."""
-    parameters = dataclasses.replace(load_plant("nuc4"), **changes)
+    parameters = dataclasses.replace(load_plant(plant), **changes)
     plant, localization = build_plant(parameters, seed=seed)
     settings = load_controller_parameters("map").with_(speed_scale=scale)
-    controller = build_controller(settings, load_vehicle("nuc4"), RACELINE)
-    samples = race(plant, controller, RACELINE, localization, laps=1).samples
+    controller = build_controller(settings, load_vehicle("nuc4"), raceline)
+    samples = race(plant, controller, raceline, localization, laps=1).samples
     samples = [sample for sample in samples if sample.measured.t < 20.0]
     t = np.array([sample.measured.t for sample in samples])
     issued = np.array([sample.arrival for sample in samples])

@@ -65,3 +65,11 @@ def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
     side = "earlier" if seconds > 0.0 else "later"
     with pytest.raises(IdentificationError, match=f"yaw rate comes .* s {side} than the poses"):
         identify([run], ramps.base, fix=True)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 1.0, 2.0])
+def test_commands_whose_receipts_are_shifted_too_are_refused(ramps, shifted, seconds):
+    run = shifted((DRIVE,), seconds, receipts=True)
+    side = "before" if seconds > 0.0 else "after"
+    with pytest.raises(IdentificationError, match=f"the car turns .* s {side} its steering"):
+        identify([run], ramps.base, fix=True)

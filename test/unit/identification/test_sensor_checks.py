@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from driven_laps import laps_of
 
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
@@ -14,6 +15,9 @@ from map_racing.identification.sensor_checks import check, reason_to_refuse
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag
+from map_racing.track.files.load import load_raceline
+from map_racing.track.raceline import Raceline
+from map_racing.vehicle.parameters import load_vehicle
 
 # What is done to the recording, the check that must see it, and the setup that repairs it.
 FAULTS = {
@@ -278,3 +282,21 @@ def test_fix_is_only_offered_where_there_is_one(ramps):
     x, y = (1e3 * ramps.run.signals[name].value for name in ("x", "y"))
     with pytest.raises(IdentificationError, match="unless a unit is wrong$"):
         identify([_with(ramps.run, x=x, y=y)], ramps.base)
+
+
+def lobes():
+    """A course that bends to one side only."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    radius = 6.0 + 0.8 * np.cos(3.0 * angle)
+    return Raceline(radius * np.cos(angle), radius * np.sin(angle))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("line", [load_raceline("reference"), lobes()], ids=["reference", "lobes"])
+@pytest.mark.parametrize("plant, scale", [("nuc4", 0.7), ("public_simulator", 0.7)])
+def test_few_moments_of_steady_cornering_in_laps_are_no_reason_to_repair(plant, scale, line, seed):
+    """Mostly to one side, so that scale and offset look alike."""
+    vehicle = load_vehicle("nuc4" if plant == "nuc4" else "sim")
+    run, _ = laps_of(scale, seed, line, plant)
+    findings = check([motion_of(run, vehicle)], run.setup, vehicle)
+    assert not [finding.text for finding in findings if finding.contradiction]
