@@ -205,14 +205,19 @@ def lag_of_effect(
     grid = np.arange(at[0], min(at[-1], at[0] + _PART_S), _STEP_S)
     most = round(_FARTHEST_S / _STEP_S)
     wide = grid[0] + _STEP_S * np.arange(-most, grid.size + most)
+    finite, given = np.isfinite(effect), np.isfinite(cause)
+    if np.count_nonzero(finite) < 2 or np.count_nonzero(given) < 2:
+        return None
+    known = np.interp(grid, at, finite.astype(float)) > 0.999
+    effect = np.interp(grid, at[finite], effect[finite])
     last = np.searchsorted(t, wide, side="right") - 1
-    known = np.isfinite(effect)
-    effect = np.interp(grid, at, np.where(known, effect, 0.0))
-    known = np.interp(grid, at, known.astype(float)) > 0.999
-    told = (last >= 0) & (wide <= t[-1] + 1.0)
-    held = np.where(told, cause[np.maximum(last, 0)], 0.0)
-    told &= np.isfinite(held)
-    held = np.where(told, held, 0.0)
+    told = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
+    last = np.searchsorted(t[given], wide, side="right") - 1
+    held = cause[given][np.maximum(last, 0)]
+    # At the ends there is no average around.
+    edge = 0.5 * _SLOW * _STEP_S
+    known &= (grid > grid[0] + edge) & (grid < grid[-1] - edge)
+    told &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
     held, effect = (
         uniform_filter1d(values, _SMOOTH) - uniform_filter1d(values, _SLOW)
         for values in (held, effect)
@@ -221,7 +226,8 @@ def lag_of_effect(
     lags = _STEP_S * np.arange(most, -most - 1, -1)
     possible = (lags >= _EARLIEST_LAG_S) & (lags <= longest_s)
     best, usual = float(np.max(follows)), float(np.max(follows[possible]))
-    if best < _FOLLOWS or 1.0 - best**2 > _PLAIN * (1.0 - max(usual, 0.0) ** 2):
+    plain = best > usual + _AS_GOOD and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
+    if best < _FOLLOWS or not plain:
         return None
     peaks = np.flatnonzero(follows > best - _AS_GOOD)
     nearest = peaks[np.argmin(np.abs(lags[peaks]))]
