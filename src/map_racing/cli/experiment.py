@@ -67,13 +67,8 @@ def run_scaling(arguments: argparse.Namespace) -> None:
     print("\n".join(pairs_lines(against)))
 
     labels = [c.label for c in CONTENDERS]
-    ended = {
-        (row.speed_scale, row.controller): row.days - row.days_completed
-        for row in table.itertuples()
-    }
-    counted = laps[(laps.outcome == "completed") & laps.valid]
     title = f"Velocity scaling: {session.where}, {_laps(arguments)} on each of {session.days}"
-    draw_scaling(session.figures, counted, ended, labels, title)
+    _draw(session, table, laps, labels, title)
     session.report()
 
 
@@ -153,10 +148,19 @@ def run_mpc(arguments):
         print("\n".join(highest_lines(highest)), end="\n\n")
         print("\n".join(aligned(frame_rows(beliefs), left=2)), end="\n\n")
         print("\n".join(aligned(frame_rows(work), left=1)))
-        counted = laps[(laps.outcome == "completed") & laps.valid]
         title = f"MAP and MPC: {session.where}, {_laps(arguments)} on each of {session.days}"
-        draw_scaling(session.figures, counted, {}, labels, title)
+        _draw(session, table, laps, labels, title)
         session.report()
+
+
+def _draw(session, table, laps, labels, title):
+    """Figure of errors and laps over the scale, and of the days not completed."""
+    counted = laps[(laps.outcome == "completed") & laps.valid]
+    ended = {
+        (row.speed_scale, row.controller): row.days - row.days_completed
+        for row in table.itertuples()
+    }
+    draw_scaling(session.figures, counted, ended, labels, title)
 
 
 def frame_rows(frame):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import EvaluationError, ParameterError
+from ..errors import EvaluationError, ParameterError, RacelineError
 from ..evaluation.driven_line import driven_laps, line_of_lap
 from ..evaluation.recordings import load_recording, recorded_raceline
 from ..printing import printable
@@ -13,6 +13,7 @@ from ..track.files.checks import raceline_of
 from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
 from ..track.files.report import facts_text, findings_count, raceline_facts
+from ..track.findings import Finding
 from ..track.map_image import read_map_image
 from ..vehicle.size import size_of
 from .inputs import joined, read_vehicle
@@ -30,7 +31,8 @@ def run_record(arguments):
     sources = joined(arguments.recordings, arguments.join)
     if len(sources) > 1:
         raise ParameterError("expected one recording, or --join for the parts of one")
-    size = size_of(read_vehicle(arguments.vehicle))
+    vehicle = read_vehicle(arguments.vehicle)
+    size = size_of(vehicle)
     recording = load_recording(sources[0], arguments.pose_topic, arguments.columns)
     print(printable(recording.source))
     for note in recording.notes:
@@ -51,19 +53,38 @@ def run_record(arguments):
     if arguments.speeds == "none":
         del columns["speed"]
     table = table._replace(columns=columns)
+    close = []
     if arguments.map:
-        line = raceline_of(table)
-        left, right, findings = walls_from_map(read_map_image(arguments.map), line)
-        print_findings(findings)
-        for key, width in (("d_left", left), ("d_right", right)):
-            columns[key] = np.interp(line.s_points, line.s, width, period=line.length)
+        close = add_walls(table, read_map_image(arguments.map), vehicle)
     line = raceline_of(table)
     for text in facts_text(raceline_facts(line)):
         print(f"  {text}")
-    print_findings(line.findings)
-    print(f"  {findings_count(line.findings)}")
+    findings = [*close, *line.findings]
+    print_findings(findings)
+    print(f"  {findings_count(findings)}")
     save_raceline(line, arguments.output, form, table)
     print(f"{arguments.output}: format {form}, {columns['x'].size} points, {line.length:.3f} m")
+
+
+def add_walls(table, image, vehicle):
+    """Add the walls of a map to a line; a finding if the car that drives it would touch one."""
+    line = raceline_of(table)
+    try:
+        left, right, findings = walls_from_map(image, line)
+    except RacelineError as error:
+        raise RacelineError(f"{error} Or choose another lap with --lap") from None
+    print_findings(findings)
+    for key, width in (("d_left", left), ("d_right", right)):
+        table.columns[key] = np.interp(line.s_points, line.s, width, period=line.length)
+    nearest = np.minimum(left, right)
+    at = int(np.argmin(nearest))
+    if nearest[at] >= 0.5 * vehicle.width:
+        return []
+    text = (
+        f"a wall {nearest[at]:.2f} m from the line at s = {line.s[at]:.1f} m, which a car "
+        f"{vehicle.width:.2f} m wide touches; choose another lap with --lap"
+    )
+    return [Finding("near_wall", "warning", text)]
 
 
 def chosen(laps, wanted, source):

@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from ..bags.samples import Recording
 from ..errors import EvaluationError, ParameterError
@@ -25,12 +26,18 @@ __all__ = ["DrivenLap", "driven_laps", "line_of_lap"]
 _STEP = 0.1
 # Half of the line across the path that a lap passes [m], and places where it is tried.
 _HALF_GATE, _GATES = 1.0, 200
+_SAME_COURSE = 0.7  # cosine of the angle to it
 # Laps whose length differs more from the usual one took another way.
 _USUAL_LENGTH = 0.15
 _SHORTEST_LAP = 3.0  # [m]
 # A lap ends beside its beginning; the line is brought together over this share of it, both ways.
 _CLOSING = 0.25
+# How far apart they are is a mean over this time before and after [s].
+_AROUND = 0.25
 _GRID = 0.02  # [m]
+# Noise lengthens the path from pose to pose. Distances are therefore those along the smooth line,
+# which is made again with them, so many times.
+_PASSES = 4
 _SPACING, _SMOOTHING = 0.1, 1.5  # [m]
 
 
@@ -107,12 +114,12 @@ def _best_passages(t, xy, size):
     steps = np.diff(xy, axis=0)
     s = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
     heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    course = uniform_filter1d(heading, 11, mode="nearest")
     best = None
     for place in np.linspace(0.0, s[-1], _GATES, endpoint=False):
         row = min(int(np.searchsorted(s, place)), len(steps) - 1)
         around = slice(max(row - 5, 0), row + 6)
-        psi = float(np.mean(heading[around]))
-        times, at = _passages(t, s, xy, xy[row], psi, size)
+        times, at = _passages(t, s, xy, course, row, size)
         lengths = np.diff(at)
         if not lengths.size:
             continue
@@ -123,14 +130,16 @@ def _best_passages(t, xy, size):
     return None if best is None else best[1:]
 
 
-def _passages(t, s, xy, gate, psi, size):
-    """Times and distances at which a gate across the heading is passed forwards."""
-    along, across = math.cos(psi), math.sin(psi)
+def _passages(t, s, xy, course, row, size):
+    """Times and distances at which a gate across the course at a row is passed along it."""
+    along, across = math.cos(course[row]), math.sin(course[row])
     half = _HALF_GATE * size.length
-    dx, dy = xy[:, 0] - gate[0], xy[:, 1] - gate[1]
+    dx, dy = (xy - xy[row]).T
     ahead, aside = dx * along + dy * across, dy * along - dx * across
     near = np.hypot(dx, dy) < 2.0 * half
-    rows = np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & near[:-1] & near[1:])
+    # Where the track crosses itself, the gate is passed by the other branch, too.
+    same = np.cos(course - course[row]) > _SAME_COURSE
+    rows = np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & near[:-1] & near[1:] & same)
     share = ahead[rows] / (ahead[rows] - ahead[rows + 1])
     inside = np.abs(aside[rows] + share * (aside[rows + 1] - aside[rows])) < half
     rows, share = rows[inside], share[inside]
@@ -210,36 +219,54 @@ def line_of_lap(
     rows = np.append(rows, t.size - 1)
     z = x[rows] + 1j * y[rows]
     s = np.append(0.0, np.cumsum(np.abs(np.diff(z))))
-    count = max(16, int(round(s[-1] / (_GRID * size.length))))
-    grid = np.arange(count + 1) * (s[-1] / count)
-    z = np.interp(grid, s, z.real) + 1j * np.interp(grid, s, z.imag)
-    z = _smoothed(_closed(z), s[-1], smoothing)
-    path = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(z, z[0])))))
-    speed = _measured_speed(recording, np.interp(grid[:-1], s, t[rows]))
+    gap = _gap(recording, lap, size)
+    for _ in range(_PASSES):
+        grid, line = _smooth_line(s, z, gap, smoothing, _GRID * size.length)
+        path = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(line, line[0])))))
+        s, before = np.interp(s, grid, path), s
+    times = np.interp(grid, before, t[rows])
+    speed = _measured_speed(recording, times[:-1])
     if speed is None:
-        # Noise lengthens the path between poses, but not the smooth line.
-        pace = _smoothed(np.diff(np.interp(grid, s, t[rows])), s[-1], smoothing).real
-        speed = np.diff(path) / pace
-    speed = np.maximum(_smoothed(speed, s[-1], smoothing).real, 0.1)
+        speed = np.diff(path) / _smoothed(np.diff(times), grid[-1], smoothing).real
+    speed = np.maximum(_smoothed(speed, grid[-1], smoothing).real, 0.1)
     points = max(8, int(round(path[-1] / spacing)))
     at = np.arange(points) * (path[-1] / points)
     columns = {
-        "x": np.interp(at, path, np.append(z, z[0]).real),
-        "y": np.interp(at, path, np.append(z, z[0]).imag),
+        "x": np.interp(at, path, np.append(line, line[0]).real),
+        "y": np.interp(at, path, np.append(line, line[0]).imag),
         "speed": np.interp(at, path, np.append(speed, speed[0])),
     }
     what = f"lap {lap.number} of {recording.topic}"
     return RacelineTable(columns, source=f"{recording.source}: {what}", layout=what)
 
 
-def _closed(values):
-    """Values over a lap, the last of which repeats the first: without it, and brought together."""
+def _gap(recording, lap, size):
+    """From the begin of a lap to its end, as a mean of what was driven around both."""
+    around = np.linspace(-1.0, 1.0, 41) * _AROUND * size.time
+    known = (lap.begin + around >= recording.t[0]) & (lap.end + around <= recording.t[-1])
+    x, y = (
+        np.interp(lap.end + around[known], recording.t, column)
+        - np.interp(lap.begin + around[known], recording.t, column)
+        for column in (recording.x, recording.y)
+    )
+    return complex(np.mean(x), np.mean(y))
+
+
+def _smooth_line(s, z, gap, wavelength, step):
+    """Equal steps along a lap, from begin to end, and its smooth line there, but for the end."""
+    count = max(16, int(round(s[-1] / step)))
+    grid = np.arange(count + 1) * (s[-1] / count)
+    z = np.interp(grid, s, z.real) + 1j * np.interp(grid, s, z.imag)
+    return grid, _smoothed(_closed(z, gap), s[-1], wavelength)
+
+
+def _closed(values, gap):
+    """Values over a lap but for the last, brought together where the lap leaves a gap."""
     n = values.size - 1
     place = np.arange(n) / n
     nearest = np.minimum(place, 1.0 - place)
     share = np.where(nearest < _CLOSING, 0.5 + 0.5 * np.cos(np.pi * nearest / _CLOSING), 0.0)
-    shift = 0.5 * (values[-1] - values[0]) * share
-    return values[:-1] + np.where(place < 0.5, shift, -shift)
+    return values[:-1] + np.where(place < 0.5, 0.5, -0.5) * gap * share
 
 
 def _smoothed(values, length, wavelength):

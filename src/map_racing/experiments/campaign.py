@@ -29,11 +29,16 @@ class Plan(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """Cost of a campaign: races driven, races found on disk, processor time of the former [s]."""
+    """Cost of a campaign.
+
+    Races driven, races found on disk, and of the former the processor time [s] and the time that
+    was simulated [s].
+    """
 
     driven: int
     found: int
     cpu_s: float
+    simulated_s: float
 
     def __add__(self, other):
         return Effort(*(a + b for a, b in zip(self, other)))
@@ -91,7 +96,7 @@ def carry_out(
         finally:
             for future in running:
                 future.cancel()
-    return campaign.results, Effort(campaign.driven, campaign.found, campaign.cpu_s)
+    return campaign.results, campaign.effort
 
 
 def _outcome(future):
@@ -113,7 +118,7 @@ class _Campaign:
         self.waiting = deque()
         self.results = [None] * len(plans)
         self.driven = self.found = 0
-        self.cpu_s = 0.0
+        self.cpu_s = self.simulated_s = 0.0
         self._plans, self._store, self._needs = plans, store, (path, bags)
         self._batches = {}  # plan -> results of the jobs it waits for, None if pending
         self._wanted = {}  # fingerprint -> (plan, place in its batch) that waits for it
@@ -126,6 +131,7 @@ class _Campaign:
         self._store.keep(job, executed.result, executed.bag)
         self.driven += 1
         self.cpu_s += executed.cpu_s
+        self.simulated_s += executed.result.duration_s
         for index, place in self._wanted.pop(job.fingerprint):
             self._batches[index][place] = executed.result
             self._done[index] += 1
@@ -157,6 +163,11 @@ class _Campaign:
             if None in results:
                 self._batches[index] = results
                 return
+
+    @property
+    def effort(self):
+        """What it cost, as an `Effort`."""
+        return Effort(self.driven, self.found, self.cpu_s, self.simulated_s)
 
     @property
     def expected(self):

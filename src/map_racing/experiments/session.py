@@ -62,7 +62,7 @@ class Races:
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
         self.figures = make_folder(self.folder / "figures")
         self.store = Store(self.folder, reuse)
-        self.began, self.effort = monotonic(), Effort(0, 0, 0.0)
+        self.began, self.effort = monotonic(), Effort(0, 0, 0.0, 0.0)
         self._jobs, self._scheduler = jobs, scheduler
 
     def carry_out(self, plans, title, **needs):
@@ -74,10 +74,10 @@ class Races:
 
     def report(self):
         """Print how much was computed, and where the results are."""
-        driven, found, cpu_s = self.effort
+        driven, found, cpu_s, simulated_s = self.effort
         print(
-            f"\n{driven} races driven, {found} found on disk; {cpu_s:.0f} s of processor time, "
-            f"{monotonic() - self.began:.0f} s in all"
+            f"\n{driven} races driven, {found} found on disk; {simulated_s:.0f} s simulated in "
+            f"{cpu_s:.0f} s of processor time, {monotonic() - self.began:.0f} s in all"
         )
         print(f"tables, figures and provenance are in {self.folder}")
 

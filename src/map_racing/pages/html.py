@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import MapRacingError
 from ..files import for_json
+from ..printing import printable
 from ..resources import config_directory
 
 __all__ = ["Markup", "document", "escape", "pack", "plotly_script", "table"]
@@ -39,7 +40,8 @@ def escape(text: object) -> str:
     if isinstance(text, float) and text != text:
         return "&ndash;"
     readable = str(text).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    return html.escape(readable, quote=True)
+    # Marks that turn the direction of writing would turn what stands beside them, too.
+    return html.escape(printable(readable, lines=True), quote=True)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence], kind: str = "") -> str:

@@ -3,6 +3,7 @@
 import json
 
 import pandas as pd
+import pytest
 
 from map_racing.cli import experiment, main
 from map_racing.experiments import rivals
@@ -12,6 +13,7 @@ RIVALS = tuple(c for c in rivals.RIVALS if c.label in ("MAP Pacejka", "MPC singl
 
 
 def test_experiment(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("osqp")
     monkeypatch.setattr(experiment, "RIVAL_SCALES", (0.5, 0.6))
     monkeypatch.setattr(experiment, "RIVALS", RIVALS)
     monkeypatch.setattr(rivals, "BELIEFS", rivals.BELIEFS[:2])

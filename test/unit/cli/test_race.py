@@ -35,6 +35,7 @@ def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
 
 
 def test_model_predictive_control_is_raced_recorded_and_evaluated(tmp_path, capsys):
+    pytest.importorskip("osqp")
     bag = str(tmp_path / "mpc.bag")
     sectors = tmp_path / "sectors.yaml"
     sectors.write_text(SECTORS)

@@ -95,3 +95,15 @@ def test_refused(by_hand, tmp_path, refused):
     (by_hand / "moved.yaml").write_text(yaml.safe_dump(moved))
     assert "is it the map of that drive?" in refused(*start, "--map", by_hand / "moved.yaml")
     assert not line.exists()
+
+
+def test_a_lap_along_a_wall_is_told(by_hand, tmp_path, capsys):
+    """Of a car 0.3 m wide on a radius of 1.6 m, 0.1 m from the inner wall; inside it at 1.4 m."""
+    drive(tmp_path / "run.bag", 1.6, (2.0, 3.0))
+    output = tmp_path / "line.csv"
+    assert record(tmp_path, output, "--map", by_hand / "hall.yaml") == 0
+    printed = capsys.readouterr().out
+    assert "from the line at s" in printed and "1 warning" in printed and "touches" in printed
+    drive(tmp_path / "run.bag", 1.4, (2.0, 3.0))
+    assert record(tmp_path, output, "--map", by_hand / "hall.yaml") == 1
+    assert "choose another lap with --lap" in capsys.readouterr().err

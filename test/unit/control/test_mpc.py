@@ -31,6 +31,12 @@ NUC4 = load_vehicle("nuc4")
 GIVEN = load_law("mpc_single_track").with_(delay_s=0.0, grip_use=0.0, speed_scale=1.0)
 
 
+@pytest.fixture
+def solver():
+    """Tests that solve need OSQP, which scripts/test installs."""
+    pytest.importorskip("osqp")
+
+
 def circle(radius, speed, count=400):
     angle = np.arange(count) * 2.0 * math.pi / count
     x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -60,7 +66,7 @@ def test_steps_are_exact():
 
 
 @pytest.mark.parametrize("model", MPC_MODELS)
-def test_a_straight_is_driven_straight(model):
+def test_a_straight_is_driven_straight(solver, model):
     x = np.concatenate([np.linspace(0, 50, 251), np.linspace(50, 0, 251)])
     y = np.concatenate([np.zeros(251), np.full(251, 20.0)])
     controller = build_law(GIVEN.with_(model=model), NUC4, Raceline(x, y, vx_mps=np.full(502, 4.0)))
@@ -73,7 +79,7 @@ def test_a_straight_is_driven_straight(model):
         assert -0.02 > side * angle > -NUC4.delta_max
 
 
-def test_a_circle_is_held_with_the_steady_state_angle():
+def test_a_circle_is_held_with_the_steady_state_angle(solver):
     radius, speed = 4.0, 4.0
     controller = build_law(GIVEN, NUC4, circle(radius, speed))
     steady, _ = build_steering_map("table", NUC4, 12.0).steering(speed, speed**2 / radius)
@@ -97,7 +103,7 @@ def test_a_circle_is_held_with_the_steady_state_angle():
     assert controller.failures == 0
 
 
-def test_a_step_without_solution_follows_the_last_plan():
+def test_a_step_without_solution_follows_the_last_plan(solver):
     controller = build_law(GIVEN.with_(stages=20, stage_s=0.05), NUC4, circle(4.0, 3.0))
     state = on_circle(4.0, 3.0, 0.0, -NUC4.l_r)
     angle = controller.step(state).steering_angle
@@ -113,7 +119,7 @@ def test_a_step_without_solution_follows_the_last_plan():
     assert controller.failures == 44
 
 
-def test_damaged_states_stop():
+def test_damaged_states_stop(solver):
     controller = build_law(GIVEN, NUC4, circle(4.0, 3.0))
     for name in ("t", "x", "psi", "v_x", "r"):
         state = CarState(0.0, 4.0, 0.0, 1.6, 3.0, 0.0, 0.75)._replace(**{name: math.nan})
@@ -123,7 +129,7 @@ def test_damaged_states_stop():
 
 
 @pytest.mark.parametrize("name, error", [("mpc_single_track", 0.03), ("mpc_kinematic", 0.3)])
-def test_a_lap_of_the_reference(name, error):
+def test_a_lap_of_the_reference(solver, name, error):
     plant = load_plant("nuc4")
     raceline = load_raceline("reference")
     controller = build_law(load_law(name), plant.vehicle, raceline)

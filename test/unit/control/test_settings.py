@@ -54,6 +54,7 @@ def test_the_end_of_the_lap_survives_rounding_to_millimeters(track):
 
 
 def test_settings_of_model_predictive_control_come_back(line):
+    pytest.importorskip("osqp")
     controller = build_law(load_law("mpc_single_track"), load_vehicle("nuc4"), line)
     settings = parse_settings(settings_text(controller, name="mpc_single_track"))
     assert settings.controller == controller.parameters and settings.notes == ()

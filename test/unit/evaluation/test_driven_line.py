@@ -126,3 +126,25 @@ def test_laps_of_a_passenger_car_are_those_of_a_small_one_enlarged(track, driven
 def aside(s):
     """More to the left in each lap."""
     return 0.01 * s
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.3, -0.3, 1.5])
+def test_a_crossing_is_no_lap(begin):
+    """A figure of eight passes its middle twice in every lap."""
+    u = begin + 2.0 * np.pi * np.arange(1300) / 500.0  # 2.6 laps
+    length = 36.583  # of x = 6 sin u, y = 6 sin u cos u, by quadrature
+    noise = 0.02 * np.random.RandomState(1).standard_normal((2, u.size))
+    x, y = 6.0 * np.sin(u) + noise[0], 6.0 * np.sin(u) * np.cos(u) + noise[1]
+    drive = recording(0.02 * np.arange(u.size), x, y)
+    laps = driven_laps(drive)
+    assert [lap.end - lap.begin for lap in laps] == pytest.approx([10.0] * len(laps), abs=0.1)
+    assert line_of_lap(drive, laps[0]).xy.shape[0] == pytest.approx(10 * length, abs=3)
+
+
+def test_much_noise_neither_lengthens_nor_bends_the_line(track, driven):
+    """As far from the line as the car moves between two poses."""
+    drive = driven(noise=0.08)
+    line = raceline_of(line_of_lap(drive, driven_laps(drive)[0]))
+    assert line.length == pytest.approx(track.length, rel=0.01)
+    assert 1.0 / np.abs(line.kappa).max() > 0.3
+    assert np.sqrt(np.mean(deviation(track, line) ** 2)) < 0.04  # of noise of 0.11 m

@@ -67,7 +67,7 @@ def test_results_come_in_the_order_of_the_plan(job_of, tmp_path, driven, executo
     plans = [listed(job_of, [1, 2, 3], [4, 5, 6])]
     results, effort = carry_out(plans, Store(tmp_path), executor, 3)
     assert results == [[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]]
-    assert effort == (6, 0, 3.0)
+    assert effort == (6, 0, 3.0, 21.0)
     assert sorted(driven) == [1, 2, 3, 4, 5, 6]
 
 
@@ -94,7 +94,7 @@ def test_what_is_on_disk_is_not_driven(job_of, tmp_path, driven):
     again, effort = carry_out([listed(job_of, [1, 2], [3])], Store(tmp_path), SerialExecutor(), 1)
     assert again == [[*first[0][0], [3.0]]]
     assert driven == [1, 2, 3]
-    assert effort == (1, 2, 0.5)
+    assert effort == (1, 2, 0.5, 3.0)
 
 
 def test_a_plan_without_races_is_done(job_of, tmp_path, driven):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -326,6 +327,7 @@ HANGARS = {
 AUTHORS = {"21 m": (5.362, 0.108), "39 m": (7.741, 0.159)}
 
 
+@lru_cache(maxsize=None)
 def hangar_race(shared_data, name, hangar="21 m", delay_s=0.05, rate=100.0):
     """RMS lateral error [m], median lap time [s] and least clearance [m] of six laps."""
     raceline = load_raceline(shared_data.joinpath(*HANGARS[hangar]))
