@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.identification import delay
 from map_racing.identification.data import Run, Signal, load_run
 from map_racing.identification.delay import delay_data, delay_text, estimate_delays
 from map_racing.resources import find_config
@@ -156,6 +158,29 @@ def test_the_line_of_the_public_simulator(real_time):
     delays = estimate_delays([Run("a.bag", signals)], SIM)
     assert delays.delay.value == pytest.approx(0.03, abs=1e-9)
     assert delays.steering_lag.value == 0.0 and "steps" in delays.steering.reason
+
+
+def test_a_line_is_found_beyond_a_lesser_dip(monkeypatch):
+    """What each number of samples left of three laps at 40 Hz with 8: 10 is a dip, too."""
+    left = {6: 0.08, 7: 0.069, 8: 0.008, 9: 0.097, 10: 0.061, 11: 0.153}
+
+    class Found(dict):
+        noise = {"r": 0.0796}
+
+    def fitted(_, samples, __):
+        found = Found()
+        found.noise = {"r": left[samples]}
+        return found
+
+    for name, stand_in in (
+        ("on_raster", lambda t: True),
+        ("behind_stepping_servo", lambda drive, rate, lock, samples: samples),
+        ("_windows", lambda drives: drives[0]),
+        ("fit_car", fitted),
+    ):
+        monkeypatch.setattr(delay, name, stand_in)
+    drive = SimpleNamespace(measured={"r": SimpleNamespace(t=())})
+    assert delay._stepping([drive], SIM, {}, Found(delay=0.0978)) == 8
 
 
 @pytest.mark.once
