@@ -65,7 +65,7 @@ def run(arguments):
     controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
     supervision = {}
     if arguments.faults:
-        supervision["faults"] = load_faults(arguments.faults)
+        supervision["faults"] = load_faults(arguments.faults, raceline.length)
         supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
@@ -81,6 +81,9 @@ def run(arguments):
     for t, reason, again in log.stops():
         until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
         print(f"stop at {t:.2f} s: {reason.value}; {until}")
+    for fault in supervision.get("faults", ()):
+        if fault.at_s > log.duration:
+            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
     settings = settings_text(
         controller,
         name=arguments.controller,
