@@ -19,6 +19,7 @@ from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import parameter_hash
+from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import ONE_TENTH, size_of
 from .inputs import read_plant, read_vehicle
 from .outputs import check_outputs
@@ -164,4 +165,6 @@ def given_table(path, parameters, vehicle, own):
         f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
         f"the table of {vehicle.name} has {angles[1]:.4f} rad"
     )
+    for doubt in doubts_of_table(table, vehicle):
+        print(f"warning: {doubt}")
     return table
