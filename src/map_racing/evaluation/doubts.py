@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..bags.clocks import lag_of_effect
-from ..bags.samples import Recording, is_odometry_frame
+from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from .results import Lap
 from .speed import speed_of
 
@@ -22,8 +22,6 @@ __all__ = [
 ]
 
 
-# Frames that racelines are in; poses without a frame are taken to be in the map, too.
-_MAPS = ("", "map", "world")
 # Poses that alternate between two places do so after an odd and an even number of samples.
 _ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
@@ -41,7 +39,7 @@ def frame_warning(topic: str, frame: str) -> str:
             f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
             "not those on the track"
         )
-    if frame.rpartition("/")[2] in _MAPS:
+    if is_map_frame(frame):
         return ""
     return (
         f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "

@@ -68,7 +68,7 @@ KINDS = {
     ),
     # odometry
     "velocity_missing": Kind("the velocity is 0"),
-    "velocity_absurd": Kind("the velocity is absurd", "m/s", 1e9, POSITIVE, 1e300),
+    "velocity_absurd": Kind("the velocity is absurd", "m/s", 1e9, POSITIVE, 1e9),
     "velocity_reversed": Kind("the velocity has the wrong sign"),
     "wheel_slip": Kind("the velocity is wrong by a factor", "", 1.3, 0.1, 3.0),
     "yaw_rate_missing": Kind("the yaw rate is 0"),

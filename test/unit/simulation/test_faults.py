@@ -174,6 +174,16 @@ def test_what_a_fault_did_ends_with_it(parameters):
 # -- refusals ------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.default is not None])
+def test_the_range_that_is_told_is_valid(name):
+    kind = KINDS[name]
+    for size in (kind.low, kind.high):
+        assert Fault(name, size=size).size == size
+        beyond = size + (0.01 if size == kind.high else -0.01) * max(abs(size), 1.0)
+        with pytest.raises(ParameterError, match="size: expected"):
+            Fault(name, size=beyond)
+
+
 def test_the_race_says_what_it_cannot_do(parameters):
     for name, kind in KINDS.items():
         for where in ("race", "simulator"):

@@ -153,7 +153,7 @@ NOTICED = {
     "pose_frame": ("pose in another frame", POSE_S),
     "pose_nan": ("pose not finite or absurd", POSE_S),
     "velocity_absurd": ("pose not finite or absurd", POSE_S),
-    "velocity_reversed": ("rolling backwards", 0.5 + 2 * POSE_S),
+    "velocity_reversed": ("heading against the motion", 1.0 / 4.0 + 3 * POSE_S),
     "blocked": ("no motion although commanded", 0.3),
     "stop_requested": ("stop requested", POSE_S),
     "raceline_lost": ("raceline not drivable", POSE_S),
