@@ -34,7 +34,9 @@ __all__ = [
 UNITS = {
     **dict.fromkeys(("m", "rad", "m/s", "rad/s", "m/s^2", "s"), 1.0),
     **{"cm": 0.01, "mm": 0.001, "deg": math.pi / 180.0, "deg/s": math.pi / 180.0},
-    **{"km/h": 1.0 / 3.6, "g": 9.80665, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    **dict.fromkeys(("km/h", "kmh", "kph"), 1.0 / 3.6),
+    **{"mph": 0.44704, "cm/s": 0.01, "mm/s": 0.001, "m/s2": 1.0, "m/s\u00b2": 1.0},
+    **{"g": 9.80665, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
 """Factors to SI units."""
 

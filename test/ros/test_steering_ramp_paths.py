@@ -363,12 +363,17 @@ def test_a_failure_of_the_watch_stops_at_once(car, monkeypatch):
     assert any("the watchdog failed: ZeroDivisionError" in said for said in car.said)
 
 
-def test_the_end_commands_standstill_and_nothing_after_it(car, monkeypatch):
-    monkeypatch.setattr(time, "sleep", lambda _: None)
+def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
+    ends = []
+    monkeypatch.setattr(rospy, "on_shutdown", ends.append)
+    waits = []
+    monkeypatch.setattr(time, "sleep", waits.append)
+    car = make(dead_man=False)
+    assert ends == [car.node._end] and car.drive()[1] == 2.0
     count, angle = len(car.sent), car.angle
     car.node._end()
     last = [(m.drive.steering_angle, m.drive.speed) for m in car.sent[count:]]
-    assert len(last) == 10 and set(last) == {(angle, 0.0)}
+    assert len(last) == 10 and set(last) == {(angle, 0.0)} and waits == [0.02] * 10
     assert car.pose() == []
     car.node._watch(car.clock.time + 1.0)
     assert len(car.sent) == count + 10

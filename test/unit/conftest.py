@@ -1,6 +1,7 @@
 """A track of known length and its bags, races that take a few hundredths of a second, ramps."""
 
 import dataclasses
+import gc
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,12 @@ from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.tires import PacejkaTire
+
+
+def pytest_collection_finish():
+    """What has been imported stays: the collector need not go through it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def _shape(phi):

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import correlate
 
 __all__ = [
     "COMMAND_DELAY_NS",
@@ -34,14 +33,16 @@ _EARLIEST_LAG_S = -0.05
 
 # Variances below this are none.
 _NOTHING = 1e-12
+# Where causes are told less often [s], most of them are missing.
+_SELDOM_S = 0.2
 # How an effect follows its cause is looked for in steps, up to a lag [s], in the first part of a
 # recording [s]. Both are averaged over so many steps, without their average over more: what changes
 # slowly shows no lag, and may not be proportional. Fewer samples show nothing.
 _STEP_S, _FARTHEST_S, _PART_S, _SMOOTH, _SLOW, _FEWEST = 0.02, 20.0, 1200.0, 11, 201, 500
 # It is plain that the lag is impossible if the best of all correlations is so high, and leaves less
 # than this share of what the best possible one leaves. Others that are as good but for so much are
-# those of other laps.
-_FOLLOWS, _PLAIN, _AS_GOOD = 0.8, 0.6, 0.02
+# those of other laps. A correlation about zero above the last tells the sign.
+_FOLLOWS, _PLAIN, _AS_GOOD, _LIKE = 0.8, 0.6, 0.02, 0.3
 
 _SECOND = 10**9
 # The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
@@ -200,28 +201,39 @@ def lag_of_effect(
     float or None
         [s]; None where the lag is possible, or not plain.
     """
-    if t.size < 2 or at.size < 2:
+    if t.size < 2 or at.size < 2 or float(np.median(np.diff(t))) > _SELDOM_S:
         return None
     grid = np.arange(at[0], min(at[-1], at[0] + _PART_S), _STEP_S)
     most = round(_FARTHEST_S / _STEP_S)
     wide = grid[0] + _STEP_S * np.arange(-most, grid.size + most)
+    finite, given = np.isfinite(effect), np.isfinite(cause)
+    if np.count_nonzero(finite) < 2 or np.count_nonzero(given) < 2:
+        return None
+    known = np.interp(grid, at, finite.astype(float)) > 0.999
+    effect = np.interp(grid, at[finite], effect[finite])
     last = np.searchsorted(t, wide, side="right") - 1
-    known = np.isfinite(effect)
-    effect = np.interp(grid, at, np.where(known, effect, 0.0))
-    known = np.interp(grid, at, known.astype(float)) > 0.999
-    told = (last >= 0) & (wide <= t[-1] + 1.0)
-    held = np.where(told, cause[np.maximum(last, 0)], 0.0)
-    told &= np.isfinite(held)
-    held = np.where(told, held, 0.0)
+    told = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
+    last = np.searchsorted(t[given], wide, side="right") - 1
+    held = cause[given][np.maximum(last, 0)]
+    # At the ends there is no average around.
+    edge = 0.5 * _SLOW * _STEP_S
+    known &= (grid > grid[0] + edge) & (grid < grid[-1] - edge)
+    told &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
+    # Most of what a car turns has the sign of its wheels; if not, only the size counts.
+    both = known & told[most : most + grid.size]
+    a, b = held[most : most + grid.size][both], effect[both]
+    signed = float(a @ b) > _LIKE * float(np.sqrt((a @ a) * (b @ b)))
     held, effect = (
         uniform_filter1d(values, _SMOOTH) - uniform_filter1d(values, _SLOW)
         for values in (held, effect)
     )
     follows = _correlation(held, told, effect, known)
+    follows = follows if signed else np.abs(follows)
     lags = _STEP_S * np.arange(most, -most - 1, -1)
     possible = (lags >= _EARLIEST_LAG_S) & (lags <= longest_s)
     best, usual = float(np.max(follows)), float(np.max(follows[possible]))
-    if best < _FOLLOWS or 1.0 - best**2 > _PLAIN * (1.0 - max(usual, 0.0) ** 2):
+    plain = best > usual + _AS_GOOD and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
+    if best < _FOLLOWS or not plain:
         return None
     peaks = np.flatnonzero(follows > best - _AS_GOOD)
     nearest = peaks[np.argmin(np.abs(lags[peaks]))]
@@ -232,10 +244,13 @@ def lag_of_effect(
 
 
 def _correlation(held, told, effect, known):
-    """Size of the correlation of an effect with all parts of its cause that are as long."""
+    """Correlation of an effect with all parts of its cause that are as long."""
 
     def sums(one, other):
-        return correlate(one, other, mode="valid", method="fft")
+        # SciPy's does the same, but takes longer to import than all else that the nodes need of it.
+        size = 1 << (one.size - 1).bit_length()
+        product = np.fft.rfft(one, size) * np.conj(np.fft.rfft(other, size))
+        return np.fft.irfft(product, size)[: one.size - other.size + 1]
 
     held = np.where(told, held - (np.mean(held[told]) if told.any() else 0.0), 0.0)
     effect = np.where(known, effect - (np.mean(effect[known]) if known.any() else 0.0), 0.0)
@@ -246,5 +261,4 @@ def _correlation(held, told, effect, known):
     with np.errstate(divide="ignore", invalid="ignore"):
         result = (sums(held, effect) / count - a * b) / np.sqrt(variances)
     enough = count > max(_FEWEST, 0.5 * float(np.max(count)))
-    # A sign that is wrong is not a matter of clocks.
-    return np.where(enough & (variances > _NOTHING), np.abs(result), 0.0)
+    return np.where(enough & (variances > _NOTHING), result, 0.0)

@@ -16,8 +16,9 @@ __all__ = ["Source", "is_bag", "open_bag", "source_name"]
 Source = Union[str, Path, Sequence[Union[str, Path]]]
 """A bag, or several that are the parts of one run."""
 
-# Parts follow each other within this time [ns]; more is said, and longer overlaps are refused.
-_PAUSE_NS = 10**9
+# Parts follow each other within this time [ns]; more is said. Longer overlaps are refused, and
+# pauses of an hour.
+_PAUSE_NS, _OTHER_RUN_NS = 10**9, 3600 * 10**9
 
 
 def is_bag(path: str | Path) -> bool:
@@ -115,6 +116,8 @@ class _JoinedBag(Bag):
             names = f"{before.path.name} and {after.path.name}"
             if pause < -_PAUSE_NS:
                 raise BagError(f"{self.path}: {names} overlap by {-pause * 1e-9:.1f} s: two runs?")
+            if pause > _OTHER_RUN_NS:
+                raise BagError(f"{self.path}: {names} are {pause * 1e-9:.0f} s apart: two runs?")
             if pause > _PAUSE_NS:
                 self._notes.append(f"warning: {pause * 1e-9:.1f} s missing between {names}")
 

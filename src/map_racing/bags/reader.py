@@ -12,7 +12,7 @@ from ..errors import BagError
 from . import messages as msg
 from .clocks import COMMAND_DELAY_NS, stamps_are_unusable
 from .opening import Source, open_bag, source_name
-from .samples import Beliefs, Commands, Recording
+from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
 from .topics import drive_connections, imu_topic, pose_sources
 from .waypoints import WaypointCollection
@@ -134,6 +134,12 @@ def _read(path, bag, source, notes):
         beliefs = Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
     first = waypoints.best()
     later = waypoints.later.get(first.topic, []) if first else []
+    frame = waypoints.frames[first.topic] if first else ""
+    if not is_map_frame(frame) and frame != source.frame:
+        notes.append(
+            f"warning: {first.topic} is in frame {frame}, the poses in {source.frame or 'map'}: "
+            "the lateral errors are those on the track only if both are the same"
+        )
     at = np.array([received for received, _ in later], dtype=np.int64)
     at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
     return Recording(

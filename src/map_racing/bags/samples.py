@@ -18,6 +18,7 @@ __all__ = [
     "Recording",
     "Waypoints",
     "in_order",
+    "is_map_frame",
     "is_odometry_frame",
     "jump_back",
     "usable",
@@ -26,6 +27,7 @@ __all__ = [
 COMMAND_HOLD_S = 1.5
 """An older drive command [s] is not in force: no driver heeds it."""
 
+_MAPS = ("", "map", "world")
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
 _JITTER = 1.0
@@ -152,6 +154,11 @@ class Recording:
     later_waypoints: list[tuple[float, Waypoints]] = field(default_factory=list)
     clock: Clock | None = None
     notes: list[str] = field(default_factory=list)
+
+
+def is_map_frame(frame: str) -> bool:
+    """Whether a frame is one that racelines are in; without a name it is taken for the map."""
+    return frame.rpartition("/")[2] in _MAPS
 
 
 def is_odometry_frame(frame: str) -> bool:

@@ -168,8 +168,11 @@ class RecordedTransforms:
         return tree
 
     def clock(self, parent: str, child: str, received: bool) -> Clock:
-        """Clock of the link between two frames that is sent most often."""
+        """Clock of the link between two frames that is sent most often; empty if all are static."""
         links = self.links(parent, child)
+        if not links:
+            nothing = np.zeros(0, dtype=np.int64)
+            return Clock(nothing, nothing, received)
         offsets = _offsets(links)
         name = max(links, key=lambda name: links[name][0].size)
         stamps, times = links[name]

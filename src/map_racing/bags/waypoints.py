@@ -80,6 +80,8 @@ class WaypointCollection:
         Columns of the first waypoints by topic.
     later : dict of str to list of (int, dict)
         Times of receipt [ns] and columns of different waypoints that came later, by topic.
+    frames : dict of str to str
+        Frames of these waypoints by topic.
     notes : list of str
         What could not be read.
     """
@@ -91,6 +93,7 @@ class WaypointCollection:
         )
         self.columns: dict[str, dict] = {}
         self.later: dict[str, list[tuple[int, dict]]] = {}
+        self.frames: dict[str, str] = {}
         self.notes: list[str] = []
         self._bodies: dict[str, bytes] = {}
 
@@ -117,6 +120,7 @@ class WaypointCollection:
         elif len(columns.get("x_m", ())) and "y_m" in columns:
             if topic not in self.columns:
                 self.columns[topic] = columns
+                self.frames[topic] = msg.decode_header(message.data)[1]
             else:
                 self.later.setdefault(topic, []).append((message.time_ns, columns))
 

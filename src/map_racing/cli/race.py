@@ -19,6 +19,7 @@ from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import parameter_hash
+from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import ONE_TENTH, size_of
 from .inputs import read_plant, read_vehicle
 from .outputs import check_outputs
@@ -64,7 +65,7 @@ def run(arguments):
     controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
     supervision = {}
     if arguments.faults:
-        supervision["faults"] = load_faults(arguments.faults)
+        supervision["faults"] = load_faults(arguments.faults, raceline.length)
         supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
@@ -80,6 +81,9 @@ def run(arguments):
     for t, reason, again in log.stops():
         until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
         print(f"stop at {t:.2f} s: {reason.value}; {until}")
+    for fault in supervision.get("faults", ()):
+        if fault.at_s > log.duration:
+            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
     settings = settings_text(
         controller,
         name=arguments.controller,
@@ -161,4 +165,6 @@ def given_table(path, parameters, vehicle, own):
         f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
         f"the table of {vehicle.name} has {angles[1]:.4f} rad"
     )
+    for doubt in doubts_of_table(table, vehicle):
+        print(f"warning: {doubt}")
     return table

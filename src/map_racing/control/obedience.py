@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["MOVING", "ROLLING", "SETTLING", "Obedience", "PoseMotion"]
+__all__ = ["MOVING", "ROLLING", "SETTLING", "Course", "Obedience", "PoseMotion"]
 
 # Above this speed [m/s] grip, not the steering lock, limits the turn, and the pose must change.
 MOVING = 1.0
@@ -20,6 +20,9 @@ JITTER = 0.003
 MEMORY = 3.0
 # No more than this distance is held against a pose [m]: a car that is carried away moves again.
 MOST_DRIVEN = 1.0
+
+# The way between positions so far apart [m] has a direction.
+APART = 0.5
 
 # The command is followed where the car gets this share of the way that it should ...
 FOLLOWED = 0.2
@@ -79,6 +82,40 @@ class PoseMotion:
         elif not (fast or (self._speed and now - self._changed < MEMORY)):
             self._changed, self._driven, self._speed = now, 0.0, 0.0
         return now - self._changed
+
+
+class Course:
+    """Compares the heading of the poses with the way that their positions take."""
+
+    def __init__(self):
+        self._last, self._angles = None, (0.0, 0.0)
+
+    def aside(self, x: float, y: float, psi: float, v_x: float, jumped: bool = False) -> float:
+        """Angle [rad] between both; 0 below 1 m/s, where it is noise.
+
+        Of the last two half meters the smaller one: a small correction of the position is in one.
+
+        Parameters
+        ----------
+        x, y : float
+            Position [m].
+        psi : float
+            Heading [rad].
+        v_x : float
+            Speed [m/s]; negative where the car rolls backwards.
+        jumped : bool, optional
+            Whether the pose jumped: then the way begins anew.
+        """
+        if self._last is None or jumped or abs(v_x) < MOVING:
+            self._last, self._angles = (x, y, psi), (0.0, 0.0)
+            return 0.0
+        x_0, y_0, psi_0 = self._last
+        if math.hypot(x - x_0, y - y_0) >= APART:
+            heading = psi_0 + 0.5 * math.remainder(psi - psi_0, math.tau)
+            way = math.atan2(y - y_0, x - x_0) + (math.pi if v_x < 0.0 else 0.0)
+            self._angles = self._angles[1], abs(math.remainder(way - heading, math.tau))
+            self._last = x, y, psi
+        return min(self._angles)
 
 
 class Obedience:

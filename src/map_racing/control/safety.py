@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.size import size_of
 from .controller import ControlResult, Status
-from .obedience import MOVING, ROLLING, SETTLING, Obedience, PoseMotion
+from .obedience import MOVING, ROLLING, SETTLING, Course, Obedience, PoseMotion
 from .slowing import Slowing
 from .speed_plan import WALKING_PACE
 from .state import CarState
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
 
-# A car that did not move as commanded rests for this long [s] before it tries again.
+# A car that did not move as commanded, or not to where its pose points, rests for this long [s]
+# before it tries again.
 REST = 3.0
 
 # Unless twice its largest speed is more, no car drives or turns faster [m/s, rad/s].
@@ -74,6 +75,7 @@ class Reason(Enum):
     STALE_POSE = "pose too old"
     FROZEN_POSE = "pose frozen while moving"
     JUMP = "pose jumped"
+    HEADING = "heading against the motion"
     BACKWARDS = "rolling backwards"
     BLOCKED = "no motion although commanded"
     INVALID_RACELINE = "raceline not drivable"
@@ -105,7 +107,8 @@ class SafetyLimits:
         default=0.5,
     )
     max_turn_rad: float = parameter(
-        "Largest jump of the heading beyond what the car can have turned",
+        "Largest jump of the heading beyond what the car can have turned, and largest angle "
+        "between heading and motion",
         "rad",
         low=POSITIVE,
         tuning=(0.05, 3.2),
@@ -233,7 +236,7 @@ class Supervisor:
         self._pose = None
         self._speed = self._measured = self._rise = 0.0
         self._now = self._arrival = None
-        self._motion, self._obedience = PoseMotion(), Obedience()
+        self._motion, self._course, self._obedience = PoseMotion(), Course(), Obedience()
         self._blocked = self._slows = False
         self._saturated_since = self._stopped_since = None
         self._command = (0.0, 0.0)  # steering angle, speed
@@ -257,7 +260,8 @@ class Supervisor:
         """Drive again after a stop that waits for it; do not wait for one that rests."""
         self._requests.clear()
         self._failed = self._lost_grip = self._overspeed = False
-        self._seen.pop(Reason.BLOCKED, None)
+        for reason in _RESTS:
+            self._seen.pop(reason, None)
         self._saturated_since = None
 
     def raceline_changed(self, valid: bool, opposed: bool = False) -> None:
@@ -320,6 +324,9 @@ class Supervisor:
         frozen = self._motion.frozen(now, x, y, v_x, self.jumped)
         if frozen > limits.max_pose_age_s:
             self._seen[Reason.FROZEN_POSE] = now
+            trusted = False
+        if self._course.aside(x, y, psi, v_x, self.jumped) > limits.max_turn_rad:
+            self._seen[Reason.HEADING] = now
             trusted = False
         if now - self._seen.get(Reason.JUMP, -math.inf) <= SETTLING:
             trusted = False
@@ -478,7 +485,7 @@ class Supervisor:
         recent = [
             reason
             for reason, seen in self._seen.items()
-            if now - seen <= (max(REST, limit) if reason is Reason.BLOCKED else limit)
+            if now - seen <= (max(REST, limit) if reason in _RESTS else limit)
         ]
         self._seen = {reason: self._seen[reason] for reason in recent}
         if self._failed:
@@ -502,7 +509,8 @@ class Supervisor:
         if self.mode is Mode.WAITING and not drives:
             return angle, 0.0
         last_angle, speed = self._command
-        elapsed = 0.0 if self._commanded is None else min(now - self._commanded, LONGEST_STEP)
+        elapsed = 0.0 if self._commanded is None else now - self._commanded
+        elapsed = min(max(elapsed, 0.0), LONGEST_STEP)  # a clock may go back a little
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows)
         if self._slowing is not None and not slows:
@@ -539,4 +547,5 @@ class Supervisor:
         return angle, 0.0
 
 
+_RESTS = (Reason.BLOCKED, Reason.HEADING)
 _ORDER = {reason: number for number, reason in enumerate(Reason)}

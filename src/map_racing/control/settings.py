@@ -17,7 +17,9 @@ from ..printing import printable
 from ..track.findings import raceline_warnings
 from ..track.raceline import Raceline
 from ..validation import finite
+from ..vehicle.lookup import LookupTable
 from ..vehicle.parameters import Vehicle, parameter_hash, vehicle_of, vehicle_values
+from ..vehicle.plausibility import doubts_of_table
 from .controller import Controller
 from .laws import build_law
 from .parameters import ControllerParameters, MpcParameters, parameter_values, parameters_of
@@ -97,12 +99,15 @@ class Settings:
 def doubts_of(controller: Controller) -> list[str]:
     """What makes it doubtful that a controller drives with what was meant.
 
-    Warnings about the vehicle file, the raceline and the speed sectors.
+    Warnings about the vehicle file, the lookup table, the raceline and the speed sectors.
     """
     vehicle, raceline, sectors = controller.vehicle, controller.raceline, controller.sectors
     mark = "warning: "
     doubts = [note[len(mark) :] for note in vehicle.notes if note.startswith(mark)]
     doubts = [f"vehicle {vehicle.name}: {doubt}" for doubt in doubts]
+    table = getattr(controller, "steering_map", None)
+    if isinstance(table, LookupTable):
+        doubts += doubts_of_table(table, vehicle)
     if raceline is not None:
         doubts += raceline_warnings(raceline)
     return doubts + list(sectors.doubts if sectors is not None else ())

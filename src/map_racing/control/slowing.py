@@ -96,7 +96,11 @@ class Slowing:
         most = min(self._grip.steering(v, share * self._peak)[0], self.delta_max)
         angle = min(max(angle, -most), most)
         slew = self._rate * elapsed
-        return min(max(angle, last - slew), last + slew)
+        angle = min(max(angle, last - slew), last + slew)
+        if self.always:  # also where the measured speed rises at once
+            most = self.largest(v)
+            angle = min(max(angle, -most), most)
+        return angle
 
     def braking(self, v: float, angle: float) -> float:
         """Deceleration that the tires hold beside a steering angle [m/s^2]."""

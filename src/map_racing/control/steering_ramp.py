@@ -346,7 +346,7 @@ class SteeringRamp:
     def _average_gain(self, v, r, elapsed):
         """Curvature of the path by steering angle [1/(m rad)], averaged over a short time."""
         if math.isfinite(r):
-            share = min(elapsed / AVERAGED_S, 1.0)
+            share = elapsed / AVERAGED_S
             self._turned += share * (r - self._turned)
             self._steered += share * (v * self._angle - self._steered)
         return self._turned / self._steered if self._steered else 0.0

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..bags.clocks import lag_of_effect
-from ..bags.samples import Recording, is_odometry_frame
+from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from .results import Lap
 from .speed import speed_of
 
@@ -15,18 +15,19 @@ __all__ = [
     "alternation",
     "bunches",
     "command_clock",
+    "command_units",
     "frame_warning",
     "speed_warning",
     "uncommanded",
 ]
 
 
-# Frames that racelines are in; poses without a frame are taken to be in the map, too.
-_MAPS = ("", "map", "world")
 # Poses that alternate between two places do so after an odd and an even number of samples.
 _ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
+# No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
+_FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
 # Speed [m/s] of a car that drives; and how far the wheels may be off, typically, as they slip.
 _MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.4
 
@@ -38,7 +39,7 @@ def frame_warning(topic: str, frame: str) -> str:
             f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
             "not those on the track"
         )
-    if frame.rpartition("/")[2] in _MAPS:
+    if is_map_frame(frame):
         return ""
     return (
         f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "
@@ -117,6 +118,35 @@ def command_clock(recording: Recording) -> str:
         f"{commands.topic}: the car turns {abs(lag):.2f} s {when} its steering commands: they are "
         "of another clock, so speed errors compare different moments"
     )
+
+
+def command_units(recording: Recording) -> list[str]:
+    """Doubts about commands that are no angles in radians, or no speeds in m/s."""
+    commands, doubts = recording.commands, []
+    if commands is None:
+        return doubts
+    angles = np.abs(commands.steering_angle[np.isfinite(commands.steering_angle)])
+    if angles.size and np.percentile(angles, 90.0) > _FARTHEST_ANGLE:
+        widest = float(np.percentile(angles, 90.0))
+        doubts.append(
+            f"{commands.topic}: steering angles of {widest:.3g} rad: in degrees? The steering rate "
+            "is in the same unit"
+        )
+    nothing = np.full(recording.t.size, math.nan)
+    driven = speed_of(recording.t, recording.x, recording.y, nothing)
+    told = commands.held(recording.t, commands.speed)
+    with np.errstate(invalid="ignore"):
+        moving = (driven > _MOVING) & (told > _MOVING)
+    if np.count_nonzero(moving) < 10:
+        return doubts
+    ratio = float(np.median(told[moving] / driven[moving]))
+    if not 1.0 / _OBEYS < ratio < _OBEYS:
+        hint = ": in km/h?" if abs(ratio / 3.6 - 1.0) < 0.2 else ""
+        doubts.append(
+            f"{commands.topic}: the speed commanded is {ratio:.2f} times the motion of the poses"
+            f"{hint}"
+        )
+    return doubts
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:

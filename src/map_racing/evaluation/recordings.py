@@ -51,8 +51,14 @@ _ALIASES = {
         *("yaw_rate", "r", "wz", "omega", "angular_vel_z", "yaw_rate_radps"),
         "twist.twist.angular.z",
     ),
-    "steering": ("steering", "steering_command", "delta", "delta_rad", "angular_control"),
-    "speed_command": ("speed_command", "v_command", "translational_control"),
+    "steering": (
+        *("steering", "steering_command", "steering_cmd", "delta", "delta_rad"),
+        *("angular_control", "drive.steering_angle", "steering_angle", "steer"),
+    ),
+    "speed_command": (
+        *("speed_command", "speed_cmd", "cmd_speed", "v_command", "v_cmd", "target_speed"),
+        *("desired_speed", "translational_control", "drive.speed"),
+    ),
 }
 # Read besides, where a file has them: the orientation, and the time of receipt of a message.
 _QUATERNION = {
@@ -68,8 +74,8 @@ _REQUIRED = ("t", "x", "y")
 _LATEST = 9.2e9
 # Nanoseconds since 1970, from 1973 on.
 _SINCE_1970 = 1e17
-# Longer times between most rows [s] are in another unit.
-_SLOWEST = 1000.0
+# Longer times between most rows [s] are in another unit, or tell nothing.
+_SLOWEST = 6.0
 
 
 def load_recording(

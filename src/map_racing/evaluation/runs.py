@@ -15,6 +15,7 @@ from .doubts import (
     alternation,
     bunches,
     command_clock,
+    command_units,
     frame_warning,
     speed_warning,
     uncommanded,
@@ -147,6 +148,7 @@ def evaluate(
         bunches(recording.topic, recording.t),
         speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
         command_clock(recording),
+        *command_units(recording),
     ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)

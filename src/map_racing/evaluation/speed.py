@@ -8,6 +8,9 @@ __all__ = ["speed_of"]
 
 # A pose that is repeated for longer [s] is of a car that stands.
 _REPEATED = 0.25
+# Times between samples vary if they are typically off by more than this share; then so many samples
+# to both sides count.
+_VARIED, _REACH = 0.15, 4
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
 
@@ -31,9 +34,24 @@ def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.n
     # any speed: it is taken over the time between the others.
     kept = _fresh(t, x, y)
     kept = kept[_apart(t[kept])]
-    moving = np.hypot(np.diff(x[kept]), np.diff(y[kept])) / np.diff(t[kept])
-    speed = 0.5 * (np.append(moving[:1], moving) + np.append(moving, moving[-1:]))
+    speed = _differences(t[kept], x[kept], y[kept])
     return speed if kept.size == t.size else np.interp(t, t[kept], speed)
+
+
+def _differences(t, x, y):
+    """Distance per time from the sample before to the one behind.
+
+    The mean over time is then the distance per time of all. Where the times between samples vary,
+    as of stamps that are given on receipt, the difference is over more samples.
+    """
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    varied = float(np.median(np.abs(steps - usual))) > _VARIED * usual
+    reach = _REACH if varied else 1
+    way = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    index = np.arange(t.size)
+    before, behind = np.maximum(index - reach, 0), np.minimum(index + reach, t.size - 1)
+    return (way[behind] - way[before]) / (t[behind] - t[before])
 
 
 def _fresh(t, x, y):

@@ -359,8 +359,10 @@ def _runs(recording, options):
         "car_width": options.car_width,
         "limits": LapLimits(max_deviation=options.max_deviation),
     }
-    if recording.waypoints is not None or not options.tracks:
+    if recording.waypoints is not None:
         return evaluate_runs(recording, **more)
+    if not options.tracks:
+        raise EvaluationError(f"{recording.source}: no raceline in it; give its track by --tracks")
     for source in options.tracks:
         try:
             return evaluate_runs(recording, _track(source), source, **more)

@@ -36,6 +36,8 @@ LEAST_SHARE = 0.8
 # A servo that steps, behind so many samples, must leave less than this share of the residuals that
 # one sample more or less leaves, and less than one with a lag.
 STEPPING = 0.9
+# So many samples fewer than the fit with a lag has are tried, too.
+STEPS_AROUND = 3
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
@@ -256,7 +258,8 @@ def _stepping(drives, vehicle, beliefs, found):
         return fit_car(free, _windows(stepped), held).noise["r"]
 
     about = round(found["delay"] / SAMPLE_S)
-    noise = {samples: noise_behind(samples) for samples in range(about - 1, about + 2)}
+    around = range(about - STEPS_AROUND, about + 2)
+    noise = {samples: noise_behind(samples) for samples in around}
     while True:
         best = min(noise, key=noise.get)
         beside = [samples for samples in (best - 1, best + 1) if samples not in noise]

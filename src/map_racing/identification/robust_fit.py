@@ -115,14 +115,14 @@ def fit(
         begin = problem.center.copy()
         for name, value in start.items():
             begin[problem.names.index(name)] = value
-        solved = problem.minimize(begin, noise, ROUGH)
-        if best is None or solved[1] < best[1]:
+        solved = problem.minimize(begin, problem.errors(begin), noise, ROUGH)
+        if best is None or solved[2] < best[2]:
             best = solved
-    theta = best[0]
+    theta, errors, _ = best
     for _ in range(2):
-        noise = problem.noise_at(theta)
-        theta, _ = problem.minimize(theta, noise, FINE)
-    return problem.result(theta, noise)
+        noise = problem.noise_of(errors)
+        theta, errors, _ = problem.minimize(theta, errors, noise, FINE)
+    return problem.result(theta, errors, noise)
 
 
 class _Problem:
@@ -138,20 +138,22 @@ class _Problem:
         self.window = np.concatenate([columns[0] for columns in observed.values()])
         self.measured = {name: columns[-1] for name, columns in observed.items()}
 
-    def errors(self, lanes):
-        """Predicted minus measured, by quantity."""
+    def errors(self, theta):
+        """Predicted minus measured, by quantity: at `theta`, and a step of each parameter away."""
+        free = self.free
+        lanes = np.repeat(theta[None], free.size + 1, axis=0)
+        lanes[np.arange(1, free.size + 1), free] += self.steps(theta)
         found = self.predict(lanes)
         return {name: found[name] - values for name, values in self.measured.items()}
 
-    def linearized(self, theta, noise):
+    def steps(self, theta):
+        """Steps of the free parameters for the Jacobian, within the bounds."""
+        return np.where(theta + self.step > self.high, -self.step, self.step)[self.free]
+
+    def linearized(self, theta, errors, noise):
         """Residuals in standard deviations, and their Jacobian."""
-        free = self.free
-        steps = np.where(theta + self.step > self.high, -self.step, self.step)[free]
-        lanes = np.repeat(theta[None], free.size + 1, axis=0)
-        lanes[np.arange(1, free.size + 1), free] += steps
-        errors = self.errors(lanes)
         rows = np.concatenate([errors[name] / noise[name] for name in errors], axis=1)
-        return rows[0], ((rows[1:] - rows[0]) / steps[:, None]).T
+        return rows[0], ((rows[1:] - rows[0]) / self.steps(theta)[:, None]).T
 
     def cost(self, theta, residual):
         size = np.abs(residual)
@@ -168,10 +170,10 @@ class _Problem:
         gradient = weighted.T @ residual + self.precision * away
         return information, information + np.diag(self.precision), gradient
 
-    def minimize(self, theta, noise, tolerance):
-        """The minimum near `theta`, and its cost."""
+    def minimize(self, theta, errors, noise, tolerance):
+        """The minimum near `theta`, where the errors are known; its errors, and its cost."""
         low, high = self.low[self.free], self.high[self.free]
-        residual, jacobian = self.linearized(theta, noise)
+        residual, jacobian = self.linearized(theta, errors, noise)
         cost, damping = self.cost(theta, residual), 1e-3
         for _ in range(MOST_STEPS):
             _, hessian, gradient = self.normal(theta, residual, jacobian)
@@ -183,11 +185,12 @@ class _Problem:
             tried = theta.copy()
             tried[self.free[loose]] -= np.linalg.solve(system, gradient[loose])
             tried = np.clip(tried, self.low, self.high)
-            there, slope = self.linearized(tried, noise)
+            found = self.errors(tried)
+            there, slope = self.linearized(tried, found, noise)
             reached = self.cost(tried, there)
             if reached < cost:
                 small = cost - reached < tolerance * cost
-                theta, residual, jacobian, cost = tried, there, slope, reached
+                theta, errors, residual, jacobian, cost = tried, found, there, slope, reached
                 damping = max(0.1 * damping, 1e-6)
                 if small:
                     break
@@ -195,18 +198,18 @@ class _Problem:
                 damping *= 10.0
                 if damping > 1e3:
                     break
-        return theta, cost
+        return theta, errors, cost
 
-    def noise_at(self, theta):
+    def noise_of(self, errors):
         """Standard deviations of the errors, from their medians."""
         return {
             name: max(1.4826 * float(np.median(np.abs(values))), LEAST_NOISE)
-            for name, values in self.errors(theta[None]).items()
+            for name, (values, *_) in errors.items()
         }
 
-    def result(self, theta, noise):
+    def result(self, theta, errors, noise):
         """The fit at the minimum."""
-        residual, jacobian = self.linearized(theta, noise)
+        residual, jacobian = self.linearized(theta, errors, noise)
         information, hessian, _ = self.normal(theta, residual, jacobian)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
         windows = int(np.max(self.window)) + 1

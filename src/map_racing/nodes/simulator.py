@@ -68,7 +68,8 @@ class SimulatorNode:
             rospy.logwarn("~plant: its vehicle %s: %s", parameters.vehicle.name, note)
         plant, localization = build_plant(parameters, seed)
         schedule = get_parameter("faults", "", "schedule of faults, a YAML file; empty: none")
-        self._faults = Faults(load_faults(schedule) if schedule else (), plant, "simulator", seed)
+        faults = load_faults(schedule, raceline.length) if schedule else ()
+        self._faults = Faults(faults, plant, "simulator", seed)
         car = SimulatedCar(plant, localization, faults=self._faults)
         self._car, self._second = DrivenCar(car, raceline, self._on_faults), None
         start = raceline.pose(start_s)

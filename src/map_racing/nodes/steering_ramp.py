@@ -80,7 +80,7 @@ class SteeringRampNode:
         self._angle = 0.0
         self._ended = False
         self._sender = FirstSender(rospy.resolve_name("odom"))
-        self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=1)
+        self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=10)
         rospy.on_shutdown(self._end)
         if self._dead_man:
             rospy.Subscriber("joy", Joy, self._on_joy, queue_size=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import asdict
 from datetime import datetime, timezone
 
@@ -12,7 +13,7 @@ from .. import __version__
 from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
 from ..evaluation.places import costliest
 from ..vehicle.single_track import GRAVITY
-from .html import document, escape, pack, plotly_script, table
+from .html import Markup, document, escape, pack, plotly_script, table
 from .next_heat import advice_of, car_section, speeds_section
 
 __all__ = ["report_page"]
@@ -100,7 +101,8 @@ def _some(laps, most, best=None):
 
 
 def _head(title, runs):
-    facts = [_track_name(runs[0])]
+    tracks = list(dict.fromkeys(_track_name(run) for run in runs))
+    facts = ["; ".join(tracks[:3]) + ("; ..." if tracks[3:] else "")]
     # Earlier dates are those of clocks that were never set, and of simulated time.
     stamps = [run.recording.t0_ns for run in runs if run.recording.t0_ns > _DATED]
     if stamps:
@@ -132,7 +134,7 @@ def _first_screen(runs, compared):
         summary, best = run.result.summary, run.profile.best
         rows.append(
             [
-                *([run.name] if len(runs) > 1 else []),
+                *([_breaking(run.name)] if len(runs) > 1 else []),
                 f"{summary.laps_completed} of {len(run.result.laps)}",
                 f"{best.lap.lap_time_s:.3f} s (lap {best.lap.lap})" if best else "none",
                 f"{run.ideal.time_s:.3f} s" if run.ideal else "–",
@@ -160,6 +162,11 @@ def _first_screen(runs, compared):
             parts.append(_place_list(i, j, reference, places, runs[i]))
     parts.append("</section>\n")
     return "".join(parts)
+
+
+def _breaking(name):
+    """A name that may go on in another line behind its parts."""
+    return Markup(re.sub("[_./-]", r"\g<0><wbr>", escape(name)))
 
 
 def _place_list(i, j, reference, places, run):

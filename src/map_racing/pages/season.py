@@ -14,7 +14,7 @@ __all__ = ["season_page"]
 
 # Okabe and Ito, which the color-blind can tell apart; then again.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-_WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 900, 220, 56, 26, 24
+_WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 640, 200, 70, 28, 28
 _MANY = 150  # points that are drawn smaller
 _TRENDS = (
     ("best_lap_time_s", "best lap [s]"),
@@ -34,7 +34,7 @@ _TABLE = (
     ("mean_lap_time_s", "mean [s]", "{:.3f}"),
     ("rms_lateral_error_m", "RMS error [m]", "{:.3f}"),
     ("stops", "stops", "{:.0f}"),
-    ("reason", "not read because, or doubtful", "{}"),
+    ("reason", "remarks", "{}"),
 )
 
 
@@ -118,8 +118,8 @@ def _trend(name, count, points, colors):
         return x, _TOP + (bottom - _TOP) * (high - value) / (high - low)
 
     parts = [
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="max-width:{_WIDTH}px" '
-        f'role="img" aria-label="{escape(name)} over the heats" font-size="12">\n'
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" class="trend" '
+        f'role="img" aria-label="{escape(name)} over the heats">\n'
     ]
     for tick in _ticks(low, high):
         _, y = place(0, tick)

@@ -68,7 +68,7 @@ KINDS = {
     ),
     # odometry
     "velocity_missing": Kind("the velocity is 0"),
-    "velocity_absurd": Kind("the velocity is absurd", "m/s", 1e9, POSITIVE, 1e300),
+    "velocity_absurd": Kind("the velocity is absurd", "m/s", 1e9, POSITIVE, 1e9),
     "velocity_reversed": Kind("the velocity has the wrong sign"),
     "wheel_slip": Kind("the velocity is wrong by a factor", "", 1.3, 0.1, 3.0),
     "yaw_rate_missing": Kind("the yaw rate is 0"),
@@ -175,8 +175,14 @@ class Fault:
         return begin == end or (begin <= s < end if begin < end else s >= begin or s < end)
 
 
-def load_faults(path: str | Path) -> list[Fault]:
+def load_faults(path: str | Path, lap: float = math.inf) -> list[Fault]:
     """Read a schedule: a YAML file with the list ``faults`` of mappings with the names of `Fault`.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+    lap : float, optional
+        Length of the raceline [m], on which all places have to be.
 
     Raises
     ------
@@ -186,11 +192,13 @@ def load_faults(path: str | Path) -> list[Fault]:
         For an unknown name or an impossible value, naming entry and field.
     """
     values = read_yaml_mapping(path)
-    entries = values.get("faults")
-    if set(values) != {"faults"} or not isinstance(entries, list):
+    if set(values) != {"faults"}:
         raise FileFormatError(
             f"{path}: expected one list, faults, got {', '.join(map(str, values))}"
         )
+    entries = values["faults"]
+    if not isinstance(entries, list):
+        raise FileFormatError(f"{path}: faults: expected a list, got {type(entries).__name__}")
     faults = []
     for number, entry in enumerate(entries, 1):
         if not isinstance(entry, dict) or "fault" not in entry:
@@ -203,6 +211,11 @@ def load_faults(path: str | Path) -> list[Fault]:
             )
         try:
             faults.append(Fault(**entry))
+            if faults[-1].from_m >= lap or faults[-1].to_m > lap:
+                raise ParameterError(
+                    f"from_m, to_m: expected a place on the lap of {lap:.1f} m, got "
+                    f"{faults[-1].from_m:g} to {faults[-1].to_m:g} m"
+                )
         except ParameterError as error:
             raise ParameterError(f"{path}: entry {number}: {error}") from None
     return faults

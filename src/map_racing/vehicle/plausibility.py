@@ -14,13 +14,17 @@ from typing import TYPE_CHECKING, Iterator, NamedTuple
 from ..errors import ParameterError
 
 if TYPE_CHECKING:
+    from .lookup import LookupTable
     from .parameters import Vehicle
 
-__all__ = ["HIGHEST_FRICTION", "doubts_of_vehicle", "friction_doubt"]
+__all__ = ["HIGHEST_FRICTION", "doubts_of_table", "doubts_of_vehicle", "friction_doubt"]
 
 HIGHEST_FRICTION = 1.3
 """More than rubber holds on a clean floor without downforce."""
 WHEELBASE = 0.32  # of 1:10 race cars [m]
+# A table is of another car if it shows a wheelbase that differs by more than this share; and its
+# angles may end at this share of the largest.
+ANOTHER, NARROW = 0.1, 0.5
 # Beyond the range by this factor, a value is certainly wrong.
 CERTAIN = 10.0
 
@@ -100,6 +104,22 @@ def friction_doubt(vehicle: Vehicle) -> list[str]:
         f"friction: expected 0.1 to {HIGHEST_FRICTION:g} of rubber on a floor without downforce, "
         f"got {grip:.3g}"
     ]
+
+
+def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
+    """Doubts that a lookup table is of a car: as of other units, or cut off."""
+    doubts = []
+    if abs(table.l_wb / vehicle.l_wb - 1.0) > ANOTHER:
+        doubts.append(
+            f"lookup table: at low speed a car with a wheelbase of {table.l_wb:.3g} m steers like "
+            f"that, {vehicle.name} has {vehicle.l_wb:.3g} m: of another car, or in other units?"
+        )
+    if table.angles[-1] < NARROW * vehicle.delta_max:
+        doubts.append(
+            f"lookup table: ends at an angle of {table.angles[-1]:.3g} rad, the wheels of "
+            f"{vehicle.name} turn to {vehicle.delta_max:.3g} rad"
+        )
+    return doubts
 
 
 def _ranges(vehicle: Vehicle) -> Iterator[_Range]:

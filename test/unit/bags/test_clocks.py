@@ -272,3 +272,14 @@ def test_nothing_is_said_of_commands_that_explain_nothing_or_repeat():
         assert lag_of_effect(at, cause, at, effect) is None
     assert lag_of_effect(at[:1], at[:1], at, at) is None
     assert lag_of_effect(at, at, at[:20], at[:20]) is None
+
+
+def test_a_lag_of_steady_waves_is_told_by_the_side_to_which_the_car_turns():
+    """Half a period, where waves look turned around, is no lag: the car always turns left."""
+    at = np.arange(0.0, 40.0, 0.02)
+    steering = 0.05 + 0.01 * np.sin(2.4 * at)
+    for shift, told in ((0.0, None), (1.0, -1.0), (-1.0, 1.0)):
+        lag = lag_of_effect(at + shift, steering, at, 3.0 * steering)
+        assert lag == (told if told is None else pytest.approx(told, abs=0.03))
+    # Commands once a second are those of the second after.
+    assert lag_of_effect(at[::50] + 1.0, steering[::50], at, 3.0 * steering) is None

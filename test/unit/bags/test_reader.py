@@ -482,3 +482,37 @@ def test_too_few_poses_are_explained(tmp_path, fill, expected):
     path = write(tmp_path / "a.bag", fill)
     with pytest.raises(BagError, match=rf"expected at least two poses, got \d \(.*{expected}"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("x", [0.0, 5.0])
+def test_odometry_is_placed_by_a_static_transform_alone(tmp_path, x):
+    def fill(bag, i, t):
+        if i == 0:
+            bag.transform(t, x, 3.0, 0.0, child="odom", static=True)
+        bag.odometry(t, i - x, -3.0, 0.0, 1.0, 0.0, 0.0, frame="odom", topic="/odom")
+
+    recording = read_recording(write(tmp_path / "a.bag", fill))
+    assert recording.frame == "map"
+    np.testing.assert_allclose(recording.x, np.arange(len(TIMES)))
+    np.testing.assert_allclose(recording.y, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frame", "pose_frame", "doubted"),
+    [("odom", "map", True), ("map", "map", False), ("", "map", False), ("odom", "odom", False)],
+)
+def test_waypoints_in_another_frame_than_the_poses_are_doubted(
+    tmp_path, track, frame, pose_frame, doubted
+):
+    rows = waypoint_rows(track.raceline(speed=5.0))
+
+    def fill(bag, i, t):
+        if i == 0:
+            bag.waypoints(t, rows, frame=frame)
+        bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0, frame=pose_frame)
+
+    notes = read_recording(write(tmp_path / "a.bag", fill)).notes
+    said = [
+        note for note in notes if note.startswith("warning: /global_waypoints is in frame odom")
+    ]
+    assert bool(said) == doubted

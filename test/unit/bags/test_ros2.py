@@ -367,6 +367,11 @@ def test_parts_of_different_runs(race_bag, tmp_path, capsys):
     assert any("3.0 s missing between run_0.bag and run_2.bag" in note for note in run["notes"])
     assert main(["evaluate", "--join", str(first), str(race_bag())]) == 1
     assert "overlap by" in capsys.readouterr().err
+    later = tmp_path / "later.bag"
+    with BagWriter(later) as bag:
+        bag.odometry(1e-9 * T0_NS + 7200.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+    assert main(["evaluate", "--join", str(first), str(later)]) == 1
+    assert "s apart: two runs?" in capsys.readouterr().err
     (tmp_path / "a.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
     assert main(["evaluate", "--join", str(first), str(tmp_path / "a.csv")]) == 1
     assert "--join: expected bags" in capsys.readouterr().err

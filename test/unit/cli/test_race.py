@@ -76,6 +76,14 @@ def test_a_crash_is_recorded_as_far_as_it_went(tmp_path, capsys):
     assert "N.C." in capsys.readouterr().out
 
 
+def test_a_fault_that_came_too_late_is_named(tmp_path, capsys):
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("faults: [{fault: pose_nan, at_s: 100.0}]")
+    arguments = ["--laps", "1", "--output", str(tmp_path / "a.bag"), "--faults", str(faults)]
+    assert main(["race", *arguments]) == 0
+    assert "pose_nan at 100 s: the race was over before" in capsys.readouterr().out
+
+
 def test_same_seed_same_bag(tmp_path):
     for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
         output = str(tmp_path / f"{name}.bag")

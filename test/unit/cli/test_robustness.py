@@ -147,11 +147,13 @@ def test_a_grid_of_passenger_cars_is_raced_at_their_size(folder, tmp_path, capsy
     assert controller["m_m"] == load_law("map", load_vehicle("bmw_320i")).m_m
 
 
-def test_robust_tuning(folder, tmp_path, capsys, monkeypatch):
+def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
+    small = GRID.replace("generated_seeds: [13]", f"tracks: [{place / 'ring.csv'}]")
+    (tmp_path / "grid.yaml").write_text(small)
     output = tmp_path / "tuned"
     options = ("--controller", "map", "--grip-use", 0.8, "--output", output)
-    assert run(folder, "tune", "--robust", *options) == 0
+    assert run(tmp_path, "tune", "--robust", *options) == 0
     said = capsys.readouterr().out
     assert "all 3 races completed" in said and "grip_use 0.8: 3 of 3 completed" in said
     candidates = pd.read_csv(output / "candidates.csv")

@@ -6,7 +6,7 @@ import random
 import pytest
 
 from map_racing.control.controller import ControlResult, Status
-from map_racing.control.obedience import PATIENCE, Obedience, PoseMotion
+from map_racing.control.obedience import APART, MOVING, PATIENCE, Course, Obedience, PoseMotion
 from map_racing.control.safety import REST, Mode, Reason, SafetyLimits, Supervisor
 from map_racing.control.state import CarState
 
@@ -375,3 +375,73 @@ def test_what_happened_while_the_car_was_told_to_stand_is_no_obedience():
     obedience.update(0.0, 0.0, 0.0, 0.0)
     obedience.update(1.0, 5.0, 0.0, 1.0)
     assert not obedience.moves and obedience.undriven == 0.0
+
+
+# -- the heading against the way -------------------------------------------------------------------
+
+
+def asides(poses, v_x=4.0, jumped=()):
+    course = Course()
+    return [course.aside(*pose, v_x, k in jumped) for k, pose in enumerate(poses)]
+
+
+def test_on_a_circle_the_heading_is_the_way():
+    """Of chords of half a meter it is that of their middle, also across half a turn."""
+    turns = [0.25 * k for k in range(60)]
+    poses = [(2.0 * math.sin(a), 2.0 - 2.0 * math.cos(a), a) for a in turns]
+    assert max(asides(poses)) < 1e-9
+    backwards = [(x, y, psi + math.pi) for x, y, psi in poses]
+    assert max(asides(backwards, v_x=-4.0)) < 1e-9
+    assert asides(backwards)[-1] == pytest.approx(math.pi)
+
+
+def test_an_angle_counts_after_two_half_meters_one_beside_the_other():
+    assert (APART, MOVING) == (0.5, 1.0)
+    poses = [(0.125 * k, 0.0, 1.0) for k in range(9)]
+    assert asides(poses) == [0.0] * 8 + [1.0]
+    assert asides(poses, v_x=1.0)[-1] == 1.0 and asides(poses, v_x=-0.99)[-1] == 0.0
+    # The smaller one counts.
+    poses += [(1.5, 0.0, -0.7), (2.0, 0.0, -0.7)]
+    assert asides(poses)[-2:] == pytest.approx([0.15, 0.15])
+
+
+def test_a_small_correction_of_the_position_is_in_one_of_them():
+    poses = [(0.125 * k, 0.45 if k > 10 else 0.0, 0.0) for k in range(40)]
+    assert max(asides(poses)) == 0.0
+
+
+def test_a_jump_is_no_way():
+    poses = [(0.5 * k, 5.0 * (k > 4), 1.0) for k in range(8)]
+    assert asides(poses, jumped=(5,)) == [0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(("off", "stops"), [(0.79, False), (0.81, True), (-2.5, True)])
+def test_a_heading_against_the_motion_stops_with_the_steering_held(off, stops):
+    """As of a localization that turned around; by itself it tries again after 3 s."""
+    car = Car(wanted=2.0, max_turn_rad=0.8)
+    psi = 0.0
+    decisions = []
+    for k in range(80):
+        psi = off if k >= 40 else 0.0
+        state = CarState(car.now, 0.05 * k, 0.0, psi, 2.0, 0.0, 0.0)
+        trusted = car.supervisor.observe(car.now, state)
+        angle = 0.1 if psi == 0.0 else 0.3
+        result = ControlResult(angle, 2.0, Status.OK, state, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0)
+        decisions.append(car.supervisor.decide(car.now, result if trusted else None))
+        car.now += PERIOD
+    assert decisions[39].mode is Mode.DRIVING
+    jumps = abs(off) > 0.8
+    assert (decisions[40].reason is Reason.JUMP) is jumps
+    assert (decisions[-1].reason is Reason.HEADING) is stops
+    if not stops:
+        assert decisions[-1].mode is Mode.DRIVING and decisions[-1].steering_angle == 0.3
+        return
+    # It steers by the pose for a moment: a jump settles, and the way takes a meter.
+    told = next(k for k, d in enumerate(decisions) if d.reason is Reason.HEADING)
+    assert told <= 61 and decisions[-1][2:] == decisions[told][2:3] + (0.0,)
+    last, supervisor = car.now - PERIOD, car.supervisor
+    assert supervisor.trouble(last + REST) is Reason.HEADING
+    if off > 0.0:
+        supervisor.resume()
+        assert supervisor.trouble(last + REST) is Reason.NONE
+    assert supervisor.trouble(last + REST + 0.01) is Reason.NONE

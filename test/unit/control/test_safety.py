@@ -167,10 +167,11 @@ def test_a_jump_stops_and_the_new_place_is_accepted_after_a_while(move):
     car.drive()
     first = car.pose()
     base = first._replace(**{name: getattr(first, name) + by for name, by in move.items()})
-    offset = base.x - first.x
     decisions = []
     for _ in range(30):
-        decisions.append(car.step(base._replace(t=car.now, x=car.x + offset)))
+        way = car.x - first.x  # on to where its heading is now
+        x, y = base.x + way * math.cos(base.psi), base.y + way * math.sin(base.psi)
+        decisions.append(car.step(base._replace(t=car.now, x=x, y=y)))
     assert decisions[0].reason is Reason.JUMP
     assert decisions[0].steering_angle == 0.1
     assert [decision.mode for decision in decisions[:17]] == [Mode.STOPPING] * 17
@@ -280,6 +281,17 @@ def test_a_stop_after_a_gap_begins_with_a_step_as_any_other():
     car.now += 0.4 - PERIOD
     assert car.step().speed == pytest.approx(3.8 - 4.0 * LONGEST_STEP)
     assert car.step().speed == pytest.approx(3.4 - 4.0 * PERIOD)
+
+
+def test_a_clock_that_goes_back_a_little_is_no_time_for_steering_or_braking():
+    """As poses that arrive out of order: else the rates would act the other way round."""
+    car = Car()
+    car.drive()
+    car.supervisor.request_stop("service")
+    first = car.step()
+    car.now -= 3 * PERIOD
+    again = car.step()
+    assert again.speed == first.speed and again.steering_angle == first.steering_angle
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,15 @@ def test_the_rate_is_limited_from_the_last_command():
     assert SLOWING.steering(1.0, -0.4, 0.1, 0.0, 0.1) == pytest.approx(0.1 - 0.1 * STEERING_RATE)
 
 
+@pytest.mark.parametrize("always", [True, False])
+def test_the_rate_ends_where_the_grip_does(always):
+    """A measured speed that rises at once, as of wheels that spin."""
+    slowing = Slowing(TABLE, BRAKE, VEHICLE.delta_max, always)
+    assert slowing.steering(9.0, 0.4, 0.4, 4.0, PERIOD) == pytest.approx(
+        slowing.largest(9.0) if always else 0.4 - STEERING_RATE * PERIOD
+    )
+
+
 def test_no_angle_is_beyond_the_lock():
     small = Slowing(TABLE, BRAKE, 0.2)
     assert small.always and small.largest(0.3) == 0.2

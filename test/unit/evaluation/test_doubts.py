@@ -8,9 +8,12 @@ from map_racing.evaluation.doubts import (
     alternation,
     bunches,
     command_clock,
+    command_units,
     frame_warning,
     speed_warning,
 )
+from map_racing.evaluation.speed import speed_of
+from map_racing.evaluation.statistics import mean
 
 T = np.arange(0.0, 30.0, 0.0125)
 
@@ -70,7 +73,7 @@ def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
 
 @pytest.mark.parametrize(
     ("shift", "said"),
-    [(0.0, ""), (0.1, ""), (-0.3, ""), (0.5, "0.40 s before"), (-1.0, "1.10 s after")],
+    [(0.0, ""), (0.1, ""), (-0.3, ""), (0.5, " before "), (-1.0, " after ")],
 )
 @pytest.mark.parametrize("turned", [0.0, 3.0])
 def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, turned):
@@ -83,3 +86,46 @@ def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, t
     driven = Recording(T, x, y, psi, unknown, unknown, unknown, commands=commands)
     doubt = command_clock(driven)
     assert said in doubt and bool(doubt) == bool(said)
+
+
+@pytest.mark.parametrize(
+    ("angle", "speed", "said"),
+    [
+        (0.2, 4.8, []),
+        (0.2, 6.0, []),
+        (0.2, 0.0, []),
+        (11.5, 4.8, ["steering angles of 11.5 rad: in degrees?"]),
+        (0.2, 17.3, ["3.60 times the motion of the poses: in km/h?"]),
+        (0.2, 480.0, ["100.00 times the motion of the poses"]),
+    ],
+)
+def test_commands_in_other_units(angle, speed, said):
+    x, y = circling()
+    unknown, same = np.full(T.size, np.nan), np.full(T.size, 1.0)
+    commands = Commands(T, angle * same, speed * same, "/drive")
+    driven = Recording(T, x, y, unknown, unknown, unknown, unknown, commands=commands)
+    doubts = command_units(driven)
+    assert len(doubts) == len(said) and all(a in b for a, b in zip(said, doubts))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.004, 0.012])
+def test_mean_and_top_speed_hold_where_stamps_jitter(jitter):
+    """Stamps given on receipt: a step of the path over one of time would be any speed."""
+    x, y = circling()
+    t = T + np.random.default_rng(3).uniform(0.0, jitter, T.size)
+    v = speed_of(t, x, y, np.full(T.size, np.nan))
+    # A uniform jitter of almost a period has a spread of 4.9 ms in differences over 0.1 s.
+    assert mean(v, np.diff(t)) == pytest.approx(4.8, rel=1e-3 + 0.5 * (jitter / 0.1) ** 2)
+    assert np.max(v) < 4.8 * (1.001 + 0.2 * (jitter > 0.0))
+
+
+def test_half_a_period_of_the_steering_is_no_lag():
+    """Steering in step with the turning of a circle with waves."""
+    theta = 0.8 * T
+    r = 6.0 - 0.1 * np.sin(3.0 * theta)
+    x, y = r * np.cos(theta), r * np.sin(theta)
+    psi = np.unwrap(np.arctan2(np.gradient(y, T), np.gradient(x, T)))
+    kappa = np.gradient(psi, T) / np.hypot(np.gradient(x, T), np.gradient(y, T))
+    unknown = np.full(T.size, np.nan)
+    commands = Commands(T, np.arctan(0.32 * kappa), 4.8 + 0.0 * T, "/drive")
+    assert command_clock(Recording(T, x, y, psi, *[unknown] * 3, commands=commands)) == ""

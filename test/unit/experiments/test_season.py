@@ -160,6 +160,8 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     assert row["track"] == "bean" and row["laps"] == 2 and row["reason"] == ""
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks[:1]).heats
     assert "driven on none of the tracks given" in row["reason"] and row["date"]
+    (row,) = evaluated(tmp_path / "bags", tmp_path / "out").heats
+    assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
 
 
 def test_the_command(bags, tmp_path, capsys):

@@ -59,7 +59,10 @@ def test_combinations_and_friction_are_the_cars(low, found):
     assert found.vehicle.front.C == NUC4.front.C
 
 
-@pytest.mark.parametrize("scale, mu_scale, mixed", [(0.7, 0.7, True), (0.5, 0.88, False)])
+@pytest.mark.parametrize(
+    "scale, mu_scale, mixed",
+    [(0.7, 0.7, True), pytest.param(0.5, 0.88, False, marks=pytest.mark.once)],
+)
 def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mixed):
     """The same car at another speed is no contradiction, on another floor it is."""
     other = dataclasses.replace(laps_of(scale, seed=2, mu_scale=mu_scale)[0], name="other.bag")
@@ -69,6 +72,7 @@ def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mi
     assert ("check: runs: " in provenance(found)) == mixed == ("check: runs: " in car_text(found))
 
 
+@pytest.mark.once
 def test_far_from_the_limit_friction_stays_as_it_was():
     run, true = laps_of(0.45, mu_scale=0.88)
     found = tires_from_laps([run], NUC4)
@@ -79,16 +83,17 @@ def test_far_from_the_limit_friction_stays_as_it_was():
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.08)
 
 
+@pytest.mark.once
 def test_perfect_measurements_do_not_tell_it_there_either():
     """At small slip a wrong shape of the curve looks like another friction."""
     run, _ = laps_of(0.45, mu_scale=0.88, **QUIET)
     assert not tires_from_laps([run], NUC4).parameters["friction"].determined
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_quarter_of_gross_outliers(low, seed):
+@pytest.mark.once
+def test_a_quarter_of_gross_outliers(low):
     run, true = low
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     sizes = {"v_x": 3.0, "v_y": 2.0, "yaw_rate": 4.0, "a_y": 15.0}
     signals = dict(run.signals)
     for name, size in sizes.items():
@@ -109,6 +114,7 @@ def test_without_lateral_velocity_or_imu(low):
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
 
 
+@pytest.mark.once
 def test_no_less_grip_than_was_demonstrated(low):
     """A file that promises less than the car did is wrong, determined or not."""
     run, true = low
@@ -119,9 +125,8 @@ def test_no_less_grip_than_was_demonstrated(low):
     assert 0.4 < found.least_friction <= found.vehicle.mu * (1.0 + 1e-9) < 1.05 * true.mu
 
 
-@pytest.mark.parametrize("gain", [0.85, 1.12])
-def test_wheels_that_turn_otherwise_than_commanded(low, gain):
-    run, true = low
+def test_wheels_that_turn_otherwise_than_commanded(low):
+    (run, true), gain = low, 1.12
     t, angle = run.signals["steering"]
     wrong = Signal(t, (angle - 0.015) / gain)
     run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
@@ -133,6 +138,7 @@ def test_wheels_that_turn_otherwise_than_commanded(low, gain):
     assert stiffness(fixed.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
 
 
+@pytest.mark.once
 def test_not_beyond_their_lock(low):
     run, _ = low
     t, angle = run.signals["steering"]
@@ -145,6 +151,7 @@ def test_not_beyond_their_lock(low):
     assert any("beyond their lock" in finding.text for finding in found.findings)
 
 
+@pytest.mark.once
 def test_the_wrong_shape_of_a_curve_does_not_pass_for_friction(low):
     run, true = low
     C, E = 1.5, 0.9  # bends late, and then sharply
@@ -168,6 +175,7 @@ def test_linear_tires_have_no_friction_to_tell(low):
     assert found.least_friction is None
 
 
+@pytest.mark.once
 def test_commands_too_early_to_be_the_delay(low):
     """With the delay at its bound, tires would make up for the rest."""
     run = low[0]
@@ -177,6 +185,7 @@ def test_commands_too_early_to_be_the_delay(low):
         tires_from_laps([dataclasses.replace(run, signals=early)], NUC4)
 
 
+@pytest.mark.once
 def test_refusals(low):
     run, _ = low
     t = np.arange(0.0, 20.0, 0.025)

@@ -50,7 +50,7 @@ def expected(tmp_path_factory):
     return drawn(tmp_path_factory.mktemp("plain"))[0]
 
 
-@pytest.mark.parametrize("backend", ["nonsense", "TkAgg", "module://no_such_module", "svg", ""])
+@pytest.mark.parametrize("backend", ["nonsense", "module://no_such_module", ""])
 def test_any_backend(tmp_path, expected, backend):
     assert expected
     assert drawn(tmp_path, MPLBACKEND=backend)[0] == expected

@@ -174,6 +174,16 @@ def test_what_a_fault_did_ends_with_it(parameters):
 # -- refusals ------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.default is not None])
+def test_the_range_that_is_told_is_valid(name):
+    kind = KINDS[name]
+    for size in (kind.low, kind.high):
+        assert Fault(name, size=size).size == size
+        beyond = size + (0.01 if size == kind.high else -0.01) * max(abs(size), 1.0)
+        with pytest.raises(ParameterError, match="size: expected"):
+            Fault(name, size=beyond)
+
+
 def test_the_race_says_what_it_cannot_do(parameters):
     for name, kind in KINDS.items():
         for where in ("race", "simulator"):
@@ -194,7 +204,8 @@ def test_a_plant_without_the_method_says_so(parameters):
     ("text", "words"),
     [
         ("- {fault: pose_nan}", "expected keys and values, got list"),
-        ("faults: pose_nan", "expected one list, faults"),
+        ("faults: pose_nan", "faults: expected a list, got str"),
+        ("faults:", "faults: expected a list, got NoneType"),
         ("faults: [pose_nan]", "entry 1: expected fault: NAME, got 'pose_nan'"),
         ("faults: [{fault: pose_nan}, {fault: magic}]", r"entry 2: fault: .*, got 'magic'$"),
         ("faults: [{fault: pose_jmp}]", r"--list names, got 'pose_jmp' \(like pose_jump"),
@@ -213,6 +224,19 @@ def test_schedules_that_are_refused(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises((ParameterError, FileFormatError), match=words):
         load_faults(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "good"), [("36.4, to_m: 36.5", 1), ("36.5, to_m: 3", 0), ("3, to_m: 37", 0)]
+)
+def test_places_are_on_the_lap(tmp_path, place, good):
+    path = tmp_path / "faults.yaml"
+    path.write_text(f"faults: [{{fault: grip_lost, from_m: {place}}}]")
+    if good:
+        assert load_faults(path, 36.5)[0].from_m == 36.4
+        return
+    with pytest.raises(ParameterError, match="entry 1: from_m, to_m: expected a place on the lap"):
+        load_faults(path, 36.5)
 
 
 def test_the_schedule_of_the_page_stops_the_car_as_it_says_and_is_completed(parameters, tmp_path):

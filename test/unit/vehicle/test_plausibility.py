@@ -1,10 +1,14 @@
 """Values of vehicle files in other units are told by the size of the car."""
 
+import numpy as np
 import pytest
 import yaml
 
 from map_racing.errors import ParameterError
+from map_racing.vehicle.lookup import LookupTable, load_table
 from map_racing.vehicle.parameters import load_vehicle, vehicle_values
+from map_racing.vehicle.plausibility import doubts_of_table
+from map_racing.vehicle.steady_state import steady_state_table
 
 SMALL = vehicle_values(load_vehicle("sim"))
 LARGE = vehicle_values(load_vehicle("bmw_320i"))
@@ -103,3 +107,34 @@ def test_values_that_are_certainly_wrong(load, field, value, expected):
     with pytest.raises(ParameterError) as caught:
         load(SMALL, **{field: value})
     assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "speed, angle, a_lat, said",
+    [
+        (1.0, 1.0, 1.0, ""),
+        (3.6, 1.0, 1.0, "a wheelbase of 4.28 m"),
+        (1.0, 2.0, 1.0, "a wheelbase of 0.66"),
+        (1.0, 1.0, 1.0 / 9.80665, "a wheelbase of 3.2"),
+    ],
+    ids=["SI", "km/h", "twice the angle", "g"],
+)
+def test_tables_in_other_units_are_doubted(speed, angle, a_lat, said):
+    car = load_vehicle("sim")
+    own = steady_state_table(car, np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.4, 41))
+    other = LookupTable(speed * own.speeds, angle * own.angles, a_lat * own.a_lat)
+    doubts = doubts_of_table(other, car)
+    assert bool(doubts) == bool(said) and said in "".join(doubts)
+
+
+def test_a_table_that_was_cut_off_is_doubted():
+    car = load_vehicle("sim")
+    own = steady_state_table(car, np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.1, 41))
+    (doubt,) = doubts_of_table(own, car)
+    assert doubt == "lookup table: ends at an angle of 0.1 rad, the wheels of SIM turn to 0.419 rad"
+
+
+def test_published_tables_are_of_their_cars(shared_data):
+    for car, table in (("NUC4_pacejka.txt", "NUC4_pacejka"), ("SIM_linear.txt", "SIM_linear")):
+        path = shared_data / "vehicles" / f"{table}_lookup_table.csv"
+        assert doubts_of_table(load_table(path), load_vehicle(shared_data / "vehicles" / car)) == []

@@ -21,9 +21,10 @@ TIGHTEST = 1.4  # [1/m]
 SHORTEST, LONGEST = 3.0, 2000.0
 # The largest lateral acceleration [m/s^2] of a lap in any car, and the widest track [m].
 ACCELERATIONS, WIDEST = (2.0, 60.0), 30.0
-# Nobody races a lap that takes longer [s] and needs less lateral acceleration [m/s^2], on a track
-# that is wider [m], or on one that is shorter [m]: it is in another unit.
-CRAWLING, LONGEST_LAP, FIELD, TINY = 0.1, 300.0, 100.0, 0.5
+# Nobody races a lap that takes longer [s] and needs less lateral acceleration [m/s^2] at more than
+# walking pace [m/s], on a track that is wider [m], or on one that is shorter [m]: it is in another
+# unit.
+CRAWLING, LONGEST_LAP, WALKING, FIELD, TINY = 0.2, 300.0, 2.0, 100.0, 0.5
 
 # Headings as files state them: code, severity, meaning, and the conversion to rad from +x.
 _HEADINGS = (
@@ -84,8 +85,9 @@ def _other_unit(line):
     if line.speed is None or not line.speed.any():
         return ""
     needed = float(np.max(line.speed**2 * np.abs(line.kappa)))
-    duration = line.length / float(np.mean(line.speed))
-    if needed < CRAWLING and duration > LONGEST_LAP:
+    speed = float(np.mean(line.speed))
+    duration = line.length / speed
+    if needed < CRAWLING and duration > LONGEST_LAP and speed > WALKING:
         return f"which takes {duration:.3g} s and needs at most {needed:.2g} m/s^2 in its bends"
     return ""
 

@@ -170,7 +170,7 @@ def _name_the_rest(names, values, left, curve, known, reasons):
         reasons.append(f"column {k + 1}, partly negative, is not taken")
     left = speeds
     if not left:
-        return False
+        return bool(negative)
     if len(left) == 1:
         # A file with more than positions and a width was made for driving.
         meaning, why = curve.speed_or_width(values[:, left[0]], len(names) > 3)
@@ -219,6 +219,11 @@ def _name_the_rest(names, values, left, curve, known, reasons):
     if len(left) == 3:
         # The height is last or, as in the TUM tools, between position and widths.
         a, b, c = left
+        one, two, three = values.T[left]
+        if _are_walls(one, two) and not _are_walls(two, three) and min(three) >= _SLOWEST_MPS:
+            names[c] = "speed"
+            reasons.append(f"column {c + 1} is taken as speed, as those before it are like walls")
+            return _name_walls(names, values, [a, b], reasons)
         low = [float(np.max(np.abs(values[:, k]))) for k in left]
         height = a if low[0] < low[2] and np.ptp(values[:, a]) < np.ptp(values[:, c]) else c
         names[height] = "-"

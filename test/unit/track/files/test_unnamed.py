@@ -280,3 +280,18 @@ def test_the_shared_cases(shared_cases):
     for name in ("quoted_list.csv", "quoted_tuple_before_xy.csv"):
         read = read_raceline(shared_cases / name)
         assert np.max(np.abs(np.hypot(*read.xy.T) - 6.0)) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_speed_behind_both_walls_is_no_height(tmp_path):
+    """A speed that does not drop in the bends, behind distances that are like walls."""
+    path = write(tmp_path / "a.csv", "x", "y", "d_right", "d_left", "wild")
+    line = load_raceline(path)
+    assert line.speed_at(0.0) == pytest.approx(4.0, abs=0.01)
+    assert np.median(line.d_left) == pytest.approx(1.2, abs=0.02)
+    assert codes(line.findings)["unnamed-columns"] == WARNING
+
+
+def test_a_column_that_is_not_taken_makes_the_places_a_guess(tmp_path):
+    """Here the speed stands first, so that it is taken for x, and y for what is not understood."""
+    line = load_raceline(write(tmp_path / "a.csv", "wild", "x", "y"))
+    assert codes(line.findings)["unnamed-columns"] == WARNING
