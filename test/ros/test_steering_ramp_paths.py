@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
+from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason
 from map_racing.control.steering_ramp import Phase
 from map_racing.nodes import steering_ramp
@@ -121,7 +122,8 @@ def assert_ramped(car, reason, **changes):
 
     Where it is asked to, it brakes as hard as its grip allows (`a_brake_max_mps2` of ``map``).
     """
-    hardest = 5.5 if reason is Reason.STOP_REQUESTED else 4.0
+    hardest = load_controller_parameters("map").a_brake_max_mps2
+    hardest = hardest if reason is Reason.STOP_REQUESTED else 4.0
     angle, speeds = car.angle, [2.0]
     while speeds[-1] > 0.0 and len(speeds) < 40:
         (command,) = car.pose(**changes)
