@@ -381,6 +381,22 @@ def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
     assert len(car.sent) == count + 10
 
 
+def test_the_end_before_a_pose_is_straight_ahead(make, monkeypatch):
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    car = make()
+    car.node._end()
+    assert {(m.drive.steering_angle, m.drive.speed) for m in car.sent} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize("dead_man", [True, False])
+def test_what_it_listens_to(make, monkeypatch, dead_man):
+    heard = {}
+    monkeypatch.setattr(rospy, "Subscriber", lambda topic, _, to, **__: heard.update({topic: to}))
+    node = make(dead_man=dead_man).node
+    button = {"joy": node._on_joy, "enable": node._on_enable} if dead_man else {}
+    assert heard == {"odom": node._on_odometry, **button}
+
+
 def test_each_reason_is_logged_once_and_what_is_normal_is_not(car):
     car.drive(0.2, frame="map")
     car.node._on_enable(Bool(False))
