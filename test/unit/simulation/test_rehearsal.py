@@ -141,8 +141,9 @@ def test_a_stop_is_a_ramp(scenario):
     for before, after in zip(commands, commands[1:]):
         if before.decision.mode is after.decision.mode is Mode.STOPPING:
             fell = before.decision.speed - after.decision.speed
-            # 4 m/s^2, or what the raceline demands, which is at most 6 m/s^2.
-            assert fell <= 6.0 * (after.t - before.t) + 1e-9
+            # 4 m/s^2, or what the raceline demands.
+            hardest = load_controller_parameters("map").a_brake_max_mps2
+            assert fell <= hardest * (after.t - before.t) + 1e-9
 
 
 # What the supervisor has to notice, and by when [s], besides the latency of the pose.
