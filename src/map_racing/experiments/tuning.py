@@ -103,13 +103,15 @@ class Tuned(NamedTuple):
 
 
 def lap_error(results):
-    """Mean over all laps of races of their RMS lateral error [m]; infinite if one is not completed.
+    """Mean over all laps of races of their RMS lateral error [m].
+
+    Infinite if a race is not completed, or none of its laps counts.
 
     Parameters
     ----------
     results : iterable of RaceResult
     """
-    if not all(result.completed for result in results):
+    if not all(result.completed and result.laps for result in results):
         return math.inf
     return float(np.mean([lap.rms_lateral_error_m for result in results for lap in result.laps]))
 

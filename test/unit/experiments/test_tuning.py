@@ -62,6 +62,8 @@ def test_error_is_the_mean_over_laps_of_completed_races():
     assert lap_error([raced(0.1, 0.2), raced(0.6)]) == pytest.approx(0.3)
     assert math.isinf(lap_error([raced(0.1), raced(0.1, outcome="crashed")]))
     assert math.isinf(lap_error([raced(outcome="stalled")]))
+    # Completed, but off the track: no lap that counts has an error.
+    assert math.isinf(lap_error([raced(0.1), raced()]))
 
 
 @settings(deadline=None, max_examples=30)
