@@ -168,7 +168,7 @@ def test_three_laps_as_in_the_core(launch, listen, tmp_path):
     expected = [lap for lap in run["laps"] if lap["valid"]]
 
     inbox = listen("/lap_result", LapResult)
-    launch("simulate.launch", clock_rate=3, lockstep="true", csv=tmp_path / "laps.csv")
+    launch("simulate.launch", clock_rate=8, lockstep="true", csv=tmp_path / "laps.csv")
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
     # The layouts for plots show topics that are really there.
     sent = dict(rospy.get_published_topics())

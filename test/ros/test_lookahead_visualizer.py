@@ -259,8 +259,8 @@ def test_the_raceline_has_the_colors_of_the_speeds_that_are_driven(start, listen
         ({"trail_length": -1.0}, "~trail_length: expected 0 to 1000 m"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_exit_code_1(parameters, text, refusal):
-    assert text in refusal("lookahead_visualizer", parameters)
+def test_what_cannot_be_is_one_line(parameters, text, refused):
+    assert text in refused("lookahead_visualizer", parameters)
 
 
 def test_guidance_and_poses_that_come_at_once(no_master, monkeypatch):

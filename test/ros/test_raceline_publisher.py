@@ -66,5 +66,5 @@ def test_path_and_markers_close_and_carry_the_speed(start, listen):
         ({"period": 0.0}, "~period: expected a positive number, got 0.0"),
     ],
 )
-def test_what_it_refuses_it_says_in_a_line(refusal, parameters, words):
-    assert words in refusal("raceline_publisher", parameters)
+def test_what_it_refuses_it_says_in_a_line(refused, parameters, words):
+    assert words in refused("raceline_publisher", parameters)

@@ -208,5 +208,5 @@ def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
         ({"lockstep": True}, "~lockstep: expected a ~clock_rate, got 0"),
     ],
 )
-def test_what_it_refuses_it_says_in_a_line(refusal, parameters, words):
-    assert words in refusal("simulator", parameters)
+def test_what_it_refuses_it_says_in_a_line(refused, parameters, words):
+    assert words in refused("simulator", parameters)

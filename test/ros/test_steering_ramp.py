@@ -240,5 +240,5 @@ def test_poses_are_refused_as_by_the_controller(poses, listen):
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
     ],
 )
-def test_what_it_refuses_it_says_in_a_line(refusal, parameters, words):
-    assert words in refusal("steering_ramp", parameters)
+def test_what_it_refuses_it_says_in_a_line(refused, parameters, words):
+    assert words in refused("steering_ramp", parameters)

@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
+from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import Mode, Reason
 from map_racing.control.steering_ramp import Phase
 from map_racing.nodes import steering_ramp
@@ -121,7 +122,8 @@ def assert_ramped(car, reason, **changes):
 
     Where it is asked to, it brakes as hard as its grip allows (`a_brake_max_mps2` of ``map``).
     """
-    hardest = 5.5 if reason is Reason.STOP_REQUESTED else 4.0
+    hardest = load_controller_parameters("map").a_brake_max_mps2
+    hardest = hardest if reason is Reason.STOP_REQUESTED else 4.0
     angle, speeds = car.angle, [2.0]
     while speeds[-1] > 0.0 and len(speeds) < 40:
         (command,) = car.pose(**changes)
@@ -377,6 +379,22 @@ def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
     assert car.pose() == []
     car.node._watch(car.clock.time + 1.0)
     assert len(car.sent) == count + 10
+
+
+def test_the_end_before_a_pose_is_straight_ahead(make, monkeypatch):
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    car = make()
+    car.node._end()
+    assert {(m.drive.steering_angle, m.drive.speed) for m in car.sent} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize("dead_man", [True, False])
+def test_what_it_listens_to(make, monkeypatch, dead_man):
+    heard = {}
+    monkeypatch.setattr(rospy, "Subscriber", lambda topic, _, to, **__: heard.update({topic: to}))
+    node = make(dead_man=dead_man).node
+    button = {"joy": node._on_joy, "enable": node._on_enable} if dead_man else {}
+    assert heard == {"odom": node._on_odometry, **button}
 
 
 def test_each_reason_is_logged_once_and_what_is_normal_is_not(car):

@@ -88,7 +88,7 @@ class Course:
     """Compares the heading of the poses with the way that their positions take."""
 
     def __init__(self):
-        self._last, self._angles = None, (0.0, 0.0)
+        self._last = self._angles = None
 
     def aside(self, x: float, y: float, psi: float, v_x: float, jumped: bool = False) -> float:
         """Angle [rad] between both; 0 below 1 m/s, where it is noise.

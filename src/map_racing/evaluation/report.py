@@ -1,4 +1,4 @@
-"""Tables of laps for the terminal, CSV, JSON and pandas."""
+"""Tables of laps for the terminal, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ import csv
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Iterable, Iterator, Sequence
+from typing import Iterable, Iterator, Sequence
 
 from ..files import replacing
 from .results import RunResult
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = [
     "aligned",
@@ -20,7 +17,6 @@ __all__ = [
     "lap_data",
     "lap_table",
     "summary_table",
-    "to_frame",
     "write_csv",
     "write_rows",
 ]
@@ -38,25 +34,6 @@ _LAP_COLUMNS = (
     ("max_speed_mps", "max v [m/s]", "{:.2f}"),
     ("reason", "not counted because", "{}"),
 )
-
-
-def to_frame(results: Iterable[RunResult]) -> pd.DataFrame:
-    """Laps of several runs as a table.
-
-    Parameters
-    ----------
-    results : iterable of RunResult
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row for each lap or part of one, valid or not: ``bag``, the columns of `Lap.row`, and
-        ``warnings`` on what makes the run doubtful.
-    """
-    import pandas as pd  # takes half a second, and only this function needs it
-
-    rows = _rows(results)
-    return pd.DataFrame(rows, columns=list(rows[0]) if rows else ["bag"])
 
 
 def _rows(results):

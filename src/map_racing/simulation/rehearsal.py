@@ -314,7 +314,7 @@ def bounds_text(rehearsals: list[Rehearsal]) -> str:
         f"{all_of[0].max_speed:g}; at most {angle:.3f} rad, the lock is {all_of[0].lock:g}; "
         + (
             f"up to {beyond:.4f} rad beyond what the lookup table holds at the measured speed"
-            if beyond > 0.0
+            if round(beyond, 4) > 0.0
             else "none beyond what the lookup table holds at the measured speed"
         )
     )

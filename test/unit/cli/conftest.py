@@ -1,7 +1,10 @@
 """Races, experiments and errors that the tests of several commands look at."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from map_racing.cli import main
 from map_racing.experiments import tuning
@@ -65,6 +68,7 @@ def run(place):
     """``run("tune", ...)`` runs a command under these conditions, in this process; its exit code.
 
     Tuning searches a grid of few pairs, and little beyond: its own tests search the whole one.
+    Figures are composed, but not rendered: the tests of the plots do that.
     """
 
     def command(*arguments):
@@ -73,6 +77,7 @@ def run(place):
             patch.setattr(tuning, "GRID", (8, 16))
             patch.setattr(tuning, "COARSE", 2)
             patch.setattr(tuning, "MOST_MOVES", 1)
+            patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
             return main([str(argument) for argument in (*arguments, *conditions)])
 
     return command

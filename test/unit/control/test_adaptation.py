@@ -326,6 +326,7 @@ def raced(plant, parameters, vehicle=NUC4, laps=4, seed=1):
     return lap_times(log), log
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("changes", [{"mu_scale": 0.88}, {"mu_scale": 1.08}], ids=str)
 def test_a_cold_start_comes_close_to_one_that_was_told(changes):
     plant = dataclasses.replace(PLANT, **changes)

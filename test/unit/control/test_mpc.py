@@ -128,6 +128,7 @@ def test_damaged_states_stop(solver):
         assert math.isfinite(result.steering_angle)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name, error", [("mpc_single_track", 0.03), ("mpc_kinematic", 0.3)])
 def test_a_lap_of_the_reference(solver, name, error):
     plant = load_plant("nuc4")

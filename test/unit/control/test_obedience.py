@@ -392,7 +392,7 @@ def test_on_a_circle_the_heading_is_the_way():
     assert max(asides(poses)) < 1e-9
     backwards = [(x, y, psi + math.pi) for x, y, psi in poses]
     assert max(asides(backwards, v_x=-4.0)) < 1e-9
-    assert asides(backwards)[-1] == pytest.approx(math.pi)
+    assert asides(backwards)[-1] == asides(poses, v_x=-4.0)[-1] == pytest.approx(math.pi)
 
 
 def test_an_angle_counts_after_two_half_meters_one_beside_the_other():
@@ -403,6 +403,12 @@ def test_an_angle_counts_after_two_half_meters_one_beside_the_other():
     # The smaller one counts.
     poses += [(1.5, 0.0, -0.7), (2.0, 0.0, -0.7)]
     assert asides(poses)[-2:] == pytest.approx([0.15, 0.15])
+
+
+def test_a_way_is_as_long_anywhere_and_in_any_direction():
+    course = Course()
+    told = [course.aside(7.0, -9.0 + 0.25 * k, 0.5 * math.pi + 0.3, 2.0) for k in range(5)]
+    assert told == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.3])
 
 
 def test_a_small_correction_of_the_position_is_in_one_of_them():

@@ -73,6 +73,8 @@ SHORTER = {
 }
 # The README prints what these give, so they run as they are.
 WHOLE = ("README.md",)
+# Run with all versions of the libraries; the commands have tests of their own, which are.
+EVERYWHERE = ("README.md", "doc/race_day.md")
 
 # Not run: what prepares the car's workspace or an environment of one's own, and what takes long, of
 # which other tests run a little.
@@ -81,7 +83,7 @@ PREPARATION = {
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
     "./scripts/delays_of_laps",
-    "./scripts/laps_to_car reference club --generated-seeds 1 2",
+    "./scripts/laps_to_car reference club hangar.bag HANGAR_39M.json --generated-seeds 1 2",
     "./scripts/heats",
     "./scripts/soak",
     "./scripts/test",
@@ -332,7 +334,14 @@ def done():
     return set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [
+        page if name_of(page) in EVERYWHERE else pytest.param(page, marks=pytest.mark.once)
+        for page in PAGES
+    ],
+    ids=name_of,
+)
 def test_commands_run(page, done, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))

@@ -237,6 +237,7 @@ def drive(line, parameters, sectors, plant_parameters, path):
     return log.outcome, recording, evaluate(recording, line), settings_text(controller)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("mu", [0.9, 1.1])
 def test_the_next_heat_comes_as_predicted(reference, limits, tmp_path, mu):
     plant = replace(load_plant("nuc4"), mu_scale=mu)
@@ -253,6 +254,7 @@ def test_the_next_heat_comes_as_predicted(reference, limits, tmp_path, mu):
     assert result.summary.mean_lap_time_s == pytest.approx(advice.predicted_s, rel=0.01)
 
 
+@pytest.mark.once
 def test_heats_are_judged_by_a_script(monkeypatch, capsys):
     script = Path(__file__).resolve().parents[3] / "scripts" / "heats"
     words = ["--tracks", "reference", "--seeds", "9", "--laps", "1"]

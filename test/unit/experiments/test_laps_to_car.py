@@ -1,5 +1,7 @@
 """A car identified from cautious laps is raced about as fast as one whose tires are known."""
 
+import pytest
+
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.experiments.jobs import RaceJob
 from map_racing.experiments.laps_to_car import laps_to_car
@@ -7,6 +9,7 @@ from map_racing.simulation.plants import load_plant
 from map_racing.track.files.load import load_raceline
 
 
+@pytest.mark.once
 def test_thirty_seconds_at_seventy_percent():
     plant = load_plant("nuc4")
     settings = load_controller_parameters("map")

@@ -93,6 +93,7 @@ def test_of_the_shipped_car(shipped):
     assert delays.speed_lookahead.value == pytest.approx(0.07, abs=0.01)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("total", "rate", "scale"), [(0.02, 40.0, 0.9), (0.08, 100.0, 0.6)])
 def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
     """The ends of what scripts/delays_of_laps measures."""
@@ -114,11 +115,13 @@ def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
     assert delays.delay.low <= total <= delays.delay.high
 
 
+@pytest.mark.once
 def test_without_a_file_of_the_car(shipped):
     delays = estimate_delays([shipped], others=(NUC4, SIM))
     assert delays.delay.value == pytest.approx(0.07, abs=0.005)
 
 
+@pytest.mark.once
 def test_short_delays_at_another_rate():
     changes = {"steering_delay_s": 0.01, "steering_time_constant_s": 0.01}
     run = driven("nuc4", weaving, 100.0, 12.0, age=0.0, **changes)
@@ -127,7 +130,7 @@ def test_short_delays_at_another_rate():
     assert "stamped when they are received" in delays.pose_age.reason
 
 
-@pytest.mark.parametrize("real_time", [False, True])
+@pytest.mark.parametrize("real_time", [False, pytest.param(True, marks=pytest.mark.once)])
 def test_the_line_of_the_public_simulator(real_time):
     """Its servo steps, which shows in poses without noise: the line is known exactly.
 
@@ -180,6 +183,7 @@ def test_a_line_is_found_beyond_a_lesser_dip(monkeypatch):
     assert delay._stepping([drive], SIM, {}, Found(delay=0.0978)) == 8
 
 
+@pytest.mark.once
 def test_the_line_in_a_recording_of_the_public_simulator(shared_data):
     run = load_run(shared_data / "recordings" / "hangar_map_12laps.bag")
     delays = estimate_delays([run], SIM)
@@ -218,6 +222,7 @@ def test_a_car_that_stands_shows_nothing(shipped):
     assert delays.delay.status == delays.drive_lag.status == "not determined"
 
 
+@pytest.mark.once
 def test_commands_of_another_car_explain_nothing(shipped):
     other = driven("nuc4", lambda t: 0.2 * math.sin(2.3 * t * t / 4.0))
     mixed = {**shipped.signals, "steering": other.signals["steering"]}

@@ -45,6 +45,7 @@ def test_curves_of_the_plant_are_recovered_from_its_bag(found, ramps, curve_erro
     assert found.axles[axle].pacejka.covered_slip > {"front": 0.2, "rear": 0.01}[axle]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_they_are_with_any_noise(ramps, curve_error, tmp_path, seed):
     ramps_driven = [RampParameters(speed_mps=v) for v in (2.0, 3.0, 4.0)]
@@ -54,6 +55,7 @@ def test_they_are_with_any_noise(ramps, curve_error, tmp_path, seed):
         assert curve_error(found, ramps.true, axle) < 0.03
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_quarter_of_gross_outliers_in_the_bag(ramps, curve_error, tmp_path, seed):
     """Wrong poses, speeds, yaw rates and accelerations, each in a quarter of the messages."""
@@ -140,6 +142,7 @@ def test_understeer_gradient_is_the_slope_of_the_table(found):
     assert found.understeer_gradient == pytest.approx(beyond / a_y, rel=0.03)
 
 
+@pytest.mark.once
 def test_table_of_the_result_drives_as_well_as_the_true_one(found, ramps):
     """In the closed loop, on the plant that the tires were identified from."""
     raceline = load_raceline("reference")
@@ -263,6 +266,7 @@ def circles(shared_data):
     return [load_run(folder / "cmd.csv", channels) for folder in folders]
 
 
+@pytest.mark.once
 def test_a_real_car_predicts_the_runs_it_was_not_fitted_to(circles):
     found = identify(circles, CIRCLES, fix=True)
     assert len(found.motions) == 5

@@ -59,7 +59,10 @@ def test_combinations_and_friction_are_the_cars(low, found):
     assert found.vehicle.front.C == NUC4.front.C
 
 
-@pytest.mark.parametrize("scale, mu_scale, mixed", [(0.7, 0.7, True), (0.5, 0.88, False)])
+@pytest.mark.parametrize(
+    "scale, mu_scale, mixed",
+    [(0.7, 0.7, True), pytest.param(0.5, 0.88, False, marks=pytest.mark.once)],
+)
 def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mixed):
     """The same car at another speed is no contradiction, on another floor it is."""
     other = dataclasses.replace(laps_of(scale, seed=2, mu_scale=mu_scale)[0], name="other.bag")
@@ -69,6 +72,7 @@ def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mi
     assert ("check: runs: " in provenance(found)) == mixed == ("check: runs: " in car_text(found))
 
 
+@pytest.mark.once
 def test_far_from_the_limit_friction_stays_as_it_was():
     run, true = laps_of(0.45, mu_scale=0.88)
     found = tires_from_laps([run], NUC4)
@@ -79,12 +83,14 @@ def test_far_from_the_limit_friction_stays_as_it_was():
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.08)
 
 
+@pytest.mark.once
 def test_perfect_measurements_do_not_tell_it_there_either():
     """At small slip a wrong shape of the curve looks like another friction."""
     run, _ = laps_of(0.45, mu_scale=0.88, **QUIET)
     assert not tires_from_laps([run], NUC4).parameters["friction"].determined
 
 
+@pytest.mark.once
 def test_a_quarter_of_gross_outliers(low):
     run, true = low
     rng = np.random.default_rng(1)
@@ -108,6 +114,7 @@ def test_without_lateral_velocity_or_imu(low):
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
 
 
+@pytest.mark.once
 def test_no_less_grip_than_was_demonstrated(low):
     """A file that promises less than the car did is wrong, determined or not."""
     run, true = low
@@ -131,6 +138,7 @@ def test_wheels_that_turn_otherwise_than_commanded(low):
     assert stiffness(fixed.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
 
 
+@pytest.mark.once
 def test_not_beyond_their_lock(low):
     run, _ = low
     t, angle = run.signals["steering"]
@@ -143,6 +151,7 @@ def test_not_beyond_their_lock(low):
     assert any("beyond their lock" in finding.text for finding in found.findings)
 
 
+@pytest.mark.once
 def test_the_wrong_shape_of_a_curve_does_not_pass_for_friction(low):
     run, true = low
     C, E = 1.5, 0.9  # bends late, and then sharply
@@ -166,6 +175,7 @@ def test_linear_tires_have_no_friction_to_tell(low):
     assert found.least_friction is None
 
 
+@pytest.mark.once
 def test_commands_too_early_to_be_the_delay(low):
     """With the delay at its bound, tires would make up for the rest."""
     run = low[0]
@@ -175,6 +185,7 @@ def test_commands_too_early_to_be_the_delay(low):
         tires_from_laps([dataclasses.replace(run, signals=early)], NUC4)
 
 
+@pytest.mark.once
 def test_refusals(low):
     run, _ = low
     t = np.arange(0.0, 20.0, 0.025)

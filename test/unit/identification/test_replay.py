@@ -128,6 +128,7 @@ def test_what_is_beyond_the_identified_tires_is_said(quiet):
     assert not most.runs[0].notes
 
 
+@pytest.mark.once
 def test_a_real_car_from_its_other_circles(shared_data):
     channels = load_channel_map("circles_log")
     folder = shared_data / "tyre_id"

@@ -176,6 +176,7 @@ def test_sum_of_squares_is_what_is_smallest():
             assert squares(dataclasses.replace(fit.tire, **{name: value})) > least - 0.05
 
 
+@pytest.mark.once
 def test_noise_of_the_slip_angle_does_not_soften_a_stiff_tire():
     tire = PacejkaTire(25.0, 1.4, 1.2, 0.0)
     bias = {"ignored": [], "known": []}
@@ -247,6 +248,7 @@ def test_intervals_do_not_shrink_with_the_rate_of_sampling():
     assert width["many"] == pytest.approx(width["few"], rel=0.35)
 
 
+@pytest.mark.once
 def test_the_stiffness_is_within_its_interval_about_as_often_as_it_says():
     inside = 0
     for seed in range(40):

@@ -57,8 +57,10 @@ def test_without_the_package_one_line_says_which_install_brings_it(monkeypatch, 
 
 @pytest.mark.parametrize(
     ("parameters", "speed", "amplitude", "frequency"),
-    [(BMW, 20.0, 0.04, 2.0), (F1TENTH, 4.0, 0.15, 6.0)],
-    ids=["multi-body", "drift"],
+    [
+        pytest.param(BMW, 20.0, 0.04, 2.0, marks=pytest.mark.once, id="multi-body"),
+        pytest.param(F1TENTH, 4.0, 0.15, 6.0, id="drift"),
+    ],
 )
 def test_one_step_per_millisecond_is_converged(models, parameters, speed, amplitude, frequency):
     coarse, fine = (
@@ -160,6 +162,7 @@ def test_a_car_that_spins_slides_to_a_halt_and_drives_on(models):
     assert math.hypot(state.x - x, state.y - y) > 1.0
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("parameters", "speeds", "accelerations"),
     [(BMW, (16.0, 30.0), (4.0, 8.0)), (F1TENTH, (2.5, 4.0), (2.0, 5.0, 7.0))],

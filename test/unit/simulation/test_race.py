@@ -350,6 +350,7 @@ def hangar_race(shared_data, name, hangar="21 m", delay_s=0.05, rate=100.0):
     )
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("delay_s", [0.04, 0.05, 0.06, 0.07])
 @pytest.mark.parametrize("hangar", HANGARS)
 def test_the_shipped_map_halves_the_error_and_is_faster(shared_data, hangar, delay_s):
@@ -367,6 +368,7 @@ def test_the_shipped_map_at_the_rate_of_the_authors_loop(shared_data, hangar):
     assert error < 0.5 * their_error and lap_time < their_lap_time
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("hangar", HANGARS)
 def test_map_as_published_does_there_what_was_measured(shared_data, hangar):
     """At least as fast and as close as the authors' code, and away from the walls."""
@@ -377,6 +379,7 @@ def test_map_as_published_does_there_what_was_measured(shared_data, hangar):
     assert clearance > 0.1
 
 
+@pytest.mark.once
 def test_pure_pursuit_as_published_does_there_what_was_measured(shared_data):
     """The public pure pursuit was measured to lap in 5.62 s with 0.139 m, its loop at 40 Hz."""
     error, lap_time, _ = hangar_race(shared_data, "pure_pursuit_paper", rate=40.0)
@@ -384,6 +387,7 @@ def test_pure_pursuit_as_published_does_there_what_was_measured(shared_data):
     assert lap_time == pytest.approx(5.62, abs=0.02)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", ["pure_pursuit", "map_paper", "pure_pursuit_paper"])
 def test_what_feedforward_compensation_and_tires_are_worth_there(shared_data, name):
     """Half the error of those as published; less on linear tires beside the shipped pure pursuit.

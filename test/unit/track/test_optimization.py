@@ -21,7 +21,10 @@ from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
 LIMITS = {"a_lat_max": 7.0, "a_drive_max": 3.0, "a_brake_max": 3.0, "v_max": 15.0}
-CIRCUITS = ("Spielberg", "Monza", "Oschersleben", "Austin")
+CIRCUITS = (
+    "Spielberg",
+    *(pytest.param(name, marks=pytest.mark.once) for name in ("Monza", "Oschersleben", "Austin")),
+)
 
 
 def bean(count=300, width=1.0, **keywords):
@@ -240,6 +243,7 @@ def test_no_worse_than_the_published_line(shared_data, circuit):
     assert raceline_speeds(found.raceline, **limits)[1] <= raceline_speeds(published, **limits)[1]
 
 
+@pytest.mark.once
 def test_memory_is_linear_in_the_number_of_points():
     peaks = []
     for step in (0.2, 0.05):
