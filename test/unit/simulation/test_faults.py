@@ -174,9 +174,8 @@ def test_what_a_fault_did_ends_with_it(parameters):
 
 def test_grip_is_lost_also_where_it_changes(parameters):
     changes = [{"factor": 0.8, "from_m": 5.0, "to_m": 9.0}]
-    plant, faults = faulty(
-        dataclasses.replace(parameters, grip_changes=changes), Fault("grip_lost", 1.0, 1.0, size=0.5)
-    )
+    parameters = dataclasses.replace(parameters, grip_changes=changes)
+    plant, faults = faulty(parameters, Fault("grip_lost", 1.0, 1.0, size=0.5))
     car = DrivenCar(SimulatedCar(plant, faults=faults), rehearsal_track())
     car.put(7.0, 0.0, 0.0)
     factors = []
