@@ -653,7 +653,7 @@ def test_a_saved_file_is_what_the_node_starts_with(rig, ros, start, tmp_path):
         assert held[name] == value, name
 
 
-def test_tuning_and_saving(rig, ros, tmp_path):
+def test_tuning_and_saving(rig, ros, listen, tmp_path):
     target = tmp_path / "tuned" / "{steering_map}.yaml"
     rig = rig({"controller": "map", "save_to": str(target), "speed_scale": 0.6})
     client = Client("/controller/tuning", timeout=10.0)
@@ -666,6 +666,14 @@ def test_tuning_and_saving(rig, ros, tmp_path):
     client.update_configuration(
         {"table_q_s": 0.21, "speed_scale": 0.5, "ackermann_m_m": 0.4, "max_deviation_m": 0.9}
     )
+    heard = listen(SETTINGS_TOPIC, String)
+    heard.wait()
+    # Also of a value that no speed depends on.
+    client.update_configuration({"table_q_s": 0.22})
+    client.update_configuration({"table_q_s": 0.21})
+    wait_for(lambda: len(heard) >= 3)
+    told_q = [parse_settings(message.data).controller.q_s for message in heard]
+    assert told_q[-2:] == [0.22, 0.21]
     saved = rig.call(ros, "save")
     assert saved.success
     assert saved.message == str(tmp_path / "tuned" / "table.yaml")

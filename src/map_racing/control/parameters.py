@@ -196,8 +196,7 @@ class ControllerParameters:
 
     def __post_init__(self):
         check(self)
-        if 0.0 < self.grip_use < 0.1:  # a plan would crawl around the lap
-            raise ParameterError(f"grip_use: expected 0 (off) or 0.1 to 1.2, got {self.grip_use:g}")
+        _check_grip_use(self.grip_use)
         if self.lookahead_min_m > self.lookahead_max_m:
             raise ParameterError(
                 f"lookahead_min_m: expected at most lookahead_max_m, {self.lookahead_max_m:g}, "
@@ -225,6 +224,11 @@ class ControllerParameters:
         limits instead. Nothing changes for 1:10 cars.
         """
         return self if size_of(vehicle) == ONE_TENTH else self.with_(**_sized(self, vehicle))
+
+
+def _check_grip_use(grip_use):
+    if 0.0 < grip_use < 0.1:  # a plan would crawl around the lap
+        raise ParameterError(f"grip_use: expected 0 (off) or 0.1 to 1.2, got {grip_use:g}")
 
 
 def growth(name: str, size: Size) -> float:
@@ -293,6 +297,7 @@ class MpcParameters:
 
     def __post_init__(self):
         check(self)
+        _check_grip_use(self.grip_use)
 
     def with_(self, **changes) -> MpcParameters:
         """A checked copy with some values changed."""

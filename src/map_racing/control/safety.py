@@ -209,7 +209,8 @@ class Supervisor:
     Attributes
     ----------
     limits : SafetyLimits
-        May be replaced while driving.
+    slowing : Slowing or None
+        Both may be replaced while driving.
     mode : Mode
     reason : Reason
     jumped : bool
@@ -222,7 +223,7 @@ class Supervisor:
 
     def __init__(self, limits: SafetyLimits, max_speed: float, slowing: Slowing | None = None):
         self.limits = limits
-        self._max_speed, self._slowing = max_speed, slowing
+        self._max_speed, self.slowing = max_speed, slowing
         self._requests = set()
         self._failed = self._lost_grip = self._overspeed = False
         self._raceline_valid, self._opposed = True, False
@@ -513,20 +514,20 @@ class Supervisor:
         elapsed = min(max(elapsed, 0.0), LONGEST_STEP)  # a clock may go back a little
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows)
-        if self._slowing is not None and not slows:
-            slows = v - wanted > self._slowing.sudden
+        if self.slowing is not None and not slows:
+            slows = v - wanted > self.slowing.sudden
         if not self._slows or (self.mode is Mode.DRIVING and not drives):
             # A car that is still accelerating must not continue up to the last command.
             speed = min(speed, self._speed + self._rise * (now - self._measured))
             elapsed = min(elapsed, FIRST_STEP)
-        if self._slowing is not None and self._slowing.always:
-            most = self._slowing.largest(v)
+        if self.slowing is not None and self.slowing.always:
+            most = self.slowing.largest(v)
             angle = min(max(angle, -most), most)
         asked, slowest = angle, -math.inf
-        if self._slowing is not None and (slows or self._slows):
-            deceleration = self._slowing.bounded(deceleration)
-            angle = self._slowing.steering(v, angle, last_angle, deceleration, elapsed)
-            braking = self._slowing.braking(v, angle)
+        if self.slowing is not None and (slows or self._slows):
+            deceleration = self.slowing.bounded(deceleration)
+            angle = self.slowing.steering(v, angle, last_angle, deceleration, elapsed)
+            braking = self.slowing.braking(v, angle)
             slowest = speed - elapsed * (braking if follows else min(braking, deceleration))
         if drives:
             self.mode, self._stopped_since = Mode.DRIVING, None

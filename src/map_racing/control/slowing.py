@@ -44,6 +44,7 @@ class Slowing:
 
     Attributes
     ----------
+    grip, always
     sudden : float
         A command so far below the measured speed is followed by a ramp [m/s].
     """
@@ -56,7 +57,7 @@ class Slowing:
         always: bool = True,
         size: Size = ONE_TENTH,
     ):
-        self._grip, self._brake, self.delta_max = grip, a_brake_max, delta_max
+        self.grip, self._brake, self.delta_max = grip, a_brake_max, delta_max
         self._rate, self.sudden = STEERING_RATE / size.time, SUDDEN * size.time
         self.always = always
         self._peak = float(np.max(grip.max_lateral_acceleration(np.arange(1.0, 20.0))))
@@ -67,7 +68,7 @@ class Slowing:
 
     def largest(self, v: float) -> float:
         """Angle [rad] of the largest lateral acceleration at a speed [m/s], within the lock."""
-        return min(self._grip.steering(v, self._peak)[0], self.delta_max)
+        return min(self.grip.steering(v, self._peak)[0], self.delta_max)
 
     def steering(
         self, v: float, angle: float, last: float, deceleration: float, elapsed: float
@@ -93,7 +94,7 @@ class Slowing:
             [rad]
         """
         share = math.sqrt(1.0 - (deceleration / self._brake) ** 2)
-        most = min(self._grip.steering(v, share * self._peak)[0], self.delta_max)
+        most = min(self.grip.steering(v, share * self._peak)[0], self.delta_max)
         angle = min(max(angle, -most), most)
         slew = self._rate * elapsed
         angle = min(max(angle, last - slew), last + slew)
@@ -104,7 +105,7 @@ class Slowing:
 
     def braking(self, v: float, angle: float) -> float:
         """Deceleration that the tires hold beside a steering angle [m/s^2]."""
-        steering, peak, angle = self._grip.steering, self._peak, abs(angle)
+        steering, peak, angle = self.grip.steering, self._peak, abs(angle)
         low, high = 0.0, 1.0
         for _ in range(_BISECTIONS):
             use = 0.5 * (low + high)

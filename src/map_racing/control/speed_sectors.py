@@ -136,7 +136,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
                 f"got {end}"
             )
         last = max(last, end)
-        if start == len(points):
+        if start >= len(points):
             continue
         # A sector extends to the first point of the next one.
         place = points[end + 1] if end + 1 < len(points) else raceline.length

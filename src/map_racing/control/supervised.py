@@ -98,6 +98,27 @@ class SupervisedController:
         self.supervisor.raceline_changed(True, opposed)
         return not opposed
 
+    def refuse(self) -> None:
+        """Stop for a raceline that cannot be driven; one that waits is dropped, too."""
+        self._waiting = None
+        self.supervisor.raceline_changed(False)
+
+    def tune(self, setup: object, limits: SafetyLimits) -> None:
+        """Drive with other parameters and limits from the next step on.
+
+        Parameters
+        ----------
+        setup : object
+            What `Controller.prepare` made of the parameters. How the car stops follows them.
+        limits : SafetyLimits
+        """
+        controller, supervisor = self.controller, self.supervisor
+        controller.apply(setup)
+        supervisor.limits = limits
+        if supervisor.slowing is not None:
+            grip = supervisor.slowing.grip
+            supervisor.slowing = build_slowing(controller.parameters, controller.vehicle, grip)
+
 
 def build_supervisor(controller: Controller, limits: SafetyLimits, grip=None) -> Supervisor:
     """Supervisor of a controller, with the grip of the car's own tires.

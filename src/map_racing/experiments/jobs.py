@@ -45,9 +45,10 @@ __all__ = [
 ]
 
 # Packages and modules that decide how a race goes and what is measured.
-_DECISIVE = ("vehicle", "track", "control", "simulation", "evaluation/laps.py") + (
-    "experiments/conditions.py",
-    "experiments/jobs.py",
+_DECISIVE = (
+    *("vehicle", "track", "control", "simulation"),
+    *(f"evaluation/{name}.py" for name in ("laps", "results", "speed", "statistics")),
+    *("experiments/conditions.py", "experiments/jobs.py"),
 )
 
 

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pandas as pd
 
-from ..simulation.plant import scaled_tires
+from ..vehicle.parameters import scaled_tires
 from .campaign import Plan
 from .paper import Contender, Race
 

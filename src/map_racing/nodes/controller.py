@@ -108,7 +108,7 @@ class ControllerNode:
         self._lock = threading.RLock()
         self._saver = Saver(self._controller, self._supervisor, self._lock, *files, vehicle)
         self._driver = SupervisedController(
-            self._controller, self._supervisor, self._announce_speeds
+            self._controller, self._supervisor, self._announce
         )
         self._start(source, pose_source)
 
@@ -157,11 +157,10 @@ class ControllerNode:
             rospy.Service("~reset", Trigger, self._on_reset),
         ]
         self._tuning = TuningServer(
-            self._controller,
-            self._supervisor,
+            self._driver,
             self._lock,
             self._changing,
-            self._announce_speeds,
+            self._announce,
             self._names["table"],
         )
         self._subscribe_poses(pose_source)
@@ -374,10 +373,10 @@ class ControllerNode:
                 text += ", which runs against the motion of the car: it has to stand first"
             rospy.loginfo(text, raceline.source, raceline.length)
             if driven:
-                self._announce_speeds()
+                self._announce()
 
-    def _announce_speeds(self):
-        """Log where the car drives slower than the raceline; publish speeds and settings."""
+    def _announce(self):
+        """Publish speeds and settings; log where the car drives slower than the raceline."""
         controller = self._controller
         raceline, plan = controller.raceline, controller.plan
         if raceline is None:
@@ -406,7 +405,7 @@ class ControllerNode:
 
     def _refuse_raceline(self, error):
         with self._lock:
-            self._supervisor.raceline_changed(False)
+            self._driver.refuse()
             self._diagnosis.refused = str(error)
         rospy.logerr_throttle(QUIET_S, str(error))
 

@@ -11,7 +11,6 @@ from dynamic_reconfigure.server import Server
 
 from map_racing.cfg import ControllerConfig
 
-from ..control.controller import Controller
 from ..control.parameters import STEERING_MAPS, load_controller_parameters
 from ..control.steering import build_steering_map
 from ..errors import MapRacingError, ParameterError
@@ -19,7 +18,7 @@ from ..errors import MapRacingError, ParameterError
 if TYPE_CHECKING:
     import threading
 
-    from ..control.safety import Supervisor
+    from ..control.supervised import SupervisedController
 
 __all__ = ["TuningServer"]
 
@@ -45,36 +44,35 @@ class TuningServer:
 
     Parameters
     ----------
-    controller : Controller
+    driver : SupervisedController
         Its steering map and largest speed are kept: the speed can be lowered, never raised above
         the one at the start.
-    supervisor : Supervisor
     lock : threading.RLock
         Held while a change is applied, so that it falls between two control steps.
     changing : threading.Lock
         Held while a change is prepared, beside the control steps.
-    announce_speeds : callable
-        Called when the speed plan has changed.
+    announce : callable
+        Called when something has changed.
     table : str, optional
         File of a lookup table that stands for the vehicle's tires, which then cannot be adapted.
     """
 
     def __init__(
         self,
-        controller: Controller,
-        supervisor: Supervisor,
+        driver: SupervisedController,
         lock: threading.RLock,
         changing: threading.Lock,
-        announce_speeds: Callable[[], None],
+        announce: Callable[[], None],
         table: str = "",
     ):
-        self._controller, self._supervisor, self._lock = controller, supervisor, lock
-        self._changing, self._announce_speeds = changing, announce_speeds
+        self._driver, self._lock = driver, lock
+        self._controller, self._supervisor = driver.controller, driver.supervisor
+        self._changing, self._announce = changing, announce
         self._table = table
-        parameters = controller.parameters
+        parameters = self._controller.parameters
         self._v_max = parameters.v_max_mps
-        self._maps = {parameters.steering_map: controller.steering_map}
-        car = controller.vehicle
+        self._maps = {parameters.steering_map: self._controller.steering_map}
+        car = self._controller.vehicle
         shipped = {kind: load_controller_parameters(f, car) for kind, f in STEERING_MAPS.items()}
         shipped[parameters.steering_map] = parameters
         self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
@@ -126,14 +124,13 @@ class TuningServer:
         if kind not in self._maps:
             self._maps[kind] = build_steering_map(kind, self._controller.vehicle, self._v_max)
         with self._changing:
-            plan = self._controller.plan
+            before = self._controller.parameters, self._supervisor.limits
             setup = self._controller.prepare(parameters=parameters, steering_map=self._maps[kind])
             with self._lock:
                 self._lookaheads = lookaheads
-                self._controller.apply(setup)
-                self._supervisor.limits = limits
-            if self._controller.plan is not plan:
-                self._announce_speeds()
+                self._driver.tune(setup, limits)
+            if (parameters, limits) != before:
+                self._announce()
 
 
 def _changed(values, config):

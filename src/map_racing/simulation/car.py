@@ -127,7 +127,10 @@ class SimulatedCar:
         taken = None
         if self._due < soon:
             taken = self._measure(now)
-            self._pending.extend([taken] if self.faults is None else self.faults.measured(taken))
+            for seen in [taken] if self.faults is None else self.faults.measured(taken):
+                # Poses come in order: one that is delayed holds up those after it.
+                last = self._pending[-1].arrival if self._pending else seen.arrival
+                self._pending.append(seen._replace(arrival=max(seen.arrival, last)))
             self._poses += 1
             self._due = self._poses / self._rate
         arrived = []
@@ -217,8 +220,8 @@ class DrivenCar:
             if taken is not None:
                 x, y, psi = taken.true[1:4]
                 s, d = self._tracker.update(x, y, psi)[:2]
-                self._grip.update(car.now, s)
                 self._update_faults(s)
+                self._grip.update(car.now, s, 1.0 if car.faults is None else car.faults.grip)
             if taken is not None and not self.crashed:
                 self.crashed = hits_wall(self._raceline, s, d, car.plant.vehicle.width)
                 if self.crashed:

@@ -151,8 +151,6 @@ class CommonRoadCar(ActuatedCar):
         self._integration_step = self.time_step / parameters.integration_steps
         self.parameters = parameters
         self._nominal = _parameter_set(parameters.parameters, parameters.dynamics)
-        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
-        self.slowest = most * parameters.mu_scale * self._slowest(self._nominal)
         self._grip = None
         self.set_grip(1.0)
         super().__init__(parameters)
@@ -173,6 +171,8 @@ class CommonRoadCar(ActuatedCar):
         if factor != self._grip:
             self._grip = factor
             self._car = _scaled(self._nominal, factor, self.parameters, self._model.axles)
+            stiffer = max(factor, 1.0) * self.parameters.mu_scale
+            self.slowest = stiffer * self._slowest(self._nominal)
 
     def advance(self, steering_command, speed_command):
         """Integrate one time step under the given commands."""

@@ -101,7 +101,7 @@ class SupervisedDriver:
             self._failing = True
             supervisor.fail()
         elif name == "raceline_lost":
-            supervisor.raceline_changed(False)
+            self._driver.refuse()
         elif name == "raceline_reversed":
             self._follow(reversed_raceline(self._raceline))
 

@@ -303,13 +303,16 @@ class Faults:
             self._place = plant.reference_state()[1:4]
         if "drive_delay" not in active:
             self._line = []
-        if "grip_lost" in active or "grip_lost" in before:
-            plant.set_grip(self._size("grip_lost", 1.0))
         if {"motor_weak", "motor_dead", "brakes_weak"} & (set(active) | set(before)):
             braking = self._size("brakes_weak", 1.0)
             if "motor_dead" in active:
                 braking = min(braking, COASTING / plant.vehicle.a_brake_max)
             plant.set_drive(self._size("motor_weak", 1.0), braking)
+
+    @property
+    def grip(self) -> float:
+        """Factor on the friction, for `Grip`, which sets it."""
+        return self._size("grip_lost", 1.0)
 
     def _size(self, name, default):
         return self.active[name].size if name in self.active else default

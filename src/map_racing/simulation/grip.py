@@ -66,11 +66,13 @@ class Grip:
     def __init__(self, plant):
         self._plant, self._changes = plant, plant.parameters.grip_changes
 
-    def update(self, t, s):
-        """Set the friction for a simulated time [s] and an arc length of the raceline [m]."""
-        if self._changes:
-            factors = [change.factor for change in self._changes if change.holds(t, s)]
-            self._plant.set_grip(math.prod(factors, start=1.0))
+    def update(self, t, s, fault=1.0):
+        """Set the friction for a simulated time [s] and an arc length of the raceline [m].
+
+        A `fault` is one more factor.
+        """
+        factors = [change.factor for change in self._changes if change.holds(t, s)]
+        self._plant.set_grip(math.prod(factors, start=fault))
 
 
 def read_grip_changes(values):

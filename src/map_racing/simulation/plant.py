@@ -190,12 +190,7 @@ class Plant(ActuatedCar):
 
     def __init__(self, parameters):
         super().__init__(parameters)
-        # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at walking
-        # pace are damped up to a higher speed.
-        most = math.prod(max(change.factor, 1.0) for change in parameters.grip_changes)
-        rate = most * fastest_mode(self.vehicle)
-        self._v_eps = max(V_EPS, rate * self.time_step / 2.5)
-        self._grip = None
+        self._fastest, self._grip = fastest_mode(self.vehicle), None
         self.set_grip(1.0)
 
     def set_grip(self, factor):
@@ -203,7 +198,10 @@ class Plant(ActuatedCar):
         if factor != self._grip:
             self._grip = factor
             vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
-            self._derivatives = single_track_derivatives(vehicle, self._v_eps)
+            # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at
+            # walking pace are damped up to a higher speed.
+            v_eps = max(V_EPS, factor * self._fastest * self.time_step / 2.5)
+            self._derivatives = single_track_derivatives(vehicle, v_eps)
 
     def hold(self, x, y, psi):
         """Keep the rear axle in a place, at rest; time and actuators go on."""

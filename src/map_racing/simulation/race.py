@@ -195,11 +195,11 @@ def race(
             poses += 1
             _, x, y, psi, _, _, _ = taken.true
             s, d = tracker.update(x, y, psi)[:2]
-            grip.update(car.now, s)
             if supervised:
                 truth.append(taken.true)
             if faults is not None:
                 _take(driver, *faults.update(car.now, s))
+            grip.update(car.now, s, 1.0 if faults is None else faults.grip)
             way.update(s, car.now)
             if progress is not None and poses % 40 == 0:
                 progress(way.driven / raceline.length)

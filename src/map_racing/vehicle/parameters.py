@@ -288,7 +288,7 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     ----------
     vehicle : Vehicle
     mu : float
-        Factor on the friction.
+        Factor on the friction, and on what it limits, ``a_lat_max``.
     front_stiffness, rear_stiffness : float
         Factors on the cornering stiffness of each axle, whose peak force is kept.
 
@@ -296,9 +296,11 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     -------
     Vehicle
     """
+    limit = vehicle.a_lat_max
     return dataclasses.replace(
         vehicle,
         mu=vehicle.mu * mu,
+        a_lat_max=limit if limit == NO_LIMIT else limit * mu,
         front=_scaled(vehicle.front, front_stiffness),
         rear=_scaled(vehicle.rear, rear_stiffness),
     )

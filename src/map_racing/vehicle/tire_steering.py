@@ -53,7 +53,10 @@ class TireSteering:
     def __init__(self, vehicle, v_max):
         self.l_wb, self.delta_max = vehicle.l_wb, vehicle.delta_max
         self._per_x = vehicle.mu * GRAVITY
-        slip = np.linspace(0.0, min(vehicle.front.peak_slip, MOST_SLIP), NODES)
+        # NaN where the tires do not reach that acceleration.
+        reached = vehicle.front.slip(vehicle.a_lat_max / self._per_x)
+        most = np.nanmin([vehicle.front.peak_slip, MOST_SLIP, reached])
+        slip = np.linspace(0.0, most, NODES)
         x = vehicle.front.normalized_force(slip)
         rear = vehicle.rear.slip(x)
         good = np.logical_and.accumulate(np.isfinite(rear) & np.r_[True, np.diff(x) > 0.0])

@@ -197,3 +197,9 @@ def test_files(tmp_path):
     save_controller_parameters(GIVEN, path, SafetyLimits())
     assert load_law(path) == GIVEN
     assert isinstance(GIVEN, MpcParameters)
+
+
+@pytest.mark.parametrize("name", ["map", "mpc_single_track"])
+def test_a_plan_that_would_crawl_is_refused(name):
+    with pytest.raises(ParameterError, match="grip_use: expected 0 .off. or 0.1 to 1.2, got 0.05"):
+        load_law(name).with_(grip_use=0.05)

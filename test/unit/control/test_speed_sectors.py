@@ -136,6 +136,9 @@ def test_ends_beyond_the_points_mean_the_line(tmp_path):
     """Files count the closing point, which a raceline drops."""
     sectors = load(tmp_path, "{n_sectors: 1, Sector0: {start: 0, end: 20, scaling: 0.5}}")
     assert sectors.scale_at(circle().length - 1e-6) == 0.5
+    for place in (20, 21):  # nothing is left there to scale
+        text = f"{{n_sectors: 1, Sector0: {{start: {place}, end: {place}, scaling: 0.5}}}}"
+        assert load(tmp_path, text).stretches() == [(0.0, circle().length, 1.0)]
 
 
 @pytest.mark.parametrize("end, at_the_line", [(17, 1.0), (18, 1.2), (19, 1.2), (20, 1.2)])

@@ -215,3 +215,34 @@ def test_the_grip_is_that_of_the_car_or_of_its_table(name, always):
             assert supervisor.observe(at, state._replace(t=at, y=6.0 * k * PERIOD))
             angle = supervisor.decide(at, result).steering_angle
         assert angle == (slowing.largest(6.0) if always else 0.4)
+
+
+def test_a_raceline_that_waits_is_dropped_with_one_that_is_refused():
+    drive = Drive()
+    drive.drive(1.0)
+    old = drive.driver.controller.raceline
+    assert not drive.follow(circle(-1.0))
+    drive.drive(0.1)
+    drive.driver.refuse()
+    last = drive.drive(3.0)[-1].decision
+    assert last[:2] == (Mode.STOPPED, Reason.INVALID_RACELINE)
+    assert drive.driver.controller.raceline is old and drive.told == []
+    assert drive.follow(circle(-1.0))
+    assert drive.drive(1.0)[-1].decision.mode is Mode.DRIVING
+
+
+def test_stops_follow_live_tuning():
+    """As if the car had been started with these values."""
+    drive = Drive()
+    controller, supervisor = drive.driver.controller, drive.driver.supervisor
+    grip = supervisor.slowing.grip
+    parameters = load_controller_parameters("pure_pursuit").with_(a_brake_max_mps2=3.0)
+    steering_map = build_steering_map("ackermann", controller.vehicle, 12.0)
+    setup = controller.prepare(parameters=parameters, steering_map=steering_map)
+    limits = SafetyLimits(recovery_s=2.0)
+    drive.driver.tune(setup, limits)
+    assert controller.parameters is parameters and supervisor.limits is limits
+    tuned, fresh = supervisor.slowing, build_slowing(parameters, controller.vehicle)
+    assert tuned.grip is grip and tuned.always is fresh.always is False
+    assert tuned.bounded(9.0) == fresh.bounded(9.0) == pytest.approx(2.4)
+    assert tuned.braking(6.0, 0.02) == fresh.braking(6.0, 0.02)

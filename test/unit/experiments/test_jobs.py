@@ -3,6 +3,8 @@
 import dataclasses
 import math
 import pickle
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ import pytest
 from map_racing.bags.reader import read_recording
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.errors import MapRacingError
+from map_racing.evaluation import laps
 from map_racing.evaluation.runs import evaluate
+from map_racing.experiments import jobs
 from map_racing.experiments.jobs import code_fingerprint, execute, fingerprint
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
@@ -26,6 +30,13 @@ def test_the_same_job_gives_the_same_result_wherever_it_goes(job_of):
     assert first.result.completed and len(first.result.laps) == 2
     assert first.code == code_fingerprint() and first.bag is None
     assert repr(pickle.loads(pickle.dumps(first)).result) == repr(first.result)
+
+
+def test_all_that_measures_a_lap_is_in_the_fingerprint():
+    """Otherwise results of another measure would be found on disk."""
+    imports = re.findall(r"^from \.(\w+) import", Path(laps.__file__).read_text(), re.MULTILINE)
+    assert "statistics" in imports
+    assert {f"evaluation/{name}.py" for name in imports} <= set(jobs._DECISIVE)
 
 
 def test_lateral_acceleration_is_that_of_the_circle(job_of):

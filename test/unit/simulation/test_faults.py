@@ -1,5 +1,6 @@
 """Faults by name: what they do to measurements and commands, and the refusals."""
 
+import dataclasses
 import math
 import re
 from pathlib import Path
@@ -11,9 +12,9 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.safety import SafetyLimits
 from map_racing.control.state import CarState
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.simulation.car import Observation, SimulatedCar
+from map_racing.simulation.car import DrivenCar, Observation, SimulatedCar
 from map_racing.simulation.faults import KINDS, Fault, Faults, load_faults
-from map_racing.simulation.plant import Plant
+from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.rehearsal import rehearsal_track
@@ -169,6 +170,35 @@ def test_what_a_fault_did_ends_with_it(parameters):
         for _ in range(200):
             car.advance(*faults.commanded(0.2, 4.0))
     assert plant.state == before.state
+
+
+def test_grip_is_lost_also_where_it_changes(parameters):
+    changes = [{"factor": 0.8, "from_m": 5.0, "to_m": 9.0}]
+    parameters = dataclasses.replace(parameters, grip_changes=changes)
+    plant, faults = faulty(parameters, Fault("grip_lost", 1.0, 1.0, size=0.5))
+    car = DrivenCar(SimulatedCar(plant, faults=faults), rehearsal_track())
+    car.put(7.0, 0.0, 0.0)
+    factors = []
+    plant.set_grip = factors.append
+    plant.measured_state = plant.reference_state
+    for _ in car.advance_to(round(3.0 / plant.time_step)):
+        pass
+    assert factors[::40] == pytest.approx([0.8, 0.4, 0.8])
+
+
+def test_poses_arrive_in_order_when_a_delay_ends(parameters):
+    plant, faults = faulty(parameters, Fault("pose_delay", 0.2, 0.5, size=1.0))
+    car = SimulatedCar(plant, Localization(parameters, 1), faults=faults)
+    arrivals, stamps = [], []
+    while car.now < 3.0:
+        faults.update(car.now, 0.0)
+        for seen in car.observe()[1]:
+            assert seen.arrival == pytest.approx(car.now, abs=plant.time_step)
+            arrivals.append(seen.arrival)
+            stamps.append(seen.measured.t)
+        car.advance(0.0, 1.0)
+    assert arrivals == sorted(arrivals) and stamps == sorted(stamps)
+    assert arrivals[-1] - stamps[-1] == pytest.approx(parameters.localization_latency_s)
 
 
 # -- refusals ------------------------------------------------------------------------------------

@@ -69,7 +69,14 @@ def test_changes_multiply_and_end():
     grip = Grip(plant)
     for t, s in ((0.0, 0.0), (0.0, 2.5), (1.0, 2.5), (1.0, 4.0)):
         grip.update(t, s)
-    assert seen == pytest.approx([1.0, 0.5, 0.4, 0.8])
+    grip.update(1.0, 4.0, 0.5)
+    assert seen == pytest.approx([1.0, 0.5, 0.4, 0.8, 0.4])
+
+
+def test_twice_the_grip_at_walking_pace():
+    """There the integration has to be stable, too."""
+    plant = Plant(PlantParameters(vehicle="nuc4"))
+    assert settled(plant, 2.0, 0.8, 0.1) == pytest.approx(settled(plant, 1.0, 0.8, 0.1), rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,21 @@ def test_it_is_the_table_of_the_scaled_car(factors):
             assert steering.steering(speed, share * limit)[0] == pytest.approx(expected, abs=2e-4)
 
 
+@pytest.mark.parametrize("factors", FACTORS)
+def test_beyond_what_the_data_reached_there_is_no_grip(factors):
+    car = dataclasses.replace(NUC4, a_lat_max=5.0)
+    table, steering = table_of(car, factors), TireSteering(car, V_MAX).scaled(*factors)
+    v = np.linspace(0.3, 12.0, 40)
+    limits = table.max_lateral_acceleration(v)
+    assert limits.max() == pytest.approx(5.0 * factors[0])
+    found = steering.max_lateral_acceleration(v)
+    assert np.all(found <= 1.001 * limits)
+    assert found[v > 3.0] == pytest.approx(limits[v > 3.0], rel=0.025)
+    for share, saturated in ((0.9, False), (1.1, True)):
+        found, expected = (each.steering(6.0, share * limits.max()) for each in (steering, table))
+        assert found == (pytest.approx(expected[0], abs=2e-3), saturated)
+
+
 def test_linear_tires_have_the_table_of_linear_tires():
     car = linearized(NUC4)
     table, steering = table_of(car, (0.9, 1.0, 0.9)), TireSteering(car, V_MAX).scaled(0.9, 1.0, 0.9)
