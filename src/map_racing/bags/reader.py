@@ -115,19 +115,7 @@ def _read(path, bag, source, notes):
             + (f" ({why})" if why else "")
         )
     t0_ns = int(times[0])
-    commands = None
-    if drives:
-        at, (angle, speed) = command.columns(notes, drive_topic, clock)
-        stamps, received = command.stamps()
-        own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)
-        shifted = not clock.use_receipt and stamps is not own
-        lag = 1e-9 * float(np.median(received - stamps)) if stamps.size else math.nan
-        commands = Commands((at - t0_ns) * 1e-9, angle, speed, drive_topic, shifted, lag)
-        doubt = commands_of_two(drive_topic, angle, speed)
-        notes += [f"warning: {doubt}"] if doubt else []
-        if at.size and (at[-1] < times[0] or at[0] > times[-1]):
-            when = "before" if at[-1] < times[0] else "after"
-            notes.append(f"warning: {drive_topic}: all {at.size} commands lie {when} the poses")
+    commands = _commands(command, drive_topic, clock, times, notes) if drives else None
     beliefs = None
     if believing:
         at, values = believed.columns(notes, belief_topic, clock)
@@ -159,6 +147,21 @@ def _read(path, bag, source, notes):
         clock=clock,
         notes=notes,
     )
+
+
+def _commands(command, topic, clock, times, notes):
+    """The commands on the clock of the poses, whose times are given [ns]; doubts to the notes."""
+    at, (angle, speed) = command.columns(notes, topic, clock)
+    stamps, received = command.stamps()
+    own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)
+    shifted = not clock.use_receipt and stamps is not own
+    lag = 1e-9 * float(np.median(received - stamps)) if stamps.size else math.nan
+    doubt = commands_of_two(topic, angle, speed)
+    notes += [f"warning: {doubt}"] if doubt else []
+    if at.size and (at[-1] < times[0] or at[0] > times[-1]):
+        when = "before" if at[-1] < times[0] else "after"
+        notes.append(f"warning: {topic}: all {at.size} commands lie {when} the poses")
+    return Commands((at - int(times[0])) * 1e-9, angle, speed, topic, shifted, lag)
 
 
 def _moves(recording):

@@ -5,10 +5,10 @@ races that are driven with a candidate. One with which any of them is not comple
 
 `tune` finds the lookahead ``L_d = m + q v``, or the two weights of a rival's cost, for one track,
 with a race on each of several days. A coarse grid finds the valley, a pattern search (Hooke and
-Jeeves, with all eight neighbors) its lowest point to 0.025 m and 0.006 s. The gain q is not
-negative: a lookahead that shortens as the car gets faster would follow well at the speed it was
-tuned at, and swing beyond. `tune_robust` searches around given values, also of the other parameters
-of guidance, for many tracks and cars.
+Jeeves, with all eight neighbors) its lowest point to 0.025 m and 0.006 s. Neither is negative: a
+lookahead that shortens as the car gets faster would follow well at the speed it was tuned at, and
+swing beyond, and one with a negative offset would swing below. `tune_robust` searches
+around given values, also of the other parameters of guidance, for many tracks and cars.
 
 Candidates are compared race by race, on the same days. One that does not complete a race, or whose
 error on the races driven so far is well above the best one's on the same races, is given up: it
@@ -103,13 +103,15 @@ class Tuned(NamedTuple):
 
 
 def lap_error(results):
-    """Mean over all laps of races of their RMS lateral error [m]; infinite if one is not completed.
+    """Mean over all laps of races of their RMS lateral error [m].
+
+    Infinite if a race is not completed, or none of its laps counts.
 
     Parameters
     ----------
     results : iterable of RaceResult
     """
-    if not all(result.completed for result in results):
+    if not all(result.completed and result.laps for result in results):
         return math.inf
     return float(np.mean([lap.rms_lateral_error_m for result in results for lap in result.laps]))
 
@@ -194,7 +196,7 @@ def tune(jobs_for, controller, size=ONE_TENTH):
                 (best[0] + i, best[1] + j)
                 for i in (-width, 0, width)
                 for j in (-width, 0, width)
-                if best[1] + j >= 0 and (best[0] + i >= 0 or first == "m_m")
+                if best[0] + i >= 0 and best[1] + j >= 0
             ]
             yield from measure(around)
             lowest = min(

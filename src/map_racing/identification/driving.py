@@ -283,29 +283,8 @@ def windows_of(
     Windows
         Possibly none.
     """
-    begins, owners, excitement = [], [], []
-    need = round((length + burn_in) * GRID_HZ)
-    skip = round(length * GRID_HZ)
-    for index, drive in enumerate(drives):
-        # A window needs the commands of a while before it.
-        known = drive.usable & (drive.t > drive.steering.t[0] + LONGEST_DELAY_S)
-        signal = getattr(drive, excited)
-        good = np.append(0, np.cumsum(known))
-        at = 0
-        while at + need < drive.t.size:
-            if good[at + need + 1] - good[at] == need + 1:
-                varies = float(np.std(signal[at : at + need]))
-                if varies >= least:
-                    begins.append(drive.t[at])
-                    owners.append(index)
-                    excitement.append(varies)
-                at += skip
-            else:
-                at += 10
-    if len(begins) > most:
-        kept = np.sort(np.argsort(excitement)[-most:])
-        begins, owners = [begins[i] for i in kept], [owners[i] for i in kept]
-    begin, drive = np.array(begins, dtype=float), np.array(owners, dtype=int)
+    need, skip = round((length + burn_in) * GRID_HZ), round(length * GRID_HZ)
+    begin, drive = _most_excited(drives, need, skip, excited, least, most)
     steps = round((length + burn_in) / step)
     t = step * np.arange(steps + 1)
     v_x, a_long = np.empty((2, steps + 1, begin.size))
@@ -330,6 +309,31 @@ def windows_of(
         if rows
     }
     return Windows(step, round(burn_in / step), begin, drive, drives, v_x, a_long, r_0, observed)
+
+
+def _most_excited(drives, need, skip, excited, least, most):
+    """Times at which windows of `need` samples begin, `skip` apart, and the drive of each."""
+    begins, owners, excitement = [], [], []
+    for index, drive in enumerate(drives):
+        # A window needs the commands of a while before it.
+        known = drive.usable & (drive.t > drive.steering.t[0] + LONGEST_DELAY_S)
+        signal = getattr(drive, excited)
+        good = np.append(0, np.cumsum(known))
+        at = 0
+        while at + need < drive.t.size:
+            if good[at + need + 1] - good[at] == need + 1:
+                varies = float(np.std(signal[at : at + need]))
+                if varies >= least:
+                    begins.append(drive.t[at])
+                    owners.append(index)
+                    excitement.append(varies)
+                at += skip
+            else:
+                at += 10
+    kept = slice(None)
+    if len(begins) > most:
+        kept = np.sort(np.argsort(excitement)[-most:])
+    return np.array(begins, dtype=float)[kept], np.array(owners, dtype=int)[kept]
 
 
 def _lateral_acceleration(run, scaled, t, smooth, notes):

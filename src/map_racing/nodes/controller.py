@@ -114,7 +114,7 @@ class ControllerNode:
 
     def _start(self, source, pose_source):
         """Advertise, then subscribe: the first pose may drive the car."""
-        self._logged_plan = None
+        self._logged_plan, self._logged_doubts = None, []
         # Held by whoever changes what the controller drives with; the steps never wait for it.
         self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
@@ -386,8 +386,11 @@ class ControllerNode:
             self._logged_plan = plan
             text = plan or "the speeds are the raceline's, whatever the grip"
             rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
-            for doubt in doubts_of(controller):
+        doubts = doubts_of(controller)
+        for doubt in doubts:
+            if doubt not in self._logged_doubts:
                 rospy.logwarn(doubt)
+        self._logged_doubts = doubts
         rows = waypoint_rows(raceline, speed=controller.planned_speed)
         message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
         message.header.stamp = rospy.Time.now()

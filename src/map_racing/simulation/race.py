@@ -189,7 +189,6 @@ def race(
     processor = _Processor(driver.step, slowdown, plant.time_step)
     way = _Way(raceline.length, start_s)
     poses, crossed = 0, None
-    longest = round(LOOK / plant.time_step)
     while True:
         taken, arrived = car.observe()
         if taken is not None:
@@ -222,34 +221,34 @@ def race(
             steering, speed = result.steering_angle, result.speed
             if learning is not None:
                 controller.learn()
-            samples.append(
-                Sample(
-                    seen.true,
-                    seen.measured,
-                    seen.arrival,
-                    seen.acceleration,
-                    plant.steering_angle,
-                    result,
-                    None if learning is None else learning.belief,
-                )
-            )
-        stop = car.tick + longest
-        if driver.deadline is not None:
-            if car.now >= driver.deadline - 1e-9:
-                decision = driver.watch(car.now)
-                if decision is not None:
-                    steering, speed = decision.steering_angle, decision.speed
-            stop = min(stop, math.ceil(driver.deadline / plant.time_step - 1e-6))
-        # On to the next pose; time is looked at in between, should there be none.
-        if processor.due is not None:
-            stop = min(stop, math.ceil(processor.due / plant.time_step - 1e-9))
-        stride = min(car.next_event, stop) - car.tick
-        for _ in range(max(stride, 1)):
+            samples.append(_sample(seen, plant, result, learning))
+        if driver.deadline is not None and car.now >= driver.deadline - 1e-9:
+            decision = driver.watch(car.now)
+            if decision is not None:
+                steering, speed = decision.steering_angle, decision.speed
+        for _ in range(_stride(car, driver, processor)):
             car.advance(steering, speed)
     laps_driven = max(int(way.driven / raceline.length) - 1, 0)
     work = None if slowdown is None else processor.work(controller)
     commands = list(driver.commands)
     return RaceLog(outcome, laps_driven, car.now, samples, commands, truth, work)
+
+
+def _sample(seen, plant, result, learning):
+    belief = None if learning is None else learning.belief
+    angle = plant.steering_angle
+    return Sample(seen.true, seen.measured, seen.arrival, seen.acceleration, angle, result, belief)
+
+
+def _stride(car, driver, processor):
+    """Ticks until something happens; time is looked at in between, should nothing."""
+    step = car.plant.time_step
+    stop = min(car.next_event, car.tick + round(LOOK / step))
+    if driver.deadline is not None:
+        stop = min(stop, math.ceil(driver.deadline / step - 1e-6))
+    if processor.due is not None:
+        stop = min(stop, math.ceil(processor.due / step - 1e-9))
+    return max(stop - car.tick, 1)
 
 
 def _take(driver, begun, ended):

@@ -28,6 +28,8 @@ ANOTHER, NARROW = 0.1, 0.5
 # Beyond the range by this factor, a value is certainly wrong.
 CERTAIN = 10.0
 
+# Fields whose range follows from the size of the car.
+_SIZED = ("l_f", "l_r", "m", "I_z", "h_cg", "delta_rate_max", "v_max", "width", "length")
 _LENGTHS = {"cm": 0.01, "mm": 0.001}
 _INERTIAS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "g cm^2": 1e-7, "kg mm^2": 1e-6, "g mm^2": 1e-9}
 _DEGREE = math.pi / 180.0
@@ -86,7 +88,7 @@ def doubts_of_vehicle(vehicle: Vehicle) -> list[str]:
     """
     doubts = []
     for found in _ranges(vehicle):
-        car = "" if found.field == "l_f + l_r" else f", wheelbase {vehicle.l_wb:.3g} m"
+        car = f", wheelbase {vehicle.l_wb:.3g} m" if found.field in _SIZED else ""
         if found.wrong():
             raise ParameterError(found.text(car))
         if found.doubtful():
@@ -139,6 +141,8 @@ def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
         field = f"{name} tire: cornering stiffness over load"
         others = {"1/deg": 1.0 / _DEGREE}
         yield _Range(field, vehicle.mu * tire.stiffness, 1.0, 100.0, "1/rad", others)
+    softer = vehicle.mu * min(vehicle.front.stiffness, vehicle.rear.stiffness)
+    yield _Range("softer axle: cornering stiffness over load", softer, 1.0, 40.0, "1/rad")
     yield _Range("delta_max", vehicle.delta_max, 0.1, 1.2, "rad", {"deg": _DEGREE})
     rate = vehicle.delta_rate_max
     yield _Range("delta_rate_max", rate, 0.1, 20.0 / time, "rad/s", {"deg/s": _DEGREE}, 1e9)

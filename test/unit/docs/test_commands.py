@@ -83,7 +83,7 @@ PREPARATION = {
     ". ~/map_racing_venv/bin/activate",
     "./scripts/false_stops --laps 10000",
     "./scripts/delays_of_laps",
-    "./scripts/laps_to_car reference club --generated-seeds 1 2",
+    "./scripts/laps_to_car reference club hangar.bag HANGAR_39M.json --generated-seeds 1 2",
     "./scripts/heats",
     "./scripts/soak",
     "./scripts/test",

@@ -101,3 +101,10 @@ def test_quoted_cells(run, name):
     for lap in laps:
         assert lap.lap_time_s == pytest.approx(LAP, abs=1e-3)
         assert lap.rms_lateral_error_m == pytest.approx(RMS, abs=2e-4)
+
+
+@pytest.mark.parametrize("waypoints", ["wp_xyyawv.csv", "wp_xyyawv_2pi.csv"])
+def test_the_commonest_waypoint_file_counts_five_laps(shared_cases, waypoints):
+    recording = load_recording(shared_cases / "ellipse_drive.bag")
+    result = evaluate(recording, load_raceline(shared_cases / waypoints))
+    assert len(valid(result)) == 5

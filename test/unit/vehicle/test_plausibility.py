@@ -79,12 +79,17 @@ def test_the_height_in_another_unit(load, value):
 @pytest.mark.parametrize(
     "car, changes, expected",
     [
-        (SMALL, {"delta_rate_max": 183.0}, "delta_rate_max: expected 0.1 to 20 rad/s"),
+        (SMALL, {"delta_rate_max": 183.0}, "delta_rate_max: expected 0.1 to 20 rad/s, wheelbase"),
         (LARGE, {"delta_rate_max": 23.0}, "delta_rate_max: expected 0.1 to 7 rad/s"),
         (SMALL, {"v_max": 54.0}, "v_max: expected 0.5 to 40 m/s"),
         (LARGE, {"v_max": 180.0}, "v_max: expected 1.4 to 110 m/s"),
         (SMALL, {"mu": 1.5}, "friction: expected 0.1 to 1.3"),
         (SMALL, {"C_Sf": 270.0}, "front tire: cornering stiffness over load: expected 1 to 100"),
+        (
+            SMALL,
+            {"C_Sf": 80.0, "C_Sr": 90.0},
+            "softer axle: cornering stiffness over load: expected",
+        ),
         (SMALL, {"C_Sr": 0.1}, "rear tire: cornering stiffness over load: expected 1 to 100"),
         (LARGE, {"width": 0.296}, "width: expected 0.64 to 4.1 m, wheelbase 2.58 m, got 0.296"),
         (SMALL, {"m": 0.3}, "m: expected 0.36 to 18 kg, wheelbase 0.33 m, got 0.3"),

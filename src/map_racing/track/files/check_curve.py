@@ -63,7 +63,10 @@ def check_size(draft: Draft) -> None:
     length = draft.raceline.length
     certain = _other_unit(draft.raceline)
     if certain:
-        text = f"expected meters, got a lap of {length:.3g}, {certain}: name the unit, as in x [cm]"
+        text = (
+            f"expected meters, got a lap of {length:.3g}, {certain}: in mm or cm? Name it, as in "
+            "x [mm]"
+        )
         draft.add("unit", ERROR, text)
         return
     if not SHORTEST <= length <= LONGEST and not (length > LONGEST and _full_size(draft.raceline)):

@@ -376,7 +376,7 @@ def test_a_track_that_is_certainly_in_another_unit_is_refused(scale, without):
     for key in without:
         del columns[key]
     found = codes(RacelineTable(columns))["unit"]
-    assert found.severity == ERROR and "name the unit, as in x [cm]" in found.text
+    assert found.severity == ERROR and "in mm or cm? Name it, as in x [mm]" in found.text
 
 
 def test_a_track_smaller_than_a_car_is_refused():
