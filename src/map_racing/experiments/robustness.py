@@ -52,6 +52,10 @@ class Robustness:
         Shipped tracks, raceline files or ``bag[#topic]``.
     generated_seeds : tuple of int
         Seeds of generated tracks, each of the shape `any_shape` gives it.
+    bumps : tuple of dict
+        Sideways bumps, as lines have them that were recorded or drawn by hand. With any, each track
+        is raced once for each of them and not without: ``place``, where it begins as a share of
+        the lap, its ``length_m``, and ``offset_m``, its height, positive to the left.
     speed_scale : float
         Scale of the raceline's speeds.
     laps : int
@@ -69,12 +73,13 @@ class Robustness:
     cars: dict
     tracks: tuple = ()
     generated_seeds: tuple = ()
+    bumps: tuple = ()
     speed_scale: float = 1.0
     laps: int = 2
     seed: int = 1
 
     def __post_init__(self):
-        for name in ("tracks", "generated_seeds"):
+        for name in ("tracks", "generated_seeds", "bumps"):
             values = getattr(self, name)
             if not isinstance(values, (list, tuple)):
                 raise ParameterError(f"{name}: expected a list, got {values!r}")
@@ -84,11 +89,25 @@ class Robustness:
                 raise ParameterError(f"seeds: expected whole numbers from 0, got {seed!r}")
         if not self.tracks and not self.generated_seeds:
             raise ParameterError("tracks, generated_seeds: expected at least one track, got none")
+        for bump in self.bumps:
+            _check_bump(bump)
         if not isinstance(self.cars, dict) or not self.cars:
             raise ParameterError("cars: expected names and what each car differs in")
         if isinstance(self.laps, bool) or not isinstance(self.laps, int) or self.laps < 1:
             raise ParameterError(f"laps: expected at least 1, got {self.laps!r}")
         finite("speed_scale", self.speed_scale)
+
+
+def _check_bump(bump):
+    names = {"place", "length_m", "offset_m"}
+    if not isinstance(bump, dict) or set(bump) != names:
+        raise ParameterError(f"bumps: expected {', '.join(sorted(names))} of each, got {bump!r}")
+    for name, value in bump.items():
+        finite(f"bumps: {name}", value)
+    if not 0.0 <= bump["place"] < 1.0:
+        raise ParameterError(f"bumps: place: expected 0 to 1 of the lap, got {bump['place']:g}")
+    if not bump["length_m"] > 0.0:
+        raise ParameterError(f"bumps: length_m: expected more than 0, got {bump['length_m']:g}")
 
 
 def load_robustness(source):
@@ -149,6 +168,48 @@ def drawn(seed, vehicle):
     return Raceline(x, y, vx_mps=speed, d_left_m=left, d_right_m=right, name=track.name)
 
 
+def bumped(raceline, place, length_m, offset_m):
+    """A raceline with a sideways bump ``offset sin^2(pi u)``, u from 0 to 1 along its length.
+
+    Speeds and walls stay where they are. Where the bump comes closer than 0.2 m to a wall, that is
+    moved away from it.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    place : float
+        Where the bump begins, as a share of the lap.
+    length_m, offset_m : float
+        Length along the raceline, and height, positive to the left [m].
+
+    Returns
+    -------
+    Raceline
+        It may cross itself where the bump is higher than the radius of a bend.
+
+    Raises
+    ------
+    ParameterError
+        If the bump is longer than the lap.
+    """
+    if length_m >= raceline.length:
+        raise ParameterError(
+            f"bumps: length_m: expected less than the lap of {raceline.name}, "
+            f"{raceline.length:.1f} m, got {length_m:g}"
+        )
+    s = raceline.s_points
+    along = np.mod(s - place * raceline.length, raceline.length) / length_m
+    offset = np.where(along < 1.0, offset_m * np.sin(math.pi * along) ** 2, 0.0)
+    sample = raceline.sample(s)
+    x, y = raceline.to_cartesian(s, offset)
+    walls = {}
+    if raceline.d_left is not None:
+        walls["d_left_m"] = np.maximum(sample.d_left - offset, 0.2)
+        walls["d_right_m"] = np.maximum(sample.d_right + offset, 0.2)
+    name = f"{raceline.name}, {offset_m:+g} m at {place:.0%}"
+    return Raceline(x, y, vx_mps=sample.speed, name=name, **walls)
+
+
 class Car(NamedTuple):
     """A car of the grid: its name, its plant, and the vehicle that the controller believes in."""
 
@@ -162,13 +223,18 @@ class Grid:
     """Tracks and cars of `conditions` with everything loaded."""
 
     conditions: Robustness
+    loaded: dict = field(init=False, repr=False)
     tracks: tuple = field(init=False)
     cars: tuple = field(init=False)
 
     def __post_init__(self):
         given = self.conditions
-        tracks = [load_raceline(source) for source in given.tracks]
+        loaded = {source: load_raceline(source) for source in given.tracks}
+        object.__setattr__(self, "loaded", loaded)
+        tracks = [loaded[source] for source in given.tracks]
         tracks += [drawn(seed, self.vehicle) for seed in given.generated_seeds]
+        if given.bumps:
+            tracks = [bumped(track, **bump) for track in tracks for bump in given.bumps]
         object.__setattr__(self, "tracks", tuple(tracks))
         cars = [_car(name, given.plant, changes) for name, changes in given.cars.items()]
         object.__setattr__(self, "cars", tuple(cars))
@@ -209,16 +275,15 @@ class Grid:
     @property
     def notes(self):
         """What the user should know about tracks and cars."""
-        given = self.conditions
         notes = [
             f"{source}: {finding}"
-            for source, track in zip(given.tracks, self.tracks)
+            for source, track in self.loaded.items()
             for finding in track.findings
             if finding.severity == WARNING
         ]
         notes += [
             f"{source}: no walls are known, so no crash is seen"
-            for source, track in zip(given.tracks, self.tracks)
+            for source, track in self.loaded.items()
             if track.d_left is None
         ]
         cars = {(car.name, note) for car in self.cars for note in car.vehicle.notes}

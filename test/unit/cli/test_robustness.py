@@ -1,6 +1,7 @@
 """The robustness experiment and robust tuning from the command line, on a small grid."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,17 @@ from map_racing.control.parameters import (
     load_law,
     save_controller_parameters,
 )
+from map_racing.errors import ParameterError
 from map_racing.experiments import tuning
-from map_racing.experiments.robustness import Grid, Robustness, load_robustness
+from map_racing.experiments.jobs import execute
+from map_racing.experiments.robustness import (
+    Grid,
+    Robustness,
+    bumped,
+    load_robustness,
+    race_rows,
+)
+from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.size import size_of
 
@@ -168,3 +178,53 @@ def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
 def test_options_of_the_grid_belong_to_robust_tuning(folder, tmp_path, capsys):
     assert run(folder, "tune", "--generated", 1, "--output", tmp_path / "x") == 1
     assert "--generated belongs to --robust" in capsys.readouterr().err
+
+
+def test_a_bump_leaves_the_rest_of_the_line_where_it_is():
+    line = load_raceline("reference")
+    changed = bumped(line, place=0.35, length_m=2.5, offset_m=0.3)
+    points = changed.sample(np.linspace(0.0, changed.length, 4000, endpoint=False))
+    d = np.array([line.project(x, y).d for x, y in zip(points.x, points.y)])
+    at = np.array([line.project(x, y).s for x, y in zip(points.x, points.y)])
+    along = (at - 0.35 * line.length) / 2.5
+    wanted = np.where((along > 0.0) & (along < 1.0), 0.3 * np.sin(np.pi * along) ** 2, 0.0)
+    assert np.max(np.abs(d - wanted)) < 2e-3
+    assert d.max() == pytest.approx(0.3, abs=2e-3)
+    # The walls stay in their places.
+    left = points.d_left + d
+    original = line.sample(at).d_left
+    assert np.max(np.abs(np.where(points.d_left > 0.21, left - original, 0.0))) < 0.02
+
+
+def test_each_track_is_raced_with_each_bump():
+    bumps = [{"place": 0.1, "length_m": 2.5, "offset_m": o} for o in (0.3, -0.4)]
+    grid = Grid(Robustness("nuc4", {"a": {}}, ("reference",), (13,), bumps))
+    assert [name for name, _ in grid.names] == [
+        "reference, +0.3 m at 10%",
+        "reference, -0.4 m at 10%",
+        "track13, +0.3 m at 10%",
+        "track13, -0.4 m at 10%",
+    ]
+
+
+def test_map_finds_back_to_rough_lines():
+    grid = Grid(replace(load_robustness("rough_lines"), tracks=("reference",)))
+    results = [execute(job).result for job in grid.jobs("map", load_controller_parameters("map"))]
+    races = race_rows(grid, "map", results)
+    assert (races.outcome == "completed").all()
+    assert races.rms_lateral_error_m.mean() < 0.06
+
+
+@pytest.mark.parametrize(
+    "bump, message",
+    [
+        ({"place": 0.1}, "bumps: expected length_m, offset_m, place"),
+        ({"place": 1.0, "length_m": 1.0, "offset_m": 0.1}, "bumps: place: expected 0 to 1"),
+        ({"place": 0.1, "length_m": 0.0, "offset_m": 0.1}, "bumps: length_m: expected more"),
+        ({"place": 0.1, "length_m": 1.0, "offset_m": float("nan")}, "bumps: offset_m"),
+        ({"place": 0.1, "length_m": 99.0, "offset_m": 0.1}, "bumps: length_m: .* lap of reference"),
+    ],
+)
+def test_impossible_bumps_are_refused(bump, message):
+    with pytest.raises(ParameterError, match=message):
+        Grid(Robustness("nuc4", {"a": {}}, ("reference",), bumps=[bump]))
