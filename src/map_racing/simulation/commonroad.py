@@ -12,8 +12,8 @@ as RK4, for half the work. Their wheels turn so stiffly at low speed, at
 ``R_w^2 C / (I_y_w v)`` per second, that below a few m/s (`CommonRoadCar.slowest`) the package's
 kinematic model drives the car instead, as in the package itself below 0.1 m/s.
 
-The equations end where a wheel rolls backward: a car that has spun so far slides to a halt with
-locked wheels, and drives on from there.
+The equations end where a wheel rolls backward, and the kinematic model holds for none that moves
+sideways: a car that has spun so far slides to a halt with locked wheels, and drives on from there.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ _SUSPENSION = """
 _NOT_USED = {"multi_body": _UNUSED, "drift": _UNUSED | frozenset(_SUSPENSION.split())}
 # The kinematic model takes over again at this share of the speed at which it hands over.
 HYSTERESIS = 0.9
+# A car that moves more sideways than this share of forward does not roll.
+SPUN = 0.5
 
 
 @documented
@@ -132,7 +134,7 @@ class CommonRoadCar(ActuatedCar):
     slowest : float
         Speed below which the car is kinematic [m/s].
     sliding : bool
-        Whether the car has spun so far that a wheel would roll backward, and slides to a halt.
+        Whether the car has spun too far for the equations, and slides to a halt.
     """
 
     time_step = 0.001
@@ -199,6 +201,8 @@ class CommonRoadCar(ActuatedCar):
             v_x, v_y = self._model.motion(self._x)
             r = self._x[5]
             if v_x < HYSTERESIS * self.slowest:
+                # The kinematic model would turn a spin into rolling straight ahead.
+                self.sliding = abs(v_y) > SPUN * abs(v_x)
                 self._dynamic = False
                 self._x = [*self._x[:3], math.hypot(v_x, v_y), self._x[4]]
         else:

@@ -162,6 +162,23 @@ def test_a_car_that_spins_slides_to_a_halt_and_drives_on(models):
     assert math.hypot(state.x - x, state.y - y) > 1.0
 
 
+@pytest.mark.parametrize("sideslip", [0.9, 1.25])
+def test_a_slow_spin_does_not_become_rolling_straight_ahead(models, sideslip):
+    plant = car(F1TENTH, 5.0)
+    drive(plant, 0.3, 0.0, 5.0)
+    plant._x[5], plant._x[6] = 4.0, sideslip
+    velocities = []
+    for _ in range(1500):
+        plant.advance(0.0, 0.0)
+        _, _, _, psi, v_x, v_y, _ = plant.state
+        turn = complex(math.cos(psi), math.sin(psi))
+        velocities.append(turn * complex(v_x, v_y))
+    # No more than tires can do in a millisecond, until it stands.
+    changes = np.abs(np.diff(velocities))
+    assert changes.max() < 2.0 * 9.81 * plant.time_step
+    assert abs(velocities[-1]) < 1e-3
+
+
 @pytest.mark.once
 @pytest.mark.parametrize(
     ("parameters", "speeds", "accelerations"),
