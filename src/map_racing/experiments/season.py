@@ -420,14 +420,17 @@ def _places(raceline: Raceline):
 
 
 def _stamp(path):
-    """Names, sizes and times of change of the files of a bag."""
+    """Names, sizes and times of change of the files of a bag; none of one that was removed."""
     files = list(path) if isinstance(path, tuple) else [path]
-    if not isinstance(path, tuple) and path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.is_file() and _of_bag(file))
     stamps = []
-    for file in files:
-        status = os.stat(str(file))
-        stamps.append([file.name, status.st_size, status.st_mtime_ns])
+    try:
+        if not isinstance(path, tuple) and path.is_dir():
+            files = sorted(file for file in path.iterdir() if file.is_file() and _of_bag(file))
+        for file in files:
+            status = os.stat(str(file))
+            stamps.append([file.name, status.st_size, status.st_mtime_ns])
+    except FileNotFoundError:
+        return []
     return stamps
 
 

@@ -266,3 +266,13 @@ def test_a_run_that_was_split_is_one_heat(tmp_path, ring, capsys):
     with (folder / "run_2023-11-14-22-13-25_1.bag").open("ab") as file:
         file.write(b" ")
     assert main(words) == 0 and "1 read, 2 known" in capsys.readouterr().out
+
+
+def test_a_bag_that_is_removed_meanwhile_is_a_row_with_its_reason(tmp_path, ring):
+    heat(tmp_path / "here.bag", ring)
+    paths = [*find_bags([tmp_path]), tmp_path / "gone.bag"]
+    options = BagOptions()
+    season = evaluate_season(paths, tmp_path / "season", options, SerialExecutor(), 1)
+    reasons = {row["bag"]: row["reason"] for row in season.heats}
+    assert len(reasons) == 2
+    assert [bool(reason) for name, reason in sorted(reasons.items())] == [True, False]
