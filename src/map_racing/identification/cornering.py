@@ -334,8 +334,9 @@ def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
 
 
 def _far(t, distance, least, window_s):
-    """Mask of distances that are large for their neighborhood, but only briefly."""
-    far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
+    """Mask of distances that are large for their neighborhood, but only briefly; NaN is none."""
+    with np.errstate(invalid="ignore"):
+        far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
     for cut in _stretches(far):
         # A lasting one is a step: the car brakes, or localization corrected itself.
         if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:

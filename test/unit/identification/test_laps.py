@@ -92,18 +92,28 @@ def test_perfect_measurements_do_not_tell_it_there_either():
 
 @pytest.mark.once
 def test_a_quarter_of_gross_outliers(low):
+    """Friction is right where it is said to be determined, and that is the rule."""
     run, true = low
-    rng = np.random.default_rng(1)
     sizes = {"v_x": 3.0, "v_y": 2.0, "yaw_rate": 4.0, "a_y": 15.0}
-    signals = dict(run.signals)
-    for name, size in sizes.items():
-        t, value = signals[name]
-        wrong = rng.random(t.size) < 0.25
-        away = rng.choice((-1.0, 1.0), t.size) * rng.uniform(0.3 * size, size, t.size)
-        signals[name] = Signal(t, np.where(wrong, value + away, value))
-    found = tires_from_laps([dataclasses.replace(run, signals=signals)], NUC4)
-    assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.08)
-    assert found.vehicle.mu == pytest.approx(true.mu, rel=0.1)
+    determined = 0
+    for seed in (1, 2, 3, 4):
+        rng = np.random.default_rng(seed)
+        signals = dict(run.signals)
+        for name, size in sizes.items():
+            t, value = signals[name]
+            wrong = rng.random(t.size) < 0.25
+            away = rng.choice((-1.0, 1.0), t.size) * rng.uniform(0.3 * size, size, t.size)
+            signals[name] = Signal(t, np.where(wrong, value + away, value))
+        found = tires_from_laps([dataclasses.replace(run, signals=signals)], NUC4)
+        front = stiffness(true, "front")
+        assert stiffness(found.vehicle, "front") == pytest.approx(front, rel=0.08)
+        friction = found.parameters["friction"]
+        determined += friction.determined
+        if friction.determined:
+            assert friction.value == pytest.approx(true.mu, rel=0.1)
+        else:
+            assert friction.value == found.vehicle.mu == NUC4.mu
+    assert determined >= 3
 
 
 def test_without_lateral_velocity_or_imu(low):
