@@ -114,7 +114,7 @@ class ControllerNode:
 
     def _start(self, source, pose_source):
         """Advertise, then subscribe: the first pose may drive the car."""
-        self._logged_plan, self._logged_doubts = None, []
+        self._logged_plan, self._logged_doubts, self._published_speeds = None, [], None
         # Held by whoever changes what the controller drives with; the steps never wait for it.
         self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
@@ -376,7 +376,7 @@ class ControllerNode:
                 self._announce()
 
     def _announce(self):
-        """Publish speeds and settings; log where the car drives slower than the raceline."""
+        """Publish settings, and speeds that changed; log where the car drives slower than asked."""
         controller = self._controller
         raceline, plan = controller.raceline, controller.plan
         if raceline is None:
@@ -392,9 +392,11 @@ class ControllerNode:
         self._logged_doubts = doubts
         rows = waypoint_rows(raceline, speed=controller.planned_speed)
         message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
-        message.header.stamp = rospy.Time.now()
-        message.header.frame_id = self._frames[0]
-        self._driven.publish(message)
+        if message.wpnts != self._published_speeds:
+            self._published_speeds = message.wpnts
+            message.header.stamp = rospy.Time.now()
+            message.header.frame_id = self._frames[0]
+            self._driven.publish(message)
         settings = settings_text(
             controller,
             sectors=self._sectors,
