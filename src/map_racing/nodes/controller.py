@@ -160,7 +160,7 @@ class ControllerNode:
             self._driver,
             self._lock,
             self._changing,
-            self._announce,
+            lambda: self._announce(again=False),
             self._names["table"],
         )
         self._subscribe_poses(pose_source)
@@ -375,8 +375,11 @@ class ControllerNode:
             if driven:
                 self._announce()
 
-    def _announce(self):
-        """Publish settings, and speeds that changed; log where the car drives slower than asked."""
+    def _announce(self, again=True):
+        """Publish settings and speeds, if not `again` these only where they have changed.
+
+        Log where the car drives slower than the raceline.
+        """
         controller = self._controller
         raceline, plan = controller.raceline, controller.plan
         if raceline is None:
@@ -392,7 +395,7 @@ class ControllerNode:
         self._logged_doubts = doubts
         rows = waypoint_rows(raceline, speed=controller.planned_speed)
         message = waypoint_array_class()[0](wpnts=waypoint_messages(rows))
-        if message.wpnts != self._published_speeds:
+        if again or message.wpnts != self._published_speeds:
             self._published_speeds = message.wpnts
             message.header.stamp = rospy.Time.now()
             message.header.frame_id = self._frames[0]
