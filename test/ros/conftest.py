@@ -136,10 +136,15 @@ def ros(roscore):
 
 @pytest.fixture(autouse=True)
 def _clean_parameters(roscore):
-    """Nothing that one test sets on the parameter server reaches the next one."""
+    """Nothing that one test sets on the parameter server reaches the next one.
+
+    Nodes of several tests run at once: with real-time priority they would starve the others.
+    """
     import rosgraph
 
     master = rosgraph.Master("/test")
+    for name in ("controller", "steering_ramp"):
+        master.setParam(f"/{name}/realtime_priority", 0)
     yield
     for name in master.getParamNames():
         if not name.startswith(("/ros", "/run_id")):
