@@ -19,6 +19,18 @@ ROOT = Path(__file__).resolve().parents[2]
 RATE = 50.0
 
 
+class HandClock:
+    """The clock of a node that is run call by call; a test sets its time."""
+
+    START = 100.0
+
+    def __init__(self):
+        self.time, self.steps = self.START, 0.0
+
+    def now(self):
+        return self.time
+
+
 def wait_for(condition, timeout=10.0, what="the condition"):
     """Wait until ``condition()`` is true, and return its value; fail the test after `timeout` [s].
 

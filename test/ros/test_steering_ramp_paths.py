@@ -8,6 +8,7 @@ import time
 
 import pytest
 import rospy
+from harness import HandClock
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
@@ -18,16 +19,8 @@ from map_racing.control.steering_ramp import Phase
 from map_racing.nodes import steering_ramp
 from map_racing.nodes.conversions import set_plane_pose
 
-PERIOD, START = 0.03125, 100.0
+PERIOD = 0.03125
 FAST = {"~settle_s": 0.5, "~acceleration_mps2": 8.0, "~rate_radps": 0.1}
-
-
-class Clock:
-    def __init__(self):
-        self.time, self.steps = START, 0.0
-
-    def now(self):
-        return self.time
 
 
 class Hand:
@@ -43,7 +36,7 @@ class Car:
 
     def __init__(self):
         self.node = steering_ramp.SteeringRampNode()
-        self.node._clock = self.clock = Clock()
+        self.node._clock = self.clock = HandClock()
         self.x = self.y = self.psi = self.speed = 0.0
         self.angle = 0.0
 
@@ -365,6 +358,14 @@ def test_a_failure_of_the_watch_stops_at_once(car, monkeypatch):
     assert any("the watchdog failed: ZeroDivisionError" in said for said in car.said)
 
 
+def test_it_stops_at_once_where_not_even_the_supervisor_works(car, monkeypatch):
+    angle = car.angle
+    monkeypatch.setattr(car.node._ramp, "update", failing)
+    monkeypatch.setattr(car.node._supervisor, "decide", failing)
+    (command,) = car.pose()
+    assert (command.drive.steering_angle, command.drive.speed) == (angle, 0.0) and angle > 0.0
+
+
 def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
     ends = []
     monkeypatch.setattr(rospy, "on_shutdown", ends.append)
@@ -377,6 +378,8 @@ def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
     last = [(m.drive.steering_angle, m.drive.speed) for m in car.sent[count:]]
     assert len(last) == 10 and set(last) == {(angle, 0.0)} and waits == [0.02] * 10
     assert car.pose() == []
+    car.node._watch(car.clock.time + 1.0)
+    monkeypatch.setattr(car.node._supervisor, "watch", failing)
     car.node._watch(car.clock.time + 1.0)
     assert len(car.sent) == count + 10
 

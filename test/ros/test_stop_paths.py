@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from geometry_msgs.msg import PoseStamped
+from harness import HandClock
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool
 
@@ -23,15 +24,7 @@ from map_racing.simulation.driver import reversed_raceline
 from map_racing.track.files.load import load_raceline
 
 RACELINE = load_raceline("reference")
-SPEED, PERIOD, START = 4.0, 0.03125, 100.0
-
-
-class Clock:
-    def __init__(self):
-        self.time, self.steps = START, 0.0
-
-    def now(self):
-        return self.time
+SPEED, PERIOD, START = 4.0, 0.03125, HandClock.START
 
 
 class Spy:
@@ -51,7 +44,7 @@ class Car:
 
     def __init__(self):
         self.node = controller.ControllerNode()
-        self.node._clock = self.clock = Clock()
+        self.node._clock = self.clock = HandClock()
         self.s = 2.0
 
     @property
@@ -448,7 +441,7 @@ def guard(monkeypatch):
     monkeypatch.setattr(threading.Thread, "start", lambda thread: threads.append(thread))
 
     def run(deadlines, fails=()):
-        clock, calls, slept, short = Clock(), [], [], []
+        clock, calls, slept, short = HandClock(), [], [], []
         supervisor = SimpleNamespace(deadline=None)
         lock = threading.RLock()
 

@@ -29,7 +29,6 @@ than that [ns]; only localization computes for longer."""
 
 LONGEST_LAG_S = 0.5
 """A car acts at most so long after a command [s], and never before it but by an error."""
-_EARLIEST_LAG_S = -0.05
 
 # Variances below this are none.
 _NOTHING = 1e-12
@@ -180,6 +179,7 @@ def lag_of_effect(
     at: np.ndarray,
     effect: np.ndarray,
     longest_s: float = LONGEST_LAG_S,
+    earliest_s: float = -0.05,
 ) -> float | None:
     """How much later an effect comes than its cause, where that is plainly impossible.
 
@@ -193,8 +193,9 @@ def lag_of_effect(
     at, effect : ndarray, shape (n,)
         Times [s], increasing, and what is proportional to the cause, such as the curvature of the
         path; NaN where it is unknown.
-    longest_s : float, optional
-        Longest possible lag [s].
+    longest_s, earliest_s : float, optional
+        Longest and shortest possible lag [s]; negative where what measures the effect looks ahead,
+        as averages do.
 
     Returns
     -------
@@ -230,7 +231,7 @@ def lag_of_effect(
     follows = _correlation(held, told, effect, known)
     follows = follows if signed else np.abs(follows)
     lags = _STEP_S * np.arange(most, -most - 1, -1)
-    possible = (lags >= _EARLIEST_LAG_S) & (lags <= longest_s)
+    possible = (lags >= earliest_s) & (lags <= longest_s)
     best, usual = float(np.max(follows)), float(np.max(follows[possible]))
     plain = best > usual + _AS_GOOD and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
     if best < _FOLLOWS or not plain:

@@ -94,7 +94,7 @@ def _learning(job, laps):
 
 def _beside(result: RaceResult, lap: int, job: RaceJob) -> Learned:
     """Lap `lap` of a race beside those of a controller that was told of the job's car."""
-    told = [lap.lap_time_s for lap in execute(at_the_limit(job, *truth(job))).result.laps]
+    told = [own.lap_time_s for own in execute(at_the_limit(job, *truth(job))).result.laps]
     found = [own.lap_time_s for own in result.laps][lap - 1 : lap]
     return Learned(
         result.outcome,

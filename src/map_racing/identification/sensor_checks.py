@@ -38,7 +38,7 @@ LEAST_STANDING_S = 0.4
 MOST_APART_S = 0.08  # between yaw rates and poses
 # Steering that is held has few turns, and yaw rates are averaged around each sample: of a real car
 # they came 0.16 s before their commands.
-UNSURE_LAG_S = 0.25
+EARLIEST_LAG_S = -0.25
 LARGEST_ANGLE = 1.0  # largest plausible road-wheel angle [rad]
 # Spread of the ratios of localization to sensors in one run beyond which no constant explains them.
 LARGEST_SPREAD = 0.35
@@ -206,8 +206,10 @@ def _commands_late(motions, vehicle):
     for motion in motions:
         v_x = np.where(motion.moving, motion.v_x, np.nan)
         longest = LONGEST_LAG_S * size_of(vehicle).time
-        lag = lag_of_effect(motion.t, motion.delta, motion.t, motion.r / v_x, longest)
-        if lag is not None and not -UNSURE_LAG_S < lag < 0.0:
+        lag = lag_of_effect(
+            motion.t, motion.delta, motion.t, motion.r / v_x, longest, EARLIEST_LAG_S
+        )
+        if lag is not None:
             text = (
                 f"clock: {motion.run.label}: the car turns {abs(lag):.2f} s "
                 f"{'after' if lag > 0.0 else 'before'} its steering commands: they are not of the "

@@ -103,7 +103,7 @@ class SteeringRampNode:
                 self._command(header, decision)
         except Exception:
             rospy.logerr_throttle(QUIET_S, trace("the watchdog failed"))
-            self._send(header, self._angle, 0.0)
+            self._halt(header)
 
     def _on_joy(self, message):
         self._hold(len(message.buttons) > self._button and message.buttons[self._button] == 1)
@@ -121,12 +121,14 @@ class SteeringRampNode:
                 return
             now = self._clock.now()
             try:
-                decision = self._answer(now, message)
+                self._command(message.header, self._answer(now, message))
             except Exception:
                 rospy.logerr_throttle(QUIET_S, trace("the maneuver failed"))
                 self._supervisor.fail()
-                decision = self._supervisor.decide(now, None)
-            self._command(message.header, decision)
+                try:
+                    self._command(message.header, self._supervisor.decide(now, None))
+                except Exception:  # not even the supervisor works: an unramped stop
+                    self._halt(message.header)
 
     def _answer(self, now, message):
         """The supervisor's decision on a pose."""
@@ -176,6 +178,11 @@ class SteeringRampNode:
                 rospy.logwarn("%s: %s", decision.mode.value, decision.reason.value)
         if not self._ended:
             self._send(header, decision.steering_angle, decision.speed)
+
+    def _halt(self, header):
+        """Stop at once, where the supervisor cannot; after the end that was done."""
+        if not self._ended:
+            self._send(header, self._angle, 0.0)
 
     def _send(self, header, steering_angle, speed):
         self._angle = steering_angle

@@ -12,6 +12,7 @@ import math
 from typing import TYPE_CHECKING, Iterator, NamedTuple
 
 from ..errors import ParameterError
+from .size import size_of
 
 if TYPE_CHECKING:
     from .lookup import LookupTable
@@ -21,7 +22,6 @@ __all__ = ["HIGHEST_FRICTION", "doubts_of_table", "doubts_of_vehicle", "friction
 
 HIGHEST_FRICTION = 1.3
 """More than rubber holds on a clean floor without downforce."""
-WHEELBASE = 0.32  # of 1:10 race cars [m]
 # A table is of another car if it shows a wheelbase that differs by more than this share; and its
 # angles may end at this share of the largest.
 ANOTHER, NARROW = 0.1, 0.5
@@ -126,7 +126,7 @@ def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
 
 def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
     wheelbase, m = vehicle.l_wb, vehicle.m
-    time = math.sqrt(wheelbase / WHEELBASE) if wheelbase > 2.0 * WHEELBASE else 1.0
+    time = size_of(vehicle).time
     levers = f"{vehicle.l_f:g} + {vehicle.l_r:g}"
     yield _Range("l_f + l_r", wheelbase, 0.05, 7.0, "m", _LENGTHS, 1.5, levers)
     for field in ("l_f", "l_r"):

@@ -8,9 +8,10 @@ and yaw rates so much smaller (Froude's law of similarity).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from .parameters import Vehicle
+if TYPE_CHECKING:
+    from .parameters import Vehicle
 
 __all__ = ["ONE_TENTH", "Size", "size_of"]
 
