@@ -22,8 +22,9 @@ __all__ = [
 ]
 
 
-# Poses that alternate between two places do so after an odd and an even number of samples.
-_ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
+# Poses that alternate between two places do so after an odd and an even number of samples. One
+# that moved by less than this share of the usual step repeats the one before.
+_ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
 # No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
@@ -47,16 +48,21 @@ def frame_warning(topic: str, frame: str) -> str:
     )
 
 
-def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
+def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     """Doubt about poses that alternate between two places, as of two nodes on a topic; or empty.
 
-    Second differences of such poses change their direction from each sample to the next, and keep
-    doing so; those of noise are forgotten after three, and those of a driving car keep theirs.
+    Such a pose is beside the straight way from the one before to the one after, on the other side
+    from each sample to the next, and stays so; what noise does is forgotten after three, and a
+    driving car stays on one side. Poses that are sent again are no places.
     """
-    bends = np.stack((np.diff(x, 2), np.diff(y, 2)))
-    if bends.shape[1] < 10 * _EVEN:
+    moved = np.hypot(np.diff(x), np.diff(y))
+    new = np.append(True, moved > _REPEATED * np.mean(moved))
+    t, x, y = (values[new] for values in (t, x, y))
+    if t.size < 10 * _EVEN + 2:
         return ""
-    apart = 0.5 * float(np.median(np.hypot(*bends)))
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
+    apart = float(np.median(np.hypot(*bends)))
     size = float(np.median(np.sum(bends**2, axis=0)))
     if apart < _APART:
         return ""

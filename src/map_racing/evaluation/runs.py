@@ -144,7 +144,7 @@ def evaluate(
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
     doubts = [
         frame_warning(recording.topic, recording.frame),
-        alternation(recording.topic, recording.x, recording.y),
+        alternation(recording.topic, recording.t, recording.x, recording.y),
         bunches(recording.topic, recording.t),
         speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
         command_clock(recording),

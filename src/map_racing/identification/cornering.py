@@ -23,7 +23,7 @@ from ..vehicle.size import ONE_TENTH, Size, size_of
 from .data import POSE, Run, Signal
 from .limits import RATE_HZ, SteadyLimits
 
-__all__ = ["ProcessedRun", "low_passed", "motion_of"]
+__all__ = ["LONGEST_GAP_S", "LONGEST_HOLD_S", "ProcessedRun", "low_passed", "motion_of", "near"]
 
 # A signal is known between samples this far apart [s]; a command holds until the next one.
 LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
@@ -224,6 +224,17 @@ def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarr
     return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
 
 
+def near(t: np.ndarray, samples: np.ndarray, longest: float) -> np.ndarray:
+    """Whether each time lies in a gap of at most `longest` [s] between samples.
+
+    The last sample counts as long, if none follows: nobody knows what a car does that rolls on
+    after its last command.
+    """
+    at = np.searchsorted(samples, t, side="right")
+    before, after = np.append(-np.inf, samples)[at], np.append(samples, np.inf)[at]
+    return np.where(at < samples.size, after, t) - before <= longest
+
+
 @lru_cache(maxsize=16)
 def _sections(cutoff):
     return butter(2, cutoff, output="sos")
@@ -266,16 +277,16 @@ def _common_clock(run, signals, pose_t):
     others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
     commands = signals["steering"].t
     begin = max(commands[0], *(own[0] for own in others))
-    end = min(own[-1] for own in others)  # the last command stays
+    end = min(own[-1] for own in others)
     if end - begin < 1.0:
         raise IdentificationError(
             f"{run.name}: expected a second in which all signals exist, got "
             f"{max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
-    known = _near(t, commands, LONGEST_HOLD_S)
+    known = near(t, commands, LONGEST_HOLD_S)
     for own in others:
-        known &= _near(t, own, LONGEST_GAP_S)
+        known &= near(t, own, LONGEST_GAP_S)
     return t, known
 
 
@@ -444,12 +455,6 @@ def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
     ahead = 0.0 if setup.imu_x_m is None else setup.imu_x_m - vehicle.l_r
     r = smooth["r"]
     return a_y - np.gradient(r, 1.0 / RATE_HZ) * ahead + r * r * setup.imu_y_m
-
-
-def _near(t, samples, longest):
-    """Whether each time lies in a gap of at most `longest` [s] between samples."""
-    after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
-    return (samples[after] - samples[after - 1] <= longest) | (t > samples[-1])
 
 
 def _noise(values, cuts, window_s=2.0):

@@ -39,8 +39,24 @@ def test_frames_that_are_no_map(frame, said):
 def test_poses_of_two_nodes_alternate(apart):
     x, y = circling()
     x[::2] += apart
-    assert alternation("/pose", x, y).startswith("/pose: poses alternate between two places ")
-    assert f"{apart:.2f} m apart" in alternation("/pose", x, y)
+    doubt = alternation("/pose", T, x, y)
+    assert doubt.startswith("/pose: poses alternate between two places ")
+    assert f"{apart:.2f} m apart" in doubt
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+@pytest.mark.parametrize("times", [2, 3])
+def test_poses_that_are_sent_again_do_not_alternate(times, noise):
+    x, y = (np.repeat(values[::times], times) for values in circling())
+    x, y = (v[: T.size] + noise * np.random.default_rng(1).normal(size=T.size) for v in (x, y))
+    assert alternation("/pose", T, x, y) == ""
+
+
+@pytest.mark.parametrize("early", [0.002, 0.008])
+def test_uneven_times_of_a_car_that_drives_do_not_alternate(early):
+    t = T.copy()
+    t[1::2] -= early
+    assert alternation("/pose", t, 6.0 * np.cos(0.8 * t), 6.0 * np.sin(0.8 * t)) == ""
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1, 1.0])
@@ -49,7 +65,7 @@ def test_noise_and_driving_do_not_alternate(noise, omega):
     x, y = circling(omega=omega)
     rng = np.random.default_rng(1)
     x, y = x + noise * rng.normal(size=T.size), y + noise * rng.normal(size=T.size)
-    assert alternation("/pose", x, y) == ""
+    assert alternation("/pose", T, x, y) == ""
 
 
 def test_bunches():
