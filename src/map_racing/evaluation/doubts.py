@@ -18,6 +18,7 @@ __all__ = [
     "command_units",
     "frame_warning",
     "speed_warning",
+    "time_jump",
     "uncommanded",
 ]
 
@@ -27,6 +28,9 @@ __all__ = [
 _ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
+# A step in time that is so many times the usual one, and longer by more [s], may be a clock that was
+# set; as many samples to both sides tell the speed.
+_LONG, _AHEAD, _AROUND = 1.5, 0.05, 10
 # No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
 _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
 # Speed [m/s] of a car that drives; and how far the wheels may be off, typically, as they slip.
@@ -55,9 +59,7 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     from each sample to the next, and stays so; what noise does is forgotten after three, and a
     driving car stays on one side. Poses that are sent again are no places.
     """
-    moved = np.hypot(np.diff(x), np.diff(y))
-    new = np.append(True, moved > _REPEATED * np.mean(moved))
-    t, x, y = (values[new] for values in (t, x, y))
+    t, x, y = (values[_new(x, y)] for values in (t, x, y))
     if t.size < 10 * _EVEN + 2:
         return ""
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
@@ -103,6 +105,42 @@ def bunches(topic: str, t: np.ndarray) -> str:
         f"{topic}: poses come in bunches, {np.median(apart):.2f} s apart: times and speeds are no "
         "better than that"
     )
+
+
+def time_jump(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
+    """Doubt about times that jump ahead while the car moves as in a usual step; or empty.
+
+    A car that drives as fast before as after such a step was not slower during it: its clock was
+    set. Poses that catch up with the car later are no jump of time.
+    """
+    t, x, y = (values[_new(x, y)] for values in (t, x, y))
+    steps, way = np.diff(t), np.hypot(np.diff(x), np.diff(y))
+    if steps.size < 4 * _AROUND:
+        return ""
+    usual = float(np.median(steps))
+    long = np.flatnonzero(steps > max(_LONG * usual, usual + _AHEAD))
+    if long.size > 0.02 * steps.size:
+        return ""
+    for k in long[(long >= _AROUND) & (long < steps.size - _AROUND)]:
+        before, after = slice(k - _AROUND, k), slice(k + 1, k + 1 + _AROUND)
+        speeds = [float(np.sum(way[part]) / np.sum(steps[part])) for part in (before, after)]
+        v = 0.5 * sum(speeds)
+        near = slice(k - 2, k + 4)
+        spent = float(np.sum(way[near])) / v if v > 0.0 else math.inf
+        ahead = float(np.sum(steps[near])) - spent
+        steady = min(speeds) > 2.0 * _MOVING and max(speeds) < 1.2 * min(speeds)
+        if steady and ahead > max(_AHEAD, 0.8 * (steps[k] - usual)):
+            return (
+                f"{topic}: time jumps ahead by {ahead:.2f} s at {t[k] - t[0]:.1f} s, while the car "
+                f"moves as in {steps[k] - ahead:.2f} s: that lap is so much too long"
+            )
+    return ""
+
+
+def _new(x, y):
+    """Which poses do not repeat the one before."""
+    moved = np.hypot(np.diff(x), np.diff(y))
+    return np.append(True, moved > _REPEATED * np.mean(moved))
 
 
 def command_clock(recording: Recording) -> str:

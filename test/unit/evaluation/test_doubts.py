@@ -11,6 +11,7 @@ from map_racing.evaluation.doubts import (
     command_units,
     frame_warning,
     speed_warning,
+    time_jump,
 )
 from map_racing.evaluation.speed import speed_of
 from map_racing.evaluation.statistics import mean
@@ -66,6 +67,30 @@ def test_noise_and_driving_do_not_alternate(noise, omega):
     rng = np.random.default_rng(1)
     x, y = x + noise * rng.normal(size=T.size), y + noise * rng.normal(size=T.size)
     assert alternation("/pose", T, x, y) == ""
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.07, 0.15, 0.5])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_clock_that_is_set_while_the_car_drives(ahead, noise):
+    rng = np.random.default_rng(1)
+    x, y = (v + noise * rng.normal(size=T.size) for v in circling())
+    t = T + np.where(T > 20.0, ahead, 0.0)
+    doubt = time_jump("/pose", t, x, y)
+    assert bool(doubt) == (ahead > 0.0)
+    if doubt:
+        said = f"ahead by {ahead:.2f} s at 20.0 s, while the car moves as in 0.0"
+        assert said in doubt or noise > 0.0
+
+
+@pytest.mark.parametrize("lost", [0.05, 0.2, 1.0])
+def test_poses_that_are_missing_are_no_jump_of_time(lost):
+    """The car moved on; nor is a pose that catches up with it a jump."""
+    there = (T < 20.0) | (T > 20.0 + lost)
+    t, (x, y) = T[there], (v[there] for v in circling())
+    assert time_jump("/pose", t, x, y) == ""
+    late = np.where((T > 20.0) & (T < 20.0 + lost), 20.0, T)
+    x, y = 6.0 * np.cos(0.8 * late), 6.0 * np.sin(0.8 * late)
+    assert time_jump("/pose", T, x, y) == ""
 
 
 def test_bunches():

@@ -26,7 +26,7 @@ ACCELERATIONS, WIDEST = (2.0, 60.0), 30.0
 # unit.
 CRAWLING, LONGEST_LAP, WALKING, FIELD, TINY = 0.2, 300.0, 2.0, 100.0, 0.5
 # Nor does anybody drive so much faster on straights than in bends that need so little [m/s^2].
-PACED, EASY = 1.5, 0.6
+PACED, EASY = 1.3, 0.6
 
 # Headings as files state them: code, severity, meaning, and the conversion to rad from +x.
 _HEADINGS = (
