@@ -28,8 +28,8 @@ __all__ = [
 _ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
-# A step in time that is so many times the usual one, and longer by more [s], may be a clock that was
-# set; as many samples to both sides tell the speed.
+# A step in time that is so many times the usual one, and longer by more [s], may be of a clock that
+# was set; so many samples to both sides tell the speed.
 _LONG, _AHEAD, _AROUND = 1.5, 0.05, 10
 # No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
 _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5

@@ -252,9 +252,7 @@ class LapEvaluator:
             self._tracker.reset()
             self._changed = t
         repeated = (
-            last is not None
-            and abs(x - last.x) <= REPEATED_M
-            and abs(y - last.y) <= REPEATED_M
+            last is not None and abs(x - last.x) <= REPEATED_M and abs(y - last.y) <= REPEATED_M
         )
         if repeated:
             x, y, progress, d = last.x, last.y, last.progress, last.d

@@ -59,9 +59,7 @@ def _differences(t, x, y):
 
 def _fresh(t, x, y):
     """Indices of samples whose pose is a new one, or has been the same for long."""
-    moved = np.append(
-        True, (np.abs(np.diff(x)) > REPEATED_M) | (np.abs(np.diff(y)) > REPEATED_M)
-    )
+    moved = np.append(True, (np.abs(np.diff(x)) > REPEATED_M) | (np.abs(np.diff(y)) > REPEATED_M))
     if moved.all():
         return np.arange(t.size)
     kept = [0]

@@ -79,14 +79,15 @@ def check_size(draft: Draft) -> None:
         draft.add("size", WARNING, text)
         return
     needed, speeds = _needed(draft.raceline), draft.raceline.speed
-    if needed and needed < EASY and np.mean(speeds) > WALKING:
-        if np.max(speeds) > PACED * np.min(speeds):
-            text = (
-                f"at its speeds, {np.min(speeds):.3g} to {np.max(speeds):.3g} m/s, a lap of "
-                f"{length:.3g} m needs at most {needed:.2g} m/s^2 in its bends: is it in meters, "
-                "or in pixels?"
-            )
-            draft.add("size", WARNING, text)
+    if not (needed and needed < EASY and np.mean(speeds) > WALKING):
+        return
+    if np.max(speeds) > PACED * np.min(speeds):
+        text = (
+            f"at its speeds, {np.min(speeds):.3g} to {np.max(speeds):.3g} m/s, a lap of "
+            f"{length:.3g} m needs at most {needed:.2g} m/s^2 in its bends: is it in meters, or "
+            "in pixels?"
+        )
+        draft.add("size", WARNING, text)
 
 
 def _needed(line):
