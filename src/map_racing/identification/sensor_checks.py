@@ -19,7 +19,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
-from .data import SensorSetup
+from .data import Run, SensorSetup
 from .kinematic_checks import (
     both_sides,
     check_front_slip,
@@ -39,6 +39,10 @@ MOST_APART_S = 0.08  # between yaw rates and poses
 # Steering that is held has few turns, and yaw rates are averaged around each sample: of a real car
 # they came 0.16 s before their commands.
 EARLIEST_LAG_S = -0.25
+# The speed of real cars begins to change 0.04 to 0.06 s after a step [m/s] of its command, from
+# standstill 0.12 to 0.16 s; slower than the last [m/s] a car counts as standing.
+EARLIEST_ONSET_S, USUAL_ONSET_S, LATEST_ONSET_S = -0.03, 0.06, 0.2
+FEWEST_STEPS, LEAST_STEP_MPS, SLOWEST_STEP_MPS = 3, 0.2, 0.5
 LARGEST_ANGLE = 1.0  # largest plausible road-wheel angle [rad]
 # Spread of the ratios of localization to sensors in one run beyond which no constant explains them.
 LARGEST_SPREAD = 0.35
@@ -197,6 +201,7 @@ def _clocks(motions, setup, vehicle):
     """Do the poses turn when the yaw rate says so, and the car after its commands?"""
     return [
         *_commands_late(motions, vehicle),
+        *_speeds_late(motions, setup, vehicle),
         *_poses_late(motions),
     ]
 
@@ -217,6 +222,59 @@ def _commands_late(motions, vehicle):
             )
             findings.append(SensorFinding("clock", text, critical=True))
     return findings
+
+
+def _speeds_late(motions, setup, vehicle):
+    """Does the speed begin to change shortly after its commands, which came with the steering's?"""
+    findings, time = [], size_of(vehicle).time
+    for motion in motions:
+        onsets = onsets_of_speed(motion.run, time)
+        if len(onsets) < FEWEST_STEPS:
+            continue
+        late = float(np.median(onsets)) - setup.steering_delay_s
+        if EARLIEST_ONSET_S <= late <= LATEST_ONSET_S * time:
+            continue
+        text = (
+            f"clock: {motion.run.label}: the speed begins to change {abs(late):.2f} s "
+            f"{'after' if late > 0.0 else 'before'} {len(onsets)} steps of its commands: they, and "
+            f"those of the steering, are of another clock{', or very late' if late > 0.0 else ''}"
+        )
+        fix = {"steering_delay_s": setup.steering_delay_s + late - USUAL_ONSET_S}
+        fix = fix if late > 0.0 else {}
+        findings.append(SensorFinding("clock", text, fix, critical=late < 0.0))
+    return findings
+
+
+def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
+    """How long after a step of the commanded speed the speed of a moving car begins to change [s].
+
+    Parameters
+    ----------
+    run : Run
+    time : float, optional
+        Times of a car of this size relative to a 1:10 car's.
+    """
+    if not {"speed_command", "v_x"} <= set(run.signals):
+        return []
+    (at, command), (t, v) = run.signals["speed_command"], run.signals["v_x"]
+    onsets = []
+    for k in np.flatnonzero(np.abs(np.diff(command)) > LEAST_STEP_MPS * time) + 1:
+        begin, step = at[k], command[k] - command[k - 1]
+        before = command[(at >= begin - time) & (at < begin)]
+        held = command[(at >= begin) & (at < begin + 0.6 * time)]
+        if max(np.ptp(before), np.ptp(held)) > 0.05 * abs(step):
+            continue
+        calm = v[(t >= begin - time) & (t < begin - 0.6 * time)]
+        if calm.size < 5 or np.median(calm) < SLOWEST_STEP_MPS * time:
+            continue
+        level = float(np.median(calm))
+        noise = 1.5 * float(np.median(np.abs(calm - level)))
+        near = (t >= begin - 0.6 * time) & (t < begin + time)
+        over = np.sign(step) * (v[near] - level) > max(6.0 * noise, 0.1 * abs(step))
+        lasting = over[:-2] & over[1:-1] & over[2:]
+        if lasting.any():
+            onsets.append(float(t[near][np.argmax(lasting)] - begin))
+    return onsets
 
 
 def _poses_late(motions):
