@@ -168,6 +168,8 @@ class Controller:
         self._raceline, self._tracker = setup.raceline, setup.tracker
         self._speed_at = self._requested_speed_at if setup.plan is None else setup.plan.speed_at
         self._delay = setup.parameters.delay_s
+        if self._learned is not None:
+            self._learned.expect_delay(setup.parameters.delay_s)
         if self._adaptation is not None:
             if setup.plan is not None:
                 self._adaptation.slowest = setup.plan.slowest
