@@ -21,6 +21,9 @@ from .size import ONE_TENTH, size_of
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
 
+# Bounds of the fastest column of a grid [m/s].
+GRID_SPEEDS = 0.2, 100.0
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -308,7 +311,8 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     ----------
     vehicle : Vehicle
     v_max : float, optional
-        Fastest column [m/s], from 0.2 to 100; default: the vehicle's.
+        Fastest column [m/s], from 0.2 to 100; default: the vehicle's, within these bounds. Faster
+        than its columns a table extrapolates.
 
     Returns
     -------
@@ -320,9 +324,12 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     ParameterError
         If `v_max` is out of its range.
     """
-    v_max = vehicle.v_max if v_max is None else float(v_max)
-    if not 0.2 <= v_max <= 100.0:
-        raise ParameterError(f"v_max: expected a speed from 0.2 to 100 m/s, got {v_max:g}")
+    slowest, fastest = GRID_SPEEDS
+    v_max = min(max(vehicle.v_max, slowest), fastest) if v_max is None else float(v_max)
+    if not slowest <= v_max <= fastest:
+        raise ParameterError(
+            f"v_max: expected a speed from {slowest:g} to {fastest:g} m/s, got {v_max:g}"
+        )
     size = size_of(vehicle)
     speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 / size.time * (v_max - 0.1))) + 1)
     if size == ONE_TENTH:
