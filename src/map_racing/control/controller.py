@@ -260,7 +260,18 @@ class Controller:
         return self._learned
 
     def max_lateral_acceleration(self, v):
-        """Largest lateral acceleration [m/s^2] of the steering map in use, at a speed [m/s]."""
+        """Largest lateral acceleration of the steering map in use.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s].
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the shape of `v`.
+        """
         return self._steering_map.max_lateral_acceleration(v)
 
     @property

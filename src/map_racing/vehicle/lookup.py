@@ -202,7 +202,18 @@ class LookupTable:
         return (delta if a_lat >= 0.0 else -delta), saturated
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
+        """Largest lateral acceleration that `steering` reaches.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s], of any shape; its sign does not matter.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the shape of `v`.
+        """
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, self._v[0]) ** 2
         inverse = [1.0 / column.limit for column in self._columns]
@@ -222,6 +233,11 @@ class LookupTable:
             Speed [m/s]; its sign does not matter.
         delta : float or ndarray
             Steering angle [rad], positive to the left.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the common shape of both.
         """
         v, delta = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(delta, dtype=float))
         i, u = _locate(self.angles, np.abs(delta))
@@ -242,6 +258,11 @@ class LookupTable:
 
         The first row has the speeds, the first column the angles, cell [0, 0] is 0; numbers read
         back exactly.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
         """
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
@@ -338,7 +359,15 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
 
 
 def published_grid() -> tuple[np.ndarray, np.ndarray]:
-    """Speeds [m/s] and angles [rad] of the published tables, which contain 0.1 rad twice."""
+    """Speeds and angles of the published tables, which contain 0.1 rad twice.
+
+    Returns
+    -------
+    speeds : ndarray, shape (65,)
+        [m/s]
+    angles : ndarray, shape (60,)
+        [rad]
+    """
     angles = np.concatenate((np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)))
     return np.linspace(0.5, 7.0, 65), angles
 
