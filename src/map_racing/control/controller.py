@@ -168,6 +168,8 @@ class Controller:
         self._raceline, self._tracker = setup.raceline, setup.tracker
         self._speed_at = self._requested_speed_at if setup.plan is None else setup.plan.speed_at
         self._delay = setup.parameters.delay_s
+        if self._learned is not None:
+            self._learned.expect_delay(setup.parameters.delay_s)
         if self._adaptation is not None:
             if setup.plan is not None:
                 self._adaptation.slowest = setup.plan.slowest
@@ -258,7 +260,18 @@ class Controller:
         return self._learned
 
     def max_lateral_acceleration(self, v):
-        """Largest lateral acceleration [m/s^2] of the steering map in use, at a speed [m/s]."""
+        """Largest lateral acceleration of the steering map in use.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s].
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the shape of `v`.
+        """
         return self._steering_map.max_lateral_acceleration(v)
 
     @property

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Callable, NamedTuple
 
 from ..validation import POSITIVE, check, documented, parameter
 from ..vehicle.size import size_of
@@ -215,8 +215,8 @@ class Supervisor:
     reason : Reason
     jumped : bool
         Whether the last pose is farther from the one before than the car can have driven.
-    restarted : bool
-        Whether the clock was found set back at the last call; the past is forgotten.
+    on_restart : callable
+        Called when the clock is found set back, and the past is forgotten.
     pose_age : float
         Age of the last pose when it was observed [s].
     """
@@ -227,11 +227,12 @@ class Supervisor:
         self._requests = set()
         self._failed = self._lost_grip = self._overspeed = False
         self._raceline_valid, self._opposed = True, False
+        self.on_restart: Callable[[], None] = lambda: None
         self._forget()
 
     def _forget(self):
         self.mode, self.reason = Mode.WAITING, Reason.NO_POSE
-        self.jumped = self.restarted = False
+        self.jumped = False
         self.pose_age = math.nan
         self._seen = {}  # when each temporary cause was last seen
         self._pose = None
@@ -415,10 +416,9 @@ class Supervisor:
         return decision
 
     def _advance(self, now):
-        self.restarted = self._now is not None and now < self._now - BACKWARDS
-        if self.restarted:
+        if self._now is not None and now < self._now - BACKWARDS:
             self._forget()
-            self.restarted = True
+            self.on_restart()
         self._now = now
 
     @property

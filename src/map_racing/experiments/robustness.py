@@ -320,7 +320,19 @@ def _car(name, plant, changes):
 
 
 def grid_plan(grid, label, controller):
-    """Plan that races a controller over the grid; its result is the list of `RaceResult`."""
+    """Plan that races a controller over the grid; its result is the list of `RaceResult`.
+
+    Parameters
+    ----------
+    grid : Grid
+    label : str
+        Name of the controller in the results.
+    controller : ControllerParameters
+
+    Returns
+    -------
+    Plan
+    """
 
     def steps():
         return (yield grid.jobs(label, controller))
@@ -427,7 +439,19 @@ def grid_table(races, scale):
 
 
 def grid_provenance(grid, controllers):
-    """What the results of a grid depend on, as plain values."""
+    """What the results of a grid depend on, as plain values.
+
+    Parameters
+    ----------
+    grid : Grid
+    controllers : dict of str to ControllerParameters
+        What was raced, by label.
+
+    Returns
+    -------
+    dict
+        For JSON.
+    """
     return {
         **software(),
         "notes": grid.notes,

@@ -117,7 +117,22 @@ class GridSession(Races):
         return pd.concat(frames, ignore_index=True)
 
     def write(self, table, controllers, **frames):
-        """Write tables and provenance."""
+        """Write tables and provenance.
+
+        Parameters
+        ----------
+        table : pandas.DataFrame
+            The table of the experiment.
+        controllers : dict of str to ControllerParameters
+            What was raced, by label.
+        **frames : pandas.DataFrame
+            Further tables; the name is that of the file, ``NAME.csv``.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
         provenance = grid_provenance(self.grid, controllers)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 

@@ -118,7 +118,18 @@ class ProcessedRun:
         return self.steady & self.coherent
 
     def v_y(self, l_r: float) -> np.ndarray:
-        """Lateral velocity of the center of gravity [m/s], `l_r` ahead of the rear axle."""
+        """Lateral velocity of the center of gravity.
+
+        Parameters
+        ----------
+        l_r : float
+            Distance from the center of gravity to the rear axle [m].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m/s]
+        """
         return self.v_x * np.tan(self.beta) + self.r * (l_r - self.run.setup.pose_x_m)
 
     def segments(self) -> list[slice]:
@@ -217,7 +228,18 @@ def motion_of(
 
 
 def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
-    """Zero-phase Butterworth low-pass along the last axis; half the power passes at the cutoff."""
+    """Zero-phase Butterworth low-pass along the last axis; half the power passes at the cutoff.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+    rate_hz, cutoff_hz : float
+        Rate of the samples and cutoff [Hz].
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+    """
     # Twice through a filter of second order: each pass may take a quarter of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
     padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))

@@ -143,7 +143,17 @@ class Channel:
             object.__setattr__(self, name, finite(name, getattr(self, name)))
 
     def to_si(self, raw: np.ndarray) -> np.ndarray:
-        """The values in SI units."""
+        """The values in SI units.
+
+        Parameters
+        ----------
+        raw : ndarray, shape (n,)
+            As recorded, in `unit`.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
         return raw * (self.scale * UNITS.get(self.unit, 1.0)) + self.offset
 
 

@@ -18,7 +18,7 @@ from typing import Mapping
 import numpy as np
 
 from ..errors import IdentificationError
-from ..vehicle.parameters import Vehicle, scaled_tires
+from ..vehicle.parameters import Vehicle, holding, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
 from .cornering import low_passed
@@ -240,7 +240,8 @@ def tires_from_laps(
             "one clock (--steering-delay takes a known delay)?"
         )
     angles = [drive.steering.value for drive in drives]
-    vehicle = replace(car_of(base, fitted), name=name or base.name + "_identified")
+    vehicle = holding(car_of(base, fitted), demonstrated)
+    vehicle = replace(vehicle, name=name or base.name + "_identified")
     return LapTires(
         vehicle=vehicle,
         base=base,

@@ -112,7 +112,13 @@ class RaceLog:
         return found
 
     def true_path(self):
-        """True states of all control steps, shape (n, 7), columns as in CarState."""
+        """True states of all control steps.
+
+        Returns
+        -------
+        ndarray, shape (n, 7)
+            Columns as in CarState [SI].
+        """
         return np.array([sample.true for sample in self.samples])
 
 

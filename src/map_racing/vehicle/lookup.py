@@ -21,6 +21,9 @@ from .size import ONE_TENTH, size_of
 
 __all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
 
+# Bounds of the fastest column of a grid [m/s].
+GRID_SPEEDS = 0.2, 100.0
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -199,7 +202,18 @@ class LookupTable:
         return (delta if a_lat >= 0.0 else -delta), saturated
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
+        """Largest lateral acceleration that `steering` reaches.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s], of any shape; its sign does not matter.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the shape of `v`.
+        """
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, self._v[0]) ** 2
         inverse = [1.0 / column.limit for column in self._columns]
@@ -219,6 +233,11 @@ class LookupTable:
             Speed [m/s]; its sign does not matter.
         delta : float or ndarray
             Steering angle [rad], positive to the left.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the common shape of both.
         """
         v, delta = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(delta, dtype=float))
         i, u = _locate(self.angles, np.abs(delta))
@@ -239,6 +258,11 @@ class LookupTable:
 
         The first row has the speeds, the first column the angles, cell [0, 0] is 0; numbers read
         back exactly.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
         """
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
@@ -308,7 +332,8 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     ----------
     vehicle : Vehicle
     v_max : float, optional
-        Fastest column [m/s], from 0.2 to 100; default: the vehicle's.
+        Fastest column [m/s], from 0.2 to 100; default: the vehicle's, within these bounds. Faster
+        than its columns a table extrapolates.
 
     Returns
     -------
@@ -320,9 +345,12 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
     ParameterError
         If `v_max` is out of its range.
     """
-    v_max = vehicle.v_max if v_max is None else float(v_max)
-    if not 0.2 <= v_max <= 100.0:
-        raise ParameterError(f"v_max: expected a speed from 0.2 to 100 m/s, got {v_max:g}")
+    slowest, fastest = GRID_SPEEDS
+    v_max = min(max(vehicle.v_max, slowest), fastest) if v_max is None else float(v_max)
+    if not slowest <= v_max <= fastest:
+        raise ParameterError(
+            f"v_max: expected a speed from {slowest:g} to {fastest:g} m/s, got {v_max:g}"
+        )
     size = size_of(vehicle)
     speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 / size.time * (v_max - 0.1))) + 1)
     if size == ONE_TENTH:
@@ -331,7 +359,15 @@ def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarr
 
 
 def published_grid() -> tuple[np.ndarray, np.ndarray]:
-    """Speeds [m/s] and angles [rad] of the published tables, which contain 0.1 rad twice."""
+    """Speeds and angles of the published tables, which contain 0.1 rad twice.
+
+    Returns
+    -------
+    speeds : ndarray, shape (65,)
+        [m/s]
+    angles : ndarray, shape (60,)
+        [rad]
+    """
     angles = np.concatenate((np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)))
     return np.linspace(0.5, 7.0, 65), angles
 

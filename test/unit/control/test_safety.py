@@ -349,14 +349,14 @@ def test_a_clock_set_back_begins_anew_but_keeps_the_request():
     car = Car()
     car.drive(2.0)
     car.supervisor.request_stop("service")
-    car.now, car.x = 10.0, 50.0
+    car.now, car.x, restarts = 10.0, 50.0, []
+    car.supervisor.on_restart = lambda: restarts.append(car.supervisor.mode)
     car.step()
-    assert car.supervisor.restarted
+    assert restarts == [Mode.WAITING]
     assert (car.supervisor.mode, car.supervisor.reason) == (Mode.WAITING, Reason.STOP_REQUESTED)
     car.supervisor.resume()
     car.step()
-    assert not car.supervisor.restarted
-    assert car.supervisor.mode is Mode.DRIVING
+    assert len(restarts) == 1 and car.supervisor.mode is Mode.DRIVING
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,13 @@ def test_what_is_returned(found, ramps):
     largest = ramps.true.mu * ramps.true.front.peak * 9.81
     assert 0.93 * largest < found.largest_a_y < 1.01 * largest
     assert found.friction == found.largest_a_y / 9.81
+    assert found.vehicle.a_lat_max == ramps.base.a_lat_max
+
+
+def test_a_limit_of_the_vehicle_file_is_no_lower_than_what_was_held(found, ramps):
+    limited = identify([ramps.run], dataclasses.replace(ramps.base, a_lat_max=3.0))
+    for car in (limited.vehicle, limited.linear_vehicle):
+        assert car.a_lat_max == pytest.approx(found.largest_a_y)
 
 
 def test_understeer_gradient_is_the_slope_of_the_table(found):

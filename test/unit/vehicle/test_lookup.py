@@ -182,6 +182,11 @@ def test_default_grid_refuses_impossible_speeds(v_max):
         default_grid(NUC4, v_max)
 
 
+@pytest.mark.parametrize(("v_max", "last"), [(120.0, 100.0), (0.1, 0.2)])
+def test_default_grid_of_a_car_faster_or_slower_than_any_table(v_max, last):
+    assert default_grid(dataclasses.replace(NUC4, v_max=v_max))[0][-1] == last
+
+
 def test_wheelbase_is_recovered_from_a_table_without_provenance():
     bare = LookupTable(SPEEDS, ANGLES, TABLE.a_lat)
     assert bare.l_wb == pytest.approx(NUC4.l_wb, abs=1e-5)
