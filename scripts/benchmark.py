@@ -39,7 +39,7 @@ from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.lookup import published_grid
+from map_racing.vehicle.grids import published_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

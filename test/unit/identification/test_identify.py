@@ -28,7 +28,7 @@ from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag
 from map_racing.track.files.load import load_raceline
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import Vehicle, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 from map_racing.vehicle.tires import LinearTire, PacejkaTire
