@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
-from .cornering import low_passed
 from .data import Run
+from .filters import low_passed
 
 __all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
 

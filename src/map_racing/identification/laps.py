@@ -21,7 +21,6 @@ from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle, holding, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
-from .cornering import low_passed
 from .data import Run, SensorSetup
 from .delay import Delays, estimate_delays
 from .driving import (
@@ -33,6 +32,7 @@ from .driving import (
     driving_of,
     windows_of,
 )
+from .filters import low_passed
 from .kinematic_checks import LOCK_MARGIN
 from .output_error import believed, fit_car, simulate
 from .robust_fit import CONFIDENCE, Fitted
