@@ -27,7 +27,7 @@ from ..experiments.paper import (
     tire_table,
 )
 from ..experiments.rivals import RIVALS, sensitivity_frame, sensitivity_plan, work_frame
-from ..experiments.robustness import grid_table
+from ..experiments.robustness_tables import grid_table
 from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
 from .session import open_grid, open_session, rival_sessions
 

@@ -18,7 +18,8 @@ from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import ONE_TENTH, Size, size_of
-from .data import POSE, Run, Signal
+from .channels import POSE
+from .data import Run, Signal
 from .filters import briefly_far, low_passed, running_median, spike_thresholds, spikes_in, stretches
 from .limits import RATE_HZ, SteadyLimits
 

@@ -21,7 +21,8 @@ from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle, holding, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
-from .data import Run, SensorSetup
+from .channels import SensorSetup
+from .data import Run
 from .delay import Delays, estimate_delays
 from .driving import (
     AT_LONGEST_S,

@@ -18,8 +18,8 @@ from ..bags.clocks import LONGEST_LAG_S, lag_of_effect
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
+from .channels import SensorSetup
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
-from .data import SensorSetup
 from .kinematic_checks import (
     both_sides,
     check_front_slip,

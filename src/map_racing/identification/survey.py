@@ -10,8 +10,9 @@ from typing import Iterable, NamedTuple
 
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
+from .channels import SensorSetup
 from .cornering import ProcessedRun, motion_of
-from .data import Run, SensorSetup
+from .data import Run
 from .limits import SteadyLimits
 from .sensor_checks import check, correct
 from .sensor_findings import SensorFinding
