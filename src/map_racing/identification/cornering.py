@@ -168,15 +168,8 @@ def motion_of(
     signals, spikes = _without_spikes(run, least)
     pose_t, *poses = _poses(run, signals, spikes, least)
     middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
-    offset, apart = 0.0, 0.0
-    if "yaw_rate" in signals:
-        rate = setup.yaw_rate_scale * signals["yaw_rate"].value
-        found, sure = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
-        if run.pose_clock:
-            offset = found
-            middle, pose_t = middle + offset, pose_t + offset
-        elif sure:
-            apart = found
+    offset, apart = _clocks(run, signals, middle, velocities[2])
+    middle, pose_t = middle + offset, pose_t + offset
     t, known = _common_clock(run, signals, pose_t)
     columns = dict(
         zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
@@ -246,6 +239,20 @@ def _without_spikes(run, least):
             t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
         signals[name] = Signal(run.setup.time_scale * t, value)
     return signals, spikes
+
+
+def _clocks(run, signals, middle, turning):
+    """What to add to the times of the poses, and how far theirs is from another clock [s].
+
+    Poses with a clock of their own are brought to that of the yaw rates; of others it is only said.
+    """
+    if "yaw_rate" not in signals:
+        return 0.0, 0.0
+    rate_t, rate = signals["yaw_rate"]
+    found, sure = _clock_offset(middle, turning, rate_t, run.setup.yaw_rate_scale * rate)
+    if run.pose_clock:
+        return found, 0.0
+    return 0.0, found if sure else 0.0
 
 
 def _common_clock(run, signals, pose_t):
