@@ -148,7 +148,7 @@ def test_live_tuning_meanwhile_is_kept():
     drive.drive(1.0)
     controller = drive.driver.controller
     drive.follow(circle(-1.0))
-    controller.parameters = controller.parameters.with_(speed_scale=0.3)
+    controller.change(parameters=controller.parameters.with_(speed_scale=0.3))
     drive.drive(3.0)
     assert controller.parameters.speed_scale == pytest.approx(0.3)
 
