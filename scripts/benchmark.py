@@ -30,7 +30,8 @@ from map_racing.control.steering import build_steering_map
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.evaluation.runs import evaluate
 from map_racing.experiments.executors import open_executor
-from map_racing.experiments.season import BagOptions, evaluate_season, find_bags
+from map_racing.experiments.season import BagOptions, evaluate_season
+from map_racing.experiments.season_bags import find_bags
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import race

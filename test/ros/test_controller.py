@@ -28,7 +28,7 @@ from map_racing.control.parameters import (
     load_controller_parameters,
     load_safety_limits,
 )
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.settings import parse_settings
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Callable, NamedTuple
 
 from ..vehicle.size import size_of
 from .controller import Controller, ControlResult
-from .safety import Decision, SafetyLimits, Supervisor
+from .safety import Decision, Supervisor
+from .safety_limits import SafetyLimits
 from .slowing import Slowing
 from .steering import build_steering_maps
 

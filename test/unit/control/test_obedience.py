@@ -7,7 +7,8 @@ import pytest
 
 from map_racing.control.controller import ControlResult, Status
 from map_racing.control.obedience import APART, MOVING, PATIENCE, Course, Obedience, PoseMotion
-from map_racing.control.safety import REST, Mode, Reason, SafetyLimits, Supervisor
+from map_racing.control.safety import REST, Mode, Reason, Supervisor
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 
 PERIOD = 1 / 40
