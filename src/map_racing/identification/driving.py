@@ -146,18 +146,7 @@ def driving_of(run: Run) -> Driving:
     if "steering" not in signals:
         raise IdentificationError(f"{run.name}: steering: expected drive commands, got none")
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
-    r = scaled.get("yaw_rate")
-    if r is None:
-        r = _rate_of_heading(run, scaled)
-        notes.append("yaw rate from the heading of the poses")
-    else:
-        r = r[0], setup.yaw_rate_scale * r[1]
-    v = scaled.get("v_x")
-    if v is None:
-        v = _speed_of_path(run, scaled)
-        notes.append("speed from the path of the poses")
-    else:
-        v = v[0], setup.speed_scale * v[1]
+    r, v = _turn_and_speed(run, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
     commands_t, angle = scaled["steering"]
     begin = max(begin, float(commands_t[0]))
@@ -196,6 +185,22 @@ def driving_of(run: Run) -> Driving:
         usable,
         notes,
     )
+
+
+def _turn_and_speed(run, scaled, notes):
+    """Yaw rate and speed, each with its times: measured or, where nothing does, from the poses."""
+    r, v = scaled.get("yaw_rate"), scaled.get("v_x")
+    if r is None:
+        r = _rate_of_heading(run, scaled)
+        notes.append("yaw rate from the heading of the poses")
+    else:
+        r = r[0], run.setup.yaw_rate_scale * r[1]
+    if v is None:
+        v = _speed_of_path(run, scaled)
+        notes.append("speed from the path of the poses")
+    else:
+        v = v[0], run.setup.speed_scale * v[1]
+    return r, v
 
 
 @dataclass(frozen=True)
