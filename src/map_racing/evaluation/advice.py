@@ -299,7 +299,7 @@ class _Heat:
 
     def reachable(self, sectors):
         """No sector is so fast that the next one's speed is not reached soon after its begin."""
-        brake = self.run.limits.a_brake_max
+        brake = min(self.run.limits.a_brake_max, self.vehicle.a_brake_max)
         found = list(sectors)
         for i in reversed(range(2 * len(found))):
             one, following = found[i % len(found)], found[(i + 1) % len(found)]
@@ -410,7 +410,7 @@ def advice_table(advice: Advice) -> list[list[str]]:
     -------
     list of list of str
     """
-    rows = [["sector", "from", "to", "driven", "next", "bound by", "grip used", "off the line"]]
+    rows = [["sector", "from", "to", "driven", "next", "bound by", "sure grip", "off the line"]]
     rows[0].append("clearance")
     for one in advice.sectors:
         clearance = "" if math.isnan(one.clearance_m) else f"{one.clearance_m:.2f} m"

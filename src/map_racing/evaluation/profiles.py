@@ -94,11 +94,10 @@ class CarLimits:
 
 
 def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None) -> CarLimits:
-    """Limits of a car: those of the vehicle, or of the controller's parameters if lower."""
+    """Limits of a car: lengthwise those that its controller plans with, else the vehicle's."""
     drive, brake, v_max = vehicle.a_max, vehicle.a_brake_max, vehicle.v_max
     if parameters is not None:
-        drive = min(drive, parameters.a_drive_max_mps2)
-        brake = min(brake, parameters.a_brake_max_mps2)
+        drive, brake = parameters.a_drive_max_mps2, parameters.a_brake_max_mps2
         v_max = min(v_max, parameters.v_max_mps)
     table = build_steering_map("table", vehicle, v_max)
     return CarLimits(vehicle, table, vehicle.delta_max, drive, brake, v_max)

@@ -262,8 +262,8 @@ def _map():
 def _grip(runs):
     known = any(run.limits is not None for run in runs)
     text = (
-        "The lines are sideways what the tires of the vehicle file give, lengthwise "
-        "the acceleration and braking that vehicle file and controller allow."
+        "The lines are sideways what the tires of the vehicle file give, lengthwise the "
+        "acceleration and braking that the controller plans with, or else the vehicle file has."
         if known
         else "The car is not known: no settings are in the recording, so give --vehicle for the "
         "limits of its tires and for what its table asks of the steering."
@@ -382,15 +382,32 @@ def _poses(runs):
 
 def _driven_with(runs):
     parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
+    settled = [run for run in runs if run.settings is not None]
     for run in runs:
         parts.append(_run_name(run, runs))
         rows = [["file", run.result.source], *_notes(run)]
         if run.settings is None:
             rows.append(["settings", "none in the recording"])
-        else:
+        elif len(settled) == 1:
             rows += _flat(run.settings.values)
         parts.append(table(["what", "value"], rows, "settings"))
+    if len(settled) > 1:
+        parts.append(_side_by_side(settled))
     return "".join([*parts, "</section>\n"])
+
+
+def _side_by_side(runs):
+    """Settings of several runs: first those that differ, a column for each run."""
+    columns = [dict(_flat(run.settings.values)) for run in runs]
+    keys = list(dict.fromkeys(key for column in columns for key in column))
+    rows = [[key, *(column.get(key, "–") for column in columns)] for key in keys]
+    other = [row for row in rows if len(set(row[1:])) > 1]
+    same = [row[:2] for row in rows if len(set(row[1:])) == 1]
+    parts = ["<h3>What differs</h3>\n", table(["what", *(run.name for run in runs)], other)]
+    if not other:
+        parts[1] = '<p class="hint">Nothing: all runs have the same settings.</p>\n'
+    parts += ["<h3>The same in all</h3>\n", table(["what", "value"], same, "settings")]
+    return "".join(parts)
 
 
 def _notes(run):
