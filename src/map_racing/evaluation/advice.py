@@ -165,7 +165,8 @@ def _check(run):
     if run.profile.track.speed is None:
         raise EvaluationError(f"{source}: no advice: the raceline has no speeds to scale")
     if not np.isfinite(run.profile.mean("a_lat")).all():
-        raise EvaluationError(f"{source}: no advice: neither yaw rate nor heading is known")
+        why = "; ".join(run.profile.notes) or "neither yaw rate nor heading is known"
+        raise EvaluationError(f"{source}: no advice: {why.replace('warning: ', '')}")
 
 
 class _Heat:
@@ -237,7 +238,7 @@ class _Heat:
             begin = int(np.argmin(np.abs(self.s - corner.begin)))
             length = (corner.end - corner.begin) % self.track.length or self.track.length
             cells = (begin + np.arange(max(int(round(length / self.ds)), 1))) % self.s.size
-            bent = np.flatnonzero(self.use[cells] > _BENT * self.use[cells].max())[-1] + 1
+            bent = np.flatnonzero(self.use[cells] >= _BENT * self.use[cells].max())[-1] + 1
             name = corner.name or "whole lap"
             found.setdefault(self._point(corner.begin), name)
             if corner.side and (len(cells) - bent) * self.ds > _SHORTEST * self.size:

@@ -13,6 +13,7 @@ from .. import __version__
 from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
 from ..evaluation.places import costliest
 from ..vehicle.single_track import GRAVITY
+from .driven_with import driven_with
 from .html import Markup, document, escape, pack, plotly_script, table
 from .next_heat import advice_of, car_section, speeds_section
 
@@ -64,7 +65,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
         car_section(runs, advices),
         _laps(runs),
         _poses(runs),
-        _driven_with(runs),
+        driven_with(runs),
         f"<footer>map_racing {escape(__version__)}. Distances are along the raceline from the "
         "start line; left is positive.</footer>\n",
     ]
@@ -147,7 +148,8 @@ def _first_screen(runs, compared):
     head = ["run"] if len(runs) > 1 else []
     head += ["laps counted", "best lap", "ideal lap", "mean lap", "RMS error"]
     head += ["clearance", "saturated"]
-    parts = ['<section id="first">\n', table(head, rows, "summary"), _lap_strip(runs)]
+    parts = ['<section id="first">\n', table(head, rows, "summary"), _doubts(runs)]
+    parts.append(_lap_strip(runs))
     parts.append('<div class="bar"><h2>Where the time goes</h2>')
     if len(runs) > 1:
         options = "".join(
@@ -161,6 +163,21 @@ def _first_screen(runs, compared):
         for j, (reference, places) in enumerate(comparisons):
             parts.append(_place_list(i, j, reference, places, runs[i]))
     parts.append("</section>\n")
+    return "".join(parts)
+
+
+def _doubts(runs):
+    """What makes the numbers of runs doubtful, a line each."""
+    parts = []
+    for run in runs:
+        mark = "warning: "
+        said = [note for note in (*run.result.notes, *run.notes) if note.startswith(mark)]
+        said = list(dict.fromkeys(said))
+        if said:
+            name = f"{run.name}: " if len(runs) > 1 else ""
+            more = f" ({len(said) - 1} more below)" if said[1:] else ""
+            text = f"Doubtful: {name}{said[0][len(mark) :]}{more}"
+            parts.append(f'<p class="doubt">{escape(text)}</p>\n')
     return "".join(parts)
 
 
@@ -378,61 +395,6 @@ def _poses(runs):
             rows = [[lap.lap, lap.reason] for lap in stopped[:_MOST_ROWS]]
             parts += [_run_name(run, runs), table(["lap", "stop"], rows)]
     return "".join([*parts, "</section>\n"])
-
-
-def _driven_with(runs):
-    parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
-    settled = [run for run in runs if run.settings is not None]
-    for run in runs:
-        parts.append(_run_name(run, runs))
-        rows = [["file", run.result.source], *_notes(run)]
-        if run.settings is None:
-            rows.append(["settings", "none in the recording"])
-        elif len(settled) == 1:
-            rows += _flat(run.settings.values)
-        parts.append(table(["what", "value"], rows, "settings"))
-    if len(settled) > 1:
-        parts.append(_side_by_side(settled))
-    return "".join([*parts, "</section>\n"])
-
-
-def _side_by_side(runs):
-    """Settings of several runs: first those that differ, a column for each run."""
-    columns = [dict(_flat(run.settings.values)) for run in runs]
-    keys = list(dict.fromkeys(key for column in columns for key in column))
-    rows = [[key, *(column.get(key, "–") for column in columns)] for key in keys]
-    other = [row for row in rows if len(set(row[1:])) > 1]
-    same = [row[:2] for row in rows if len(set(row[1:])) == 1]
-    parts = ["<h3>What differs</h3>\n", table(["what", *(run.name for run in runs)], other)]
-    if not other:
-        parts[1] = '<p class="hint">Nothing: all runs have the same settings.</p>\n'
-    parts += ["<h3>The same in all</h3>\n", table(["what", "value"], same, "settings")]
-    return "".join(parts)
-
-
-def _notes(run):
-    notes = [*run.result.notes, *run.notes]
-    return [["note", note] for note in list(dict.fromkeys(notes))[:_MOST_ROWS]]
-
-
-def _flat(values, before=""):
-    """Rows of nested settings."""
-    rows = []
-    for key, value in values.items():
-        if isinstance(value, dict):
-            rows += _flat(value, f"{before}{key}: ")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for number, part in enumerate(value):
-                rows += _flat(part, f"{before}{key} {number}: ")
-        else:
-            rows.append([f"{before}{key}", _plain(value)])
-    return rows
-
-
-def _plain(value):
-    if isinstance(value, list):
-        return ", ".join(map(_plain, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _run_name(run, runs):

@@ -64,6 +64,12 @@ def test_it_says_what_was_driven_with(page):
     assert "vehicle: m 3.31" in same and "steering_map" not in same
 
 
+def test_doubts_are_told_on_the_first_screen(bags, tmp_path, page):
+    other = text_of(report(tmp_path, bags["map"], "--vehicle", "sim"))
+    assert other.index("Doubtful: --vehicle is SIM") < other.index("Where the time goes")
+    assert "Doubtful" not in text_of(page)
+
+
 def test_everything_is_in_the_file(page):
     start = page[: page.index("plotly.js")]
     assert not re.search(r'(src|href)="(?!data:,)', start)
