@@ -110,7 +110,9 @@ def test_a_yaw_rate_that_is_not_the_turning_of_the_path_is_not_used(
     run = profiles_of(recording, evaluate(recording, reference), limits)
     (note,) = run.notes
     turned = float(note.split("path turns by ")[1].split()[0])
-    assert turned == pytest.approx(2.0 * np.pi * recording.t[-1] / (reference.length / 3.0), abs=1.5)
+    assert turned == pytest.approx(
+        2.0 * np.pi * recording.t[-1] / (reference.length / 3.0), abs=1.5
+    )
     assert np.isnan(run.laps[0].values["a_lat"]).all() and np.isnan(run.laps[0].grip_used).all()
     assert np.isfinite(run.laps[0].values["a_lon"]).all()
 
