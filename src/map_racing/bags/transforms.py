@@ -215,7 +215,13 @@ class FramePoses(NamedTuple):
         return self.transforms.jump_back(self.root, self.frame, received)
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps and times of receipt of the link that is sent most often."""
+        """Stamps and times of receipt of the link that is sent most often.
+
+        Returns
+        -------
+        stamps, received : ndarray of int, shape (n,)
+            [ns]
+        """
         links = self.transforms.links(self.root, self.frame)
         return max(links.values(), key=lambda link: link[0].size)
 
@@ -226,7 +232,23 @@ class FramePoses(NamedTuple):
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in strict order of time: ``x y psi``, and velocities that are not known."""
+        """Poses in strict order of time, without velocities.
+
+        Parameters
+        ----------
+        notes : list of str
+            Gets a line for each kind of repair.
+        topic : str
+            Name of the poses in the notes.
+        clock : Clock
+
+        Returns
+        -------
+        stamps : ndarray of int, shape (n,)
+            [ns], strictly increasing.
+        columns : list of ndarray, shape (n,)
+            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
+        """
         tree = self.transforms.tree(self.root, self.frame, notes, topic, clock.use_receipt)
         times, poses, used = tree.history(self.root, self.frame)
         if len(used) > 1:
@@ -292,7 +314,23 @@ class ComposedPoses:
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in the map in strict order of time: ``x y psi v_x v_y yaw_rate``."""
+        """Poses in the map in strict order of time.
+
+        Parameters
+        ----------
+        notes : list of str
+            Gets a line for each kind of repair.
+        topic : str
+            Name of the poses in the notes.
+        clock : Clock
+
+        Returns
+        -------
+        stamps : ndarray of int, shape (n,)
+            [ns], strictly increasing.
+        columns : list of ndarray, shape (n,)
+            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
+        """
         times, columns = self._poses.columns(notes, topic, clock)
         if not times.size:
             return times, columns

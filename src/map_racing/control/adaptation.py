@@ -151,7 +151,7 @@ class Adaptation:
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
         self.vehicle, self._share = vehicle, share
         self._behind = vehicle.l_r if behind is None else behind
-        self._prior_dead_time = min(max(delay - SERVO_LAG, 0.0), LONGEST_DEAD_TIME)
+        self._prior_delay = delay
         self._bounds = math.log(1.0 - share), math.log(1.0 + share)
         self._front, self._rear = (
             tire.scalar_with_slope() for tire in (vehicle.front, vehicle.rear)
@@ -163,7 +163,7 @@ class Adaptation:
     def forget(self):
         """Believe the vehicle file again."""
         car = self.vehicle
-        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time, SERVO_LAG, car.h_cg]
+        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time(), SERVO_LAG, car.h_cg]
         self._P = [[0.0] * 8 for _ in range(8)]
         for i, deviation in enumerate((*PRIOR, HEIGHT * car.l_wb), 2):
             self._P[i][i] = deviation * deviation
@@ -173,6 +173,22 @@ class Adaptation:
         self._noise = 1.0
         self.delay = self._x[5] + self._x[6]
         self.restart()
+
+    def expect_delay(self, delay):
+        """Learn the delay anew from another prior [s]; the same one again changes nothing."""
+        if delay == self._prior_delay:
+            return
+        self._prior_delay = delay
+        self._x[5:7] = self._prior_dead_time(), SERVO_LAG
+        P = self._P
+        for k, deviation in ((5, PRIOR[3]), (6, PRIOR[4])):
+            for i in range(8):
+                P[k][i] = P[i][k] = 0.0
+            P[k][k] = deviation * deviation
+        self.delay = self._x[5] + self._x[6]
+
+    def _prior_dead_time(self):
+        return min(max(self._prior_delay - SERVO_LAG, 0.0), LONGEST_DEAD_TIME)
 
     def restart(self):
         """Forget the motion, after a pause or when the car was moved; the belief stays."""

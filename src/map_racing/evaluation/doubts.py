@@ -52,6 +52,13 @@ def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
 
     Second differences of such poses change their direction from each sample to the next, and keep
     doing so; those of noise are forgotten after three, and those of a driving car keep theirs.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the poses.
+    x, y : ndarray, shape (n,)
+        Positions [m].
     """
     bends = np.stack((np.diff(x, 2), np.diff(y, 2)))
     if bends.shape[1] < 10 * _EVEN:
@@ -70,7 +77,15 @@ def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
 
 
 def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
-    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty."""
+    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the poses.
+    t, x, y, v : ndarray, shape (n,)
+        Times [s], positions [m], and measured speeds [m/s].
+    """
     if not (np.isfinite(v).all() and v.any()):
         return ""
     moved = speed_of(t, x, y, np.full(v.size, math.nan))
@@ -86,7 +101,15 @@ def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np
 
 
 def bunches(topic: str, t: np.ndarray) -> str:
-    """Doubt about times that come in bunches, between which the car seems to leap; or empty."""
+    """Doubt about times that come in bunches, between which the car seems to leap; or empty.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the poses.
+    t : ndarray, shape (n,)
+        Times [s].
+    """
     steps = np.diff(t)
     if steps.size < 10:
         return ""

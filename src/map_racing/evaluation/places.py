@@ -70,7 +70,19 @@ class Corner:
     end: float
 
     def inside(self, s: np.ndarray, length: float) -> np.ndarray:
-        """Which distances are in the stretch, a mask; `length` is the track's [m]."""
+        """Which distances are in the stretch.
+
+        Parameters
+        ----------
+        s : array_like, shape (n,)
+            Distances from the start line [m].
+        length : float
+            Length of the track [m].
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
         s = np.asarray(s) % length
         if self.begin < self.end:
             return (s >= self.begin) & (s < self.end)

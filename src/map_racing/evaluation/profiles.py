@@ -83,9 +83,19 @@ class CarLimits:
     v_max: float
 
     def lateral(self, v: np.ndarray) -> np.ndarray:
-        """Largest lateral acceleration of the tires [m/s^2] at speeds [m/s].
+        """Largest lateral acceleration of the tires.
 
         Where the steering lock allows less, at low speeds, that of the next higher speed counts.
+
+        Parameters
+        ----------
+        v : ndarray, shape (n,)
+            Speeds [m/s].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m/s^2]
         """
         return np.interp(v, *self._lateral)
 
@@ -194,7 +204,17 @@ class RunProfile:
         return min(self.counted, key=lambda profile: profile.lap.lap_time_s, default=None)
 
     def mean(self, channel: str) -> np.ndarray:
-        """Mean of a channel over the laps that count, shape (n,)."""
+        """Mean of a channel over the laps that count.
+
+        Parameters
+        ----------
+        channel : str
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            In the unit of the channel, at the places of the profiles.
+        """
         return np.mean([profile.values[channel] for profile in self.counted], axis=0)
 
 

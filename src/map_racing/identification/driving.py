@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
-from .cornering import low_passed
 from .data import Run
+from .filters import low_passed
 
 __all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
 
@@ -53,11 +53,32 @@ class Held(NamedTuple):
     value: np.ndarray
 
     def integral(self) -> np.ndarray:
-        """Integral of the command up to each `t`, from 0."""
+        """Integral of the command up to each `t`, from 0.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            [rad s] or [m].
+        """
         return np.append(0.0, np.cumsum(np.diff(self.t) * self.value[:-1]))
 
     def means(self, t: np.ndarray, step: float, integral: np.ndarray) -> np.ndarray:
-        """Mean over the step that begins at each of `t`, smooth in `t`; `integral` is its own."""
+        """Mean over the step that begins at each of `t`, smooth in `t`.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n, ...)
+            Begin of the steps [s].
+        step : float
+            Their duration [s].
+        integral : ndarray, shape (k,)
+            What `integral` returns.
+
+        Returns
+        -------
+        ndarray, shape (n, ...)
+            [rad] or [m/s].
+        """
         both = np.concatenate((t, t[-1:] + step)) if t.ndim == 1 else np.vstack((t, t[-1:] + step))
         at = np.searchsorted(self.t, both, side="right") - 1
         at = np.clip(at, 0, self.t.size - 1)
@@ -221,7 +242,20 @@ class Windows:
         return self.v_x.shape[0] - 1
 
     def at(self, name: str, simulated: np.ndarray) -> np.ndarray:
-        """Simulated values, shape (K + 1, p, n), where `name` was measured, shape (p, k)."""
+        """Simulated values where a quantity was measured.
+
+        Parameters
+        ----------
+        name : str
+            Of the quantity.
+        simulated : ndarray, shape (K + 1, p, n)
+            Of p simulations of all n windows, after each step.
+
+        Returns
+        -------
+        ndarray, shape (p, k)
+            At the k measurements.
+        """
         window, before, share, _ = self.observed[name]
         low, high = simulated[before, :, window], simulated[before + 1, :, window]
         return (low + share[:, None] * (high - low)).T
@@ -370,7 +404,17 @@ def _speed_of_path(run, scaled):
 
 
 def without_outliers(t, value):
-    """Samples far from the median of their neighbors left out (Hampel's filter)."""
+    """Samples far from the median of their neighbors left out (Hampel's filter).
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        Times [s] and values [m/s, rad/s].
+
+    Returns
+    -------
+    t, value : ndarray, shape (k,)
+    """
     if value.size < 2 * NEIGHBORS:
         return t, value
     distance = np.abs(value - median_filter(value, NEIGHBORS, mode="nearest"))

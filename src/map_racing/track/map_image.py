@@ -44,14 +44,36 @@ class MapImage(NamedTuple):
     findings: tuple[Finding, ...]
 
     def to_world(self, cells: np.ndarray) -> np.ndarray:
-        """Positions [m] of cells (column, row), shape (n, 2); centers are at whole numbers."""
+        """Positions of cells in the world.
+
+        Parameters
+        ----------
+        cells : array_like, shape (n, 2)
+            Column and row; centers of cells are at whole numbers.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            x and y [m].
+        """
         x0, y0, yaw = self.origin
         x, y = self.resolution * (np.asarray(cells, dtype=float).T + 0.5)
         cos, sin = math.cos(yaw), math.sin(yaw)
         return np.stack((x0 + cos * x - sin * y, y0 + sin * x + cos * y), axis=-1)
 
     def to_cells(self, points: np.ndarray) -> np.ndarray:
-        """The inverse of `to_world`."""
+        """The inverse of `to_world`.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 2)
+            x and y [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Column and row, with fractions.
+        """
         x0, y0, yaw = self.origin
         x, y = np.asarray(points, dtype=float).T
         cos, sin = math.cos(yaw), math.sin(yaw)

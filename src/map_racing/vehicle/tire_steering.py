@@ -172,7 +172,18 @@ class TireSteering:
         return 1.0 / (inverse[k - 1] + part * (inverse[k] - inverse[k - 1]))
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
+        """Largest lateral acceleration that `steering` reaches.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s], of any shape; its sign does not matter.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the shape of `v`.
+        """
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, SLOWEST) ** 2
         limit = 1.0 / np.interp(-w, -np.asarray(self._w), self._inverse_limits)

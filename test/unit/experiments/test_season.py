@@ -15,7 +15,8 @@ from map_racing.control.settings import parse_settings
 from map_racing.errors import MapRacingError
 from map_racing.experiments import season as season_module
 from map_racing.experiments.executors import SerialExecutor
-from map_racing.experiments.season import BagOptions, evaluate_season, find_bags
+from map_racing.experiments.season import BagOptions, evaluate_season
+from map_racing.experiments.season_bags import find_bags
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 
