@@ -30,7 +30,8 @@ from map_racing.control.steering import build_steering_map
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.evaluation.runs import evaluate
 from map_racing.experiments.executors import open_executor
-from map_racing.experiments.season import BagOptions, evaluate_season, find_bags
+from map_racing.experiments.season import BagOptions, evaluate_season
+from map_racing.experiments.season_bags import find_bags
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import race
@@ -38,7 +39,7 @@ from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.lookup import published_grid
+from map_racing.vehicle.grids import published_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -225,17 +226,8 @@ def compare_controller(vehicle, raceline):
             for state in states
         )
     )
-    # In turns of five seconds of driving, so that what one program leaves in the caches for the
-    # hardly counts; and each comes as often behind either of the others.
     turn, passes = 200, 8
-    times = [[], [], []]
-    for number in range(passes):
-        order = (0, 1, 2) if number % 2 else (2, 1, 0)
-        for begin in range(0, len(states) - turn + 1, turn):
-            batch = states[begin : begin + turn]
-            for which in order:
-                seconds = timed(step_through, controllers[which], batch)[0]
-                times[which].append(seconds / turn)
+    times = times_in_turns(controllers, states, turn, passes)
     step, naive, dense = (1e6 * statistics.median(seconds) for seconds in times)
     faster = statistics.median(b / a for a, b in zip(times[0], times[1]))
     denser = statistics.median(b / a for a, b in zip(times[0], times[2]))
@@ -264,6 +256,23 @@ def compare_controller(vehicle, raceline):
         f"predicts nor limits the steering rate; its angles are {apart:.3f} rad (RMS) from ours."
     )
     return rows, [remark]
+
+
+def times_in_turns(controllers, states, turn, passes):
+    """Times of a step of each of three controllers [s], one for each turn.
+
+    In turns of five seconds of driving, so that what one program leaves in the caches for the
+    others hardly counts; and each comes as often behind either of the others.
+    """
+    times = [[], [], []]
+    for number in range(passes):
+        order = (0, 1, 2) if number % 2 else (2, 1, 0)
+        for begin in range(0, len(states) - turn + 1, turn):
+            batch = states[begin : begin + turn]
+            for which in order:
+                seconds = timed(step_through, controllers[which], batch)[0]
+                times[which].append(seconds / turn)
+    return times
 
 
 def compare_adaptation(vehicle, raceline):

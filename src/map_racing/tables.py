@@ -134,7 +134,8 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read: {reason}") from None
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected UTF-8 text") from None
+        hint = " inside of gzip (bags are read unpacked)" if zipped else ""
+        raise FileFormatError(f"{path}: expected UTF-8 text{hint}") from None
 
 
 def _split_header(path, file, unnamed):

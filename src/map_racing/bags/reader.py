@@ -104,7 +104,7 @@ def _read(path, bag, source, notes):
         else:
             waypoints.add(message)
     damage = bag.notes()
-    notes += waypoints.notes + damage
+    notes += waypoints.notes + [_as_doubt(note) for note in damage]
     clock = pose.clock(_use_receive_time(path, pose, command, notes))
     if not clock.use_receipt:
         note = rate_note(source.topic, *pose.stamps())
@@ -169,6 +169,12 @@ def _commands(command, topic, clock, times, notes):
 
 def _moves(recording):
     return max(np.ptp(recording.x), np.ptp(recording.y)) > _STANDS_STILL
+
+
+def _as_doubt(note):
+    """A note on the bag: what is missing in it makes the laps doubtful."""
+    missing = "damaged bag: " in note or "but the index of the bag lists" in note
+    return f"warning: {note}" if missing else note
 
 
 def _use_receive_time(path, pose, command, notes):

@@ -124,7 +124,13 @@ class Series:
         return found and found[1]
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps, or times of receipt where they are 0, and times of receipt of usable samples."""
+        """Stamps, or times of receipt where they are 0, and times of receipt of usable samples.
+
+        Returns
+        -------
+        stamps, received : ndarray of int, shape (n,)
+            [ns]
+        """
         self._flush()
         stamps, times, values = (
             np.concatenate(part) for part in (self._stamps, self._times, self._values)
@@ -208,7 +214,7 @@ class PoseSeries(Series):
         self._received = [at for at, keep in zip(self._received, same) if keep]
 
     def columns(self, notes, topic, clock=None):
-        """Samples in strict order of time: ``x y psi v_x v_y yaw_rate``."""
+        """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
         times, columns = super().columns(notes, topic, clock)
         quaternion_note(notes, topic, columns.pop(3))
         for frame, count in self._elsewhere.items():
@@ -226,7 +232,16 @@ def _frame_bytes(data):
 
 
 def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
-    """Say where quaternions have not the length 1."""
+    """Say where quaternions have not the length 1.
+
+    Parameters
+    ----------
+    notes : list of str
+        Gets a line if there are any.
+    topic : str
+    lengths : ndarray, shape (n,)
+        [-]
+    """
     low, high = UNIT_QUATERNION
     with np.errstate(invalid="ignore"):
         other = lengths[~((lengths > low) & (lengths < high))]

@@ -30,6 +30,9 @@ def run(arguments):
         print(f"{len(runs)} racelines were driven: advice on the last, {heat.name}")
     advice = advise(heat, arguments.step)
     print(heat.result.source)
+    for note in [*heat.result.notes, *heat.notes]:
+        if note.startswith("warning: "):
+            print(f"  {note}")
     print("\n".join(aligned(advice_table(advice), left=1)), end="\n\n")
     print("\n".join(advice_notes(advice)))
     if arguments.speed_sectors:

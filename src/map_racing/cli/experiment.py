@@ -27,7 +27,7 @@ from ..experiments.paper import (
     tire_table,
 )
 from ..experiments.rivals import RIVALS, sensitivity_frame, sensitivity_plan, work_frame
-from ..experiments.robustness import grid_table
+from ..experiments.robustness_tables import grid_table
 from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
 from .session import open_grid, open_session, rival_sessions
 
@@ -331,7 +331,17 @@ def panel_title(race: Race) -> str:
 
 
 def timed_path(result: RaceResult) -> np.ndarray:
-    """Positions after the out-lap or, if the race ended in it, of the out-lap; shape (n, 2)."""
+    """Positions after the out-lap or, if the race ended in it, of the out-lap.
+
+    Parameters
+    ----------
+    result : RaceResult
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        [m]
+    """
     path = np.array(result.path, dtype=float).reshape(-1, 3)
     begin = [stretch.start_time_s for stretch in result.stretches if stretch.lap == 1]
     if begin:

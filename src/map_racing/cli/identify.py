@@ -21,7 +21,7 @@ from ..identification.data import load_run
 from ..identification.identify import leave_one_out
 from ..identification.limits import SteadyLimits
 from ..identification.replay import actuators_of, replay
-from ..vehicle.lookup import default_grid
+from ..vehicle.grids import default_grid
 from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification

@@ -78,12 +78,7 @@ def run(arguments):
             progress=show,
             **supervision,
         )
-    for t, reason, again in log.stops():
-        until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
-        print(f"stop at {t:.2f} s: {reason.value}; {until}")
-    for fault in supervision.get("faults", ()):
-        if fault.at_s > log.duration:
-            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+    print_stops(log, supervision.get("faults", ()))
     settings = settings_text(
         controller,
         name=arguments.controller,
@@ -102,6 +97,16 @@ def run(arguments):
         return 0
     print(f"map-racing: not completed (N.C.), {log.outcome.value}", file=sys.stderr)
     return NOT_COMPLETED
+
+
+def print_stops(log, faults):
+    """Each stop, and the faults that came too late."""
+    for t, reason, again in log.stops():
+        until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
+        print(f"stop at {t:.2f} s: {reason.value}; {until}")
+    for fault in faults:
+        if fault.at_s > log.duration:
+            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
 
 
 def load_track(source, longest):

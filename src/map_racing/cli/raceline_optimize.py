@@ -92,7 +92,15 @@ def run_optimize(arguments):
         middle = with_fastest_speeds(found.reference, limits, arguments.speed_scale)
     except ParameterError:
         middle = found.reference
-    for path, form, line in zip(outputs, forms, (optimized, middle)):
+    write(arguments, forms, optimized, middle)
+    if arguments.plots:
+        path = draw_optimized(arguments.plots, optimized, middle, found.walls, image)
+        print(f"  figure: {path}")
+
+
+def write(arguments, forms, optimized, middle):
+    """Write the lines in their formats, and the sectors."""
+    for path, form, line in zip((arguments.output, arguments.middle), forms, (optimized, middle)):
         if path:
             save_raceline(line, path, form)
             without = "" if line.speed is not None else ", without speeds"
@@ -101,9 +109,6 @@ def run_optimize(arguments):
         sectors = corners_and_straights(optimized)
         save_speed_sectors(arguments.sectors, optimized, sectors)
         print(f"{arguments.sectors}: {len(sectors)} sectors")
-    if arguments.plots:
-        path = draw_optimized(arguments.plots, optimized, middle, found.walls, image)
-        print(f"  figure: {path}")
 
 
 def label(name, other, taken):

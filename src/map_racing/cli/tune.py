@@ -6,7 +6,7 @@ import pandas as pd
 from ..control.parameters import ControllerParameters, save_controller_parameters
 from ..errors import ParameterError
 from ..experiments.campaign import Plan
-from ..experiments.robustness import grid_table
+from ..experiments.robustness_tables import grid_table
 from ..experiments.tuning import ROBUST_STEPS, tune_robust
 from ..files import make_folder
 from ..vehicle.size import size_of

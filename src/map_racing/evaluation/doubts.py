@@ -58,6 +58,13 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     Such a pose is beside the straight way from the one before to the one after, on the other side
     from each sample to the next, and stays so; what noise does is forgotten after three, and a
     driving car stays on one side. Poses that are sent again are no places.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the poses.
+    t, x, y : ndarray, shape (n,)
+        Times [s] and positions [m].
     """
     t, x, y = (values[_new(x, y)] for values in (t, x, y))
     if t.size < 10 * _EVEN + 2:
@@ -78,7 +85,15 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
 
 
 def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
-    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty."""
+    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the poses.
+    t, x, y, v : ndarray, shape (n,)
+        Times [s], positions [m], and measured speeds [m/s].
+    """
     if not (np.isfinite(v).all() and v.any()):
         return ""
     moved = speed_of(t, x, y, np.full(v.size, math.nan))
@@ -94,7 +109,15 @@ def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np
 
 
 def bunches(topic: str, t: np.ndarray) -> str:
-    """Doubt about times that come in bunches, between which the car seems to leap; or empty."""
+    """Doubt about times that come in bunches, between which the car seems to leap; or empty.
+
+    Parameters
+    ----------
+    topic : str
+        Name of the poses.
+    t : ndarray, shape (n,)
+        Times [s].
+    """
     steps = np.diff(t)
     if steps.size < 10:
         return ""

@@ -461,5 +461,18 @@ class LapEvaluator:
 
 
 def passage_times(t: np.ndarray, s: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Times [s] at which a lap first passes places, from its times and distances [s, m]."""
+    """Times at which a lap first passes places.
+
+    Parameters
+    ----------
+    t, s : ndarray, shape (n,)
+        Times [s] and distances driven [m] of the lap.
+    places : ndarray, shape (k,)
+        Distances [m], increasing.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        [s]
+    """
     return np.interp(places, np.maximum.accumulate(s), t)

@@ -321,6 +321,14 @@ class LiveEvaluation:
         """
         self._clock.add_command(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
+        if self._last_ns is not None and self._clock.compared:
+            late_ns = self._last_ns - stamp_ns - self._clock.offset_ns
+            # A command that is older still begins another run.
+            if 0 <= late_ns <= self._gap_ns:
+                self._doubts["late"] = (
+                    f"drive commands came more than {self._patience:g} s after their poses: "
+                    "speed error and steering rate do without them"
+                )
 
     def add_belief(self, stamp_ns: int, values: Sequence[float]) -> None:
         """Add what the controller believes: time stamp [ns] and `BELIEF_FIELDS`."""

@@ -7,7 +7,7 @@ anew. Places are distances from the start line.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,9 @@ _STEP, _FEWEST, _MOST = 0.1, 100, 1000
 _SMOOTHING = 0.03
 # Where a lap was not completed, less of it than this share is not worth a line in a chart.
 _WORTH = 0.2
+# The yaw rate adds up to the turning of the path within this share, where that is more than a half
+# turn; shorter steps of the path [m] have no direction, and nothing is known of longer pauses [s].
+_TURNING, _LEAST_STEP, _PAUSE = 0.3, 0.3, 0.25
 # A command this close to the largest useful angle is at it.
 _AT_LIMIT = 0.99
 
@@ -80,9 +83,19 @@ class CarLimits:
     v_max: float
 
     def lateral(self, v: np.ndarray) -> np.ndarray:
-        """Largest lateral acceleration of the tires [m/s^2] at speeds [m/s].
+        """Largest lateral acceleration of the tires.
 
         Where the steering lock allows less, at low speeds, that of the next higher speed counts.
+
+        Parameters
+        ----------
+        v : ndarray, shape (n,)
+            Speeds [m/s].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m/s^2]
         """
         return np.interp(v, *self._lateral)
 
@@ -94,11 +107,10 @@ class CarLimits:
 
 
 def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None) -> CarLimits:
-    """Limits of a car: those of the vehicle, or of the controller's parameters if lower."""
+    """Limits of a car: lengthwise those that its controller plans with, else the vehicle's."""
     drive, brake, v_max = vehicle.a_max, vehicle.a_brake_max, vehicle.v_max
     if parameters is not None:
-        drive = min(drive, parameters.a_drive_max_mps2)
-        brake = min(brake, parameters.a_brake_max_mps2)
+        drive, brake = parameters.a_drive_max_mps2, parameters.a_brake_max_mps2
         v_max = min(v_max, parameters.v_max_mps)
     table = build_steering_map("table", vehicle, v_max)
     return CarLimits(vehicle, table, vehicle.delta_max, drive, brake, v_max)
@@ -171,11 +183,14 @@ class RunProfile:
     track : TrackProfile
     laps : list of LapProfile
         The completed ones; if there are none, the longer stretches.
+    notes : list of str
+        Doubts about the signals.
     """
 
     result: RunResult
     track: TrackProfile
     laps: list
+    notes: list = field(default_factory=list)
 
     @property
     def counted(self) -> list[LapProfile]:
@@ -189,7 +204,17 @@ class RunProfile:
         return min(self.counted, key=lambda profile: profile.lap.lap_time_s, default=None)
 
     def mean(self, channel: str) -> np.ndarray:
-        """Mean of a channel over the laps that count, shape (n,)."""
+        """Mean of a channel over the laps that count.
+
+        Parameters
+        ----------
+        channel : str
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            In the unit of the channel, at the places of the profiles.
+        """
         return np.mean([profile.values[channel] for profile in self.counted], axis=0)
 
 
@@ -210,7 +235,7 @@ def profiles_of(
     RunProfile
     """
     track = track_profile(result.raceline, result.start_s, limits)
-    signals = _signals(recording)
+    signals, notes = _signals(recording)
     laps = []
     complete = [lap for lap in result.laps if not math.isnan(lap.lap_time_s)]
     for lap in complete or result.laps:
@@ -220,7 +245,7 @@ def profiles_of(
             if s[-1] - s[0] < _WORTH * track.length:
                 continue
         laps.append(_lap_profile(lap, s, track, signals, recording, limits))
-    return RunProfile(result, track, laps)
+    return RunProfile(result, track, laps, notes)
 
 
 def track_profile(
@@ -251,10 +276,13 @@ def _closed(values):
 
 
 def _signals(recording):
-    """Signals over the time of the recording: yaw rate, and accelerations."""
-    t, rate = recording.t, recording.yaw_rate
+    """Accelerations over the time of the recording, and what is doubtful about them."""
+    t, rate, what = recording.t, recording.yaw_rate, "yaw rate"
     if not np.isfinite(rate).all() and np.isfinite(recording.psi).all():
-        rate = np.gradient(np.unwrap(recording.psi), t)
+        rate, what = np.gradient(np.unwrap(recording.psi), t), "heading"
+    doubt = _doubt_turning(recording, rate, what)
+    if doubt:
+        rate = np.full(t.size, np.nan)
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
     if not np.isfinite(v).all():
         v = np.hypot(np.gradient(recording.x, t), np.gradient(recording.y, t))
@@ -264,7 +292,40 @@ def _signals(recording):
         return ndimage.gaussian_filter1d(values, width) if width > 0.3 else values
 
     with np.errstate(invalid="ignore"):
-        return {"a_lat": smooth(v * rate), "a_lon": np.gradient(smooth(v), t)}
+        return {"a_lat": smooth(v * rate), "a_lon": np.gradient(smooth(v), t)}, doubt
+
+
+def _doubt_turning(recording, rate, what):
+    """Doubt about a yaw rate that is not the turning of the path, as of another axis, if any."""
+    if not np.isfinite(rate).all():
+        return []
+    t, x, y = recording.t, recording.x, recording.y
+    kept = _apart(x.tolist(), y.tolist())
+    if kept.size < 3:
+        return []
+    course = np.arctan2(np.diff(y[kept]), np.diff(x[kept]))
+    steps = np.where(np.diff(t) < _PAUSE, np.diff(t), 0.0)
+    angle = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps))
+    known = np.diff(t[kept]) < 4.0 * _PAUSE
+    known = known[1:] & known[:-1]
+    path = float(np.sum(np.angle(np.exp(1j * np.diff(course)))[known]))
+    # A course is the mean heading between two places.
+    turned = float(np.sum(0.5 * (angle[kept[2:]] - angle[kept[:-2]])[known]))
+    if abs(path) < math.pi or abs(turned - path) < _TURNING * abs(path):
+        return []
+    return [
+        f"warning: the {what} recorded turns by {turned:.1f} rad where the path turns by "
+        f"{path:.1f} rad: lateral acceleration and grip are left out"
+    ]
+
+
+def _apart(x, y):
+    """Indices of samples, each so far from the one before that noise hardly turns the course."""
+    kept = [0]
+    for i in range(1, len(x)):
+        if math.hypot(x[i] - x[kept[-1]], y[i] - y[kept[-1]]) > _LEAST_STEP:
+            kept.append(i)
+    return np.array(kept)
 
 
 def _lap_profile(lap, s, track, signals, recording, limits):

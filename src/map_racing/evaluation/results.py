@@ -208,7 +208,18 @@ class RunResult:
     notes: tuple = ()
 
     def places_of(self, lap: Lap) -> np.ndarray:
-        """Arc lengths [m] along the raceline of the samples of a lap with trace, unwrapped."""
+        """Arc lengths along the raceline of the samples of a lap.
+
+        Parameters
+        ----------
+        lap : Lap
+            With a trace of n samples.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m], not taken modulo the length.
+        """
         begin = self.start_s
         if lap.reason.startswith("out-lap"):
             begin = self.raceline.project(lap.trace.x[0], lap.trace.y[0]).s

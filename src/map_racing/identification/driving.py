@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
-from .cornering import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 from .data import Run
+from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
 __all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
 
@@ -51,11 +51,32 @@ class Held(NamedTuple):
     value: np.ndarray
 
     def integral(self) -> np.ndarray:
-        """Integral of the command up to each `t`, from 0."""
+        """Integral of the command up to each `t`, from 0.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            [rad s] or [m].
+        """
         return np.append(0.0, np.cumsum(np.diff(self.t) * self.value[:-1]))
 
     def means(self, t: np.ndarray, step: float, integral: np.ndarray) -> np.ndarray:
-        """Mean over the step that begins at each of `t`, smooth in `t`; `integral` is its own."""
+        """Mean over the step that begins at each of `t`, smooth in `t`.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n, ...)
+            Begin of the steps [s].
+        step : float
+            Their duration [s].
+        integral : ndarray, shape (k,)
+            What `integral` returns.
+
+        Returns
+        -------
+        ndarray, shape (n, ...)
+            [rad] or [m/s].
+        """
         both = np.concatenate((t, t[-1:] + step)) if t.ndim == 1 else np.vstack((t, t[-1:] + step))
         at = np.searchsorted(self.t, both, side="right") - 1
         at = np.clip(at, 0, self.t.size - 1)
@@ -123,18 +144,7 @@ def driving_of(run: Run) -> Driving:
     if "steering" not in signals:
         raise IdentificationError(f"{run.name}: steering: expected drive commands, got none")
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
-    r = scaled.get("yaw_rate")
-    if r is None:
-        r = _rate_of_heading(run, scaled)
-        notes.append("yaw rate from the heading of the poses")
-    else:
-        r = r[0], setup.yaw_rate_scale * r[1]
-    v = scaled.get("v_x")
-    if v is None:
-        v = _speed_of_path(run, scaled)
-        notes.append("speed from the path of the poses")
-    else:
-        v = v[0], setup.speed_scale * v[1]
+    r, v = _turn_and_speed(run, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
     commands_t, angle = scaled["steering"]
     begin = max(begin, float(commands_t[0]))
@@ -173,6 +183,22 @@ def driving_of(run: Run) -> Driving:
         usable,
         notes,
     )
+
+
+def _turn_and_speed(run, scaled, notes):
+    """Yaw rate and speed, each with its times: measured or, where nothing does, from the poses."""
+    r, v = scaled.get("yaw_rate"), scaled.get("v_x")
+    if r is None:
+        r = _rate_of_heading(run, scaled)
+        notes.append("yaw rate from the heading of the poses")
+    else:
+        r = r[0], run.setup.yaw_rate_scale * r[1]
+    if v is None:
+        v = _speed_of_path(run, scaled)
+        notes.append("speed from the path of the poses")
+    else:
+        v = v[0], run.setup.speed_scale * v[1]
+    return r, v
 
 
 @dataclass(frozen=True)
@@ -219,7 +245,20 @@ class Windows:
         return self.v_x.shape[0] - 1
 
     def at(self, name: str, simulated: np.ndarray) -> np.ndarray:
-        """Simulated values, shape (K + 1, p, n), where `name` was measured, shape (p, k)."""
+        """Simulated values where a quantity was measured.
+
+        Parameters
+        ----------
+        name : str
+            Of the quantity.
+        simulated : ndarray, shape (K + 1, p, n)
+            Of p simulations of all n windows, after each step.
+
+        Returns
+        -------
+        ndarray, shape (p, k)
+            At the k measurements.
+        """
         window, before, share, _ = self.observed[name]
         low, high = simulated[before, :, window], simulated[before + 1, :, window]
         return (low + share[:, None] * (high - low)).T
@@ -368,7 +407,17 @@ def _speed_of_path(run, scaled):
 
 
 def without_outliers(t, value):
-    """Samples far from the median of their neighbors left out (Hampel's filter)."""
+    """Samples far from the median of their neighbors left out (Hampel's filter).
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        Times [s] and values [m/s, rad/s].
+
+    Returns
+    -------
+    t, value : ndarray, shape (k,)
+    """
     if value.size < 2 * NEIGHBORS:
         return t, value
     distance = np.abs(value - median_filter(value, NEIGHBORS, mode="nearest"))

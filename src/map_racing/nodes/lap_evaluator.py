@@ -87,7 +87,10 @@ class LapEvaluatorNode:
         self._results = rospy.Publisher("lap_result", LapResult, queue_size=100, latch=True)
         self._markers = rospy.Publisher("lap_markers", MarkerArray, queue_size=10, latch=True)
         self._markers.publish(delete_all())
+        self._listen(source, pose)
 
+    def _listen(self, source, pose):
+        """Subscribe: from now on callbacks queue."""
         self._idle = threading.Event()
         self._idle.set()
         rospy.on_shutdown(self._stop)

@@ -317,7 +317,13 @@ def test_damaged_bag_gives_its_first_laps_and_says_so(tmp_path, race_bag, compre
     whole, part = read_recording(race_bag(compression)), read_recording(path)
     assert 100 < part.t.size < whole.t.size
     np.testing.assert_array_equal(part.x, whole.x[: part.t.size])
-    assert any(note.startswith("damaged bag") for note in part.notes)
+    assert any(note.startswith("warning: damaged bag") for note in part.notes)
+
+
+def test_a_bag_of_ros1_is_one_whatever_its_name(tmp_path, race_bag):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(race_bag().read_bytes())
+    assert read_recording(path).t.size == read_recording(race_bag()).t.size
 
 
 def test_hangar_recording(shared_data):

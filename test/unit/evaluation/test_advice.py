@@ -230,7 +230,7 @@ def test_a_drive_at_its_limit_gets_no_faster():
 
 def drive(line, parameters, sectors, plant_parameters, path):
     controller = build_controller(parameters, NUC4, line)
-    controller.sectors = sectors
+    controller.change(sectors=sectors)
     plant, noise = Plant(plant_parameters), Localization(plant_parameters, 1)
     log = race(plant, controller, line, noise, rate=40.0, laps=2)
     write_race_bag(path, log, line, settings=settings_text(controller))

@@ -153,6 +153,25 @@ def test_without_commands_a_pose_waits_no_longer_than_patience(line, drive):
     assert taken.evaluation.deadline is None
 
 
+def test_commands_that_come_too_late_are_told(line, drive):
+    _, poses, commands = drive
+    stalled = slice(len(poses) // 2, len(poses) // 2 + 4)
+    taken = Taken(line, patience=0.5)
+    play(taken, poses[: stalled.start], commands)
+    for pose in poses[stalled]:
+        taken.evaluation.add_pose(*pose, 7.0)
+    taken.evaluation.advance(7.6)
+    late = {pose[0] for pose in poses[stalled]}
+    for command in commands:
+        if command[0] in late:
+            taken.evaluation.add_command(*command)
+    play(taken, poses[stalled.stop :], commands)
+    taken.evaluation.finish()
+    said = [any("more than 0.5 s after" in text for text in lap.warnings) for lap in taken.laps]
+    # The doubt is that of the run.
+    assert said == [False, False, True, True]
+
+
 @pytest.mark.parametrize("early", [0, 5])
 def test_a_step_back_in_time_begins_another_run(line, drive, early):
     """A bag that is played again; its commands may step back before its poses do."""

@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from map_racing.evaluation.profiles import CHANNELS, car_limits, profiles_of
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.speed_plan import SpeedPlan
+from map_racing.evaluation.profiles import CHANNELS, car_limits, profiles_of, track_profile
 from map_racing.evaluation.runs import evaluate
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -13,6 +15,16 @@ from map_racing.vehicle.parameters import load_vehicle
 @pytest.fixture(scope="module")
 def limits():
     return car_limits(load_vehicle("nuc4"))
+
+
+def test_the_controller_plans_no_more_than_the_grip_allows(reference):
+    """Both brake and drive as hard as the controller does, whatever the vehicle file publishes."""
+    parameters = load_controller_parameters("map").with_(speed_scale=1.0)
+    limits = car_limits(load_vehicle("nuc4"), parameters)
+    track = track_profile(reference, 0.0, limits)
+    plan = SpeedPlan(reference, parameters.with_(grip_use=1.0), limits.table)
+    asked = np.interp(track.s, plan.s, plan.speed, period=reference.length)
+    assert np.max(asked / track.grip_speed) == pytest.approx(1.0, abs=0.03)
 
 
 def test_times_are_those_of_the_evaluator(reference, driving):
@@ -79,6 +91,39 @@ def test_without_a_car_nothing_is_said_about_its_table(reference, driving):
     run = profiles_of(recording, evaluate(recording, reference))
     assert np.isnan(run.laps[0].grip_used).all() and np.isnan(run.laps[0].saturated)
     assert run.track.grip_speed is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param({"psi": 0.0, "yaw_rate": np.nan}, id="heading of another axis"),
+        pytest.param({"yaw_rate": 180.0 / np.pi}, id="degrees"),
+        pytest.param({"yaw_rate": -1.0}, id="to the right"),
+    ],
+)
+def test_a_yaw_rate_that_is_not_the_turning_of_the_path_is_not_used(
+    reference, driving, limits, change
+):
+    recording = driving(reference, lambda s: 3.0, laps=2)
+    wrong = {name: factor * getattr(recording, name) for name, factor in change.items()}
+    recording = dataclasses.replace(recording, **wrong)
+    run = profiles_of(recording, evaluate(recording, reference), limits)
+    (note,) = run.notes
+    turned = float(note.split("path turns by ")[1].split()[0])
+    assert turned == pytest.approx(
+        2.0 * np.pi * recording.t[-1] / (reference.length / 3.0), abs=1.5
+    )
+    assert np.isnan(run.laps[0].values["a_lat"]).all() and np.isnan(run.laps[0].grip_used).all()
+    assert np.isfinite(run.laps[0].values["a_lon"]).all()
+
+
+def test_noise_and_pauses_are_no_other_turning(reference, driving, limits):
+    recording = driving(reference, lambda s: 3.0, laps=2)
+    noise = np.random.default_rng(1).normal(0.0, 0.03, (2, recording.t.size))
+    later = np.where(recording.t > 5.0, 20.0, 0.0)
+    x, y, t = recording.x + noise[0], recording.y + noise[1], recording.t + later
+    recording = dataclasses.replace(recording, t=t, x=x, y=y)
+    assert profiles_of(recording, evaluate(recording, reference), limits).notes == []
 
 
 def test_grip_speed_is_within_the_limits(reference, limits, driving):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from map_racing.identification.cornering import LONGEST_HOLD_S, motion_of, near
+from map_racing.identification.cornering import motion_of
 from map_racing.identification.data import Run, Signal
 from map_racing.identification.driving import driving_of, windows_of
+from map_racing.identification.filters import LONGEST_HOLD_S, near
 from map_racing.vehicle.parameters import load_vehicle
 
 LAST = 6.0

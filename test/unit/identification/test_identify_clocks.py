@@ -8,9 +8,10 @@ from rosbags.rosbag1 import Writer
 
 from map_racing.bags.opening import open_bag
 from map_racing.errors import IdentificationError
-from map_racing.identification.data import load_channel_map, load_run
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.clock_checks import onsets_of_speed
+from map_racing.identification.data import load_run
 from map_racing.identification.identify import identify
-from map_racing.identification.sensor_checks import onsets_of_speed
 
 POSE, IMU = "/car_state/odom", "/vesc/sensors/imu/raw"
 DRIVE = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
