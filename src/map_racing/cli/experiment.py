@@ -99,7 +99,7 @@ def run_tires(arguments: argparse.Namespace) -> None:
         title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
         raceline = session.setting.raceline
         drawn.append(draw_trajectories(session.figures, raceline, rows, title, seed).name)
-    remove_stale(session.figures, "trajectories_seed*.png", drawn)
+    remove_stale(session.figures, r"trajectories_seed\d+\.png", drawn)
     session.report()
 
 
@@ -123,7 +123,7 @@ def run_robustness(arguments):
     for label in controllers:
         own, stem = races[races.controller == label], Path(label).stem
         drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", stem).name)
-    remove_stale(session.figures, "robustness_*.png", drawn)
+    remove_stale(session.figures, r"robustness_.*\.png", drawn)
     session.report()
 
 
