@@ -2,6 +2,7 @@
 
 import shutil
 
+from map_racing.cli.figures import remove_stale
 from map_racing.resources import find_config
 
 
