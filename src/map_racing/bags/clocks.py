@@ -164,7 +164,9 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
     if stamps.size < 10 or np.any(np.diff(received) < 0):
         return None
     ahead, past = np.diff(stamps), np.diff(received)
-    fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in (past, ahead))
+    # Messages that came in another order than they were stamped in have fine stamps.
+    sizes = (past, np.diff(np.sort(stamps)))
+    fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in sizes)
     if fine > _FINE * past.size and coarse < _COARSE * ahead.size:
         return "header stamps are too coarse, with several messages on each"
     # Time was set forward, or back by so little that it might pass for transport.

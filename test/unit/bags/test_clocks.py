@@ -110,6 +110,18 @@ def test_a_bag_played_slowly_and_recorded_again_keeps_its_stamps(tmp_path):
     ) in recording.notes
 
 
+def test_messages_that_overtake_each_other_keep_their_stamps(tmp_path):
+    """Two at a time in the wrong order, as of a node with several threads."""
+    order = np.arange(COUNT) ^ 1
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i, k in enumerate(order.tolist()):
+            stamp, received = (T0 + 0.025 * j for j in (k, i))
+            bag.odometry(stamp, 0.1 * k, 0.0, 0.0, 4.0, 0.0, 0.0, received=received + 0.03)
+    recording = read_recording(tmp_path / "a.bag")
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
+    np.testing.assert_allclose(recording.x, 0.1 * np.arange(COUNT), atol=1e-9)
+
+
 def test_commands_whose_clock_was_set_meanwhile(tmp_path):
     """Their stamps are right for more than half of the time, and 3 s early before."""
 

@@ -91,6 +91,9 @@ def test_poses_that_are_missing_are_no_jump_of_time(lost):
     late = np.where(np.abs(T - 20.0 - 0.5 * lost) < 0.5 * lost, 20.0, T)
     x, y = 6.0 * np.cos(0.8 * late), 6.0 * np.sin(0.8 * late)
     assert time_jump("/pose", T, x, y) == ""
+    stood = np.where(T < 20.0, T, np.maximum(T - lost, 20.0))
+    x, y = 6.0 * np.cos(0.8 * stood), 6.0 * np.sin(0.8 * stood)
+    assert time_jump("/pose", T, x, y) == ""
 
 
 def test_bunches():
