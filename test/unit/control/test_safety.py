@@ -389,3 +389,5 @@ def test_what_is_absurdly_fast_depends_on_the_fastest_speed_of_the_car():
     small, large = Car(speed=60.0), Car(speed=60.0, max_speed=50.0)
     assert small.drive(0.2)[-1].reason is Reason.INVALID_POSE
     assert large.drive(0.2)[-1].mode is Mode.DRIVING
+    large.speed = 101.0
+    assert large.step().reason is Reason.INVALID_POSE
