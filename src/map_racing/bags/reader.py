@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import BagError
 from . import messages as msg
-from .clocks import COMMAND_DELAY_NS, stamps_are_unusable
+from .clocks import COMMAND_DELAY_NS, rate_note, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
@@ -106,6 +106,9 @@ def _read(path, bag, source, notes):
     damage = bag.notes()
     notes += waypoints.notes + [_as_doubt(note) for note in damage]
     clock = pose.clock(_use_receive_time(path, pose, command, notes))
+    if not clock.use_receipt:
+        note = rate_note(source.topic, *pose.stamps())
+        notes += [note] if note else []
     before = len(notes)
     times, columns = pose.columns(notes, source.topic, clock)
     if times.size < 2:

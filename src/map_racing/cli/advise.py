@@ -38,6 +38,7 @@ def run(arguments):
     if arguments.speed_sectors:
         save_speed_sectors(
             arguments.speed_sectors,
+            heat.result.raceline,
             advice.scales(),
             [
                 f"After {heat.name}: lap {advice.driven_s:.3f} s, with these sectors "

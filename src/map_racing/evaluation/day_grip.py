@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..bags.samples import Recording
-from ..control.adaptation import PRIOR, Adaptation, Belief
+from ..control.adaptation import PRIOR, Adaptation
+from ..control.belief import Belief
 from ..control.state import CarState
 from ..vehicle.parameters import Vehicle
 from .results import Lap

@@ -20,13 +20,21 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.size import ONE_TENTH, Size, size_of
 from .channels import POSE
 from .data import Run, Signal
-from .filters import briefly_far, low_passed, running_median, spike_thresholds, spikes_in, stretches
+from .filters import (
+    LONGEST_GAP_S,
+    LONGEST_HOLD_S,
+    briefly_far,
+    low_passed,
+    near,
+    running_median,
+    spike_thresholds,
+    spikes_in,
+    stretches,
+)
 from .limits import RATE_HZ, SteadyLimits
 
 __all__ = ["ProcessedRun", "motion_of"]
 
-# A signal is known between samples this far apart [s]; a command holds until the next one.
-LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # What follows is for 1:10 cars; for larger ones `motion_of` takes it by their size.
 # Localization is lost where its speed or yaw rate differs from the car's sensors by more than this.
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
@@ -260,16 +268,16 @@ def _common_clock(run, signals, pose_t):
     others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
     commands = signals["steering"].t
     begin = max(commands[0], *(own[0] for own in others))
-    end = min(own[-1] for own in others)  # the last command stays
+    end = min(own[-1] for own in others)
     if end - begin < 1.0:
         raise IdentificationError(
             f"{run.name}: expected a second in which all signals exist, got "
             f"{max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
-    known = _near(t, commands, LONGEST_HOLD_S)
+    known = near(t, commands, LONGEST_HOLD_S)
     for own in others:
-        known &= _near(t, own, LONGEST_GAP_S)
+        known &= near(t, own, LONGEST_GAP_S)
     return t, known
 
 
@@ -416,12 +424,6 @@ def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
     ahead = 0.0 if setup.imu_x_m is None else setup.imu_x_m - vehicle.l_r
     r = smooth["r"]
     return a_y - np.gradient(r, 1.0 / RATE_HZ) * ahead + r * r * setup.imu_y_m
-
-
-def _near(t, samples, longest):
-    """Whether each time lies in a gap of at most `longest` [s] between samples."""
-    after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
-    return (samples[after] - samples[after - 1] <= longest) | (t > samples[-1])
 
 
 def _noise(values, cuts, window_s=2.0):

@@ -1,4 +1,4 @@
-"""Filters of recorded signals: low-pass and spikes."""
+"""Filters of recorded signals: low-pass, gaps and spikes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ from scipy.signal import butter, sosfiltfilt
 from ..vehicle.size import Size
 
 __all__ = [
+    "LONGEST_GAP_S",
+    "LONGEST_HOLD_S",
     "briefly_far",
     "low_passed",
+    "near",
     "running_median",
     "spike_thresholds",
     "spikes_in",
     "stretches",
 ]
+
+LONGEST_GAP_S = 0.25
+"""A signal is known between samples this far apart [s]."""
+LONGEST_HOLD_S = 0.6
+"""A command holds until the next one, for so long at most [s]."""
 
 # A spike is farther from the local median than this many usual distances, and than its threshold.
 SPIKE_WINDOW_S, SPIKE_FACTOR, LONGEST_SPIKE_S = 1.2, 6.5, 0.2
@@ -51,6 +59,28 @@ def _sections(cutoff):
     return butter(2, cutoff, output="sos")
 
 
+def near(t: np.ndarray, samples: np.ndarray, longest: float) -> np.ndarray:
+    """Whether each time lies in a gap of at most `longest` between samples.
+
+    The last sample counts as long, if none follows: nobody knows what a car does that rolls on
+    after its last command.
+
+    Parameters
+    ----------
+    t, samples : ndarray, shape (n,), (k,)
+        Times, increasing [s].
+    longest : float
+        [s]
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    at = np.searchsorted(samples, t, side="right")
+    before, after = np.append(-np.inf, samples)[at], np.append(samples, np.inf)[at]
+    return np.where(at < samples.size, after, t) - before <= longest
+
+
 def spike_thresholds(size: Size) -> dict[str, float]:
     """Least distance of a spike by quantity [SI], for a car's size."""
     length, speed = size
@@ -79,9 +109,7 @@ def spikes_in(
     return briefly_far(t, np.abs(value - running_median(t, value, window_s)), least, window_s)
 
 
-def briefly_far(
-    t: np.ndarray, distance: np.ndarray, least: float, window_s: float
-) -> np.ndarray:
+def briefly_far(t: np.ndarray, distance: np.ndarray, least: float, window_s: float) -> np.ndarray:
     """Distances that are large for their neighborhood, but only briefly; NaN is none.
 
     As `spikes_in`, of distances from what is expected.

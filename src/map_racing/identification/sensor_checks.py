@@ -14,11 +14,11 @@ from typing import Callable
 
 import numpy as np
 
-from ..bags.clocks import LONGEST_LAG_S, lag_of_effect
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
 from .channels import SensorSetup
+from .clock_checks import check_clocks
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
 from .kinematic_checks import (
     both_sides,
@@ -33,10 +33,6 @@ from .usable_runs import is_localized
 __all__ = ["check", "correct"]
 
 LEAST_STANDING_S = 0.4
-MOST_APART_S = 0.08  # between yaw rates and poses
-# Steering that is held has few turns, and yaw rates are averaged around each sample: of a real car
-# they came 0.16 s before their commands.
-EARLIEST_LAG_S = -0.25
 # An IMU axis measures lateral acceleration if it follows speed times yaw rate with at least this
 # slope (its unit may be g) and this share of its variance explained.
 LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
@@ -67,7 +63,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
     if not motions:
         return []
     findings = []
-    for checker in (_clocks, _heading, _rates):
+    for checker in (check_clocks, _heading, _rates):
         findings += checker(motions, setup, vehicle)
         if any(finding.critical for finding in findings):
             # Everything else is judged by speed, yaw rate and heading.
@@ -115,46 +111,6 @@ def correct(
         corrections.append(todo)
         setup = dataclasses.replace(setup, **todo.fix)
     return setup, corrections
-
-
-def _clocks(motions, setup, vehicle):
-    """Do the poses turn when the yaw rate says so, and the car after its commands?"""
-    return [
-        *_commands_late(motions, vehicle),
-        *_poses_late(motions),
-    ]
-
-
-def _commands_late(motions, vehicle):
-    findings = []
-    for motion in motions:
-        v_x = np.where(motion.moving, motion.v_x, np.nan)
-        longest = LONGEST_LAG_S * size_of(vehicle).time
-        lag = lag_of_effect(
-            motion.t, motion.delta, motion.t, motion.r / v_x, longest, EARLIEST_LAG_S
-        )
-        if lag is not None:
-            text = (
-                f"clock: {motion.run.label}: the car turns {abs(lag):.2f} s "
-                f"{'after' if lag > 0.0 else 'before'} its steering commands: they are not of the "
-                "same clock (--steering-delay takes a known delay)"
-            )
-            findings.append(SensorFinding("clock", text, critical=True))
-    return findings
-
-
-def _poses_late(motions):
-    return [
-        SensorFinding(
-            "clock",
-            f"clock: {motion.run.label}: the yaw rate comes {abs(motion.clocks_apart_s):.2f} s "
-            f"{'later' if motion.clocks_apart_s > 0.0 else 'earlier'} than the poses turn, and no "
-            "times of receipt tell which of their clocks is wrong",
-            critical=True,
-        )
-        for motion in motions
-        if abs(motion.clocks_apart_s) > MOST_APART_S
-    ]
 
 
 def _heading(motions, setup, vehicle):
