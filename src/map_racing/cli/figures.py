@@ -168,7 +168,7 @@ def draw_optimized(folder: str, optimized, middle, walls, image=None) -> Path:
     from ..plots.optimization import plot_optimized
 
     name = f"{optimized.name or 'track'}_optimized.png"
-    return _save(folder, [(name, plot_optimized, (optimized, middle, walls, None, image))])
+    return _save(folder, [(name, plot_optimized, (optimized, middle, walls, image))])
 
 
 def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) -> None:

@@ -22,6 +22,8 @@ from ..vehicle.lookup import LookupTable
 from ..vehicle.parameters import Vehicle
 from .laps import passage_times
 from .results import Lap, RunResult
+from .speed import speed_of
+from .turning import turning_of
 
 __all__ = [
     "CHANNELS",
@@ -39,9 +41,6 @@ _STEP, _FEWEST, _MOST = 0.1, 100, 1000
 _SMOOTHING = 0.03
 # Where a lap was not completed, less of it than this share is not worth a line in a chart.
 _WORTH = 0.2
-# The yaw rate adds up to the turning of the path within this share, where that is more than a half
-# turn; shorter steps of the path [m] have no direction, and nothing is known of longer pauses [s].
-_TURNING, _LEAST_STEP, _PAUSE = 0.3, 0.3, 0.25
 # A command this close to the largest useful angle is at it.
 _AT_LIMIT = 0.99
 
@@ -276,56 +275,18 @@ def _closed(values):
 
 
 def _signals(recording):
-    """Accelerations over the time of the recording, and what is doubtful about them."""
-    t, rate, what = recording.t, recording.yaw_rate, "yaw rate"
-    if not np.isfinite(rate).all() and np.isfinite(recording.psi).all():
-        rate, what = np.gradient(np.unwrap(recording.psi), t), "heading"
-    doubt = _doubt_turning(recording, rate, what)
-    if doubt:
-        rate = np.full(t.size, np.nan)
+    """Accelerations over the time of the recording, and notes about them."""
+    t = recording.t
+    rate, notes = turning_of(recording)
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    if not np.isfinite(v).all():
-        v = np.hypot(np.gradient(recording.x, t), np.gradient(recording.y, t))
+    v = speed_of(t, recording.x, recording.y, v)
     width = _SMOOTHING / max(float(np.median(np.diff(t))), 1e-4)
 
     def smooth(values):
         return ndimage.gaussian_filter1d(values, width) if width > 0.3 else values
 
     with np.errstate(invalid="ignore"):
-        return {"a_lat": smooth(v * rate), "a_lon": np.gradient(smooth(v), t)}, doubt
-
-
-def _doubt_turning(recording, rate, what):
-    """Doubt about a yaw rate that is not the turning of the path, as of another axis, if any."""
-    if not np.isfinite(rate).all():
-        return []
-    t, x, y = recording.t, recording.x, recording.y
-    kept = _apart(x.tolist(), y.tolist())
-    if kept.size < 3:
-        return []
-    course = np.arctan2(np.diff(y[kept]), np.diff(x[kept]))
-    steps = np.where(np.diff(t) < _PAUSE, np.diff(t), 0.0)
-    angle = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps))
-    known = np.diff(t[kept]) < 4.0 * _PAUSE
-    known = known[1:] & known[:-1]
-    path = float(np.sum(np.angle(np.exp(1j * np.diff(course)))[known]))
-    # A course is the mean heading between two places.
-    turned = float(np.sum(0.5 * (angle[kept[2:]] - angle[kept[:-2]])[known]))
-    if abs(path) < math.pi or abs(turned - path) < _TURNING * abs(path):
-        return []
-    return [
-        f"warning: the {what} recorded turns by {turned:.1f} rad where the path turns by "
-        f"{path:.1f} rad: lateral acceleration and grip are left out"
-    ]
-
-
-def _apart(x, y):
-    """Indices of samples, each so far from the one before that noise hardly turns the course."""
-    kept = [0]
-    for i in range(1, len(x)):
-        if math.hypot(x[i] - x[kept[-1]], y[i] - y[kept[-1]]) > _LEAST_STEP:
-            kept.append(i)
-    return np.array(kept)
+        return {"a_lat": smooth(v * rate), "a_lon": np.gradient(smooth(v), t)}, notes
 
 
 def _lap_profile(lap, s, track, signals, recording, limits):

@@ -28,7 +28,15 @@ __all__ = ["Run", "Signal", "load_run", "run_of"]
 
 
 class Signal(NamedTuple):
-    """One quantity over time: times [s], strictly increasing, and values [SI]."""
+    """One quantity over time.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times [s], strictly increasing.
+    value : ndarray, shape (n,)
+        [SI]
+    """
 
     t: np.ndarray
     value: np.ndarray

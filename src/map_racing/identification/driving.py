@@ -85,7 +85,15 @@ class Held(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Measurements of one quantity: times [s] and values [SI]."""
+    """Measurements of one quantity.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        [s]
+    value : ndarray, shape (n,)
+        [SI]
+    """
 
     t: np.ndarray
     value: np.ndarray

@@ -17,8 +17,9 @@ from ..bags.messages import BELIEF_FIELDS
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
+from ..evaluation.lap_log import LapLog
 from ..evaluation.laps import LapLimits
-from ..evaluation.live import LapLog, LiveEvaluation
+from ..evaluation.live import LiveEvaluation
 from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline
 from .conversions import frame, stamp_ns, to_time

@@ -27,14 +27,13 @@ _DATED = 10**17  # 1973 [ns]
 _MOST_ROWS, _MOST_LAPS, _MOST_BUTTONS, _MOST_OTHERS = 60, 1000, 200, 5
 
 
-def report_page(runs: list[RunAnalysis], title: str = "") -> str:
+def report_page(runs: list[RunAnalysis]) -> str:
     """Page of runs.
 
     Parameters
     ----------
     runs : list of RunAnalysis
         At least one.
-    title : str, optional
 
     Returns
     -------
@@ -46,7 +45,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
     MapRacingError
         If plotly is not installed.
     """
-    title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
+    title = " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
     compared = [_comparisons(run, runs) for run in runs]
     advices = [advice_of(run) for run in runs]
     first = [_head(title, runs), '<main>\n<div id="left">\n', _first_screen(runs, compared)]

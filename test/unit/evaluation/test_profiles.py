@@ -93,39 +93,6 @@ def test_without_a_car_nothing_is_said_about_its_table(reference, driving):
     assert run.track.grip_speed is None
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        pytest.param({"psi": 0.0, "yaw_rate": np.nan}, id="heading of another axis"),
-        pytest.param({"yaw_rate": 180.0 / np.pi}, id="degrees"),
-        pytest.param({"yaw_rate": -1.0}, id="to the right"),
-    ],
-)
-def test_a_yaw_rate_that_is_not_the_turning_of_the_path_is_not_used(
-    reference, driving, limits, change
-):
-    recording = driving(reference, lambda s: 3.0, laps=2)
-    wrong = {name: factor * getattr(recording, name) for name, factor in change.items()}
-    recording = dataclasses.replace(recording, **wrong)
-    run = profiles_of(recording, evaluate(recording, reference), limits)
-    (note,) = run.notes
-    turned = float(note.split("path turns by ")[1].split()[0])
-    assert turned == pytest.approx(
-        2.0 * np.pi * recording.t[-1] / (reference.length / 3.0), abs=1.5
-    )
-    assert np.isnan(run.laps[0].values["a_lat"]).all() and np.isnan(run.laps[0].grip_used).all()
-    assert np.isfinite(run.laps[0].values["a_lon"]).all()
-
-
-def test_noise_and_pauses_are_no_other_turning(reference, driving, limits):
-    recording = driving(reference, lambda s: 3.0, laps=2)
-    noise = np.random.default_rng(1).normal(0.0, 0.03, (2, recording.t.size))
-    later = np.where(recording.t > 5.0, 20.0, 0.0)
-    x, y, t = recording.x + noise[0], recording.y + noise[1], recording.t + later
-    recording = dataclasses.replace(recording, t=t, x=x, y=y)
-    assert profiles_of(recording, evaluate(recording, reference), limits).notes == []
-
-
 def test_grip_speed_is_within_the_limits(reference, limits, driving):
     recording = driving(reference, lambda s: 3.0, laps=1)
     track = profiles_of(recording, evaluate(recording, reference), limits).track
