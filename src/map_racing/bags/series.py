@@ -214,23 +214,7 @@ class PoseSeries(Series):
         self._received = [at for at, keep in zip(self._received, same) if keep]
 
     def columns(self, notes, topic, clock=None):
-        """Samples in strict order of time.
-
-        Parameters
-        ----------
-        notes : list of str
-            Gets a line for each kind of repair.
-        topic : str
-            Name of the poses in the notes.
-        clock : Clock, optional
-
-        Returns
-        -------
-        stamps : ndarray of int, shape (n,)
-            [ns], strictly increasing.
-        columns : list of ndarray, shape (n,)
-            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
-        """
+        """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
         times, columns = super().columns(notes, topic, clock)
         quaternion_note(notes, topic, columns.pop(3))
         for frame, count in self._elsewhere.items():

@@ -215,13 +215,7 @@ class FramePoses(NamedTuple):
         return self.transforms.jump_back(self.root, self.frame, received)
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps and times of receipt of the link that is sent most often.
-
-        Returns
-        -------
-        stamps, received : ndarray of int, shape (n,)
-            [ns]
-        """
+        """As `Series.stamps`, of the link that is sent most often."""
         links = self.transforms.links(self.root, self.frame)
         return max(links.values(), key=lambda link: link[0].size)
 
@@ -232,23 +226,7 @@ class FramePoses(NamedTuple):
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in strict order of time, without velocities.
-
-        Parameters
-        ----------
-        notes : list of str
-            Gets a line for each kind of repair.
-        topic : str
-            Name of the poses in the notes.
-        clock : Clock
-
-        Returns
-        -------
-        stamps : ndarray of int, shape (n,)
-            [ns], strictly increasing.
-        columns : list of ndarray, shape (n,)
-            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
-        """
+        """As `map_racing.bags.series.Series.columns`: ``x y psi``, and velocities that are NaN."""
         tree = self.transforms.tree(self.root, self.frame, notes, topic, clock.use_receipt)
         times, poses, used = tree.history(self.root, self.frame)
         if len(used) > 1:
@@ -314,23 +292,7 @@ class ComposedPoses:
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in the map in strict order of time.
-
-        Parameters
-        ----------
-        notes : list of str
-            Gets a line for each kind of repair.
-        topic : str
-            Name of the poses in the notes.
-        clock : Clock
-
-        Returns
-        -------
-        stamps : ndarray of int, shape (n,)
-            [ns], strictly increasing.
-        columns : list of ndarray, shape (n,)
-            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
-        """
+        """As `map_racing.bags.series.Series.columns`, in the map: ``x y psi v_x v_y yaw_rate``."""
         times, columns = self._poses.columns(notes, topic, clock)
         if not times.size:
             return times, columns

@@ -14,7 +14,8 @@ from ..identification.replay import actuators_of, replay, replay_lines
 from ..track.corners import corners
 from ..track.files.load import load_raceline
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
-from ..vehicle.lookup import default_grid, load_table, published_grid
+from ..vehicle.grids import default_grid, published_grid
+from ..vehicle.lookup import load_table
 from ..vehicle.parameters import linearized, parameter_hash
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table

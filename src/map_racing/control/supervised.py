@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Callable, NamedTuple
 
 from ..vehicle.size import size_of
 from .controller import Controller, ControlResult
-from .safety import Decision, SafetyLimits, Supervisor
+from .safety import Decision, Supervisor
+from .safety_limits import SafetyLimits
 from .slowing import Slowing
 from .steering import build_steering_maps
 
@@ -90,7 +91,7 @@ class SupervisedController:
             return
         try:
             waiting, self._waiting = self._waiting, None
-            self.controller.apply(self.controller.prepare(**waiting))
+            self.controller.change(**waiting)
             self.supervisor.raceline_changed(True)
             self._on_raceline()
         finally:

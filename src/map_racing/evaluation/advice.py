@@ -165,7 +165,8 @@ def _check(run):
     if run.profile.track.speed is None:
         raise EvaluationError(f"{source}: no advice: the raceline has no speeds to scale")
     if not np.isfinite(run.profile.mean("a_lat")).all():
-        raise EvaluationError(f"{source}: no advice: neither yaw rate nor heading is known")
+        why = "; ".join(run.profile.notes) or "neither yaw rate nor heading is known"
+        raise EvaluationError(f"{source}: no advice: {why.replace('warning: ', '')}")
 
 
 class _Heat:
@@ -237,7 +238,7 @@ class _Heat:
             begin = int(np.argmin(np.abs(self.s - corner.begin)))
             length = (corner.end - corner.begin) % self.track.length or self.track.length
             cells = (begin + np.arange(max(int(round(length / self.ds)), 1))) % self.s.size
-            bent = np.flatnonzero(self.use[cells] > _BENT * self.use[cells].max())[-1] + 1
+            bent = np.flatnonzero(self.use[cells] >= _BENT * self.use[cells].max())[-1] + 1
             name = corner.name or "whole lap"
             found.setdefault(self._point(corner.begin), name)
             if corner.side and (len(cells) - bent) * self.ds > _SHORTEST * self.size:
@@ -299,7 +300,7 @@ class _Heat:
 
     def reachable(self, sectors):
         """No sector is so fast that the next one's speed is not reached soon after its begin."""
-        brake = self.run.limits.a_brake_max
+        brake = min(self.run.limits.a_brake_max, self.vehicle.a_brake_max)
         found = list(sectors)
         for i in reversed(range(2 * len(found))):
             one, following = found[i % len(found)], found[(i + 1) % len(found)]
@@ -410,7 +411,7 @@ def advice_table(advice: Advice) -> list[list[str]]:
     -------
     list of list of str
     """
-    rows = [["sector", "from", "to", "driven", "next", "bound by", "grip used", "off the line"]]
+    rows = [["sector", "from", "to", "driven", "next", "bound by", "sure grip", "off the line"]]
     rows[0].append("clearance")
     for one in advice.sectors:
         clearance = "" if math.isnan(one.clearance_m) else f"{one.clearance_m:.2f} m"

@@ -44,6 +44,8 @@ _LEAST = 0.0005
 _TAIL = 0.03
 # Less is no difference worth a word [m].
 _WIDE = 0.05
+# No day has more grip than this share of the vehicle file's.
+_DOUBTFUL_GRIP = 1.3
 
 
 @dataclass(frozen=True)
@@ -187,9 +189,12 @@ class Place:
             said.append(f"{self.wide_m:.2f} m wide at the {self.wide_at}")
         elif self.wide_m <= -_WIDE:
             said.append(f"{-self.wide_m:.2f} m closer to the inside at the {self.wide_at}")
+        said = said or ["the same speeds and line"]
         if not math.isnan(self.grip_used):
             said.append(f"{self.grip_used:.0%} of the grip used".replace("%", " %"))
-        return ", ".join(said) or "the same speeds and line"
+        if self.grip_used > _DOUBTFUL_GRIP:
+            said.append("more than the vehicle file's tires have: is it the file of this car?")
+        return ", ".join(said)
 
 
 def corners_of(track: TrackProfile) -> list[Corner]:

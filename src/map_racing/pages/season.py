@@ -38,7 +38,7 @@ _TABLE = (
 )
 
 
-def season_page(heats: Sequence[dict], title: str = "Season") -> str:
+def season_page(heats: Sequence[dict]) -> str:
     """Page of the heats of a season.
 
     Parameters
@@ -46,7 +46,6 @@ def season_page(heats: Sequence[dict], title: str = "Season") -> str:
     heats : sequence of dict
         Rows by `map_racing.experiments.season.COLUMNS`, in the order of time; ``report`` is the
         path of a report relative to the page, empty without one.
-    title : str, optional
 
     Returns
     -------
@@ -62,7 +61,7 @@ def season_page(heats: Sequence[dict], title: str = "Season") -> str:
     text = f"Heats: {len(heats)}; laps that count: {laps}; tracks: {len(tracks)}"
     if len(read) < len(heats):
         text += f"; bags that cannot be evaluated: {len(heats) - len(read)}"
-    parts = [f"<header><h1>{escape(title)}</h1><p>{escape(text)}</p></header>\n"]
+    parts = [f"<header><h1>Season</h1><p>{escape(text)}</p></header>\n"]
     for track in tracks:
         driven = [heat for heat in read if heat["track"] == track]
         parts.append(_section(track, driven, colors))
@@ -71,7 +70,7 @@ def season_page(heats: Sequence[dict], title: str = "Season") -> str:
     parts.append(table(head, ([_cell(heat, *column) for column in _TABLE] for heat in heats)))
     parts.append("</section>\n")
     parts.append(f"<footer>map_racing {escape(__version__)}. Times are UTC.</footer>\n")
-    return document(title, "".join(parts))
+    return document("Season", "".join(parts))
 
 
 def _short(heats):

@@ -141,6 +141,7 @@ def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
         field = f"{name} tire: cornering stiffness over load"
         others = {"1/deg": 1.0 / _DEGREE}
         yield _Range(field, vehicle.mu * tire.stiffness, 1.0, 100.0, "1/rad", others)
+        yield _Range(f"{name} tire: friction", vehicle.mu * getattr(tire, "D", 1.0), 0.1, 2.5, "")
     softer = vehicle.mu * min(vehicle.front.stiffness, vehicle.rear.stiffness)
     yield _Range("softer axle: cornering stiffness over load", softer, 1.0, 40.0, "1/rad")
     yield _Range("delta_max", vehicle.delta_max, 0.1, 1.2, "rad", {"deg": _DEGREE})

@@ -104,6 +104,39 @@ def test_a_bag_played_slowly_and_recorded_again_keeps_its_stamps(tmp_path):
     recording = read_recording(path)
     assert not any(note.startswith("warning") for note in recording.notes)
     np.testing.assert_array_equal(recording.commands.t, recording.t)
+    assert (
+        "/car_state/odom: 0.200 s of its stamps pass in a second of receipt: lap times are those "
+        "of the stamps"
+    ) in recording.notes
+
+
+def test_messages_that_overtake_each_other_keep_their_stamps(tmp_path):
+    """Two at a time in the wrong order, as of a node with several threads."""
+    order = np.arange(COUNT) ^ 1
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i, k in enumerate(order.tolist()):
+            stamp, received = (T0 + 0.025 * j for j in (k, i))
+            bag.odometry(stamp, 0.1 * k, 0.0, 0.0, 4.0, 0.0, 0.0, received=received + 0.03)
+    recording = read_recording(tmp_path / "a.bag")
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
+    np.testing.assert_allclose(recording.x, 0.1 * np.arange(COUNT), atol=1e-9)
+
+
+def test_commands_whose_clock_was_set_meanwhile(tmp_path):
+    """Their stamps are right for more than half of the time, and 3 s early before."""
+
+    def stamp(i, t):
+        return t - (3.0 if i < 80 else 0.0)
+
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0, received=t + 0.001)
+            bag.drive(stamp(i, t), 0.001 * i, float(i), received=t + 0.001)
+    recording = read_recording(tmp_path / "a.bag")
+    (said,) = [note for note in recording.notes if note.startswith("warning")]
+    assert "from another clock than the poses' for a part of the time" in said
+    np.testing.assert_allclose(recording.commands.t, recording.t, atol=2e-3)
 
 
 def test_commands_that_no_receipt_brings_to_the_poses_are_named(tmp_path):

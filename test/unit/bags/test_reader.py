@@ -46,6 +46,9 @@ def once(fill):
         ([odometry("/odom"), odometry("/pf/pose/odom")], "/pf/pose/odom"),
         ([odometry("/ground_truth/odom"), odometry("/vesc/odom", "odom")], "/vesc/odom"),
         ([odometry("/ground_truth/odom")], "/ground_truth/odom"),
+        ([odometry("/opponent/odom"), odometry("/pf_odom")], "/pf_odom"),
+        ([pose("/goal_pose"), odometry("/odom", "odom")], "/odom"),
+        ([pose("/lookahead_point"), pose("/slam_pose")], "/slam_pose"),
         ([odometry("/car_state/odom_frenet"), odometry("/vesc/odom", "odom")], "/vesc/odom"),
         ([once(pose("/move_base_simple/goal")), odometry("/odom", "odom")], "/odom"),
         ([odometry("/odom", "odom"), transform()], "/tf"),
@@ -317,7 +320,13 @@ def test_damaged_bag_gives_its_first_laps_and_says_so(tmp_path, race_bag, compre
     whole, part = read_recording(race_bag(compression)), read_recording(path)
     assert 100 < part.t.size < whole.t.size
     np.testing.assert_array_equal(part.x, whole.x[: part.t.size])
-    assert any(note.startswith("damaged bag") for note in part.notes)
+    assert any(note.startswith("warning: damaged bag") for note in part.notes)
+
+
+def test_a_bag_of_ros1_is_one_whatever_its_name(tmp_path, race_bag):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(race_bag().read_bytes())
+    assert read_recording(path).t.size == read_recording(race_bag()).t.size
 
 
 def test_hangar_recording(shared_data):

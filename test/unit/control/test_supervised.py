@@ -8,7 +8,8 @@ import pytest
 
 from map_racing.control.controller import ControlResult, Status, build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.control.safety import Mode, Reason
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 from map_racing.control.steering import build_steering_map
 from map_racing.control.supervised import (
@@ -147,7 +148,7 @@ def test_live_tuning_meanwhile_is_kept():
     drive.drive(1.0)
     controller = drive.driver.controller
     drive.follow(circle(-1.0))
-    controller.parameters = controller.parameters.with_(speed_scale=0.3)
+    controller.change(parameters=controller.parameters.with_(speed_scale=0.3))
     drive.drive(3.0)
     assert controller.parameters.speed_scale == pytest.approx(0.3)
 

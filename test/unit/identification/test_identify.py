@@ -14,7 +14,8 @@ from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.car import identify_car
 from map_racing.identification.car_report import car_data, car_text, provenance
-from map_racing.identification.data import Signal, load_channel_map, load_run
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.data import Signal, load_run
 from map_racing.identification.identify import identify, leave_one_out, predict, steady_acceleration
 from map_racing.identification.limits import SteadyLimits
 from map_racing.identification.report import (
@@ -28,7 +29,7 @@ from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag
 from map_racing.track.files.load import load_raceline
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import Vehicle, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 from map_racing.vehicle.tires import LinearTire, PacejkaTire

@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.vehicle.lookup import (
-    LookupTable,
-    Provenance,
-    default_grid,
-    load_table,
-    published_grid,
-)
+from map_racing.vehicle.grids import default_grid, published_grid
+from map_racing.vehicle.lookup import LookupTable, Provenance, load_table
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -76,6 +76,16 @@ def test_the_height_in_another_unit(load, value):
         load(SMALL, h_cg=value)
 
 
+def test_a_tire_whose_numbers_stand_in_another_order_is_doubted(tmp_path):
+    """Of one axle only: the other one holds the car within what rubber can."""
+    lines = {"m": 3.54, "I_z": 0.06, "l_f": 0.162, "l_r": 0.145, "h_cg": 0.014, "mu": 1.0}
+    lines.update(C_Pf=[0.65, 2.2, 4.8, 0.37], C_Pr=[20.0, 1.5, 0.6, 0.0])
+    path = tmp_path / "car.yaml"
+    path.write_text(yaml.safe_dump(lines))
+    (note,) = load_vehicle(path).notes
+    assert note == "warning: front tire: friction: expected 0.1 to 2.5, got 4.8"
+
+
 @pytest.mark.parametrize(
     "car, changes, expected",
     [
