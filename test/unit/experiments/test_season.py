@@ -17,8 +17,8 @@ from map_racing.experiments import season as season_module
 from map_racing.experiments.executors import SerialExecutor
 from map_racing.experiments.season import BagOptions, evaluate_season
 from map_racing.experiments.season_bags import find_bags
-from map_racing.track.files.load import save_raceline
 from map_racing.pages.season import season_page
+from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 
 T0 = 1700000000.0
