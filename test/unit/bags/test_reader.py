@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from moments import T0, TIMES, write
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from map_racing.bags import messages as msg
 from map_racing.bags.reader import read_recording
@@ -443,14 +443,16 @@ def test_a_late_message_is_no_jump(tmp_path):
 def test_two_localizations_on_tf_are_said(tmp_path, begins):
     """At once, or one after the other has gone."""
     types = get_typestore(Stores.ROS1_NOETIC)
-    definition, md5sum = types.generate_msgdef("tf2_msgs/msg/TFMessage")
+    name = "tf2_msgs/msg/TFMessage"
+    types.register(get_types_from_msg(msg.DEFINITIONS[name], name))
+    definition, md5sum = types.generate_msgdef(name)
     with Writer(tmp_path / "a.bag") as writer:
         lines = [
             writer.add_connection(
-                *("/tf", "tf2_msgs/msg/TFMessage"),
-                **{"msgdef": definition, "md5sum": md5sum, "callerid": name},
+                *("/tf", name),
+                **{"msgdef": definition, "md5sum": md5sum, "callerid": sender},
             )
-            for name in ("/amcl", "/slam")
+            for sender in ("/amcl", "/slam")
         ]
         for i, t in enumerate(TIMES):
             for k, line in enumerate(lines):
