@@ -164,6 +164,9 @@ def _check(run):
         raise EvaluationError(f"{source}: no advice: the car is not known, give --vehicle")
     if run.profile.track.speed is None:
         raise EvaluationError(f"{source}: no advice: the raceline has no speeds to scale")
+    if not any(profile.lap.valid for profile in run.profile.laps):
+        reasons = "; ".join(dict.fromkeys(p.lap.reason for p in run.profile.counted))
+        raise EvaluationError(f"{source}: no advice: no lap counts ({reasons})")
     if not np.isfinite(run.profile.mean("a_lat")).all():
         why = "; ".join(run.profile.notes) or "neither yaw rate nor heading is known"
         raise EvaluationError(f"{source}: no advice: {why.replace('warning: ', '')}")

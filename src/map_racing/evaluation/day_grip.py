@@ -12,7 +12,7 @@ from ..control.belief import Belief
 from ..control.state import CarState
 from ..vehicle.parameters import Vehicle
 from .results import Lap
-from .turning import turning_of
+from .turning import speed_driven, turning_of
 
 __all__ = ["DayGrip", "grip_of_day"]
 
@@ -86,8 +86,10 @@ def grip_of_day(
 def _feed(learner, recording, laps):
     """Show the learner poses and commands; whether there were any."""
     t, commands = recording.t, recording.commands
+    if commands is None or not laps:
+        return False
     rate, _ = turning_of(recording)
-    if commands is None or not laps or rate is not recording.yaw_rate:
+    if rate is not recording.yaw_rate or not speed_driven(recording)[1]:
         return False
     chosen = np.zeros(t.size, dtype=bool)
     for lap in reversed(laps):

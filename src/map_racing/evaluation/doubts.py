@@ -34,8 +34,9 @@ _SAME, _BUNCHED = 0.05, 0.7
 _LONG, _AHEAD, _AROUND = 1.5, 0.05, 10
 # No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
 _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
-# Speed [m/s] of a car that drives; and how far the wheels may be off, typically, as they slip.
-_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.4
+# Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
+# the motion of the poses, and nothing shortens it.
+_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.1
 
 
 def frame_warning(topic: str, frame: str) -> str:

@@ -22,8 +22,7 @@ from ..vehicle.lookup import LookupTable
 from ..vehicle.parameters import Vehicle
 from .laps import passage_times
 from .results import Lap, RunResult
-from .speed import speed_of
-from .turning import turning_of
+from .turning import speed_driven, turning_of
 
 __all__ = [
     "CHANNELS",
@@ -278,8 +277,7 @@ def _signals(recording):
     """Accelerations over the time of the recording, and notes about them."""
     t = recording.t
     rate, notes = turning_of(recording)
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    v = speed_of(t, recording.x, recording.y, v)
+    v, _ = speed_driven(recording)
     width = _SMOOTHING / max(float(np.median(np.diff(t))), 1e-4)
 
     def smooth(values):

@@ -1,4 +1,4 @@
-"""How fast the car turned: the yaw rate recorded, unless the path says that it cannot be."""
+"""How fast the car drove and turned: as recorded, unless the path says that it cannot be."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import math
 import numpy as np
 
 from ..bags.samples import Recording
+from .doubts import speed_warning
+from .speed import speed_of
 
-__all__ = ["turning_of"]
+__all__ = ["speed_driven", "turning_of"]
 
 # A rate adds up to the turning of the path within this share, where that is more than a half turn;
 # shorter steps of the path [m] have no direction, and nothing is known of longer pauses [s].
@@ -48,6 +50,18 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
         return unknown, []
     said = "; ".join(note.replace("warning: ", "") for note in notes)
     return unknown, [f"warning: {said}: {left_out}"]
+
+
+def speed_driven(recording: Recording) -> tuple[np.ndarray, bool]:
+    """Speed of a recording [m/s], shape (n,), and whether it is the one measured.
+
+    Where that is missing or not the motion of the poses, it is their motion.
+    """
+    t, x, y = recording.t, recording.x, recording.y
+    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    doubtful = bool(speed_warning("", t, x, y, v))
+    driven = speed_of(t, x, y, np.full(v.size, np.nan) if doubtful else v)
+    return driven, driven is v
 
 
 def _recorded(recording):

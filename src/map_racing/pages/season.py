@@ -34,7 +34,7 @@ _TABLE = (
     ("mean_lap_time_s", "mean [s]", "{:.3f}"),
     ("rms_lateral_error_m", "RMS error [m]", "{:.3f}"),
     ("stops", "stops", "{:.0f}"),
-    ("reason", "remarks", "{}"),
+    ("warnings", "remarks", "{}"),
 )
 
 
@@ -67,8 +67,14 @@ def season_page(heats: Sequence[dict]) -> str:
         parts.append(_section(track, driven, colors))
     parts.append("<section><h2>All heats</h2>\n")
     head = [name for _, name, _ in _TABLE]
-    parts.append(table(head, ([_cell(heat, *column) for column in _TABLE] for heat in heats)))
+    parts.append(table(head, ([_cell(heat, *column) for column in _TABLE] for heat in read)))
     parts.append("</section>\n")
+    if len(read) < len(heats):
+        parts.append("<section><h2>Bags that cannot be evaluated</h2>\n")
+        rows = [
+            [_cell(heat, "bag", "bag", "{}"), heat["reason"]] for heat in heats if heat["reason"]
+        ]
+        parts += [table(["bag", "reason"], rows), "</section>\n"]
     parts.append(f"<footer>map_racing {escape(__version__)}. Times are UTC.</footer>\n")
     return document("Season", "".join(parts))
 
@@ -173,8 +179,6 @@ def _cell(heat, key, _, form):
     value = heat[key]
     if key == "bag":
         return Markup(_linked(heat, escape(value)))
-    if key == "reason":
-        return value or heat["warnings"]
     if isinstance(value, float) and math.isnan(value):
         return value
     return form.format(value)

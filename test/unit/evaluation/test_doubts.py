@@ -106,7 +106,15 @@ def test_bunches():
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [(1.0, ""), (0.8, ""), (1.3, ""), (3.6, "in km/h?"), (0.1, " 0.10 times"), (0.0, "")],
+    [
+        (1.0, ""),
+        (0.8, ""),
+        (1.05, ""),
+        (1.12, "1.12 times"),
+        (3.6, "in km/h?"),
+        (0.1, " 0.10 times"),
+        (0.0, ""),
+    ],
 )
 def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
     doubt = speed_warning("/odom", T, *circling(), np.full(T.size, factor * 4.8))

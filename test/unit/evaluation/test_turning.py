@@ -7,7 +7,7 @@ import pytest
 
 from map_racing.evaluation.profiles import profiles_of
 from map_racing.evaluation.runs import evaluate
-from map_racing.evaluation.turning import turning_of
+from map_racing.evaluation.turning import speed_driven, turning_of
 
 
 def changed(recording, **factors):
@@ -60,3 +60,10 @@ def test_less_than_half_a_turn_tells_nothing(reference, driving):
     short = dataclasses.replace(recording, **short)
     rate, notes = turning_of(short)
     assert rate is short.yaw_rate and notes == []
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0, 1.12, 3.6])
+def test_a_speed_that_is_not_the_motion_of_the_poses_is_not_used(reference, driving, factor):
+    recording = driving(reference, lambda s: 3.0, laps=1)
+    v, measured = speed_driven(changed(recording, v_x=factor, v_y=factor))
+    assert v == pytest.approx(3.0, abs=0.02) and measured == (factor == 1.0)
