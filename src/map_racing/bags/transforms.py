@@ -29,6 +29,14 @@ class _Samples:
 
     def __init__(self):
         self.stamps, self.times, self.values = array("q"), array("q"), array("d")
+        # First and last time of receipt of each sender [ns].
+        self.senders: dict[str, tuple[int, int]] = {}
+
+    def at_once(self):
+        """Names of senders of which none took the place of another."""
+        spans = sorted((span, name) for name, span in self.senders.items())
+        pairs = ((one, other) for one, other in zip(spans, spans[1:]) if other[0][0] < one[0][1])
+        return sorted({name for pair in pairs for _, name in pair})
 
     def columns(self):
         """Stamps, times of receipt, and columns ``x y psi q``."""
@@ -68,6 +76,9 @@ class RecordedTransforms:
                         samples = self._samples[key] = _Samples()
                     samples.stamps.append(transform.stamp_ns or message.time_ns)
                     samples.times.append(message.time_ns)
+                    sender = bag.connections[message.connection].sender
+                    begun, _ = samples.senders.get(sender, (message.time_ns, 0))
+                    samples.senders[sender] = begun, message.time_ns
                     samples.values.extend(transform[3:])
             except struct.error:
                 self._broken += 1
@@ -155,6 +166,12 @@ class RecordedTransforms:
                 notes.append(
                     f"warning: {what}: the stamps are from another clock, by "
                     f"{abs(offset) * 1e-9:.6g} s: brought to the others by the times of receipt"
+                )
+            senders = [] if static else self._samples[key].at_once()
+            if senders:
+                notes.append(
+                    f"warning: {what}: sent by {len(senders)} nodes at once, {', '.join(senders)}: "
+                    "all of them count"
                 )
             if static and (above, below, False) in self._samples:
                 notes.append(f"{what}: static, and sent by a localization, which counts")

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
+from ..bags.series import commands_of_two
 from .results import Lap
 from .speed import speed_of
 
@@ -171,6 +172,8 @@ def command_clock(recording: Recording) -> str:
     commands = recording.commands
     if commands is None or recording.t.size < 10:
         return ""
+    if commands_of_two(commands.topic, commands.steering_angle, commands.speed):
+        return ""  # which is said, and makes any lag
     t, moved = recording.t, (np.gradient(v, recording.t) for v in (recording.x, recording.y))
     speed = np.hypot(*moved)
     turning = np.gradient(np.unwrap(np.where(np.isfinite(recording.psi), recording.psi, 0.0)), t)

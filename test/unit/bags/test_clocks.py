@@ -9,7 +9,7 @@ from map_racing.bags import messages as msg
 from map_racing.bags.bag import Connection, Message
 from map_racing.bags.clocks import lag_of_effect
 from map_racing.bags.reader import read_recording, read_signals
-from map_racing.bags.series import Series
+from map_racing.bags.series import Series, commands_of_two
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError
@@ -78,6 +78,41 @@ def test_commands_of_two_nodes(gone):
     assert f"{left_out} messages of a second sender, /1, left out: only the first, /0" in notes[0]
     took_over = f"warning: {DRIVE_TOPIC}: /0 fell silent, and /1 took its place"
     assert notes[1:] == ([took_over] if gone else [])
+
+
+def drives(count=1000):
+    """Commands of one node, on noisy poses: angles tremble, speeds do not."""
+    rng = np.random.default_rng(2)
+    t = 0.02 * np.arange(count)
+    return 0.2 * np.sin(t) + 0.03 * rng.normal(size=count), 5.0 + np.sin(0.7 * t)
+
+
+def test_commands_of_one_node_that_trembles_are_not_doubted():
+    angle, speed = drives()
+    trembling = angle + np.where(np.arange(1000) % 17 < 2, 0.06 * (-1.0) ** np.arange(1000), 0.0)
+    for one in (angle, trembling, 0.0 * angle):
+        assert commands_of_two("/drive", one, speed) == ""
+        assert commands_of_two("/drive", one, np.round(speed)) == ""
+
+
+@pytest.mark.parametrize(
+    ("every", "other", "said"),
+    [
+        (50, (0.0, 0.0), "20 of the commands"),  # a brake, once a second
+        (3, (0.2, 0.2), "% of the commands"),  # a node that wants almost the same
+        (2, (-0.3, -4.0), "% of the commands"),
+        (5, (0.3, 0.0), "of the commands"),  # only the angles differ
+    ],
+)
+def test_commands_of_two_nodes_that_nothing_names(every, other, said):
+    angle, speed = drives()
+    turn, faster = other
+    theirs = np.arange(1000) % every == 1
+    stops = other == (0.0, 0.0)
+    angle = np.where(theirs, 0.0 if stops else angle + turn, angle)
+    speed = np.where(theirs, 0.0 if stops else speed + faster, speed)
+    doubt = commands_of_two("/drive", angle, speed)
+    assert said in doubt and "are unlike those before and after" in doubt
 
 
 def test_stamps_in_bunches_and_even_receipts(tmp_path):

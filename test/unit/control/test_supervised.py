@@ -43,8 +43,9 @@ class Drive:
         )
         self.now, self.angle, self.speed = 100.0, 0.0, 4.0
 
-    def step(self):
-        x, y = RADIUS * math.cos(self.angle), RADIUS * math.sin(self.angle)
+    def step(self, outwards=0.0):
+        radius = RADIUS + outwards
+        x, y = radius * math.cos(self.angle), radius * math.sin(self.angle)
         heading = self.angle + 0.5 * math.pi
         turn = self.speed / RADIUS
         state = CarState(self.now, x, y, heading, self.speed, 0.0, turn)
@@ -212,6 +213,8 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     controller.adaptation.update = lambda state, angle: sent.append(angle) or update(state, angle)
     steps = drive.drive(1.0)
     drive.driver.supervisor.request_stop("service")
+    steps.append(drive.step(outwards=0.3))
+    assert steps[-1].result.steering_angle > 0.03 + steps[-1].decision.steering_angle
     steps += drive.drive(0.5)
     # The last command goes out before anything is learned from it.
     assert len(sent) == len(steps) - 1
