@@ -14,9 +14,9 @@ from .draft import MOST_PLACES, Draft
 
 __all__ = ["check_distances", "check_polygons"]
 
-# Walls are not those that a file shows besides if they are farther away [m] than the first, in either
-# way; and exchanged if they are farther than the second, and many times as far as exchanged. Three
-# real files have 0.02 to 0.06 m, and 0.25 to 1.7 m where the sides of a raceline are exchanged.
+# Walls farther [m] than the first from those that a file shows besides, in either way, are others;
+# farther than the second, and many times as far as exchanged, they are exchanged. Three real files
+# have 0.02 to 0.06 m, and 0.25 to 1.7 m where the sides of a raceline are exchanged.
 _ELSEWHERE, _APART, _MANY = 0.15, 0.08, 3.0
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 
