@@ -143,7 +143,9 @@ def recorded_raceline(recording: Recording) -> Raceline:
         If it is unusable.
     """
     if recording.waypoints is None:
-        raise BagError(f"{recording.source}: no raceline in it; give one with --raceline")
+        damage = [n for n in recording.notes if n.startswith("warning: damaged bag: ")]
+        why = "".join(f" ({note[len('warning: ') :]})" for note in damage)
+        raise BagError(f"{recording.source}: no raceline in it{why}; give one with --raceline")
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
 
 

@@ -206,6 +206,9 @@ def test_the_first_two_places_are_the_bends_that_were_driven_badly(reference, tw
     assert by_name["fourth left"].wide_m == pytest.approx(0.35, abs=0.08)
     assert "wide at the" in str(by_name["fourth left"])
     assert by_name["second left"].loss_s > 0.02
+    assert by_name["second left"].early_m == pytest.approx(0.5, abs=0.15)
+    assert "; brakes 0." in str(by_name["second left"])
+    assert "brakes" not in str(by_name["fourth left"])
     assert not places[2:] or places[2].loss_s < 0.5 * places[1].loss_s
 
 
