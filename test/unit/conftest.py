@@ -93,6 +93,22 @@ def race_bag(tmp_path_factory, track):
     return make
 
 
+@pytest.fixture(scope="session", autouse=True)
+def ramps_once():
+    """Drive the ramps that experiments identify a car on once for each car and seed."""
+    driven = {}
+
+    def drive(*arguments):
+        key = repr(arguments)
+        if key not in driven:
+            driven[key] = drive_ramps(*arguments)
+        return list(driven[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("map_racing.experiments.identification_day.drive_ramps", drive)
+        yield
+
+
 SPEEDS = (2.0, 3.0, 4.0)
 
 
