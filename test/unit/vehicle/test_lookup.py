@@ -163,6 +163,7 @@ def test_angles_of_a_large_car_are_denser_the_smaller_they_are():
     steps = np.diff(angle_axis)
     assert angle_axis[0] == 0.0 and angle_axis[-1] == pytest.approx(car.delta_max)
     assert np.all(np.diff(steps) > 0.0) and steps[0] < 0.01 * steps[-1]
+    assert angle_axis[128] == pytest.approx(0.25 * car.delta_max)
     assert (speed_axis[0], speed_axis[-1]) == (0.1, car.v_max)
     assert 0.15 < np.diff(speed_axis).max() < 1.0
 
