@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from map_racing.control.parameters import ControllerParameters
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.experiments.conditions import Conditions
 from map_racing.simulation.plant import PlantParameters

@@ -28,13 +28,14 @@ from map_racing.control.parameters import (
     load_controller_parameters,
     load_safety_limits,
 )
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.settings import parse_settings
 from map_racing.nodes.transforms import TransformBroadcaster
 from map_racing.nodes.waypoints import waypoint_array_class
 from map_racing.track.files.load import load_raceline
 from map_racing.validation import meaning
-from map_racing.vehicle.lookup import default_grid, load_table
+from map_racing.vehicle.grids import default_grid
+from map_racing.vehicle.lookup import load_table
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -310,9 +310,15 @@ def test_each_command_has_the_header_of_its_pose(car):
     assert command.header.frame_id == "odom"
 
 
-def test_time_that_is_set_back_begins_the_ramp_anew(car):
+@pytest.mark.parametrize("by", ["pose", "watch", "pose in another frame"])
+def test_time_that_is_set_back_begins_the_ramp_anew(car, by):
     assert car.node._phase is Phase.RAMPING
     car.clock.time -= 50.0
+    if by == "watch":
+        car.node._watch(car.clock.time)
+    elif by != "pose":
+        car.pose(frame="map")
+        car.clock.time += 1.0
     (command,) = car.pose()
     assert command.drive.speed == 0.0 and car.node._phase is Phase.WAITING
     # From standstill, not with a step to where it was.
@@ -384,11 +390,12 @@ def test_the_end_commands_standstill_and_nothing_after_it(make, monkeypatch):
     assert len(car.sent) == count + 10
 
 
-def test_the_end_before_a_pose_is_straight_ahead(make, monkeypatch):
-    monkeypatch.setattr(time, "sleep", lambda _: None)
+def test_a_node_that_never_drove_says_nothing_at_its_end(make):
     car = make()
+    car.pose()
+    car.sent.clear()
     car.node._end()
-    assert {(m.drive.steering_angle, m.drive.speed) for m in car.sent} == {(0.0, 0.0)}
+    assert car.sent == [] == car.pose()
 
 
 @pytest.mark.parametrize("dead_man", [True, False])

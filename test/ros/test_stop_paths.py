@@ -244,7 +244,7 @@ def test_the_watch_reports_while_nothing_is_commanded(car, monkeypatch):
     assert len(reports.calls) == 1 and car.sent == []
 
 
-@pytest.mark.parametrize("by", ["pose", "watch"])
+@pytest.mark.parametrize("by", ["pose", "watch", "pose in another frame"])
 def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
     car.drive()
     spies = [
@@ -256,7 +256,10 @@ def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
     car.node._watch(car.clock.time)
     assert not any(spy.calls for spy in spies)
     car.clock.time = 50.0
-    car.pose() if by == "pose" else car.node._watch(50.0)
+    if by == "watch":
+        car.node._watch(50.0)
+    else:
+        car.pose(frame="map" if by == "pose" else "odom")
     assert all(len(spy.calls) == 1 for spy in spies)
     assert "time was set back: starting over" in car.said
 

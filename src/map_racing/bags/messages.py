@@ -311,7 +311,18 @@ def _decode(batch, body, fields, has_child=False):
 
 
 def yaw_and_length(q_x, q_y, q_z, q_w):
-    """Yaw of quaternions [rad], NaN for those of zeros, and their lengths; arrays of one shape."""
+    """Yaw and length of quaternions.
+
+    Parameters
+    ----------
+    q_x, q_y, q_z, q_w : float or ndarray
+        All of one shape.
+
+    Returns
+    -------
+    yaw, length : ndarray
+        Yaw [rad], NaN where the length is 0, and length [-].
+    """
     psi = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
     length = np.sqrt(q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w)
     return np.where(length > SHORTEST_QUATERNION, psi, _NAN), length
@@ -372,7 +383,23 @@ def decode_transforms(data: bytes) -> list[Transform]:
 
 
 def decode_waypoints(data: bytes) -> dict[str, np.ndarray]:
-    """Decode a ``WpntArray`` to columns by the names of the fields of ``Wpnt``."""
+    """Decode a ``WpntArray`` to columns by the names of the fields of ``Wpnt``.
+
+    Parameters
+    ----------
+    data : bytes
+        The message.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        [SI], by name.
+
+    Raises
+    ------
+    struct.error
+        If the message is too short.
+    """
     at = decode_header(data)[2]
     (count,) = _U32.unpack_from(data, at)
     if at + 4 + count * _WAYPOINTS.itemsize > len(data):
@@ -382,7 +409,23 @@ def decode_waypoints(data: bytes) -> dict[str, np.ndarray]:
 
 
 def decode_path(data: bytes) -> dict[str, np.ndarray]:
-    """Decode a ``nav_msgs/Path`` to columns ``x_m y_m psi_rad``; no headings if all are 0."""
+    """Decode a ``nav_msgs/Path`` to columns ``x_m y_m psi_rad``; no headings if all are 0.
+
+    Parameters
+    ----------
+    data : bytes
+        The message.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        Positions [m] and headings [rad], by name.
+
+    Raises
+    ------
+    struct.error
+        If the message is too short.
+    """
     at = decode_header(data)[2]
     (count,) = _U32.unpack_from(data, at)
     at += 4

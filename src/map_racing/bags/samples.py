@@ -62,7 +62,18 @@ class Commands:
     lag: float = math.nan
 
     def held(self, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Those of `values`, one for each command, that are in force at each time; else NaN."""
+        """Those of `values`, one for each command, that are in force at each time; else NaN.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            On the clock of the recording [s].
+        values : ndarray, shape (k,)
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
         # Index -1, before the first, is the NaN behind the last.
         index = np.searchsorted(self.t, t, side="right") - 1
         with np.errstate(invalid="ignore"):

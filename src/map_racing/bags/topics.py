@@ -39,7 +39,9 @@ _KINDS = {md5: rank for rank, md5 in enumerate(POSE_DECODERS)}
 _KNOWN_IMUS = ("/vesc/sensors/imu/raw", "/sensors/imu/raw", "/imu")
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
-_TRUTH = ("ground_truth", "groundtruth", "gt_pose")
+# Truth that no car knows, and what is not the car.
+_LAST = ("ground_truth", "groundtruth", "gt_pose")
+_LAST += ("goal", "lookahead", "target", "opponent", "opp_", "obstacle")
 # Slower poses [Hz] are goals, initial guesses or rare fixes, not the path of a car.
 _SLOWEST_POSE = 5.0
 
@@ -154,7 +156,7 @@ def _topic_sources(bag):
         count = sum(bag.counts[number] for number in numbers)
         frame, child = frames.get((topic, md5sum), ("", ""))
         doubt = 2 if "frenet" in topic.lower() else int(count < _SLOWEST_POSE * duration)
-        if any(word in topic.lower() for word in _TRUTH):
+        if any(word in topic.lower() for word in _LAST):
             doubt = max(doubt, 1)
         rank = (doubt, _frame_rank(frame), _KINDS[md5sum], _name_rank(topic, _KNOWN_POSES))
         kind = bag.connections[numbers[0]].type

@@ -10,7 +10,8 @@ from ..bags.opening import source_name
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.report import write_rows
 from ..experiments.executors import open_executor
-from ..experiments.season import COLUMNS, BagOptions, evaluate_season, find_bags
+from ..experiments.season import COLUMNS, BagOptions, evaluate_season
+from ..experiments.season_bags import find_bags
 from ..files import make_folder, replacing
 from ..pages.html import plotly_script
 from ..pages.season import season_page

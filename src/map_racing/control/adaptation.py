@@ -15,14 +15,14 @@ What the controller drives with follows from that belief with caution, see `Adap
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from .. import __version__
 from ..vehicle.parameters import parameter_hash, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tire_steering import TireSteering
+from .belief import Belief
 
-__all__ = ["Adaptation", "Belief"]
+__all__ = ["Adaptation"]
 
 # Standard deviations of the prior: logarithms of friction, front and rear stiffness; dead time and
 # lag [s]. The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %;
@@ -65,45 +65,6 @@ RISE, NEAR = 0.03, 0.7
 DELAY_RATE = 0.01
 # The steering map follows when a factor has changed by more than this share of its deviation.
 NOTABLE = 0.25
-
-
-class Belief(NamedTuple):
-    """What is believed of the day; the message ``Belief`` has the same numbers.
-
-    ``low`` and ``high`` are the ends of an interval of 95 %.
-
-    Parameters
-    ----------
-    friction, friction_low, friction_high : float
-        Friction coefficient relative to the vehicle file's.
-    front_stiffness, front_stiffness_low, front_stiffness_high : float
-        Cornering stiffness of the front axle relative to the file's, at equal friction.
-    rear_stiffness, rear_stiffness_low, rear_stiffness_high : float
-        The same of the rear axle.
-    delay, delay_low, delay_high : float
-        Age of a pose when it is used, plus dead time and lag of the steering [s].
-    grip : float
-        Lateral limit that the speeds use, relative to the vehicle file's.
-    """
-
-    friction: float
-    friction_low: float
-    friction_high: float
-    front_stiffness: float
-    front_stiffness_low: float
-    front_stiffness_high: float
-    rear_stiffness: float
-    rear_stiffness_low: float
-    rear_stiffness_high: float
-    delay: float
-    delay_low: float
-    delay_high: float
-    grip: float
-
-    @property
-    def factors(self):
-        """Factors on friction, front and rear stiffness."""
-        return self.friction, self.front_stiffness, self.rear_stiffness
 
 
 _QUANTILE = 1.96  # of a normal distribution, for 95 %
@@ -151,7 +112,7 @@ class Adaptation:
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
         self.vehicle, self._share = vehicle, share
         self._behind = vehicle.l_r if behind is None else behind
-        self._prior_dead_time = min(max(delay - SERVO_LAG, 0.0), LONGEST_DEAD_TIME)
+        self._prior_delay = delay
         self._bounds = math.log(1.0 - share), math.log(1.0 + share)
         self._front, self._rear = (
             tire.scalar_with_slope() for tire in (vehicle.front, vehicle.rear)
@@ -163,7 +124,7 @@ class Adaptation:
     def forget(self):
         """Believe the vehicle file again."""
         car = self.vehicle
-        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time, SERVO_LAG, car.h_cg]
+        self._x = [0.0, 0.0, 0.0, 0.0, 0.0, self._prior_dead_time(), SERVO_LAG, car.h_cg]
         self._P = [[0.0] * 8 for _ in range(8)]
         for i, deviation in enumerate((*PRIOR, HEIGHT * car.l_wb), 2):
             self._P[i][i] = deviation * deviation
@@ -173,6 +134,22 @@ class Adaptation:
         self._noise = 1.0
         self.delay = self._x[5] + self._x[6]
         self.restart()
+
+    def expect_delay(self, delay):
+        """Learn the delay anew from another prior [s]; the same one again changes nothing."""
+        if delay == self._prior_delay:
+            return
+        self._prior_delay = delay
+        self._x[5:7] = self._prior_dead_time(), SERVO_LAG
+        P = self._P
+        for k, deviation in ((5, PRIOR[3]), (6, PRIOR[4])):
+            for i in range(8):
+                P[k][i] = P[i][k] = 0.0
+            P[k][k] = deviation * deviation
+        self.delay = self._x[5] + self._x[6]
+
+    def _prior_dead_time(self):
+        return min(max(self._prior_delay - SERVO_LAG, 0.0), LONGEST_DEAD_TIME)
 
     def restart(self):
         """Forget the motion, after a pause or when the car was moved; the belief stays."""

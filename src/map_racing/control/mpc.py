@@ -113,7 +113,18 @@ class ModelPredictiveController:
         self.reset()
 
     def planned_speed(self, s):
-        """Speed that is driven [m/s] at an array of arc lengths [m]."""
+        """Speed that is driven where nothing is in the way.
+
+        Parameters
+        ----------
+        s : ndarray, shape (n,)
+            Arc lengths on the raceline [m].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m/s]
+        """
         if self.plan is None:
             return self._requested(s)
         return np.array([self.plan.speed_at(at) for at in np.asarray(s).tolist()])

@@ -15,7 +15,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import ONE_TENTH, Size, size_of
 from .guidance import LookaheadLaw
-from .safety import SafetyLimits
+from .safety_limits import SafetyLimits
 
 __all__ = [
     "ControllerParameters",

@@ -11,23 +11,20 @@ controller wait for `Supervisor.resume`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Callable, NamedTuple
 
-from ..validation import POSITIVE, check, documented, parameter
-from ..vehicle.size import size_of
 from .controller import ControlResult, Status
 from .obedience import MOVING, ROLLING, SETTLING, Course, Obedience, PoseMotion
+from .safety_limits import SafetyLimits
 from .slowing import Slowing
 from .speed_plan import WALKING_PACE
 from .state import CarState
 
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
-    from ..vehicle.parameters import Vehicle
 
-__all__ = ["Decision", "Mode", "Reason", "SafetyLimits", "Supervisor"]
+__all__ = ["Decision", "Mode", "Reason", "Supervisor"]
 
 # A car that did not move as commanded, or not to where its pose points, rests for this long [s]
 # before it tries again.
@@ -86,102 +83,6 @@ class Reason(Enum):
     GRIP = "grip exceeded for long"
 
 
-@documented
-@dataclass(frozen=True)
-class SafetyLimits:
-    """Limits beyond which the car stops, and how it does."""
-
-    max_pose_age_s: float = parameter(
-        "Largest age of a pose by its stamp, and longest time without one. A stamp may be as far "
-        "in the future",
-        "s",
-        low=POSITIVE,
-        tuning=(0.02, 2.0),
-        default=0.2,
-    )
-    max_jump_m: float = parameter(
-        "Largest jump of the position beyond what the car can have driven",
-        "m",
-        low=POSITIVE,
-        tuning=(0.05, 10.0),
-        default=0.5,
-    )
-    max_turn_rad: float = parameter(
-        "Largest jump of the heading beyond what the car can have turned, and largest angle "
-        "between heading and motion",
-        "rad",
-        low=POSITIVE,
-        tuning=(0.05, 3.2),
-        default=0.8,
-    )
-    max_deviation_m: float = parameter(
-        "Largest distance from the raceline", "m", low=POSITIVE, tuning=(0.1, 20.0), default=1.5
-    )
-    max_saturated_s: float = parameter(
-        "Longest uninterrupted demand beyond the grip. It lasts up to 1.3 s in simulated races "
-        "that are finished",
-        "s",
-        low=POSITIVE,
-        tuning=(0.1, 60.0),
-        default=1.5,
-    )
-    max_overspeed_mps: float = parameter(
-        "Largest measured speed above the commanded one for more than 0.5 s",
-        "m/s",
-        low=POSITIVE,
-        tuning=(0.5, 10.0),
-        default=2.0,
-    )
-    max_blocked_m: float = parameter(
-        "Distance that the car should have driven by its commands while its pose stays. Any car "
-        "reaches 1.5 m/s^2",
-        "m",
-        low=POSITIVE,
-        tuning=(0.2, 100.0),
-        default=1.0,
-    )
-    stop_deceleration_mps2: float = parameter(
-        "Deceleration of a stop, as far as the grip allows beside the steering",
-        "m/s^2",
-        low=POSITIVE,
-        tuning=(0.5, 15.0),
-        default=4.0,
-    )
-    recovery_s: float = parameter(
-        "Time from the end of a temporary cause until the car drives again",
-        "s",
-        low=SETTLING,
-        tuning=(SETTLING, 10.0),
-        default=0.5,
-    )
-    hold_s: float = parameter(
-        "Time for which a stopped car without poses is still commanded to stand",
-        "s",
-        low=POSITIVE,
-        tuning=(0.1, 10.0),
-        default=2.0,
-    )
-
-    def __post_init__(self):
-        check(self)
-
-    def of_size(self, vehicle: Vehicle) -> SafetyLimits:
-        """These limits, given for a 1:10 car, for a car of another size, see `size_of`.
-
-        Distances, speeds and the time of a slide grow with it; decelerations stay, and so do times
-        of sensors and computers. Nothing changes for 1:10 cars.
-        """
-        length, time = size_of(vehicle)
-        return replace(
-            self,
-            max_jump_m=self.max_jump_m * length,
-            max_deviation_m=self.max_deviation_m * length,
-            max_blocked_m=self.max_blocked_m * length,
-            max_overspeed_mps=self.max_overspeed_mps * time,
-            max_saturated_s=self.max_saturated_s * time,
-        )
-
-
 class Decision(NamedTuple):
     """Command to the car, and why."""
 
@@ -215,8 +116,8 @@ class Supervisor:
     reason : Reason
     jumped : bool
         Whether the last pose is farther from the one before than the car can have driven.
-    restarted : bool
-        Whether the clock was found set back at the last call; the past is forgotten.
+    on_restart : callable
+        Called when the clock is found set back, and the past is forgotten.
     pose_age : float
         Age of the last pose when it was observed [s].
     """
@@ -227,11 +128,12 @@ class Supervisor:
         self._requests = set()
         self._failed = self._lost_grip = self._overspeed = False
         self._raceline_valid, self._opposed = True, False
+        self.on_restart: Callable[[], None] = lambda: None
         self._forget()
 
     def _forget(self):
         self.mode, self.reason = Mode.WAITING, Reason.NO_POSE
-        self.jumped = self.restarted = False
+        self.jumped = False
         self.pose_age = math.nan
         self._seen = {}  # when each temporary cause was last seen
         self._pose = None
@@ -415,10 +317,9 @@ class Supervisor:
         return decision
 
     def _advance(self, now):
-        self.restarted = self._now is not None and now < self._now - BACKWARDS
-        if self.restarted:
+        if self._now is not None and now < self._now - BACKWARDS:
             self._forget()
-            self.restarted = True
+            self.on_restart()
         self._now = now
 
     @property

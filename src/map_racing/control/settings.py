@@ -23,7 +23,7 @@ from ..vehicle.plausibility import doubts_of_table
 from .controller import Controller
 from .laws import build_law
 from .parameters import ControllerParameters, MpcParameters, parameter_values, parameters_of
-from .safety import SafetyLimits
+from .safety_limits import SafetyLimits
 from .speed_sectors import SpeedSectors
 
 __all__ = ["Settings", "doubts_of", "parse_settings", "settings_text"]

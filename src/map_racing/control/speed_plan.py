@@ -67,6 +67,22 @@ def requested_speed(raceline, parameters, sectors=None):
     """Speed that is asked for along a raceline, whatever the grip.
 
     It is `scaled_speed` by the scale of the `ControllerParameters`, up to their largest speed.
+
+    Parameters
+    ----------
+    raceline : Raceline
+    parameters : ControllerParameters
+    sectors : SpeedSectors, optional
+
+    Returns
+    -------
+    callable
+        From arc lengths [m], ndarray of shape (n,), to speeds [m/s] of the same shape.
+
+    Raises
+    ------
+    ParameterError
+        If the raceline has no speeds.
     """
     speed = scaled_speed(raceline, parameters.speed_scale, sectors)
     return lambda s: np.minimum(speed(s), parameters.v_max_mps)

@@ -305,8 +305,9 @@ class SteeringRamp:
             return self._command()
         inside = self.area.contains(x, y)
         if not (enabled and inside and math.isfinite(v)):
-            self._phase = Phase.OUTSIDE if not inside else Phase.WAITING
-            self._speed = 0.0
+            self.interrupt()
+            if not inside:
+                self._phase = Phase.OUTSIDE
         elif self._phase in (Phase.WAITING, Phase.OUTSIDE, Phase.STOPPING):
             self._rest(v)
         elif self._phase is Phase.STARTING:
@@ -315,6 +316,11 @@ class SteeringRamp:
         else:
             self._ramp(elapsed, self._average_gain(v, r, elapsed))
         return self._command()
+
+    def interrupt(self) -> None:
+        """Stop; the interrupted ramp starts over from standstill."""
+        if self._phase is not Phase.DONE:
+            self._phase, self._speed = Phase.WAITING, 0.0
 
     def _command(self):
         return RampCommand(self._angle, self._speed, self._phase)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING, Callable, NamedTuple
 
 from ..vehicle.size import size_of
 from .controller import Controller, ControlResult
-from .safety import Decision, SafetyLimits, Supervisor
+from .safety import Decision, Supervisor
+from .safety_limits import SafetyLimits
 from .slowing import Slowing
 from .steering import build_steering_maps
 
@@ -35,16 +37,32 @@ class SupervisedController:
     supervisor : Supervisor
     on_raceline : callable, optional
         Called when a raceline is driven that had to wait for the car to stand.
+    on_restart : callable, optional
+        Called when time was set back; the controller has forgotten the past.
+
+    Attributes
+    ----------
+    controller, supervisor
+    changing : threading.Lock
+        Held by whoever changes what the controller drives with, from `Controller.prepare` on. The
+        steps never wait for it; a raceline that waits then does so for another step.
     """
 
     def __init__(
         self,
         controller: Controller,
         supervisor: Supervisor,
-        on_raceline: Callable[[], None] | None = None,
+        on_raceline: Callable[[], None] = lambda: None,
+        on_restart: Callable[[], None] = lambda: None,
     ):
         self.controller, self.supervisor = controller, supervisor
-        self._on_raceline, self._waiting = on_raceline, None
+        self._on_raceline, self._on_restart, self._waiting = on_raceline, on_restart, None
+        self.changing = threading.Lock()
+        supervisor.on_restart = self._restart
+
+    def _restart(self):
+        self.controller.reset()
+        self._on_restart()
 
     def step(self, now: float, state: CarState, failed: bool = False) -> SupervisedStep:
         """Answer a pose.
@@ -59,19 +77,25 @@ class SupervisedController:
         """
         controller, supervisor = self.controller, self.supervisor
         trusted = supervisor.observe(now, state)
-        if supervisor.restarted:
-            controller.reset()
         if self._waiting is not None and supervisor.stands:
-            waiting, self._waiting = self._waiting, None
-            controller.apply(controller.prepare(**waiting))
-            supervisor.raceline_changed(True)
-            if self._on_raceline is not None:
-                self._on_raceline()
+            self._follow_waiting()
         result = controller.step(state) if trusted and not failed else None
         decision = supervisor.decide(now, result)
         if result is not None:
             controller.sent(decision.steering_angle)
         return SupervisedStep(result, decision)
+
+    def _follow_waiting(self):
+        """Drive the raceline that waits, unless something else is changed just now."""
+        if not self.changing.acquire(blocking=False):
+            return
+        try:
+            waiting, self._waiting = self._waiting, None
+            self.controller.change(**waiting)
+            self.supervisor.raceline_changed(True)
+            self._on_raceline()
+        finally:
+            self.changing.release()
 
     def follow(self, raceline: Raceline, sectors, setup: object) -> bool:
         """Drive along another raceline from the next step on.

@@ -18,9 +18,10 @@ __all__ = ["Lap", "LapTrace", "RunResult", "Summary"]
 class LapTrace(NamedTuple):
     """Samples of a lap, for plots; the first and last are the interpolated crossings.
 
-    Time ``t`` [s] on the recording's clock, position ``x, y`` [m], distance ``s`` along the track
-    [m] from the start line, in an out-lap from its first sample, deviation ``d`` [m] left positive,
-    speed ``v`` [m/s], speed ``command`` in force [m/s], NaN without one.
+    Each has the shape (n,): time ``t`` [s] on the recording's clock, position ``x, y`` [m],
+    distance ``s`` along the track [m] from the start line, in an out-lap from its first sample,
+    deviation ``d`` [m] left positive, speed ``v`` [m/s], speed ``command`` in force [m/s], NaN
+    without one.
     """
 
     t: np.ndarray
@@ -208,7 +209,18 @@ class RunResult:
     notes: tuple = ()
 
     def places_of(self, lap: Lap) -> np.ndarray:
-        """Arc lengths [m] along the raceline of the samples of a lap with trace, unwrapped."""
+        """Arc lengths along the raceline of the samples of a lap.
+
+        Parameters
+        ----------
+        lap : Lap
+            With a trace of n samples.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [m], not taken modulo the length.
+        """
         begin = self.start_s
         if lap.reason.startswith("out-lap"):
             begin = self.raceline.project(lap.trace.x[0], lap.trace.y[0]).s

@@ -39,6 +39,22 @@ def sensitivity_plan(setting, label, controller, seed, laps, scales):
 
     Its result is a list of (belief, Race). A controller without delay compensation is raced with
     it only as given.
+
+    Parameters
+    ----------
+    setting : Setting
+    label : str
+        Name of the controller in the results.
+    controller : ControllerParameters
+    seed : int
+        Of the day.
+    laps : int
+    scales : sequence of float
+        The first is the scale of the speeds [-].
+
+    Returns
+    -------
+    Plan
     """
 
     def steps():

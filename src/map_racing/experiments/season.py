@@ -10,20 +10,19 @@ import hashlib
 import json
 import math
 import os
-import re
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
 from concurrent.futures.process import BrokenProcessPool
 from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
-from typing import Iterable, NamedTuple, Sequence
+from typing import NamedTuple, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from .. import __version__
-from ..bags.opening import Source, open_bag, source_name
+from ..bags.opening import Source, source_name
 from ..bags.remarks import read_remarks
 from ..bags.ros2 import METADATA, SUFFIXES
 from ..control.settings import parse_settings
@@ -35,8 +34,9 @@ from ..files import make_folder, write_json
 from ..resources import list_config
 from ..track.files.load import load_raceline
 from ..track.raceline import Raceline
+from .season_bags import first_part
 
-__all__ = ["COLUMNS", "BagOptions", "Season", "evaluate_season", "find_bags"]
+__all__ = ["COLUMNS", "BagOptions", "Season", "evaluate_season"]
 
 COLUMNS = (
     "date",
@@ -68,10 +68,6 @@ COLUMNS = (
 # the other [m]; another raceline between the same walls is.
 _SAME_LENGTH, _SAME_MEAN, _SAME_PLACE = 0.1, 0.5, 2.0
 _PLACES = 150
-# Parts of a run as a recorder names them, maybe with the date of each, and the longest pause or
-# overlap between two [ns].
-_PART = re.compile(r"(.+?)(?:_\d{4}(?:-\d\d){5})?_(\d+)\.bag")
-_CUT_NS = 2 * 10**9
 # Bags that a process evaluates at once, where there are many; an interruption loses as many.
 _MOST_AT_ONCE = 8
 _SUMMARY = {
@@ -113,99 +109,6 @@ class Season(NamedTuple):
     kept: int
 
 
-def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) -> list[Source]:
-    """Bags below folders, those of ROS 2 as one each.
-
-    Bags of ROS 1 that a recorder split, ``run_0.bag``, ``run_1.bag`` and so on, are one, too, where
-    each begins when the one before ends.
-
-    Parameters
-    ----------
-    folders : iterable of str or pathlib.Path
-        Folders or bags.
-    without : str or pathlib.Path, optional
-        Folder to leave out.
-
-    Returns
-    -------
-    list of pathlib.Path or tuple of pathlib.Path
-        Sorted, each once; a tuple is of the parts of a run.
-
-    Raises
-    ------
-    MapRacingError
-        If a folder does not exist.
-    """
-    left_out = None if without is None else os.path.realpath(str(without))
-    found = {}
-    for folder in folders:
-        if not Path(folder).exists():
-            raise MapRacingError(f"{folder}: no such folder")
-        if Path(folder).is_file() or _is_ros2_folder(Path(folder), os.listdir(str(folder))):
-            found.setdefault(os.path.realpath(str(folder)), Path(folder))
-            continue
-        for place, inside, names in os.walk(str(folder)):
-            path = Path(place)
-            inside[:] = sorted(
-                name
-                for name in inside
-                if not name.startswith(".") and os.path.realpath(f"{place}/{name}") != left_out
-            )
-            if _is_ros2_folder(path, names):
-                found.setdefault(os.path.realpath(place), path)
-                inside.clear()
-                continue
-            for name in sorted(names):
-                if not name.startswith(".") and name.endswith((".bag", ".bag.active", *SUFFIXES)):
-                    found.setdefault(os.path.realpath(f"{place}/{name}"), path / name)
-    return _joined(sorted(found.values()))
-
-
-def _joined(bags):
-    """The bags, with the parts of a run as one tuple in the place of the first."""
-    parts, whole = {}, []
-    for bag in bags:
-        named = _PART.fullmatch(bag.name)
-        if named:
-            parts.setdefault((bag.parent, named.group(1)), {})[int(named.group(2))] = bag
-        else:
-            whole.append(bag)
-    for numbered in parts.values():
-        runs, end = [], None
-        for number in sorted(numbered):
-            bag = numbered[number]
-            span = _span(bag) if {number - 1, number + 1} & set(numbered) else None
-            follows = None not in (span, end) and -_CUT_NS <= span[0] - end <= _CUT_NS
-            if follows and number - 1 in numbered:
-                runs[-1].append(bag)
-            else:
-                runs.append([bag])
-            end = span and span[1]
-        whole += [tuple(run) if len(run) > 1 else run[0] for run in runs]
-    return sorted(whole, key=_first)
-
-
-def _span(bag):
-    """First and last time of receipt in a bag [ns], from its index; None if it has none."""
-    try:
-        with open_bag(bag) as opened:
-            return (opened.start_ns, opened.end_ns) if opened.start_ns else None
-    except (MapRacingError, OSError):
-        return None
-
-
-def _first(source):
-    return source[0] if isinstance(source, tuple) else source
-
-
-def _is_ros2_folder(path, names):
-    """Whether a folder is one bag: closed, or with parts that have its name."""
-    if METADATA in names:
-        return True
-    parts = [name for name in names if name.endswith(SUFFIXES)]
-    return bool(parts) and all(name.startswith(f"{path.name}_") for name in parts)
-
-
 def evaluate_season(
     bags: Sequence[Source],
     output: str | Path,
@@ -218,7 +121,7 @@ def evaluate_season(
     Parameters
     ----------
     bags : sequence of pathlib.Path or tuple of pathlib.Path
-        As from `find_bags`.
+        As from `map_racing.experiments.season_bags.find_bags`.
     output : str or pathlib.Path
         Folder in which results are kept, each at once, so that an interrupted season continues.
     options : BagOptions
@@ -291,7 +194,7 @@ def _without_name(reason, path):
     name = f"{source_name(_absolute(path))}: "
     if reason.startswith(name):
         return reason[len(name) :]
-    return reason.replace(os.path.dirname(_absolute(_first(path))) + os.sep, "")
+    return reason.replace(os.path.dirname(_absolute(first_part(path))) + os.sep, "")
 
 
 def _outcome(future):
@@ -439,7 +342,7 @@ def _of_bag(file):
 
 
 def _record(folder, path):
-    name = hashlib.sha256(os.fsencode(os.path.realpath(str(_first(path))))).hexdigest()[:24]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(str(first_part(path))))).hexdigest()[:24]
     return folder / f"{name}.json"
 
 

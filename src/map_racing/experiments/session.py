@@ -24,12 +24,8 @@ from .identification_day import identify_on
 from .jobs import RaceJob, execute
 from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
-from .robustness import (
-    Grid,
-    grid_plan,
-    grid_provenance,
-    race_rows,
-)
+from .robustness import Grid, grid_plan
+from .robustness_tables import grid_provenance, race_rows
 from .store import Store
 from .tuning import Tuned, frame_of
 
@@ -117,7 +113,22 @@ class GridSession(Races):
         return pd.concat(frames, ignore_index=True)
 
     def write(self, table, controllers, **frames):
-        """Write tables and provenance."""
+        """Write tables and provenance.
+
+        Parameters
+        ----------
+        table : pandas.DataFrame
+            The table of the experiment.
+        controllers : dict of str to ControllerParameters
+            What was raced, by label.
+        **frames : pandas.DataFrame
+            Further tables; the name is that of the file, ``NAME.csv``.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
         provenance = grid_provenance(self.grid, controllers)
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 

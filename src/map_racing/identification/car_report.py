@@ -162,7 +162,8 @@ def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
         lines += [
             f"Tires identified by map_racing {__version__} from {runs}; the rest is of "
             f"{found.base.name}.",
-            f"Reached {steady.largest_a_y:.2f} m/s^2; slip angles to {front.covered_slip:.3f} rad "
+            f"Grip demonstrated: {steady.largest_a_y:.2f} m/s^2, friction at least "
+            f"{steady.friction:.3f}; slip angles to {front.covered_slip:.3f} rad "
             f"in front and {rear.covered_slip:.3f} rad behind; peak "
             f"{'reached' if front.saturated else 'not reached'} in front, "
             f"{'reached' if rear.saturated else 'not reached'} behind.",

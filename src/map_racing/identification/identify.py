@@ -15,12 +15,13 @@ from typing import Any, Iterable, NamedTuple
 import numpy as np
 
 from ..errors import IdentificationError, ParameterError
-from ..vehicle.parameters import Vehicle
+from ..vehicle.parameters import Vehicle, holding
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
+from .channels import SensorSetup
 from .cornering import ProcessedRun, motion_of
-from .data import Run, SensorSetup
+from .data import Run
 from .limits import RATE_HZ, SteadyLimits
 from .sensor_findings import SensorFinding
 from .survey import Survey, survey
@@ -216,9 +217,10 @@ def steady_tires(
     name = name or base_vehicle.name + "_identified"
     tires = {key: axle.pacejka.tire for key, axle in axles.items()}
     linear = {key: axle.linear.tire for key, axle in axles.items()}
+    base = holding(base_vehicle, largest_a_y(used))
     return Identification(
-        vehicle=dataclasses.replace(base_vehicle, name=name, mu=1.0, **tires),
-        linear_vehicle=dataclasses.replace(base_vehicle, name=name + "_linear", mu=1.0, **linear),
+        vehicle=dataclasses.replace(base, name=name, mu=1.0, **tires),
+        linear_vehicle=dataclasses.replace(base, name=name + "_linear", mu=1.0, **linear),
         base=base_vehicle,
         axles=axles,
         motions=used,

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of
+from .channels import SensorSetup
 from .cornering import ProcessedRun
-from .data import SensorSetup
 from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = [
@@ -225,7 +225,15 @@ def _beyond_lock(motions, vehicle, gain, offset=0.0):
 
 
 def both_sides(r: np.ndarray, vehicle: Vehicle) -> bool:
-    """Whether a substantial share of the yaw rates is to either side."""
+    """Whether a substantial share of the yaw rates is to either side.
+
+    Parameters
+    ----------
+    r : ndarray, shape (n,)
+        Yaw rates [rad/s].
+    vehicle : Vehicle
+        Its size tells what is turning.
+    """
     turning = turning_rate(size_of(vehicle))
     left = np.count_nonzero(r > 0.5 * turning)
     right = np.count_nonzero(r < -0.5 * turning)

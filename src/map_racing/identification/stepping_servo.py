@@ -70,6 +70,11 @@ def on_raster(t: np.ndarray) -> bool:
     """Whether times are whole samples apart, as in a simulation and nowhere else.
 
     In one that runs in real time, some are late.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        [s]
     """
     off = _off_raster(t)
     return bool(np.percentile(np.abs(off - np.median(off)), 98.0) < JITTER_S)

@@ -108,34 +108,20 @@ class ControllerNode:
         self._lock = threading.RLock()
         self._saver = Saver(self._controller, self._supervisor, self._lock, *files, vehicle)
         self._driver = SupervisedController(
-            self._controller, self._supervisor, self._announce
+            self._controller, self._supervisor, self._announce, self._restart
         )
         self._start(source, pose_source)
 
     def _start(self, source, pose_source):
         """Advertise, then subscribe: the first pose may drive the car."""
         self._logged_plan, self._logged_doubts, self._published_speeds = None, [], None
-        # Held by whoever changes what the controller drives with; the steps never wait for it.
-        self._changing = threading.Lock()
         self._reader, self._clock = StateReader(), SteadyClock()
         self._ending = self._failing = False
         self._clock_follows = True
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
 
-        # With a queue of 1, rospy drops commands of a busy computer, others for each subscriber.
-        self._drive = _publisher("drive", AckermannDriveStamped)
-        self._guidance = _publisher("guidance", Guidance)
-        self._tracking = _publisher("tracking", Tracking)
-        self._belief = _publisher(BELIEF_TOPIC, Belief)
-        self._numbers = {
-            name: _publisher(name, Float64)
-            for name in ("lateral_error", "speed_error", "latency", "pose_age")
-        }
-        self._driven = rospy.Publisher(
-            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
-        )
-        self._settings = rospy.Publisher(SETTINGS_TOPIC, String, queue_size=1, latch=True)
+        self._advertise()
         topic = "/tf" if pose_source == "tf" else rospy.resolve_name(pose_source)
         self._pose_from = "/tf, {} to {}".format(*self._frames) if topic == "/tf" else topic
         pose_type = POSE_TYPES[pose_source]._type
@@ -159,7 +145,6 @@ class ControllerNode:
         self._tuning = TuningServer(
             self._driver,
             self._lock,
-            self._changing,
             lambda: self._announce(again=False),
             self._names["table"],
         )
@@ -168,6 +153,21 @@ class ControllerNode:
         # The garbage collector need not look through what exists now while the car drives.
         gc.collect()
         gc.freeze()
+
+    def _advertise(self):
+        # With a queue of 1, rospy drops commands of a busy computer, others for each subscriber.
+        self._drive = _publisher("drive", AckermannDriveStamped)
+        self._guidance = _publisher("guidance", Guidance)
+        self._tracking = _publisher("tracking", Tracking)
+        self._belief = _publisher(BELIEF_TOPIC, Belief)
+        self._numbers = {
+            name: _publisher(name, Float64)
+            for name in ("lateral_error", "speed_error", "latency", "pose_age")
+        }
+        self._driven = rospy.Publisher(
+            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
+        )
+        self._settings = rospy.Publisher(SETTINGS_TOPIC, String, queue_size=1, latch=True)
 
     # -- poses -------------------------------------------------------------------------------
 
@@ -232,8 +232,6 @@ class ControllerNode:
         stamp = stamp_ns(header, 0)
         state = read(1e-9 * stamp - self._clock.steps if stamp else now)
         result, decision = self._driver.step(now, state, self._failing)
-        if self._supervisor.restarted:
-            self._restart()
         if self._supervisor.jumped:
             self._reader.reset()
         self._command(header, decision)
@@ -251,7 +249,7 @@ class ControllerNode:
         self._command(header, self._supervisor.refuse(now))
 
     def _restart(self):
-        """Time was set back: forget the past."""
+        """Time was set back: forget the past, as the controller does."""
         rospy.loginfo("time was set back: starting over")
         self._reader.reset()
         self._diagnosis.restart()
@@ -261,9 +259,6 @@ class ControllerNode:
         header = Header(stamp=rospy.Time.now(), frame_id=self._frames[0])
         try:
             decision = self._supervisor.watch(now)
-            if self._supervisor.restarted:
-                self._controller.reset()
-                self._restart()
             if decision is not None:
                 self._command(header, decision)
             else:
@@ -363,7 +358,7 @@ class ControllerNode:
         sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
         # What is costly about a first search is done here, not in the first control step.
         raceline.project(0.0, 0.0)
-        with self._changing:
+        with self._driver.changing:
             setup = self._controller.prepare(raceline=raceline, sectors=sectors)
             with self._lock:
                 driven = self._driver.follow(raceline, sectors, setup)

@@ -12,7 +12,7 @@ from std_msgs.msg import Bool, Header
 
 from ..control.controller import ControlResult, Status, build_controller
 from ..control.parameters import load_controller_parameters, load_safety_limits
-from ..control.safety import Reason
+from ..control.safety import Mode, Reason
 from ..control.state import CarState
 from ..control.steering_ramp import (
     Box,
@@ -74,6 +74,7 @@ class SteeringRampNode:
             build_controller(map_controller, vehicle),
             overridden(load_safety_limits("map", vehicle)),
         )
+        self._supervisor.on_restart = self._restart
         self._lock, self._clock = threading.RLock(), SteadyClock()
         self._held_until = -math.inf
         self._frame = self._phase = self._reason = None
@@ -148,12 +149,16 @@ class SteeringRampNode:
                 self._ramp = SteeringRamp(self._parameters, Circle(*pose[:2], self._radius))
         return self._supervisor.decide(now, self._maneuver(now, state) if trusted else None)
 
+    def _restart(self):
+        """Time was set back, as in a simulation that begins anew: so does the ramp."""
+        if self._ramp is not None:
+            self._ramp.interrupt()
+
     def _maneuver(self, now, state):
         """What the maneuver asks for at a pose that can be trusted, as from a controller."""
         supervisor = self._supervisor
         held = not self._dead_man or time.monotonic() < self._held_until
-        # Where time was set back, as in a simulation that begins anew, so does the ramp.
-        enabled = held and supervisor.trouble(now) is Reason.NONE and not supervisor.restarted
+        enabled = held and supervisor.trouble(now) is Reason.NONE
         command = self._ramp.update(state.t, state.x, state.y, state.v_x, enabled, state.r)
         if command.phase is not self._phase:
             self._phase = command.phase
@@ -194,6 +199,8 @@ class SteeringRampNode:
         """Stop the car before the node ends."""
         with self._lock:
             self._ended = True
+            if self._supervisor.mode is Mode.WAITING:
+                return
         for _ in range(LAST_COMMANDS):
             self._send(Header(stamp=rospy.Time.now()), self._angle, 0.0)
             time.sleep(LAST_PERIOD_S)

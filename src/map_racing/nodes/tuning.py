@@ -49,8 +49,6 @@ class TuningServer:
         the one at the start.
     lock : threading.RLock
         Held while a change is applied, so that it falls between two control steps.
-    changing : threading.Lock
-        Held while a change is prepared, beside the control steps.
     announce : callable
         Called when something has changed.
     table : str, optional
@@ -61,14 +59,12 @@ class TuningServer:
         self,
         driver: SupervisedController,
         lock: threading.RLock,
-        changing: threading.Lock,
         announce: Callable[[], None],
         table: str = "",
     ):
         self._driver, self._lock = driver, lock
         self._controller, self._supervisor = driver.controller, driver.supervisor
-        self._changing, self._announce = changing, announce
-        self._table = table
+        self._announce, self._table = announce, table
         parameters = self._controller.parameters
         self._v_max = parameters.v_max_mps
         self._maps = {parameters.steering_map: self._controller.steering_map}
@@ -123,7 +119,7 @@ class TuningServer:
         limits = _changed(self._supervisor.limits, config)
         if kind not in self._maps:
             self._maps[kind] = build_steering_map(kind, self._controller.vehicle, self._v_max)
-        with self._changing:
+        with self._driver.changing:
             before = self._controller.parameters, self._supervisor.limits
             setup = self._controller.prepare(parameters=parameters, steering_map=self._maps[kind])
             with self._lock:

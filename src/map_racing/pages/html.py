@@ -71,6 +71,15 @@ def pack(values: np.ndarray | None) -> dict | None:
     """Numbers as base64 of 16-bit integers, ``o + k q``, for the page's script; None stays None.
 
     They are exact to 1/65,000 of their range; not finite ones are not known.
+
+    Parameters
+    ----------
+    values : array_like of n numbers, or None
+
+    Returns
+    -------
+    dict or None
+        ``b``, the integers q, ``o`` and ``k``.
     """
     if values is None:
         return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict
 from datetime import datetime, timezone
 
 import numpy as np
@@ -12,33 +11,29 @@ import numpy as np
 from .. import __version__
 from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
 from ..evaluation.places import costliest
-from ..vehicle.single_track import GRAVITY
-from .html import Markup, document, escape, pack, plotly_script, table
+from .driven_with import driven_with
+from .html import Markup, document, escape, plotly_script, table
 from .next_heat import advice_of, car_section, speeds_section
+from .report_data import chart_data, charted_laps
 
 __all__ = ["report_page"]
 
 # A page may have this size [bytes]. What is left beside plotly.js and the tables is for the charts'
-# data, but at least the second; a value takes 2.7 bytes, the rest of the data a tenth more.
+# data, but at least the second.
 _PAGE, _LEAST = 5_800_000, 200_000
-_VALUE = 1.1 * 8.0 / 3.0
-_CHARTED = ("v", "v_command", "d", "steering", "steering_table", "a_lat", "a_lon")
 _DATED = 10**17  # 1973 [ns]
-# Speeds at which the limit of the tires is drawn.
-_LIMITS = 40
 # Rows of states and notes that a page shows, laps in its tables and as buttons, and other runs that
 # each is compared with.
 _MOST_ROWS, _MOST_LAPS, _MOST_BUTTONS, _MOST_OTHERS = 60, 1000, 200, 5
 
 
-def report_page(runs: list[RunAnalysis], title: str = "") -> str:
+def report_page(runs: list[RunAnalysis]) -> str:
     """Page of runs.
 
     Parameters
     ----------
     runs : list of RunAnalysis
         At least one.
-    title : str, optional
 
     Returns
     -------
@@ -50,7 +45,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
     MapRacingError
         If plotly is not installed.
     """
-    title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
+    title = " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
     compared = [_comparisons(run, runs) for run in runs]
     advices = [advice_of(run) for run in runs]
     first = [_head(title, runs), '<main>\n<div id="left">\n', _first_screen(runs, compared)]
@@ -64,14 +59,14 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
         car_section(runs, advices),
         _laps(runs),
         _poses(runs),
-        _driven_with(runs),
+        driven_with(runs),
         f"<footer>map_racing {escape(__version__)}. Distances are along the raceline from the "
         "start line; left is positive.</footer>\n",
     ]
     size = sum(len(part.encode()) for part in (plotly_script(), *first, *rest))
-    shown = _chosen(runs, max(_PAGE - size, _LEAST))
+    shown = charted_laps(runs, max(_PAGE - size, _LEAST))
     body = "".join([*first, _charts(runs, shown), *rest])
-    return document(title, body, _data(runs, compared, shown), ("report.js",), plotly=True)
+    return document(title, body, chart_data(runs, compared, shown), ("report.js",), plotly=True)
 
 
 def _comparisons(run, runs):
@@ -147,7 +142,8 @@ def _first_screen(runs, compared):
     head = ["run"] if len(runs) > 1 else []
     head += ["laps counted", "best lap", "ideal lap", "mean lap", "RMS error"]
     head += ["clearance", "saturated"]
-    parts = ['<section id="first">\n', table(head, rows, "summary"), _lap_strip(runs)]
+    parts = ['<section id="first">\n', table(head, rows, "summary"), _doubts(runs)]
+    parts.append(_lap_strip(runs))
     parts.append('<div class="bar"><h2>Where the time goes</h2>')
     if len(runs) > 1:
         options = "".join(
@@ -161,6 +157,21 @@ def _first_screen(runs, compared):
         for j, (reference, places) in enumerate(comparisons):
             parts.append(_place_list(i, j, reference, places, runs[i]))
     parts.append("</section>\n")
+    return "".join(parts)
+
+
+def _doubts(runs):
+    """What makes the numbers of runs doubtful, a line each."""
+    parts = []
+    for run in runs:
+        mark = "warning: "
+        said = [note for note in (*run.result.notes, *run.notes) if note.startswith(mark)]
+        said = list(dict.fromkeys(said))
+        if said:
+            name = f"{run.name}: " if len(runs) > 1 else ""
+            more = f" ({len(said) - 1} more below)" if said[1:] else ""
+            text = f"Doubtful: {name}{said[0][len(mark) :]}{more}"
+            parts.append(f'<p class="doubt">{escape(text)}</p>\n')
     return "".join(parts)
 
 
@@ -262,8 +273,8 @@ def _map():
 def _grip(runs):
     known = any(run.limits is not None for run in runs)
     text = (
-        "The lines are sideways what the tires of the vehicle file give, lengthwise "
-        "the acceleration and braking that vehicle file and controller allow."
+        "The lines are sideways what the tires of the vehicle file give, lengthwise the "
+        "acceleration and braking that the controller plans with, or else the vehicle file has."
         if known
         else "The car is not known: no settings are in the recording, so give --vehicle for the "
         "limits of its tires and for what its table asks of the steering."
@@ -380,44 +391,6 @@ def _poses(runs):
     return "".join([*parts, "</section>\n"])
 
 
-def _driven_with(runs):
-    parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
-    for run in runs:
-        parts.append(_run_name(run, runs))
-        rows = [["file", run.result.source], *_notes(run)]
-        if run.settings is None:
-            rows.append(["settings", "none in the recording"])
-        else:
-            rows += _flat(run.settings.values)
-        parts.append(table(["what", "value"], rows, "settings"))
-    return "".join([*parts, "</section>\n"])
-
-
-def _notes(run):
-    notes = [*run.result.notes, *run.notes]
-    return [["note", note] for note in list(dict.fromkeys(notes))[:_MOST_ROWS]]
-
-
-def _flat(values, before=""):
-    """Rows of nested settings."""
-    rows = []
-    for key, value in values.items():
-        if isinstance(value, dict):
-            rows += _flat(value, f"{before}{key}: ")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for number, part in enumerate(value):
-                rows += _flat(part, f"{before}{key} {number}: ")
-        else:
-            rows.append([f"{before}{key}", _plain(value)])
-    return rows
-
-
-def _plain(value):
-    if isinstance(value, list):
-        return ", ".join(map(_plain, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
 def _run_name(run, runs):
     return f"<h3>{escape(run.name)}</h3>\n" if len(runs) > 1 else ""
 
@@ -438,111 +411,3 @@ def _spread(mean, deviation, form, unit):
 def _share(values):
     known = [value for value in values if not math.isnan(value)]
     return f"{100 * sum(known) / len(known):.1f} %" if known else "–"
-
-
-# -- data of the charts ----------------------------------------------------------------------------
-
-
-def _data(runs, compared, shown):
-    tracks, entries = [], []
-    for run, laps in zip(runs, shown):
-        track = next((k for k, other in tracks if same_track(run, other)), None)
-        if track is None:
-            track = len(tracks)
-            tracks.append((track, run))
-        best = run.profile.best
-        entries.append(
-            {
-                "name": run.name,
-                "track": track,
-                "known": run.limits is not None,
-                "best": next((i for i, k in enumerate(laps) if run.profile.laps[k] is best), 0),
-                "left_out": len(run.profile.laps) - len(laps),
-                "planned": pack(run.planned),
-                "laps": [_lap(run, index) for index in laps],
-                "limit": _limit(run),
-            }
-        )
-    return {
-        "runs": entries,
-        "tracks": [_track(run) for _, run in tracks],
-        "places": [
-            [[_place(place) for place in places] for _, places in comparisons]
-            for comparisons in compared
-        ],
-    }
-
-
-def _place(place):
-    values = asdict(place)
-    return {"begin": values["begin"], "end": values["end"], "name": place.corner.name}
-
-
-def _chosen(runs, budget):
-    """Indices of the laps whose charts the page has: all, or as many as its size allows.
-
-    Of many, the best and the last, and others at equal steps.
-    """
-    cost = [_VALUE * (len(_CHARTED) + 1) * run.profile.track.s.size for run in runs]
-    wanted = sum(c * len(run.profile.laps) for c, run in zip(cost, runs))
-    share = min(1.0, budget / max(wanted, 1.0))
-    chosen = []
-    for run in runs:
-        laps = run.profile.laps
-        count = len(laps) if share == 1.0 else max(int(share * len(laps)), min(len(laps), 2))
-        indices = set(np.linspace(0, len(laps) - 1, count).round().astype(int).tolist())
-        if run.profile.best is not None and len(indices) < len(laps):
-            best = next(i for i, lap in enumerate(laps) if lap is run.profile.best)
-            if best not in indices and len(indices) > 1:
-                indices.discard(min(indices))
-            indices.add(best)
-        chosen.append(sorted(indices))
-    return chosen
-
-
-def _lap(run, index):
-    profile, track = run.profile.laps[index], run.profile.track
-    lap, time = profile.lap, profile.values["time"]
-    known = np.isfinite(time)
-    total = float(time[known][-1]) if known.any() else 0.0
-    even = total * track.s / track.length
-    return {
-        "index": index,
-        "number": lap.lap,
-        "time": lap.lap_time_s,
-        "valid": lap.valid,
-        "total": total,
-        "residual": pack(time - even),
-        **{name: pack(profile.values[name]) for name in _CHARTED},
-    }
-
-
-def _track(run):
-    track = run.profile.track
-    return {
-        "length": track.length,
-        "n": track.s.size,
-        "x": pack(track.x),
-        "y": pack(track.y),
-        "cos": pack(np.cos(track.psi)),
-        "sin": pack(np.sin(track.psi)),
-        "speed": pack(track.speed),
-        "grip": pack(track.grip_speed),
-        "left": pack(track.d_left),
-        "right": pack(track.d_right),
-        "corners": [{"name": c.name, "apex": c.apex} for c in run.corners if c.name],
-    }
-
-
-def _limit(run):
-    """What the tires give: lateral limit over speed, and longitudinal limits [m/s^2]."""
-    limits = run.limits
-    if limits is None:
-        return None
-    v = np.linspace(0.0, max(limits.v_max, 1.0), _LIMITS)
-    return {
-        "v": v.round(3).tolist(),
-        "a": limits.lateral(v).round(3).tolist(),
-        "drive": min(limits.a_drive_max, GRAVITY * 2.0),
-        "brake": min(limits.a_brake_max, GRAVITY * 2.0),
-    }

@@ -101,7 +101,18 @@ def legend_above(axes: Axes, title: str = "", columns: int = 4) -> None:
 
 
 def size_for(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Figure size [in] in the shape of a track, fit for a screen."""
+    """Size of a figure in the shape of a track, fit for a screen.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Points of the track [m].
+
+    Returns
+    -------
+    width, height : float
+        [in]
+    """
     width, height = float(np.ptp(x)) + 1.0, float(np.ptp(y)) + 1.0
     scale = min(9.0 / width, 8.5 / height)
     return max(width * scale, 3.5) + 2.0, max(height * scale, 3.0) + 1.0

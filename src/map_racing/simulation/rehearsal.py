@@ -18,7 +18,8 @@ from ..control.parameters import (
     load_controller_parameters,
     load_safety_limits,
 )
-from ..control.safety import FASTEST, Reason, SafetyLimits
+from ..control.safety import FASTEST, Reason
+from ..control.safety_limits import SafetyLimits
 from ..control.supervised import build_slowing
 from ..track.raceline import Raceline
 from ..vehicle.parameters import Vehicle

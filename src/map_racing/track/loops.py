@@ -90,7 +90,18 @@ def _repeated_laps(xy, ways, chords):
 
 
 def overlap(xy: np.ndarray) -> int:
-    """Count the last points that lie past the first one, where the lap is already complete."""
+    """Count the last points that lie past the first one, where the lap is already complete.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (n, 2)
+        Points of a closed line in order [m].
+
+    Returns
+    -------
+    int
+        0 if none do.
+    """
     if len(xy) < 8:
         return 0
     ways = np.roll(xy, -1, axis=0) - xy
@@ -106,11 +117,32 @@ def overlap(xy: np.ndarray) -> int:
 
 
 def turns_back(xy: np.ndarray) -> np.ndarray:
-    """Indices of the points at which the way turns by more than `BACK`."""
+    """Indices of the points at which the way turns by more than `BACK`.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (n, 2)
+        Points of a closed line in order [m].
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+    """
     return np.flatnonzero(np.abs(turns(xy)) > BACK)
 
 
 def turns(xy: np.ndarray) -> np.ndarray:
-    """Turn at each point from the chord before to the chord after [rad]."""
+    """Turn at each point from the chord before to the chord after.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (n, 2)
+        Points of a closed line in order [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [rad], positive to the left.
+    """
     ways = np.roll(xy, -1, axis=0) - xy
     return wrap(np.diff(np.arctan2(ways[:, 1], ways[:, 0]), prepend=math.atan2(*ways[-1, ::-1])))

@@ -20,7 +20,17 @@ MEETING = 0.9
 
 
 def points_and_normals(line: Raceline | CurveSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] of a line and the unit vectors to their left, each of shape (n, 2)."""
+    """Points of a line and the unit vectors to their left.
+
+    Parameters
+    ----------
+    line : Raceline or CurveSamples
+
+    Returns
+    -------
+    points, normals : ndarray, shape (n, 2)
+        [m] and [-]
+    """
     return (
         np.stack((line.x, line.y), axis=1),
         np.stack((-np.sin(line.psi), np.cos(line.psi)), axis=1),
@@ -28,12 +38,35 @@ def points_and_normals(line: Raceline | CurveSamples) -> tuple[np.ndarray, np.nd
 
 
 def even_points(line: Raceline, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """So many points at equal arc lengths, and the unit vectors to their left."""
+    """Points at equal arc lengths, and the unit vectors to their left.
+
+    Parameters
+    ----------
+    line : Raceline
+    count : int
+        Number of points.
+
+    Returns
+    -------
+    points, normals : ndarray, shape (count, 2)
+        [m] and [-]
+    """
     return points_and_normals(line.sample(np.arange(count) * (line.length / count)))
 
 
 def offsets_to_meeting(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest offsets to the left and to the right before neighboring normals meet."""
+    """Largest offsets to the left and to the right before neighboring normals meet.
+
+    Parameters
+    ----------
+    points, normals : ndarray, shape (n, 2)
+        Points of a closed line in order [m], and the unit vectors to its left.
+
+    Returns
+    -------
+    left, right : ndarray, shape (n,)
+        [m], positive; infinite where they do not meet.
+    """
     after = np.roll(normals, -1, axis=0)
     turn = np.arctan2(
         normals[:, 0] * after[:, 1] - normals[:, 1] * after[:, 0], np.sum(normals * after, axis=1)
@@ -49,7 +82,23 @@ def offsets_to_meeting(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndar
 def offsets_between_walls(
     points: np.ndarray, normals: np.ndarray, walls: Walls, clearance: np.ndarray, farthest: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest offset along the normals that keep a clearance from the walls."""
+    """Least and largest offset along the normals that keep a clearance from the walls.
+
+    Parameters
+    ----------
+    points, normals : ndarray, shape (n, 2)
+        Points of a closed line in order [m], and the unit vectors to its left.
+    walls : Walls
+    clearance : ndarray, shape (n,)
+        Distance to keep from the walls [m].
+    farthest : float
+        Largest offset to either side [m].
+
+    Returns
+    -------
+    low, high : ndarray, shape (n,)
+        [m], positive to the left.
+    """
     begin = _clear_offset(points, normals, walls, clearance)
     inside = points + begin[:, None] * normals
     high = begin + walls.reach(inside, normals, clearance, farthest)

@@ -59,6 +59,18 @@ def closed_spline(u: np.ndarray, x: np.ndarray, y: np.ndarray) -> CubicSpline:
     The points are continued around the lap on both sides by `OVERLAP` points. The influence of the
     end conditions decays at least by half per point, so none of it is left inside. (The periodic
     spline of SciPy 1.3 has a kink at the last point but one where the spacing is uneven.)
+
+    Parameters
+    ----------
+    u : ndarray, shape (n + 1,)
+        Strictly increasing.
+    x, y : ndarray, shape (n,)
+        Points [m]; the first is not repeated.
+
+    Returns
+    -------
+    CubicSpline
+        From the parameter to positions [m], shape (2,).
     """
     index = np.arange(-OVERLAP, x.size + OVERLAP + 1)
     turn, point = np.divmod(index, x.size)
@@ -69,6 +81,11 @@ def resample_by_arc_length(
     x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Resample the closed spline through points over chord length at equal steps of arc length.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n_points,)
+        Points [m]; the first is not repeated.
 
     Returns
     -------

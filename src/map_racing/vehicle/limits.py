@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .lookup import LookupTable, default_grid
+from .grids import GRID_SPEEDS, default_grid
+from .lookup import LookupTable
 from .parameters import Vehicle
 from .steady_state import steady_state_table
 
@@ -44,7 +45,8 @@ def speed_limits(
     """
     fastest = min(vehicle.v_max, v_max or math.inf)
     if table is None:
-        table = steady_state_table(vehicle, *default_grid(vehicle, max(fastest, 0.5)))
+        column = min(max(fastest, 0.5), GRID_SPEEDS[1])
+        table = steady_state_table(vehicle, *default_grid(vehicle, column))
     drive = longitudinal_scale * vehicle.a_max
     if power is not None:
         corner = power / (vehicle.m * drive)  # the speed at which a_max takes all the power

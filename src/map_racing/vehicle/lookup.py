@@ -16,10 +16,8 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..tables import open_text, parse_rows
 from ..validation import positive
-from .parameters import Vehicle
-from .size import ONE_TENTH, size_of
 
-__all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
+__all__ = ["LookupTable", "Provenance", "load_table"]
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ class LookupTable:
 
     Between the nodes, from standstill to 15 m/s, steering angles of ``nuc4`` differ from the exact
     solution by at most 0.21 mrad up to 95 % of the limit on the published grid, and by 0.18 mrad up
-    to 99 % on the `default_grid`; at the limit, where the angle rises steeply, by 5.2 and 1.7 mrad.
+    to 99 % on the default grid; at the limit, where the angle rises steeply, by 5.2 and 1.7 mrad.
     """
 
     def __init__(
@@ -199,7 +197,18 @@ class LookupTable:
         return (delta if a_lat >= 0.0 else -delta), saturated
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
+        """Largest lateral acceleration that `steering` reaches.
+
+        Parameters
+        ----------
+        v : float or ndarray
+            Speed [m/s], of any shape; its sign does not matter.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the shape of `v`.
+        """
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, self._v[0]) ** 2
         inverse = [1.0 / column.limit for column in self._columns]
@@ -219,6 +228,11 @@ class LookupTable:
             Speed [m/s]; its sign does not matter.
         delta : float or ndarray
             Steering angle [rad], positive to the left.
+
+        Returns
+        -------
+        float or ndarray
+            [m/s^2], in the common shape of both.
         """
         v, delta = np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(delta, dtype=float))
         i, u = _locate(self.angles, np.abs(delta))
@@ -239,6 +253,11 @@ class LookupTable:
 
         The first row has the speeds, the first column the angles, cell [0, 0] is 0; numbers read
         back exactly.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
         """
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
@@ -294,46 +313,6 @@ class LookupTable:
         # the floor keeps the inverse monotone: an oversteering car cannot go that fast
         angles = _from_zero(np.cumsum(np.maximum(rise - geometric, 0.1 * rise)))
         return _column(column.limit, np.asarray(column.shares), angles)
-
-
-def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Speeds and angles so fine that interpolation errors hardly matter.
-
-    There are 257 angles, and about one column per 0.1 m/s from 0.1 m/s on; the notes of
-    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. Larger cars
-    have columns as much farther apart as they are faster, and angles that are denser the smaller
-    they are: at full speed they steer by hundredths of a radian.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    v_max : float, optional
-        Fastest column [m/s], from 0.2 to 100; default: the vehicle's.
-
-    Returns
-    -------
-    speeds, angles : ndarray
-        [m/s] and [rad], up to the vehicle's largest steering angle.
-
-    Raises
-    ------
-    ParameterError
-        If `v_max` is out of its range.
-    """
-    v_max = vehicle.v_max if v_max is None else float(v_max)
-    if not 0.2 <= v_max <= 100.0:
-        raise ParameterError(f"v_max: expected a speed from 0.2 to 100 m/s, got {v_max:g}")
-    size = size_of(vehicle)
-    speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 / size.time * (v_max - 0.1))) + 1)
-    if size == ONE_TENTH:
-        return speeds, np.linspace(0.0, vehicle.delta_max, 257)
-    return speeds, vehicle.delta_max * np.linspace(0.0, 1.0, 257) ** 2
-
-
-def published_grid() -> tuple[np.ndarray, np.ndarray]:
-    """Speeds [m/s] and angles [rad] of the published tables, which contain 0.1 rad twice."""
-    angles = np.concatenate((np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)))
-    return np.linspace(0.5, 7.0, 65), angles
 
 
 def load_table(path: str | Path) -> LookupTable:

@@ -306,6 +306,11 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     )
 
 
+def holding(vehicle: Vehicle, a_lat: float) -> Vehicle:
+    """The car, with an `a_lat_max` not below a lateral acceleration that it held [m/s^2]."""
+    return dataclasses.replace(vehicle, a_lat_max=max(vehicle.a_lat_max, a_lat))
+
+
 def _scaled(tire, factor):
     """The tire with its cornering stiffness scaled and its peak kept."""
     if isinstance(tire, PacejkaTire):

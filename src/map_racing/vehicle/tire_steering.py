@@ -172,7 +172,10 @@ class TireSteering:
         return 1.0 / (inverse[k - 1] + part * (inverse[k] - inverse[k - 1]))
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration [m/s^2] that `steering` reaches, in the shape of `v`."""
+        """Largest lateral acceleration that `steering` reaches [m/s^2].
+
+        As `map_racing.vehicle.lookup.LookupTable.max_lateral_acceleration`.
+        """
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, SLOWEST) ** 2
         limit = 1.0 / np.interp(-w, -np.asarray(self._w), self._inverse_limits)

@@ -67,12 +67,34 @@ class PacejkaTire:
         return float(self._unbend(math.tan(0.5 * math.pi / self.C))) / self.B
 
     def normalized_force(self, alpha: float | np.ndarray) -> np.ndarray:
-        """Force ``-F_y / (mu F_z)`` [-] at slip angles ``alpha`` [rad], of any shape."""
+        """Force ``-F_y / (mu F_z)`` at slip angles.
+
+        Parameters
+        ----------
+        alpha : float or ndarray
+            Slip angle [rad], of any shape.
+
+        Returns
+        -------
+        ndarray
+            [-], in the shape of `alpha`.
+        """
         x = self.B * np.asarray(alpha, dtype=float)
         return self.D * np.sin(self.C * np.arctan(x - self.E * (x - np.arctan(x))))
 
     def slope(self, alpha: float | np.ndarray) -> np.ndarray:
-        """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
+        """Derivative of `normalized_force`.
+
+        Parameters
+        ----------
+        alpha : float or ndarray
+            Slip angle [rad], of any shape.
+
+        Returns
+        -------
+        ndarray
+            [1/rad], in the shape of `alpha`.
+        """
         x = self.B * np.asarray(alpha, dtype=float)
         y = x - self.E * (x - np.arctan(x))
         return self.stiffness * np.cos(self.C * np.arctan(y)) * self._bend(x) / (1.0 + y * y)
@@ -81,6 +103,16 @@ class PacejkaTire:
         """Slip angle [rad] on the rising side of the curve, the inverse of `normalized_force`.
 
         NaN where the tire cannot give that force.
+
+        Parameters
+        ----------
+        force : float or ndarray
+            Normalized force [-], of any shape.
+
+        Returns
+        -------
+        ndarray
+            [rad], in the shape of `force`.
         """
         sine = np.asarray(force, dtype=float) / self.D
         with np.errstate(invalid="ignore"):
@@ -188,15 +220,15 @@ class LinearTire:
         return math.inf
 
     def normalized_force(self, alpha: float | np.ndarray) -> np.ndarray:
-        """Force ``-F_y / (mu F_z)`` [-] at slip angles ``alpha`` [rad], of any shape."""
+        """Force ``-F_y / (mu F_z)`` [-] at slip angles [rad], of their shape."""
         return self.C_S * np.asarray(alpha, dtype=float)
 
     def slope(self, alpha: float | np.ndarray) -> np.ndarray:
-        """Derivative of `normalized_force` [1/rad] at slip angles ``alpha`` [rad]."""
+        """Derivative of `normalized_force` [1/rad] at slip angles [rad], of their shape."""
         return np.full_like(np.asarray(alpha, dtype=float), self.C_S)
 
     def slip(self, force: float | np.ndarray) -> np.ndarray:
-        """Slip angle [rad] of a normalized force [-], the inverse of `normalized_force`."""
+        """Slip angles [rad] of normalized forces [-], of their shape; see `PacejkaTire.slip`."""
         return np.asarray(force, dtype=float) / self.C_S
 
     def scalar(self) -> Callable[[float], float]:

@@ -137,7 +137,8 @@ def test_without_tuning_the_files_are_raced(shipped):
 def test_mistakes_are_one_line(tmp_path, refused, monkeypatch, options, expected):
     monkeypatch.setattr("map_racing.experiments.executors._PATIENCE", 1.0)
     vehicle = [] if "--vehicle" in options else ["--vehicle", "nuc4"]
-    command = ["experiment", "tire-models", *vehicle, "--output", tmp_path / "out"]
+    output = [] if "--output" in options else ["--output", tmp_path / "out"]
+    command = ["experiment", "tire-models", *vehicle, *output]
     assert expected in refused(*command, *options)
 
 

@@ -259,6 +259,7 @@ def test_laps_make_a_car(tmp_path, capsys):
         )
         assert load_controller_parameters(controller) == changed
     assert "front axle:" in printed
+    assert head.count("Grip demonstrated: ") == head.count("friction at least ") == 2
     assert load_safety_limits(controller) == load_safety_limits("map")
 
 

@@ -16,13 +16,8 @@ from map_racing.control.parameters import (
 from map_racing.errors import ParameterError
 from map_racing.experiments import tuning
 from map_racing.experiments.jobs import execute
-from map_racing.experiments.robustness import (
-    Grid,
-    Robustness,
-    bumped,
-    load_robustness,
-    race_rows,
-)
+from map_racing.experiments.robustness import Grid, Robustness, bumped, load_robustness
+from map_racing.experiments.robustness_tables import race_rows
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.size import size_of

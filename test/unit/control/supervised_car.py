@@ -1,7 +1,8 @@
 """A car and its supervisor, for the tests of safety."""
 
 from map_racing.control.controller import ControlResult, Status
-from map_racing.control.safety import SafetyLimits, Supervisor
+from map_racing.control.safety import Supervisor
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 
 PERIOD = 1 / 32  # sums of it are exact

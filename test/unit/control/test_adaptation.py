@@ -10,7 +10,7 @@ from map_racing.control.adaptation import DELAY_RATE, PRIOR, RISE, Adaptation
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.speed_plan import AdaptiveSpeedPlan, SpeedPlan
-from map_racing.control.state import CarState
+from map_racing.control.state import CarState, predicted
 from map_racing.simulation.car import SimulatedCar
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import build_plant, load_plant
@@ -268,7 +268,7 @@ def test_what_was_driven_before_a_switch_is_learned_by_what_drove_it(drive):
     controller.adaptation.update = lambda *step: steps.append(step)
     angle = controller.step(state).steering_angle
     assert not steps
-    controller.parameters = OFF
+    controller.change(parameters=OFF)
     assert steps == [(state, angle)]
 
 
@@ -369,19 +369,53 @@ def test_switched_off_it_drives_as_without_and_on_again_it_knows_what_it_learned
     race(Plant(PLANT), controller, REFERENCE, Localization(PLANT, 1), laps=1)
     learning = controller.adaptation
     believed = learning.belief
-    controller.parameters = OFF
+    controller.change(parameters=OFF)
     assert controller.adaptation is None
     plain = build_controller(OFF, NUC4, REFERENCE)
     for subject in (controller, plain):
         subject.reset()
     state = CarState(100.0, *REFERENCE.position(5.0), REFERENCE.pose(5.0).psi, 4.0, 0.0, 0.0)
     assert controller.step(state) == plain.step(state)
-    controller.parameters = ADAPTIVE
+    controller.change(parameters=ADAPTIVE)
     assert controller.adaptation is learning and learning.belief == believed
     assert controller.plan.level == believed.grip
     assert controller.max_lateral_acceleration(6.0) == pytest.approx(
         learning.steering.max_lateral_acceleration(6.0)
     )
+
+
+def test_another_delay_that_is_given_while_driving_counts_at_once(drive):
+    controller = build_controller(ADAPTIVE, NUC4, REFERENCE)
+    for state, _ in drive:
+        controller.step(state)
+    controller.learn()
+    learning = controller.adaptation
+    believed = learning.belief
+    controller.change(parameters=ADAPTIVE.with_(speed_scale=0.5))
+    assert learning.belief == believed
+    controller.change(parameters=ADAPTIVE.with_(delay_s=0.12))
+    given = Adaptation(NUC4, 12.0, 0.12).belief
+    assert learning.belief[9:12] == given[9:12] and learning.belief.factors == believed.factors
+    (state, _), at = drive[0], 200.0
+    result = controller.step(state._replace(t=at))
+    assert result.state == predicted(state._replace(t=at), 0.12)
+    controller.reset()
+    learning.forget()
+    assert learning.belief == given
+    # Also one that is given while nothing is learned.
+    controller.change(parameters=OFF.with_(delay_s=0.04))
+    controller.change(parameters=ADAPTIVE.with_(delay_s=0.04))
+    assert controller.adaptation is learning and learning.delay == pytest.approx(0.04)
+
+
+def test_from_a_delay_given_while_driving_it_learns_as_before():
+    samples = driven(duration=30.0)
+    adaptation = learned(samples[:400])
+    adaptation.expect_delay(0.15)
+    assert adaptation.delay == pytest.approx(0.15)
+    for state, angle in samples[400:]:
+        adaptation.update(state, angle)
+    assert adaptation.belief.delay == pytest.approx(learned(samples).belief.delay, abs=0.005)
 
 
 def test_the_adaptive_controller_is_the_default_that_learns():

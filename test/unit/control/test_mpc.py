@@ -17,7 +17,7 @@ from map_racing.control.parameters import (
     load_law,
     save_controller_parameters,
 )
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState, moved
 from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError

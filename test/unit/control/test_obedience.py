@@ -7,7 +7,8 @@ import pytest
 
 from map_racing.control.controller import ControlResult, Status
 from map_racing.control.obedience import APART, MOVING, PATIENCE, Course, Obedience, PoseMotion
-from map_racing.control.safety import REST, Mode, Reason, SafetyLimits, Supervisor
+from map_racing.control.safety import REST, Mode, Reason, Supervisor
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 
 PERIOD = 1 / 40
@@ -274,6 +275,13 @@ def test_a_short_excess_is_none():
     for _ in range(5):
         assert first_stop(car.drive(PATIENCE - PERIOD, speed=4.5)) is None
         assert first_stop(car.drive(0.1, speed=2.0)) is None
+
+
+def test_rolling_backwards_is_not_taken_for_a_wall():
+    """It then need not feel its way at walking pace."""
+    car = Car()
+    assert car.drive(3.0, v_x=-0.7)[-1].reason is Reason.BACKWARDS
+    assert car.drive(0.7)[-1][::3] == (Mode.DRIVING, 4.0)
 
 
 def test_rolling_backwards_stops_until_it_ends():

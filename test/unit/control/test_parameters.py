@@ -14,7 +14,7 @@ from map_racing.control.parameters import (
     load_safety_limits,
     save_controller_parameters,
 )
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.resources import find_config, list_config
 from map_racing.vehicle.parameters import load_vehicle

@@ -8,7 +8,7 @@ from map_racing import __version__
 from map_racing.control.controller import build_controller
 from map_racing.control.laws import build_law
 from map_racing.control.parameters import load_controller_parameters, load_law
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.settings import parse_settings, settings_text
 from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors
 from map_racing.track.files.load import load_raceline

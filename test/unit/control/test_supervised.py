@@ -8,7 +8,8 @@ import pytest
 
 from map_racing.control.controller import ControlResult, Status, build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import Mode, Reason, SafetyLimits
+from map_racing.control.safety import Mode, Reason
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 from map_racing.control.steering import build_steering_map
 from map_racing.control.supervised import (
@@ -42,8 +43,9 @@ class Drive:
         )
         self.now, self.angle, self.speed = 100.0, 0.0, 4.0
 
-    def step(self):
-        x, y = RADIUS * math.cos(self.angle), RADIUS * math.sin(self.angle)
+    def step(self, outwards=0.0):
+        radius = RADIUS + outwards
+        x, y = radius * math.cos(self.angle), radius * math.sin(self.angle)
         heading = self.angle + 0.5 * math.pi
         turn = self.speed / RADIUS
         state = CarState(self.now, x, y, heading, self.speed, 0.0, turn)
@@ -107,6 +109,22 @@ def test_a_raceline_against_the_motion_waits_until_the_car_stands():
     assert max(step.decision.speed for step in steps[stopped:]) <= 1.0
 
 
+def test_a_change_that_is_prepared_meanwhile_loses_no_raceline():
+    """What it prepared is for the old one: the raceline waits until it is applied."""
+    drive = Drive()
+    drive.drive(1.0)
+    driver, other = drive.driver, circle(-1.0)
+    assert not drive.follow(other)
+    with driver.changing:
+        slower = driver.controller.parameters.with_(speed_scale=0.3)
+        setup = driver.controller.prepare(parameters=slower)
+        assert drive.drive(3.0)[-1].decision[:2] == (Mode.STOPPED, Reason.OPPOSED_RACELINE)
+        driver.tune(setup, SafetyLimits())
+    assert drive.drive(1.0)[-1].decision.mode is Mode.DRIVING
+    assert driver.controller.raceline is other and driver.controller.parameters is slower
+    assert not driver.changing.locked() and len(drive.told) == 1
+
+
 def test_the_last_of_two_racelines_counts():
     drive = Drive()
     drive.drive(1.0)
@@ -131,7 +149,7 @@ def test_live_tuning_meanwhile_is_kept():
     drive.drive(1.0)
     controller = drive.driver.controller
     drive.follow(circle(-1.0))
-    controller.parameters = controller.parameters.with_(speed_scale=0.3)
+    controller.change(parameters=controller.parameters.with_(speed_scale=0.3))
     drive.drive(3.0)
     assert controller.parameters.speed_scale == pytest.approx(0.3)
 
@@ -144,6 +162,17 @@ def test_a_clock_that_is_set_back_resets_the_controller(monkeypatch):
     drive.now = 50.0
     drive.drive(1.0)
     assert resets == [50.0]
+    # Also where the watch or a pose in another frame is the first to notice, and others are told.
+    drive.driver = SupervisedController(
+        drive.driver.controller, drive.driver.supervisor, on_restart=lambda: resets.append("told")
+    )
+    for notice in (drive.driver.supervisor.watch, drive.driver.supervisor.refuse):
+        del resets[:]
+        drive.now -= 20.0
+        notice(drive.now)
+        assert resets == [drive.now, "told"]
+        drive.drive(0.5)
+        assert len(resets) == 2
 
 
 def test_a_pose_that_is_not_trusted_does_not_reach_the_controller(monkeypatch):
@@ -184,6 +213,8 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     controller.adaptation.update = lambda state, angle: sent.append(angle) or update(state, angle)
     steps = drive.drive(1.0)
     drive.driver.supervisor.request_stop("service")
+    steps.append(drive.step(outwards=0.3))
+    assert steps[-1].result.steering_angle > 0.03 + steps[-1].decision.steering_angle
     steps += drive.drive(0.5)
     # The last command goes out before anything is learned from it.
     assert len(sent) == len(steps) - 1

@@ -54,7 +54,7 @@ READERS = {
     ],
 }
 
-# The last value of an option counts; the longest beginning of a command.
+# These options replace those of the command; the longest beginning of a command counts.
 ON_THE_RING = ["--conditions", "ring.yaml", "--vehicle", "nuc4", "--jobs", "1"]
 RACED_ON_THE_RING = [*ON_THE_RING, "--no-tuning", "--laps", "1"]
 ON_A_SMALL_GRID = ["--grid", "grid.yaml", "--jobs", "1"]
@@ -270,8 +270,18 @@ def run(line, folder, shorter=True):
         words += sorted(glob(name)) if "*" in name else [name]
     if shorter:
         beginnings = (" ".join(words[:count]) for count in (3, 2, 1))
-        words += next((SHORTER[begin] for begin in beginnings if begin in SHORTER), ())
+        words = replaced(words, next((SHORTER[b] for b in beginnings if b in SHORTER), []))
     assert main(words) == 0, line
+
+
+def replaced(words, options):
+    """Words with options of which each may be said once, in place of what is said there."""
+    ours = {word for word in options if word.startswith("--")}
+    kept, skipping = [], False
+    for word in words:
+        skipping = word in ours or (skipping and not word.startswith("--"))
+        kept += [] if skipping else [word]
+    return [*kept, *options]
 
 
 def demo(folder):

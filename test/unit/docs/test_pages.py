@@ -11,7 +11,7 @@ import pytest
 from pages import PAGES, REPO, anchors, command_lines, name_of, prose
 
 from map_racing.control.parameters import ControllerParameters
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
 
 SOURCE = REPO / "src" / "map_racing"

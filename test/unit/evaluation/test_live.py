@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
-from map_racing.evaluation.live import LapLog, LiveEvaluation
+from map_racing.evaluation.lap_log import LapLog
+from map_racing.evaluation.live import LiveEvaluation
 from map_racing.evaluation.runs import evaluate
 from map_racing.track.findings import NOTE, WARNING, Finding
 
@@ -151,6 +152,25 @@ def test_without_commands_a_pose_waits_no_longer_than_patience(line, drive):
     assert [lap.lap.lap for lap in taken.laps] == [0, 1, 2]
     assert taken.laps[1].lap.speed_reference == "raceline"
     assert taken.evaluation.deadline is None
+
+
+def test_commands_that_come_too_late_are_told(line, drive):
+    _, poses, commands = drive
+    stalled = slice(len(poses) // 2, len(poses) // 2 + 4)
+    taken = Taken(line, patience=0.5)
+    play(taken, poses[: stalled.start], commands)
+    for pose in poses[stalled]:
+        taken.evaluation.add_pose(*pose, 7.0)
+    taken.evaluation.advance(7.6)
+    late = {pose[0] for pose in poses[stalled]}
+    for command in commands:
+        if command[0] in late:
+            taken.evaluation.add_command(*command)
+    play(taken, poses[stalled.stop :], commands)
+    taken.evaluation.finish()
+    said = [any("more than 0.5 s after" in text for text in lap.warnings) for lap in taken.laps]
+    # The doubt is that of the run.
+    assert said == [False, False, True, True]
 
 
 @pytest.mark.parametrize("early", [0, 5])

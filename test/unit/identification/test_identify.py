@@ -14,7 +14,8 @@ from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.car import identify_car
 from map_racing.identification.car_report import car_data, car_text, provenance
-from map_racing.identification.data import Signal, load_channel_map, load_run
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.data import Signal, load_run
 from map_racing.identification.identify import identify, leave_one_out, predict, steady_acceleration
 from map_racing.identification.limits import SteadyLimits
 from map_racing.identification.report import (
@@ -28,7 +29,7 @@ from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag
 from map_racing.track.files.load import load_raceline
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import Vehicle, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 from map_racing.vehicle.tires import LinearTire, PacejkaTire
@@ -133,6 +134,13 @@ def test_what_is_returned(found, ramps):
     largest = ramps.true.mu * ramps.true.front.peak * 9.81
     assert 0.93 * largest < found.largest_a_y < 1.01 * largest
     assert found.friction == found.largest_a_y / 9.81
+    assert found.vehicle.a_lat_max == ramps.base.a_lat_max
+
+
+def test_a_limit_of_the_vehicle_file_is_no_lower_than_what_was_held(found, ramps):
+    limited = identify([ramps.run], dataclasses.replace(ramps.base, a_lat_max=3.0))
+    for car in (limited.vehicle, limited.linear_vehicle):
+        assert car.a_lat_max == pytest.approx(found.largest_a_y)
 
 
 def test_understeer_gradient_is_the_slope_of_the_table(found):

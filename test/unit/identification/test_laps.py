@@ -129,7 +129,9 @@ def test_no_less_grip_than_was_demonstrated(low):
     """A file that promises less than the car did is wrong, determined or not."""
     run, true = low
     slippery = dataclasses.replace(NUC4, mu=0.4)
+    slippery = dataclasses.replace(slippery, a_lat_max=2.0)
     found = tires_from_laps([run], slippery, spreads={"grip": 0.01})
+    assert found.vehicle.a_lat_max == found.largest_a_y > 4.0
     limit = found.vehicle.mu * GRAVITY * found.vehicle.front.peak
     assert limit >= found.largest_a_y * (1.0 - 1e-9)
     assert 0.4 < found.least_friction <= found.vehicle.mu * (1.0 + 1e-9) < 1.05 * true.mu

@@ -9,7 +9,7 @@ import pytest
 
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 from map_racing.errors import FileFormatError, ParameterError
 from map_racing.simulation.car import DrivenCar, Observation, SimulatedCar

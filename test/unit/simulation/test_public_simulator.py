@@ -191,6 +191,32 @@ def test_one_step_of_the_rolling_model_keeps_its_angles():
     assert (plant.yaw_rate - r) / 0.01 == pytest.approx(slopes[1], rel=1e-6)
 
 
+# Step, then x, y, psi, speed, steering angle, yaw rate and slip angle that the code of the public
+# simulator itself computes for the commands below, with steps of 10 ms.
+ITS_OWN = """
+50 0.8929560231297 0.091210434441606272 0.19095288657447315 3.5357114393796047 0.128 \
+    0.78054025626717072 0.0051257020099572236
+400 13.272686727891294 2.9608931309106614 0.36602460971760059 0.16855555222069854 0.096 \
+    -0.056894501995647842 0.037720592893380422
+1000 27.132810200240453 11.275335668696373 0.92263841934369284 3.5843605490972448 -0.064 \
+    -0.64969919765021111 0.00181210653155467
+1500 32.105248341524479 25.818380343375491 1.5527668886019679 4.3200319818585804 -0.096 \
+    -0.71305813087911118 0.020325827144902529
+"""
+
+
+def test_it_moves_as_the_simulators_own_code():
+    """From standstill through both models, drives and brakes, steers both ways."""
+    plant, expected = simulator(), [line.split() for line in ITS_OWN.strip().splitlines()]
+    expected = {int(step): np.array(state, float) for step, *state in expected}
+    for k in range(1, max(expected) + 1):
+        plant.advance(0.12 * math.sin(0.05 * (k - 1)), 4.0 + 3.9 * math.sin(0.013 * (k - 1)))
+        if k in expected:
+            pose = plant.x, plant.y, plant.psi
+            rest = plant.speed, plant.steering_angle, plant.yaw_rate, plant.slip_angle
+            np.testing.assert_allclose(pose + rest, expected[k], rtol=0.0, atol=1e-10)
+
+
 def test_the_recorded_simulator_is_this_one(shared_data):
     """Axle forces from recorded motion: rear tires, load transfer and servo are exactly these.
 

@@ -16,7 +16,7 @@ from map_racing.track.optimization import fastest_line, minimum_curvature, squar
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import raceline_speeds
 from map_racing.track.walls import Walls
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -1,10 +1,12 @@
 """Limits of a vehicle for speed profiles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.limits import speed_limits
-from map_racing.vehicle.lookup import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -20,6 +22,12 @@ def test_scales_and_the_lower_top_speed():
     assert limits["a_brake_max"] == 0.8 * NUC4.a_brake_max
     assert limits["v_max"] == NUC4.v_max
     assert speed_limits(NUC4, table, v_max=3.0)["v_max"] == 3.0
+
+
+def test_a_car_faster_than_any_table():
+    limits, ordinary = speed_limits(replace(NUC4, v_max=120.0)), speed_limits(NUC4)
+    assert limits["v_max"] == 120.0
+    assert limits["a_lat_max"](110.0) == pytest.approx(ordinary["a_lat_max"](15.0), rel=1e-3)
 
 
 def test_power_limits_driving_at_high_speed_only():

@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.vehicle.lookup import (
-    LookupTable,
-    Provenance,
-    default_grid,
-    load_table,
-    published_grid,
-)
+from map_racing.vehicle.grids import default_grid, published_grid
+from map_racing.vehicle.lookup import LookupTable, Provenance, load_table
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -185,6 +180,11 @@ def test_default_grid_has_a_column_every_tenth(v_max):
 def test_default_grid_refuses_impossible_speeds(v_max):
     with pytest.raises(ParameterError, match="^v_max: expected"):
         default_grid(NUC4, v_max)
+
+
+@pytest.mark.parametrize(("v_max", "last"), [(120.0, 100.0), (0.1, 0.2)])
+def test_default_grid_of_a_car_faster_or_slower_than_any_table(v_max, last):
+    assert default_grid(dataclasses.replace(NUC4, v_max=v_max))[0][-1] == last
 
 
 def test_wheelbase_is_recovered_from_a_table_without_provenance():

@@ -10,7 +10,7 @@ from map_racing.control.parameters import (
     load_safety_limits,
     save_controller_parameters,
 )
-from map_racing.control.safety import SafetyLimits
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.control.supervised import build_slowing
 from map_racing.vehicle.parameters import load_vehicle

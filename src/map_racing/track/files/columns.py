@@ -274,6 +274,16 @@ def from_reference_line(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]
     The distances to the walls are measured along the normals of the raceline itself, to the
     polylines at ``ref + n width_right`` and ``ref - n width_left`` for normals to the right; the
     side of the normals is computed, too.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (n,)
+        With ``x_ref y_ref x_normal y_normal alpha`` and perhaps ``d_left d_right`` [m]; changed.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        The same, with ``x y`` in place of the reference line.
     """
     reference = np.stack((columns.pop("x_ref"), columns.pop("y_ref")), axis=1)
     normal = np.stack((columns.pop("x_normal"), columns.pop("y_normal")), axis=1)

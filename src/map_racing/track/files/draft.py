@@ -52,7 +52,13 @@ class Draft:
         return np.stack((self.columns["x"], self.columns["y"]), axis=1)
 
     def keep(self, mask: np.ndarray) -> None:
-        """Drop all points but these."""
+        """Drop all points but these.
+
+        Parameters
+        ----------
+        mask : ndarray of bool, shape (n,)
+            One for each point kept so far.
+        """
         self.columns = {key: column[mask] for key, column in self.columns.items()}
         self.rows = self.rows[mask]
 
