@@ -20,7 +20,6 @@ from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.tires import PacejkaTire
 
-
 # The collector, left as it is, takes a twelfth of the time.
 gc.set_threshold(50000, 20, 20)
 
