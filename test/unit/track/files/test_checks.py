@@ -412,6 +412,14 @@ def test_a_track_that_is_certainly_in_another_unit_is_refused(scale, without):
     assert found.severity == ERROR and "in mm or cm? Name it, as in x [mm]" in found.text
 
 
+@pytest.mark.parametrize("scale, said", [(1.0, False), (10.0, False), (30.0, True)])
+def test_a_track_wider_than_any_is_doubted(scale, said):
+    """Shorter than two kilometers, without speeds: a small hall in centimeters."""
+    lengths = ("x", "y", "d_left", "d_right")
+    found = codes(RacelineTable({key: scale * GOOD[key] for key in lengths}))
+    assert ("size" in found) == said
+
+
 def test_a_track_smaller_than_a_car_is_refused():
     tiny = codes(RacelineTable({key: 0.001 * GOOD[key] for key in ("x", "y")}))["unit"]
     assert tiny.severity == ERROR and "shorter than a car" in tiny.text
