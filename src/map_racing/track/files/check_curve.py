@@ -78,6 +78,13 @@ def check_size(draft: Draft) -> None:
         )
         draft.add("size", WARNING, text)
         return
+    wide = 0.0
+    if draft.raceline.d_left is not None:
+        wide = float(np.median(draft.raceline.d_left + draft.raceline.d_right))
+    if wide > WIDEST and not _full_size(draft.raceline):
+        text = f"the track is {wide:.3g} m wide, none is wider than {WIDEST:g} m: is it in meters?"
+        draft.add("size", WARNING, text)
+        return
     needed, speeds = _needed(draft.raceline), draft.raceline.speed
     if not (needed and needed < EASY and np.mean(speeds) > WALKING):
         return

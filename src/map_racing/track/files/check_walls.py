@@ -14,9 +14,10 @@ from .draft import MOST_PLACES, Draft
 
 __all__ = ["check_distances", "check_polygons"]
 
-# Walls are the same as those that a file shows besides if they are no farther away [m]: three real
-# files have 0.02 to 0.05 m, and 0.25 to 1.7 m where the sides of a raceline are exchanged.
-_ELSEWHERE = 0.15
+# Walls farther [m] than the first from those that a file shows besides, in either way, are others;
+# farther than the second, and many times as far as exchanged, they are exchanged. Three real files
+# have 0.02 to 0.06 m, and 0.25 to 1.7 m where the sides of a raceline are exchanged.
+_ELSEWHERE, _APART, _MANY = 0.15, 0.08, 3.0
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 
 
@@ -112,7 +113,7 @@ def _fits_exchanged(line, bounds):
     stated, exchanged = off(line.d_left, line.d_right), off(line.d_right, line.d_left)
     if min(stated, exchanged) > _ELSEWHERE:
         return None
-    return stated > _ELSEWHERE and stated > 3.0 * exchanged
+    return stated > max(_APART, _MANY * exchanged)
 
 
 def _swapped(line):

@@ -359,6 +359,7 @@ def test_errors_leave_out_what_they_spoil():
     assert list(found) == ["turns-back"]
 
 
+@pytest.mark.once
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -409,6 +410,14 @@ def test_a_track_that_is_certainly_in_another_unit_is_refused(scale, without):
         del columns[key]
     found = codes(RacelineTable(columns))["unit"]
     assert found.severity == ERROR and "in mm or cm? Name it, as in x [mm]" in found.text
+
+
+@pytest.mark.parametrize("scale, said", [(1.0, False), (10.0, False), (30.0, True)])
+def test_a_track_wider_than_any_is_doubted(scale, said):
+    """Shorter than two kilometers, without speeds: a small hall in centimeters."""
+    lengths = ("x", "y", "d_left", "d_right")
+    found = codes(RacelineTable({key: scale * GOOD[key] for key in lengths}))
+    assert ("size" in found) == said
 
 
 def test_a_track_smaller_than_a_car_is_refused():
