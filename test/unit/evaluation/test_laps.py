@@ -406,6 +406,8 @@ def test_a_car_that_stood(drive, track, line, stood, counts):
         # Within 5 cm of the place it is for 0.1 s more before and after.
         assert float(seconds) == pytest.approx(stood + 0.2, abs=0.11)
         assert float(place) == pytest.approx(20.0, abs=0.1)
+    longer = LapLimits(max_stop=stood + 0.5)
+    assert run(line, *drive(23.0, s=s), limits=longer).laps[2].valid
 
 
 def test_a_wall_stops_a_car_as_no_brake_does(drive, track, line):
