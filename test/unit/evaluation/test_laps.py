@@ -261,7 +261,9 @@ def test_steps_of_a_fast_car_are_no_jumps_where_its_speed_is_measured():
     assert [lap.valid for lap in run(line, t, x, y, np.full(t.size, 30.0)).laps] == [
         *(False, True, True, False)
     ]
-    assert reasons(run(line, t, x, y))[1] == "jump"
+    # Up to 1.5 times as fast as measured, and no more.
+    for v in (0.0, 15.0):
+        assert reasons(run(line, t, x, y, np.full(t.size, v)))[1] == "jump"
 
 
 def test_laps_too_short_to_brake_in_count():
@@ -627,7 +629,7 @@ def test_samples_that_cannot_be_used_are_passed_over(drive, line):
     for i, row in enumerate(zip(t, x, y)):
         rows.append(row)
         if i % 50 == 0:
-            rows += [row, (row[0], row[1] + 0.2, row[2])]
+            rows += [row, (row[0], row[1] + 5.0, row[2])]
             rows += [(row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
             rows += [(math.nan, row[1], row[2]), (row[0] + 0.001, 1e300, 0.0)]
     assert as_bits(run(line, *np.array(rows).T)) == as_bits(expected)
@@ -690,6 +692,7 @@ def test_bounds_are_possible_parameters(drive, line):
     assert len(run(line, *drive(8.0), sectors=1000).laps[1].sector_times_s) == 1000
     (whole,) = run(line, *drive(8.0), sectors=1).laps[1].sector_times_s
     assert whole == pytest.approx(run(line, *drive(8.0)).laps[1].lap_time_s, nan_ok=True)
+    assert len(run(line, *drive(8.0), start_s=line.length + 0.009).laps) == 3
 
 
 # -- summary ---------------------------------------------------------------------------------------
