@@ -38,6 +38,7 @@ def test_help_of_a_command_shows_its_arguments(capsys, command):
         assert f"usage: map-racing {command} {action}" in own and "--" in own
 
 
+@pytest.mark.once
 def test_help_imports_no_heavy_library():
     code = (
         "import sys\nfrom map_racing.cli import main\n"

@@ -153,6 +153,7 @@ def test_results_of_another_kind_are_not_overwritten(tires, refused):
     assert "holds results of tire-models; choose another" in line
 
 
+@pytest.mark.once
 def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
     """They import the script anew, which must not start it again."""
     script = Path(__file__).resolve().parents[3] / "scripts" / "map-racing"

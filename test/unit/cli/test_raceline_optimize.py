@@ -379,6 +379,7 @@ def test_what_would_take_all_day_is_refused(tmp_path, capsys, unit, width, text)
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.once
 def test_margin_and_step_are_those_of_the_car(tmp_path, capsys):
     source = centerline(
         tmp_path / "circuit.csv",

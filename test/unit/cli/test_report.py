@@ -182,6 +182,7 @@ def test_of_many_laps_the_best_and_those_that_do_not_count_are_listed():
     assert pages._some(laps[:100], 100) == laps[:100]
 
 
+@pytest.mark.once
 def test_each_of_many_runs_is_compared_with_the_fastest(bags, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "_MOST_OTHERS", 1)
     copies = [tmp_path / f"{name}.bag" for name in ("a", "b", "c")]

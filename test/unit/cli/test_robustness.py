@@ -152,6 +152,7 @@ def test_a_grid_of_passenger_cars_is_raced_at_their_size(folder, tmp_path, capsy
     assert controller["m_m"] == load_law("map", load_vehicle("bmw_320i")).m_m
 
 
+@pytest.mark.once
 def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
     small = GRID.replace("generated_seeds: [13]", f"tracks: [{place / 'ring.csv'}]")
@@ -204,6 +205,7 @@ def test_each_track_is_raced_with_each_bump():
     ]
 
 
+@pytest.mark.once
 def test_map_finds_back_to_rough_lines():
     grid = Grid(replace(load_robustness("rough_lines"), tracks=("reference",)))
     results = [execute(job).result for job in grid.jobs("map", load_controller_parameters("map"))]

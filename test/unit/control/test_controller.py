@@ -541,6 +541,7 @@ def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
     assert result.a_lat == pytest.approx(16.0 / 3.0, rel=1e-3)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("direction", np.linspace(0.0, 6.0, 7))
 def test_from_far_outside_it_comes_back_at_walking_pace(direction):
     center = float(np.mean(REFERENCE.x)), float(np.mean(REFERENCE.y))

@@ -29,6 +29,7 @@ from map_racing.experiments import tuning
 from map_racing.identification.data import load_run
 from map_racing.resources import find_config
 from map_racing.simulation.faults import KINDS
+from map_racing.track import speed_profile
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
@@ -331,11 +332,15 @@ def nodes():
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Figures are composed, but not rendered; few pairs are tuned. Other tests do both."""
+    """Figures are composed, but not rendered; few pairs are tuned; speeds are less fine.
+
+    Other tests do all of that.
+    """
     monkeypatch.setattr(Figure, "tight_layout", lambda figure, **_: None)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
     monkeypatch.setattr(tuning, "GRID", range(8, 17, 8))
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
+    monkeypatch.setattr(speed_profile, "_CELL", 0.1)
 
 
 @pytest.fixture(scope="module")

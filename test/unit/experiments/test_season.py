@@ -166,6 +166,7 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
 
 
+@pytest.mark.once
 def test_the_command(bags, tmp_path, capsys):
     output = tmp_path / "season"
     arguments = ["season", str(bags), "--output", str(output), "--jobs", "2"]

@@ -82,6 +82,7 @@ def test_the_line_of_a_symmetric_track_is_symmetric():
         assert max(away) < 0.01
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=6)
 @given(st.floats(0.0, 2.0 * math.pi), st.floats(0.3, 4.0), st.booleans())
 def test_place_size_and_side_do_not_matter(angle, scale, mirror):

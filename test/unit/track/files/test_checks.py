@@ -359,6 +359,7 @@ def test_errors_leave_out_what_they_spoil():
     assert list(found) == ["turns-back"]
 
 
+@pytest.mark.once
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
