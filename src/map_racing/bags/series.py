@@ -248,11 +248,12 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
     low, high = UNIT_QUATERNION
     with np.errstate(invalid="ignore"):
         other = lengths[~((lengths > low) & (lengths < high))]
+        headed = np.all(other > SHORTEST_QUATERNION)
     if other.size:
         notes.append(
             f"{topic}: {other.size} of {lengths.size} quaternions have not the length 1 but "
             f"{np.median(other):.3g}: normalized"
-            + (", no heading without length" if not np.all(other > SHORTEST_QUATERNION) else "")
+            + ("" if headed else ", no heading without length")
         )
 
 

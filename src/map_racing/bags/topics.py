@@ -15,8 +15,10 @@ from .transforms import ComposedPoses, FramePoses, RecordedTransforms
 
 __all__ = [
     "BELIEF_TOPIC",
+    "DIAGNOSTICS_TOPIC",
     "DRIVE_TOPIC",
     "SETTINGS_TOPIC",
+    "STATE",
     "PoseSource",
     "drive_connections",
     "imu_topic",
@@ -29,6 +31,10 @@ BELIEF_TOPIC = "/map_racing/belief"
 """Where the controller says what it believes of the day."""
 SETTINGS_TOPIC = "/map_racing/settings"
 """Where the controller says what it drives with, as text."""
+DIAGNOSTICS_TOPIC = "/diagnostics"
+"""Where nodes say how they are."""
+STATE = ": state"
+"""What follows the node's name in the name of the controller's status there."""
 
 POSE_DECODERS = {
     msg.MD5[msg.ODOMETRY]: msg.decode_odometry,
