@@ -227,6 +227,20 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     assert len(sent) == len(steps)
 
 
+def test_a_pose_that_is_not_trusted_changes_no_angle_that_was_sent():
+    drive, sent = Drive(load_controller_parameters("map_adaptive").with_(speed_scale=1.0)), []
+    controller = drive.driver.controller
+    drive.drive(1.0)
+    controller.learn()
+    controller.adaptation.update = lambda state, angle: sent.append(angle)
+    drive.speed = 6.0
+    last = drive.step().decision.steering_angle
+    stop = drive.driver.step(drive.now, CarState(drive.now, math.nan, *(0.0,) * 5)).decision
+    assert stop.steering_angle < last  # to brake as well
+    controller.learn()
+    assert sent == [last]
+
+
 @pytest.mark.parametrize(("name", "always"), [("map", True), ("pure_pursuit", False)])
 def test_the_grip_is_that_of_the_car_or_of_its_table(name, always):
     parameters, vehicle = load_controller_parameters(name), load_vehicle("nuc4")
@@ -277,3 +291,6 @@ def test_stops_follow_live_tuning():
     assert tuned.grip is grip and tuned.always is fresh.always is False
     assert tuned.bounded(9.0) == fresh.bounded(9.0) == pytest.approx(2.4)
     assert tuned.braking(6.0, 0.02) == fresh.braking(6.0, 0.02)
+    supervisor.slowing = None
+    drive.driver.tune(setup, SafetyLimits())
+    assert supervisor.slowing is None and supervisor.limits == SafetyLimits()

@@ -276,6 +276,9 @@ def test_only_the_rising_branch_is_inverted():
     # nor where it stays as it is
     table = LookupTable([1.0], np.arange(4) / 10.0, np.array([[0.0, 1.0, 1.0, 2.0]]).T)
     assert table.steering(1.0, 1.5) == (pytest.approx(0.2), False)
+    # nor is there a branch at no angle
+    table = LookupTable([1.0], [0.0, 0.1], [[0.2], [1.0]])
+    assert table.steering(1.0, 0.5) == (pytest.approx(0.05), False)
 
 
 def test_a_speed_without_stable_cell_is_as_the_one_before():
