@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.speed_sectors import SpeedSectors
+from ..control.speed_sectors import LARGEST_SCALE, SpeedSectors
 from ..errors import EvaluationError, ParameterError
 from ..vehicle.size import size_of
 from .analysis import RunAnalysis
@@ -277,6 +277,8 @@ class _Heat:
         begin, end = ((points[i] - self.track.start_s) % length for i in (first, following))
         last = (following - 1) % len(points)
         scale = math.floor(1000.0 * driven * factor) / 1000.0
+        if scale > LARGEST_SCALE:
+            scale, why = LARGEST_SCALE, "the largest scale"
         return SectorAdvice(
             name,
             first,
