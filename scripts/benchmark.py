@@ -20,7 +20,7 @@ from pathlib import Path
 from time import perf_counter, process_time
 
 import numpy as np
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 from scipy.integrate import odeint
 
 from map_racing.bags.writer import BagWriter
@@ -39,7 +39,7 @@ from map_racing.simulation.recorded import write_race_bag
 from map_racing.track.files.load import load_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.lookup import published_grid
+from map_racing.vehicle.grids import published_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -52,21 +52,24 @@ EVALUATE = "--evaluate"  # how this program calls itself, to evaluate a bag in a
 SPEED_SCALE = 0.7  # a pace at which the shipped controllers lap the reference track cleanly
 
 
-def main(recording=None):
-    """Run all comparisons and print one table."""
+def main(only=None, recording=None):
+    """Run all comparisons, or one, and print one table."""
     rows, remarks = [], []
     vehicle, raceline = load_vehicle("nuc4"), load_raceline("reference")
     with tempfile.TemporaryDirectory() as folder:
-        for compare in (
-            lambda: compare_table(vehicle),
-            lambda: compare_controller(vehicle, raceline),
-            lambda: compare_adaptation(vehicle, raceline),
-            lambda: compare_recording(vehicle, raceline, Path(folder), recording),
-            lambda: compare_formats(vehicle, raceline, Path(folder)),
-            lambda: compare_hour(raceline, Path(folder)),
-            lambda: compare_season(vehicle, raceline, Path(folder)),
-            lambda: compare_simulation(vehicle, raceline),
-        ):
+        parts = {
+            "table": lambda: compare_table(vehicle),
+            "controller": lambda: compare_controller(vehicle, raceline),
+            "adaptation": lambda: compare_adaptation(vehicle, raceline),
+            "recording": lambda: compare_recording(vehicle, raceline, Path(folder), recording),
+            "formats": lambda: compare_formats(vehicle, raceline, Path(folder)),
+            "hour": lambda: compare_hour(raceline, Path(folder)),
+            "season": lambda: compare_season(vehicle, raceline, Path(folder)),
+            "simulation": lambda: compare_simulation(vehicle, raceline),
+        }
+        if only is not None and only not in parts:
+            sys.exit(f"benchmark: --only: expected one of {', '.join(parts)}, got {only}")
+        for compare in [parts[only]] if only else parts.values():
             more_rows, more_remarks = compare()
             rows += more_rows
             remarks += more_remarks
@@ -226,17 +229,8 @@ def compare_controller(vehicle, raceline):
             for state in states
         )
     )
-    # In turns of five seconds of driving, so that what one program leaves in the caches for the
-    # hardly counts; and each comes as often behind either of the others.
     turn, passes = 200, 8
-    times = [[], [], []]
-    for number in range(passes):
-        order = (0, 1, 2) if number % 2 else (2, 1, 0)
-        for begin in range(0, len(states) - turn + 1, turn):
-            batch = states[begin : begin + turn]
-            for which in order:
-                seconds = timed(step_through, controllers[which], batch)[0]
-                times[which].append(seconds / turn)
+    times = times_in_turns(controllers, states, turn, passes)
     step, naive, dense = (1e6 * statistics.median(seconds) for seconds in times)
     faster = statistics.median(b / a for a, b in zip(times[0], times[1]))
     denser = statistics.median(b / a for a, b in zip(times[0], times[2]))
@@ -265,6 +259,23 @@ def compare_controller(vehicle, raceline):
         f"predicts nor limits the steering rate; its angles are {apart:.3f} rad (RMS) from ours."
     )
     return rows, [remark]
+
+
+def times_in_turns(controllers, states, turn, passes):
+    """Times of a step of each of three controllers [s], one for each turn.
+
+    In turns of five seconds of driving, so that what one program leaves in the caches for the
+    others hardly counts; and each comes as often behind either of the others.
+    """
+    times = [[], [], []]
+    for number in range(passes):
+        order = (0, 1, 2) if number % 2 else (2, 1, 0)
+        for begin in range(0, len(states) - turn + 1, turn):
+            batch = states[begin : begin + turn]
+            for which in order:
+                seconds = timed(step_through, controllers[which], batch)[0]
+                times[which].append(seconds / turn)
+    return times
 
 
 def compare_adaptation(vehicle, raceline):
@@ -402,20 +413,41 @@ def compare_hour(raceline, folder):
     t = np.arange(count) / 100.0
     s = v * t
     x, y = raceline.to_cartesian(s, 0.1 * np.sin(0.7 * s))
-    psi = raceline.sample(s).psi
+    at = raceline.sample(s)
+    columns = (t + 1.0, x, y, at.psi, v * at.kappa)
     with BagWriter(bag, compression="lz4") as writer:
         writer.waypoints(1.0, waypoint_rows(raceline))
-        for row in zip((t + 1.0).tolist(), x.tolist(), y.tolist(), psi.tolist()):
-            writer.odometry(*row, v, 0.0, 0.0)
+        for number, (stamp, *pose, rate) in enumerate(zip(*(c.tolist() for c in columns))):
+            writer.odometry(stamp, *pose, v, 0.0, rate)
+            if number % 2:
+                writer.drive(stamp, 0.32 * rate / v, v)
     figures = run_evaluation(bag)
     seconds, megabytes = figures["seconds"], figures["megabytes"]
+    page, children = folder / "hour.html", resource.getrusage(resource.RUSAGE_CHILDREN)
+    report = ["-m", "map_racing", "report", bag, "--vehicle", "nuc4", "--output", page]
+    begin = perf_counter()
+    subprocess.run([sys.executable, *map(str, report)], stdout=subprocess.DEVNULL, check=True)
+    wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
+    size = 1e-6 * page.stat().st_size
     rows = [
         ("evaluating an hour at 100 Hz", f"{seconds:.1f} s", "", "", "< 15 s", seconds < 15.0),
         ("  peak memory", f"{megabytes:.0f} MB", "", "", "< 500 MB", megabytes < 500.0),
+        (
+            "report of that hour",
+            f"{spent:.1f} s",
+            f"{wall:.1f} s (wall)",
+            "",
+            "< 30 s",
+            spent < 30.0,
+        ),
+        ("  its page", f"{size:.2f} MB", "", "", "< 6 MB", size < 6.0),
     ]
     remark = (
-        f"hour: {figures['samples']} odometry messages made for it, {figures['laps']} laps; peak "
-        "memory is that of the whole process, libraries and traces for the figures included."
+        f"hour: {figures['samples']} odometry messages and half as many commands made for it, "
+        f"{figures['laps']} laps; peak "
+        "memory is that of the whole process, libraries and traces for the figures included. The "
+        "report is a program of its own, from its start to the page."
     )
     return rows, [remark]
 
@@ -458,7 +490,7 @@ def evaluated(bag):
     return evaluate(recording, recorded_raceline(recording))
 
 
-def compare_season(vehicle, raceline, folder, count=80, rounds=3):
+def compare_season(vehicle, raceline, folder, count=240, rounds=3):
     """All bags of a season on a local Dask cluster, with twice as many workers each time."""
     bags = folder / "season"
     bags.mkdir()
@@ -469,9 +501,13 @@ def compare_season(vehicle, raceline, folder, count=80, rounds=3):
     cores = len(os.sched_getaffinity(0))
     numbers = [2**k for k in range(cores.bit_length()) if 2**k <= cores]
     times = {workers: math.inf for workers in numbers}
+    beside, here = 0.0, 0.0
     for _ in range(rounds):
         for workers in numbers:
-            times[workers] = min(times[workers], timed_season(find_bags([bags]), workers))
+            seconds, own, others = timed_season(find_bags([bags]), workers)
+            times[workers] = min(times[workers], seconds)
+            if workers > 1:
+                here, beside = here + own, beside + others
     rows = []
     for workers, seconds in times.items():
         before = times.get(workers // 2)
@@ -487,25 +523,30 @@ def compare_season(vehicle, raceline, folder, count=80, rounds=3):
         )
     remark = (
         "season: wall time on a local Dask cluster with one thread a worker, in turns, the best of "
-        f"{rounds}; 1,000 bags in 3 minutes on two cores are 0.36 s a bag and core. Other load on "
-        "the machine counts here."
+        f"{rounds}, from the first bag to the table; the workers run and have evaluated a bag "
+        "each before. 1,000 bags in 3 minutes on two cores are 0.36 s a bag and core. Other load "
+        "on the machine counts here"
     )
+    if beside:
+        remark += (
+            f"; scheduler and table take {100.0 * here / (here + beside):.0f} % of the processor "
+            "time, also of the cores of the workers."
+        )
     return rows, [remark]
 
 
 def timed_season(bags, workers):
-    """Seconds for a season on a cluster of its own."""
+    """Seconds for a season on a cluster of its own; processor time here, and of its workers [s]."""
     options = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
-    with LocalCluster(**options) as cluster, open_executor(scheduler=cluster.scheduler_address) as (
-        executor,
-        capacity,
-    ), tempfile.TemporaryDirectory() as folder:
-        # Workers import the package for their first bags.
-        first, rest = Path(folder) / "first", Path(folder) / "all"
-        evaluate_season(bags[: 4 * workers], first, BagOptions(), executor, capacity)
-        begin = perf_counter()
-        evaluate_season(bags, rest, BagOptions(), executor, capacity)
-        return perf_counter() - begin
+    with LocalCluster(**options) as cluster, Client(cluster) as client, open_executor(
+        scheduler=cluster.scheduler_address
+    ) as (executor, capacity), tempfile.TemporaryDirectory() as folder:
+        client.run(evaluated, bags[0])  # each worker imports the package, and opens a bag
+        before = sum(client.run(process_time).values())
+        own, begin = process_time(), perf_counter()
+        evaluate_season(bags, Path(folder) / "season", BagOptions(), executor, capacity)
+        seconds, own = perf_counter() - begin, process_time() - own
+        return seconds, own, sum(client.run(process_time).values()) - before
 
 
 # -- simulation ----------------------------------------------------------------------------------
@@ -542,5 +583,7 @@ def compare_simulation(vehicle, raceline):
 if __name__ == "__main__":
     if sys.argv[1:2] == [EVALUATE]:
         evaluate_bag(sys.argv[2])
+    elif sys.argv[1:2] == ["--only"]:
+        main(*sys.argv[2:4])
     else:
-        main(*sys.argv[1:2])
+        main(None, *sys.argv[1:2])

@@ -86,10 +86,12 @@
     if (others.length) {
       state.b = lapOf(others[0], data.runs[others[0]].best);
     } else {
-      // The median lap against the best one.
-      const run = data.runs[first], whole = run.laps.map((_, k) => k)
+      // The median lap against the best one; one that does not count only if no other does.
+      const run = data.runs[first];
+      let whole = run.laps.map((_, k) => k)
         .filter((k) => run.laps[k].time !== null && k !== run.best)
         .sort((i, j) => run.laps[i].time - run.laps[j].time);
+      if (whole.some((k) => run.laps[k].valid)) whole = whole.filter((k) => run.laps[k].valid);
       state.b = state.a;
       if (whole.length) state.a = lapOf(first, whole[Math.floor((whole.length - 1) / 2)]);
     }
@@ -217,18 +219,28 @@
     const a = state.a, track = a.track;
     say(1, [track.speed && [GRAY, "-- raceline"], planned[a.run] && [PURPLE, "-· asked for"],
       known(a.v_command) && ["#2b7fb0", "— commanded"], track.grip && [GREEN, "··· within the grip"]]);
-    say(2, [track.left && [INK, "— walls"]]);
+    if (track.left) {
+      say(2, [[INK, nearestWall() < deviationShown() ? "— walls" : "the walls are farther away"]]);
+    }
     say(3, [known(a.steering_table) && [GREEN, "··· what the table has for this turning"]]);
     say(4, [a.limit && [GREEN, "··· limit of the tires"]]);
   }
 
   const options = { displayModeBar: false, responsive: true, doubleClick: "reset", scrollZoom: false };
 
+  const nearestWall = () => Math.min(...state.a.track.left.concat(state.a.track.right)
+    .filter((x) => x !== null));
+
+  // Deviations up to this are shown: with the nearest wall, unless that flattened the line.
+  function deviationShown() {
+    const d = state.a.d.concat(state.b.d).filter((x) => x !== null);
+    const most = Math.max(0.1, ...d.map(Math.abs));
+    const wall = state.a.track.left ? 1.3 * nearestWall() : 0;
+    return wall < 5 * most ? Math.max(1.6 * most, wall) : 1.6 * most;
+  }
+
   function fit(result) {
-    // Deviation: walls far away would flatten the line.
-    const a = state.a.d.concat(state.b.d).filter((x) => x !== null);
-    const most = Math.max(0.1, ...a.map(Math.abs));
-    result.yaxis3.range = [-1.6 * most, 1.6 * most];
+    result.yaxis3.range = [-deviationShown(), deviationShown()];
     const asked = state.a.a_lat.concat(state.b.a_lat).filter((x) => x !== null).map(Math.abs);
     if (asked.length) {
       const least = state.a.limit ? Math.min(...state.a.limit.filter((x) => x !== null)) : 0;
@@ -375,7 +387,7 @@
           y.push(up * (up > 0 ? limit.drive : limit.brake));
         }
         found.push({ type: "scatter", mode: "lines", x, y, hoverinfo: "skip",
-          name: same ? "limit of the tires" : "limit at " + v.toFixed(1) + " m/s",
+          name: same ? "limit" : "limit at " + v.toFixed(1) + " m/s",
           line: { color: GREEN, width: 1.6, dash: ["dot", "dash", "solid"][i] } });
       });
     }

@@ -154,8 +154,8 @@ def write_json(path: str | Path, content: object, indent: int | None = 1) -> Non
         If the file cannot be written.
     """
     with replacing(path) as file:
-        json.dump(for_json(content), file, indent=indent, allow_nan=False)
-        file.write("\n")
+        # In one piece, which takes a tenth of the time of json.dump without indentation.
+        file.write(json.dumps(for_json(content), indent=indent, allow_nan=False) + "\n")
 
 
 def for_json(content: object) -> object:

@@ -57,6 +57,8 @@ class Columns(NamedTuple):
     units : dict of str to str
         Of `UNITS`, from a row of units below the names or in brackets behind them; empty where the
         file does not say.
+    words : list of str
+        Cells of the column of words that was asked for, of each row; empty without one.
     """
 
     values: dict
@@ -64,12 +66,14 @@ class Columns(NamedTuple):
     lines: list
     notes: list
     units: dict
+    words: list = []
 
 
 def read_columns(
     path: str | Path,
     locate: Callable[[list[str]], dict[str, int]],
     unnamed: Mapping[int, Sequence[str]] | None = None,
+    word: Callable[[list[str]], int | None] | None = None,
 ) -> Columns:
     """Read some columns of a CSV file, which may be gzipped.
 
@@ -86,6 +90,8 @@ def read_columns(
         it has in the result.
     unnamed : dict of int to sequence of str, optional
         Names of the columns of a file without names, by their number.
+    word : callable, optional
+        Given the names, returns the index of a column of words to read besides, or None.
 
     Returns
     -------
@@ -100,6 +106,9 @@ def read_columns(
         names, rows = _split_header(path, file, unnamed or {})
         where = locate(names)
         units, rows = _split_units(rows, len(names))
+        words, index = {}, word(names) if word else None
+        if index is not None:
+            rows = _keeping(words, index, rows)
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
     units = units or [_unit_of(name) for name in names]
@@ -107,7 +116,8 @@ def read_columns(
     for key, name in named.items():
         if key not in stated and units[where[key]]:
             notes.append(f"warning: column {name}: the unit is not understood: taken as SI")
-    return Columns(dict(zip(where, table.T)), named, lines, notes, stated)
+    said = [words.get(line, "") for line in lines] if words else []
+    return Columns(dict(zip(where, table.T)), named, lines, notes, stated, said)
 
 
 @contextmanager
@@ -124,7 +134,8 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read: {reason}") from None
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path}: expected UTF-8 text") from None
+        hint = " inside of gzip (bags are read unpacked)" if zipped else ""
+        raise FileFormatError(f"{path}: expected UTF-8 text{hint}") from None
 
 
 def _split_header(path, file, unnamed):
@@ -178,6 +189,14 @@ def _split_units(rows, count):
     if len(units) == count and any(units) and all(unit in UNITS for unit in units if unit):
         return units, rows
     return None, chain([first], rows)
+
+
+def _keeping(words, index, rows):
+    """Rows as they are, while the cells of one column are kept by the number of the line."""
+    for number, cells in rows:
+        if index < len(cells):
+            words[number] = cells[index].strip().strip('"')
+        yield number, cells
 
 
 def _delimiter(line):

@@ -9,7 +9,7 @@ from map_racing.msg import Belief
 
 from map_racing.control.adaptation import PRIOR
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -64,7 +64,7 @@ def test_a_race_on_python_38(ros, start, listen, car_python, environment):
         start("controller", {"speed_scale": 0.7}, **options),
         start("lookahead_visualizer", **options),
         start("steering_ramp", remaps={"drive": "unused"}, **options),
-        start("simulator", {"clock_rate": 3.0, "lockstep": True}, **options),
+        start("simulator", {"clock_rate": 8.0, "lockstep": True}, **options),
     ]
     lap = inbox.wait(lambda lap: lap.laps_completed == 1, 60.0)
     assert lap.lap_time_s == pytest.approx(8.98, rel=0.01)

@@ -117,7 +117,7 @@ def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path)
     publisher.publish(a_map())
     track = tmp_path / "elsewhere.csv"
     save_raceline(elsewhere(), track, "map_racing")
-    pace = {"speed_scale": 0.8, "clock_rate": 4, "lockstep": "true"}
+    pace = {"speed_scale": 0.8, "clock_rate": 8, "lockstep": "true"}
     race = launch("simulate.launch", rviz="true", track=track, **pace)
     listen("/lap_result", LapResult).wait(lambda lap: lap.valid, 120.0, "a lap")
     path = tmp_path / "rviz.png"

@@ -20,6 +20,9 @@ from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.tires import PacejkaTire
 
+# The collector, left as it is, takes a twelfth of the time.
+gc.set_threshold(50000, 20, 20)
+
 
 def pytest_collection_finish():
     """What has been imported stays: the collector need not go through it again and again."""
@@ -91,6 +94,22 @@ def race_bag(tmp_path_factory, track):
         return made[compression]
 
     return make
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ramps_once():
+    """Drive the ramps that experiments identify a car on once for each car and seed."""
+    driven = {}
+
+    def drive(*arguments):
+        key = repr(arguments)
+        if key not in driven:
+            driven[key] = drive_ramps(*arguments)
+        return list(driven[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("map_racing.experiments.identification_day.drive_ramps", drive)
+        yield
 
 
 SPEEDS = (2.0, 3.0, 4.0)

@@ -71,6 +71,7 @@ def test_the_list_of_rooms_is_in_order():
         above.add(room)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_run_one_way(path):
     inside = path.relative_to(PACKAGE).parts
@@ -94,6 +95,7 @@ def test_imports_run_one_way(path):
             assert target in allowed, name
 
 
+@pytest.mark.once
 def test_all_but_the_nodes_runs_without_ros():
     """Import every module in a process in which ROS cannot be imported."""
     names = []

@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import layouts
 import pytest
@@ -55,6 +56,27 @@ def test_foxglove_has_a_place_for_each_panel():
         return panels(part["first"]) + panels(part["second"])
 
     assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
+    kinds = {name.split("!")[0] for name in layout["configById"]}
+    assert kinds == {"3D", "Plot", "RawMessages", "DiagnosticSummary"}
+    for name, panel in layout["configById"].items():
+        assert name.startswith("Plot!") == ("foxglovePanelTitle" in panel)
+
+
+def test_plotjuggler_splits_into_as_many_places_as_it_says():
+    root = ElementTree.parse(str(layouts.FOLDER / "plotjuggler.xml")).getroot()
+    tabs = root.findall("tabbed_widget[@parent='main_window']/Tab")
+    assert all(tab.get("containers") == str(len(tab.findall("Container"))) == "1" for tab in tabs)
+    for split in root.iter("DockSplitter"):
+        sizes = [float(size) for size in split.get("sizes").split(";")]
+        assert split.get("orientation") in ("-", "|")
+        assert int(split.get("count")) == len(sizes) == len(list(split))
+        assert sum(sizes) == pytest.approx(1.0)
+        for area in split.findall("DockArea"):
+            assert area.find("plot").get("mode") in ("TimeSeries", "XYPlot")
+    shown = {topic for topic, _ in layouts.plotjuggler()}
+    for plugin in root.iter("plugin"):
+        assert plugin.get("ID") in ("DataLoad ROS bags", "ROS Topic Subscriber")
+        assert set(plugin.find("selected_topics").get("value").split(";")) == shown
 
 
 def test_own_topics_are_those_of_the_nodes():

@@ -31,7 +31,8 @@ from map_racing.evaluation.recordings import load_recording, recorded_runs
 from map_racing.evaluation.runs import evaluate
 from map_racing.experiments.conditions import load_conditions
 from map_racing.experiments.robustness import Robustness
-from map_racing.identification.data import load_channel_map, load_run
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.data import load_run
 from map_racing.resources import config_directory
 from map_racing.simulation.faults import load_faults
 from map_racing.simulation.plants import load_plant

@@ -18,6 +18,7 @@ __all__ = [
     "LONGEST_LAG_S",
     "Clock",
     "lag_of_effect",
+    "rate_note",
     "stamps_are_unusable",
 ]
 
@@ -48,6 +49,11 @@ _SECOND = 10**9
 _FUTURE = 2 * 10**7
 # If the lags spread by more [ns] around their median, the offset of the clocks is not constant.
 _STEADY = 5 * 10**7
+# So many [share] are farther from the median than any latency only if the clock was set meanwhile.
+_STRAYED = 0.1
+# Clocks of computers do not differ in rate by so much; drift shows in runs of such a length [ns].
+# A recorder that stalls makes no even drift over so many parts.
+_RATE, _LONG_RUN, _PARTS = 0.003, 10 * 10**9, 20
 # A step of the stamps [ns] that time itself did not make, and samples on both sides that show it.
 _STEP, _AROUND = 2 * 10**8, 50
 # Steps that are looked at; stamps that jump more often are of no clock.
@@ -120,12 +126,19 @@ class Clock(NamedTuple):
         offset = int(np.median(apart))
         ahead, sound = sorted((np.median(lag), np.median(expected)))
         impossible = ahead < -_FUTURE and abs(sound) <= _FUTURE
-        if -LATENCY_NS <= offset <= delay_ns and not impossible:
+        # What a recorder that stalled received all at once tells nothing.
+        past = np.diff(received)
+        alone = np.append(True, past > _SAME * np.sum(past) / received.size)
+        strayed = np.mean(np.abs(apart - offset)[alone] > LATENCY_NS) > _STRAYED
+        if -LATENCY_NS <= offset <= delay_ns and not impossible and not strayed:
             return stamps
         steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
+        where = f", {_seconds(offset)} than the poses'"
+        if strayed and abs(offset) < LATENCY_NS:
+            where = " than the poses' for a part of the time"
         notes.append(
-            f"warning: {topic}: the stamps are from another clock, {_seconds(offset)} than the "
-            "poses'" + (": shifted" if steady else ", and not steadily: times of receipt used")
+            f"warning: {topic}: the stamps are from another clock{where}"
+            + (": shifted" if steady else ", and not steadily: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
@@ -151,7 +164,9 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
     if stamps.size < 10 or np.any(np.diff(received) < 0):
         return None
     ahead, past = np.diff(stamps), np.diff(received)
-    fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in (past, ahead))
+    # Messages that came in another order than they were stamped in have fine stamps.
+    sizes = (past, np.diff(np.sort(stamps)))
+    fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in sizes)
     if fine > _FINE * past.size and coarse < _COARSE * ahead.size:
         return "header stamps are too coarse, with several messages on each"
     # Time was set forward, or back by so little that it might pass for transport.
@@ -171,6 +186,26 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
             way = "ahead" if step > 0.0 else "back"
             return f"header stamps jump {way} by {abs(step) / _SECOND:.1f} s"
     return None
+
+
+def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:
+    """Note on stamps that run faster or slower than the times of receipt, or empty.
+
+    As of a simulation that is no real time, or of a bag that was played at another rate.
+    """
+    span = int(received[-1] - received[0]) if received.size > 100 else 0
+    if span < _LONG_RUN or np.any(np.diff(received) < 0) or np.any(np.diff(stamps) < 0):
+        return ""
+    lags = [float(np.median(part)) for part in np.array_split(received - stamps, _PARTS)]
+    slope, first = np.polyfit(np.arange(_PARTS), lags, 1)
+    rate = 1.0 - _PARTS * slope / (span * received.size / (received.size - 1))
+    off = np.abs(slope * np.arange(_PARTS) + first - lags)
+    if abs(rate - 1.0) < _RATE or np.max(off) > abs(slope):
+        return ""
+    return (
+        f"{topic}: {rate:.3f} s of its stamps pass in a second of receipt: lap times are those of "
+        "the stamps"
+    )
 
 
 def lag_of_effect(

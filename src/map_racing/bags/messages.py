@@ -56,6 +56,7 @@ __all__ = [
     "encode_imu",
     "encode_odometry",
     "encode_pose",
+    "encode_status",
     "encode_string",
     "encode_transform",
     "encode_waypoints",
@@ -512,6 +513,12 @@ def encode_waypoints(seq, stamp_ns, frame, rows):
     """
     waypoints = [_WAYPOINT.pack(number, *row) for number, row in enumerate(rows)]
     return b"".join((_header(seq, stamp_ns, frame), _U32.pack(len(waypoints)), *waypoints))
+
+
+def encode_status(seq, stamp_ns, level, name, text, hardware):
+    """``diagnostic_msgs/DiagnosticArray`` of one status without values."""
+    texts = b"".join(encode_string(0, 0, one) for one in (name, text, hardware))
+    return _header(seq, stamp_ns, "") + _U32.pack(1) + bytes([level]) + texts + _U32.pack(0)
 
 
 def encode_string(seq, stamp_ns, text):

@@ -16,6 +16,7 @@ __all__ = ["Source", "is_bag", "open_bag", "source_name"]
 Source = Union[str, Path, Sequence[Union[str, Path]]]
 """A bag, or several that are the parts of one run."""
 
+_ROS1 = b"#ROSBAG "
 # Parts follow each other within this time [ns]; more is said. Longer overlaps are refused, and
 # pauses of an hour.
 _PAUSE_NS, _OTHER_RUN_NS = 10**9, 3600 * 10**9
@@ -39,7 +40,7 @@ def is_bag(path: str | Path) -> bool:
             entry.name.endswith(SUFFIXES) for entry in path.iterdir()
         )
     named = path.name == METADATA or path.name.endswith((".bag", ".active", *SUFFIXES))
-    return named or _begins_with(path, b"#ROSBAG ", *MAGIC)
+    return named or _begins_with(path, _ROS1, *MAGIC)
 
 
 def _begins_with(path, *magic):
@@ -75,7 +76,8 @@ def open_bag(source: Source) -> Bag:
     path = Path(source)
     if path.name == METADATA:
         path = path.parent
-    ros2 = path.is_dir() or path.name.endswith(SUFFIXES) or _begins_with(path, *MAGIC)
+    named = path.name.endswith(SUFFIXES) and not _begins_with(path, _ROS1)
+    ros2 = path.is_dir() or named or _begins_with(path, *MAGIC)
     return Ros2Bag(path) if ros2 else BagFile(source)
 
 

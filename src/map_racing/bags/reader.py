@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import BagError
 from . import messages as msg
-from .clocks import COMMAND_DELAY_NS, stamps_are_unusable
+from .clocks import COMMAND_DELAY_NS, rate_note, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
@@ -104,8 +104,11 @@ def _read(path, bag, source, notes):
         else:
             waypoints.add(message)
     damage = bag.notes()
-    notes += waypoints.notes + damage
+    notes += waypoints.notes + [_as_doubt(note) for note in damage]
     clock = pose.clock(_use_receive_time(path, pose, command, notes))
+    if not clock.use_receipt:
+        note = rate_note(source.topic, *pose.stamps())
+        notes += [note] if note else []
     before = len(notes)
     times, columns = pose.columns(notes, source.topic, clock)
     if times.size < 2:
@@ -166,6 +169,12 @@ def _commands(command, topic, clock, times, notes):
 
 def _moves(recording):
     return max(np.ptp(recording.x), np.ptp(recording.y)) > _STANDS_STILL
+
+
+def _as_doubt(note):
+    """A note on the bag: what is missing in it makes the laps doubtful."""
+    missing = "damaged bag: " in note or "but the index of the bag lists" in note
+    return f"warning: {note}" if missing else note
 
 
 def _use_receive_time(path, pose, command, notes):

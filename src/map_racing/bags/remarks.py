@@ -11,12 +11,12 @@ import numpy as np
 from . import messages as msg
 from .opening import Source, open_bag
 from .samples import Recording
-from .topics import SETTINGS_TOPIC
+from .topics import DIAGNOSTICS_TOPIC, SETTINGS_TOPIC, STATE
 
 __all__ = ["Remarks", "read_remarks"]
 
-# Hardware that the controller of this package names in its diagnostics.
-_HARDWARE = "map_racing"
+# How the message of the controller's status begins.
+_MODES = ("waiting", "driving", "stopping", "stopped")
 
 
 class Remarks(NamedTuple):
@@ -56,7 +56,7 @@ def read_remarks(source: Source, recording: Recording) -> Remarks:
     """
     wanted = {
         (SETTINGS_TOPIC, msg.MD5[msg.STRING]): "settings",
-        ("/diagnostics", msg.MD5[msg.DIAGNOSTICS]): "states",
+        (DIAGNOSTICS_TOPIC, msg.MD5[msg.DIAGNOSTICS]): "states",
     }
     found = {"settings": [], "states": []}
     with open_bag(source) as bag:
@@ -82,7 +82,9 @@ def _state(data):
     """State of the controller in a message of diagnostics; None if it is about something else."""
     _, statuses = msg.decode_diagnostics(data)
     for name, message, hardware in statuses:
-        if hardware == _HARDWARE and name.endswith(": driving"):
+        # Earlier versions named their status and hardware otherwise.
+        ours = name.endswith(STATE) or (name.endswith(": driving") and hardware == "map_racing")
+        if ours and message.split(":")[0] in _MODES:
             return message
     return None
 

@@ -92,16 +92,17 @@ class Ros2Bag(Bag):
         return metadata
 
     def _open(self, path):
+        plain = path  # errors name the file that was given
         try:
             with path.open("rb") as file:
                 magic = file.read(len(SQLITE_MAGIC))
                 if magic.startswith(ZSTD_MAGIC):
                     file.seek(0)
-                    path, magic = self._unpacked(path, file)
+                    plain, magic = self._unpacked(path, file)
             if magic == SQLITE_MAGIC:
-                return SqliteFile(path)
+                return SqliteFile(plain)
             if magic.startswith(MCAP_MAGIC):
-                return McapFile(path)
+                return McapFile(plain)
         except OSError as error:
             raise BagError(f"{path}: cannot read the bag: {error.strerror}") from None
         except SQLITE_ERRORS as error:

@@ -14,10 +14,13 @@ from .samples import in_order, jump_back, usable
 __all__ = ["PoseSeries", "Series", "commands_of_two", "quaternion_note"]
 
 _BATCH = 2048
-# Commands of two nodes: of each block of messages at least this share differs from both neighbors
-# by so much [rad, m/s], while these agree with each other, and many times as much as most do.
-_BLOCK, _SHARE, _ANGLE, _SPEED = 200, 0.075, 0.05, 0.3
+# Commands of two nodes: of a block of messages such a share differs from both neighbors by so much
+# [rad, m/s], while these agree with each other, and many times as much as most do. Of one node, on
+# noisy poses, up to 0.12 of the angles do so, and up to 0.01 of the speeds.
+_BLOCK, _ANGLE, _SPEED = 200, (0.2, 0.05), (0.03, 0.1)
 _AGREE, _MANY, _MOST = 0.2, 5.0, 30.0
+# Or a few leave their neighbors, which hardly differ, by so much [rad, m/s] as no node's own do.
+_FEW, _FAR_ANGLE, _FAR_SPEED = 5, 0.2, 1.0
 # After so long without a message [ns] a node is gone, and another may take its place.
 _SENDER_GONE = 10**9
 
@@ -214,23 +217,7 @@ class PoseSeries(Series):
         self._received = [at for at, keep in zip(self._received, same) if keep]
 
     def columns(self, notes, topic, clock=None):
-        """Samples in strict order of time.
-
-        Parameters
-        ----------
-        notes : list of str
-            Gets a line for each kind of repair.
-        topic : str
-            Name of the poses in the notes.
-        clock : Clock, optional
-
-        Returns
-        -------
-        stamps : ndarray of int, shape (n,)
-            [ns], strictly increasing.
-        columns : list of ndarray, shape (n,)
-            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
-        """
+        """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
         times, columns = super().columns(notes, topic, clock)
         quaternion_note(notes, topic, columns.pop(3))
         for frame, count in self._elsewhere.items():
@@ -261,11 +248,12 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
     low, high = UNIT_QUATERNION
     with np.errstate(invalid="ignore"):
         other = lengths[~((lengths > low) & (lengths < high))]
+        headed = np.all(other > SHORTEST_QUATERNION)
     if other.size:
         notes.append(
             f"{topic}: {other.size} of {lengths.size} quaternions have not the length 1 but "
             f"{np.median(other):.3g}: normalized"
-            + (", no heading without length" if not np.all(other > SHORTEST_QUATERNION) else "")
+            + ("" if headed else ", no heading without length")
         )
 
 
@@ -278,13 +266,26 @@ def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
     angle, speed : ndarray, shape (k,)
         Steering angles [rad] and speeds [m/s], in the order of time.
     """
-    share = max(_to_and_fro(angle, _ANGLE), _to_and_fro(speed, _SPEED))
-    if share < _SHARE:
+    of_angles, of_speeds = _to_and_fro(angle, _ANGLE[1]), _to_and_fro(speed, _SPEED[1])
+    count = max(_far_off(angle, _FAR_ANGLE), _far_off(speed, _FAR_SPEED))
+    if of_angles > _ANGLE[0] or of_speeds > _SPEED[0]:
+        many = f"up to {max(of_angles, of_speeds):.0%}"
+    elif count >= _FEW:
+        many = f"{count}"
+    else:
         return ""
     return (
-        f"{topic}: up to {share:.0%} of the commands are unlike those before and after, which "
-        "agree: of two nodes? All of them count"
+        f"{topic}: {many} of the commands are unlike those before and after, which agree: of two "
+        "nodes? All of them count"
     )
+
+
+def _far_off(values, least):
+    """Number of values that leave both neighbors by more than `least`, while these agree."""
+    steps = np.abs(np.diff(values))
+    away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
+    with np.errstate(invalid="ignore"):
+        return int(np.count_nonzero((away > least) & (across < 0.5 * _AGREE * away)))
 
 
 def _to_and_fro(values, least):

@@ -15,8 +15,10 @@ from .transforms import ComposedPoses, FramePoses, RecordedTransforms
 
 __all__ = [
     "BELIEF_TOPIC",
+    "DIAGNOSTICS_TOPIC",
     "DRIVE_TOPIC",
     "SETTINGS_TOPIC",
+    "STATE",
     "PoseSource",
     "drive_connections",
     "imu_topic",
@@ -29,6 +31,10 @@ BELIEF_TOPIC = "/map_racing/belief"
 """Where the controller says what it believes of the day."""
 SETTINGS_TOPIC = "/map_racing/settings"
 """Where the controller says what it drives with, as text."""
+DIAGNOSTICS_TOPIC = "/diagnostics"
+"""Where nodes say how they are."""
+STATE = ": state"
+"""What follows the node's name in the name of the controller's status there."""
 
 POSE_DECODERS = {
     msg.MD5[msg.ODOMETRY]: msg.decode_odometry,
@@ -39,7 +45,9 @@ _KINDS = {md5: rank for rank, md5 in enumerate(POSE_DECODERS)}
 _KNOWN_IMUS = ("/vesc/sensors/imu/raw", "/sensors/imu/raw", "/imu")
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
-_TRUTH = ("ground_truth", "groundtruth", "gt_pose")
+# Truth that no car knows, and what is not the car.
+_LAST = ("ground_truth", "groundtruth", "gt_pose")
+_LAST += ("goal", "lookahead", "target", "opponent", "opp_", "obstacle")
 # Slower poses [Hz] are goals, initial guesses or rare fixes, not the path of a car.
 _SLOWEST_POSE = 5.0
 
@@ -154,7 +162,7 @@ def _topic_sources(bag):
         count = sum(bag.counts[number] for number in numbers)
         frame, child = frames.get((topic, md5sum), ("", ""))
         doubt = 2 if "frenet" in topic.lower() else int(count < _SLOWEST_POSE * duration)
-        if any(word in topic.lower() for word in _TRUTH):
+        if any(word in topic.lower() for word in _LAST):
             doubt = max(doubt, 1)
         rank = (doubt, _frame_rank(frame), _KINDS[md5sum], _name_rank(topic, _KNOWN_POSES))
         kind = bag.connections[numbers[0]].type

@@ -29,6 +29,14 @@ class _Samples:
 
     def __init__(self):
         self.stamps, self.times, self.values = array("q"), array("q"), array("d")
+        # First and last time of receipt of each sender [ns].
+        self.senders: dict[str, tuple[int, int]] = {}
+
+    def at_once(self):
+        """Names of senders of which none took the place of another."""
+        spans = sorted((span, name) for name, span in self.senders.items())
+        pairs = ((one, other) for one, other in zip(spans, spans[1:]) if other[0][0] < one[0][1])
+        return sorted({name for pair in pairs for _, name in pair})
 
     def columns(self):
         """Stamps, times of receipt, and columns ``x y psi q``."""
@@ -68,6 +76,9 @@ class RecordedTransforms:
                         samples = self._samples[key] = _Samples()
                     samples.stamps.append(transform.stamp_ns or message.time_ns)
                     samples.times.append(message.time_ns)
+                    sender = bag.connections[message.connection].sender
+                    begun, _ = samples.senders.get(sender, (message.time_ns, 0))
+                    samples.senders[sender] = begun, message.time_ns
                     samples.values.extend(transform[3:])
             except struct.error:
                 self._broken += 1
@@ -156,6 +167,12 @@ class RecordedTransforms:
                     f"warning: {what}: the stamps are from another clock, by "
                     f"{abs(offset) * 1e-9:.6g} s: brought to the others by the times of receipt"
                 )
+            senders = [] if static else self._samples[key].at_once()
+            if senders:
+                notes.append(
+                    f"warning: {what}: sent by {len(senders)} nodes at once, {', '.join(senders)}: "
+                    "all of them count"
+                )
             if static and (above, below, False) in self._samples:
                 notes.append(f"{what}: static, and sent by a localization, which counts")
             own = times if received else stamps + offset
@@ -215,13 +232,7 @@ class FramePoses(NamedTuple):
         return self.transforms.jump_back(self.root, self.frame, received)
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps and times of receipt of the link that is sent most often.
-
-        Returns
-        -------
-        stamps, received : ndarray of int, shape (n,)
-            [ns]
-        """
+        """As `Series.stamps`, of the link that is sent most often."""
         links = self.transforms.links(self.root, self.frame)
         return max(links.values(), key=lambda link: link[0].size)
 
@@ -232,23 +243,7 @@ class FramePoses(NamedTuple):
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in strict order of time, without velocities.
-
-        Parameters
-        ----------
-        notes : list of str
-            Gets a line for each kind of repair.
-        topic : str
-            Name of the poses in the notes.
-        clock : Clock
-
-        Returns
-        -------
-        stamps : ndarray of int, shape (n,)
-            [ns], strictly increasing.
-        columns : list of ndarray, shape (n,)
-            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
-        """
+        """As `map_racing.bags.series.Series.columns`: ``x y psi``, and velocities that are NaN."""
         tree = self.transforms.tree(self.root, self.frame, notes, topic, clock.use_receipt)
         times, poses, used = tree.history(self.root, self.frame)
         if len(used) > 1:
@@ -314,23 +309,7 @@ class ComposedPoses:
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Poses in the map in strict order of time.
-
-        Parameters
-        ----------
-        notes : list of str
-            Gets a line for each kind of repair.
-        topic : str
-            Name of the poses in the notes.
-        clock : Clock
-
-        Returns
-        -------
-        stamps : ndarray of int, shape (n,)
-            [ns], strictly increasing.
-        columns : list of ndarray, shape (n,)
-            ``x y psi v_x v_y yaw_rate`` [SI]; NaN where unknown.
-        """
+        """As `map_racing.bags.series.Series.columns`, in the map: ``x y psi v_x v_y yaw_rate``."""
         times, columns = self._poses.columns(notes, topic, clock)
         if not times.size:
             return times, columns

@@ -13,7 +13,7 @@ import lz4.frame
 from ..errors import BagError
 from . import messages as msg
 from .bag import Bag, Message
-from .topics import BELIEF_TOPIC, DRIVE_TOPIC, SETTINGS_TOPIC
+from .topics import BELIEF_TOPIC, DIAGNOSTICS_TOPIC, DRIVE_TOPIC, SETTINGS_TOPIC, STATE
 
 __all__ = ["BagWriter", "copy_bag"]
 
@@ -172,6 +172,11 @@ class BagWriter:
     def text(self, stamp, text, *, topic=SETTINGS_TOPIC, latched=True, received=None):
         """A text as ``std_msgs/String``; it has no stamp of its own."""
         self._write(topic, msg.STRING, stamp, received, msg.encode_string, (text,), latched=latched)
+
+    def state(self, stamp, text, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
+        """State of the controller, as its node has it in its diagnostics."""
+        values = (0 if text == "driving" else 2, f"controller{STATE}", text, hardware)
+        self._write(topic, msg.DIAGNOSTICS, stamp, received, msg.encode_status, values)
 
     def _write(self, topic, kind, stamp, received, encode, values, latched=False):
         entry = self._topics.get(topic)

@@ -34,10 +34,27 @@ COMMANDS = {
 }
 
 
+class _StoreOnce(argparse._StoreAction):
+    """Store the value of an option, which nothing says twice: the first would be lost."""
+
+    given = False
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if self.given and self.option_strings:
+            parser.error(f"argument {'/'.join(self.option_strings)}: expected once, got it again")
+        self.given = True
+        super().__call__(parser, namespace, values, option_string)
+
+
 class _CommandParser(argparse.ArgumentParser):
     """Parser of a command, whose arguments are defined when it is chosen."""
 
     command = None
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        for name in (None, "store"):
+            self.register("action", name, _StoreOnce)
 
     def parse_known_args(self, args=None, namespace=None):
         if self.command:

@@ -30,11 +30,15 @@ def run(arguments):
         print(f"{len(runs)} racelines were driven: advice on the last, {heat.name}")
     advice = advise(heat, arguments.step)
     print(heat.result.source)
+    for note in [*heat.result.notes, *heat.notes]:
+        if note.startswith("warning: "):
+            print(f"  {note}")
     print("\n".join(aligned(advice_table(advice), left=1)), end="\n\n")
     print("\n".join(advice_notes(advice)))
     if arguments.speed_sectors:
         save_speed_sectors(
             arguments.speed_sectors,
+            heat.result.raceline,
             advice.scales(),
             [
                 f"After {heat.name}: lap {advice.driven_s:.3f} s, with these sectors "

@@ -27,7 +27,7 @@ from ..experiments.paper import (
     tire_table,
 )
 from ..experiments.rivals import RIVALS, sensitivity_frame, sensitivity_plan, work_frame
-from ..experiments.robustness import grid_table
+from ..experiments.robustness_tables import grid_table
 from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
 from .session import open_grid, open_session, rival_sessions
 
@@ -99,7 +99,7 @@ def run_tires(arguments: argparse.Namespace) -> None:
         title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
         raceline = session.setting.raceline
         drawn.append(draw_trajectories(session.figures, raceline, rows, title, seed).name)
-    remove_stale(session.figures, "trajectories_seed*.png", drawn)
+    remove_stale(session.figures, r"trajectories_seed\d+\.png", drawn)
     session.report()
 
 
@@ -123,7 +123,7 @@ def run_robustness(arguments):
     for label in controllers:
         own, stem = races[races.controller == label], Path(label).stem
         drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", stem).name)
-    remove_stale(session.figures, "robustness_*.png", drawn)
+    remove_stale(session.figures, r"robustness_.*\.png", drawn)
     session.report()
 
 

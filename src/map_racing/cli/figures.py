@@ -5,7 +5,6 @@ Each function imports what it draws with: matplotlib takes a second, and most ca
 
 from __future__ import annotations
 
-import glob
 import math
 import re
 from pathlib import Path
@@ -61,8 +60,8 @@ def draw_runs(folder: str, names: list[str], results: list) -> None:
         except EvaluationError as error:  # different tracks cannot be compared
             print(f"no difference.png: {error}")
     for name in names:
-        remove_stale(folder, f"{glob.escape(name.replace('/', '_'))}_laps.png", drawn)
-    remove_stale(folder, "difference.png", drawn)
+        remove_stale(folder, re.escape(f"{name.replace('/', '_')}_laps.png"), drawn)
+    remove_stale(folder, r"difference\.png", drawn)
 
 
 def _title(name):
@@ -140,7 +139,7 @@ def draw_identification(folder: str, found, left_out, table) -> None:
         drive = plots.DriveFigure(m.run.label, m.t, m.v_x, m.delta, m.r, m.a_y, m.segments())
         figures.append((f"run_{number}.png", plots.plot_drive, (drive,)))
     _save(folder, figures)
-    remove_stale(folder, "run_*.png", [file_name for file_name, *_ in figures])
+    remove_stale(folder, r"run_\d+\.png", [file_name for file_name, *_ in figures])
 
 
 def _force(tire, load):
@@ -169,7 +168,7 @@ def draw_optimized(folder: str, optimized, middle, walls, image=None) -> Path:
     from ..plots.optimization import plot_optimized
 
     name = f"{optimized.name or 'track'}_optimized.png"
-    return _save(folder, [(name, plot_optimized, (optimized, middle, walls, None, image))])
+    return _save(folder, [(name, plot_optimized, (optimized, middle, walls, image))])
 
 
 def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) -> None:
@@ -214,9 +213,19 @@ def _save(folder, figures):
     return path
 
 
-def remove_stale(folder: str, pattern: str, drawn: list[str]) -> None:
-    """Remove figures of an earlier call that this one did not draw: they show something else."""
-    for path in sorted(Path(folder).glob(pattern)):
-        if path.is_file() and path.name not in drawn:
+def remove_stale(folder: str | Path, pattern: str, drawn: list[str]) -> None:
+    """Remove figures of an earlier call that this one did not draw: they show something else.
+
+    Parameters
+    ----------
+    folder : str
+    pattern : str
+        Regular expression of their whole names, in which nobody else's files fit.
+    drawn : list of str
+        Names of the figures of this call.
+    """
+    for path in sorted(Path(folder).iterdir()):
+        stale = re.fullmatch(pattern, path.name) and path.name not in drawn
+        if stale and path.is_file():
             path.unlink()
             print(f"{path}: removed: left over from an earlier call")

@@ -21,7 +21,7 @@ from ..identification.data import load_run
 from ..identification.identify import leave_one_out
 from ..identification.limits import SteadyLimits
 from ..identification.replay import actuators_of, replay
-from ..vehicle.lookup import default_grid
+from ..vehicle.grids import default_grid
 from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
@@ -36,9 +36,8 @@ def run(arguments: argparse.Namespace) -> None:
     output = Path(arguments.output)
     if output.suffix not in (".yaml", ".yml"):
         raise ParameterError(f"--output: expected a vehicle file (.yaml), got {output}")
-    table_path = output.with_suffix(".csv")
-    outputs = [arguments.output, str(table_path), arguments.linear_output, arguments.json]
-    outputs.append(arguments.controller_output)
+    outputs = [arguments.output, str(_table_path(output)), arguments.linear_output]
+    outputs += [arguments.json, arguments.controller_output]
     recordings = [*arguments.data, *arguments.validate]
     check_outputs(outputs, [*recordings, arguments.vehicle, arguments.channels])
     _check_held_out(arguments)
@@ -65,15 +64,21 @@ def run(arguments: argparse.Namespace) -> None:
         for note in recorded.notes:
             print(f"{recorded.label}: {note}")
     print(car_text(found, left_out, validated))
+    print()
+    _write(arguments, found, left_out, validated)
 
+
+def _write(arguments, found, left_out, validated):
+    """Write vehicle and table, and what else is asked for."""
     if arguments.plots:
         # First: if the folder cannot be made, no other output is left behind.
         make_folder(arguments.plots)
-    print()
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
+    output = Path(arguments.output)
     save_vehicle(found.vehicle, output, provenance(found, validated))
-    table.save(table_path)
-    print(f"vehicle written to {output} ({parameter_hash(found.vehicle)}), table to {table_path}")
+    table.save(_table_path(output))
+    told = parameter_hash(found.vehicle)
+    print(f"vehicle written to {output} ({told}), table to {_table_path(output)}")
     if arguments.linear_output:
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
@@ -85,6 +90,11 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.plots:
         draw_identification(arguments.plots, found.steady, left_out, table)
         print(f"figures are in {arguments.plots}")
+
+
+def _table_path(output):
+    """The lookup table, beside the vehicle file."""
+    return output.with_suffix(".csv")
 
 
 def _check_held_out(arguments):

@@ -7,7 +7,7 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 from ..errors import ParameterError
-from ..identification.data import Channel, ChannelMap, load_channel_map
+from ..identification.channels import Channel, ChannelMap, load_channel_map
 from ..vehicle.parameters import Vehicle, load_vehicle
 
 if TYPE_CHECKING:

@@ -14,8 +14,10 @@ from ..identification.replay import actuators_of, replay, replay_lines
 from ..track.corners import corners
 from ..track.files.load import load_raceline
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
-from ..vehicle.lookup import default_grid, load_table, published_grid
+from ..vehicle.grids import default_grid, published_grid
+from ..vehicle.lookup import load_table
 from ..vehicle.parameters import linearized, parameter_hash
+from ..vehicle.plausibility import doubts_of_peak
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table
 from .inputs import channel_map, read_vehicle
@@ -130,6 +132,8 @@ def _describe(path, table):
         for i in picked
     )
     print(f"  largest lateral acceleration [m/s^2]: {limits}")
+    for doubt in doubts_of_peak(table):
+        print(f"  warning: {doubt}")
 
 
 def _describe_corners(raceline, table):

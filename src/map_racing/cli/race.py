@@ -54,14 +54,8 @@ def run(arguments):
     plant_parameters = read_plant(arguments.plant)
     size = size_of(plant_parameters.vehicle)
     raceline = load_track(arguments.track, LONGEST_LAP * size.length)
-    parameters = load_law(arguments.controller, plant_parameters.vehicle)
-    if size != ONE_TENTH and parameters != load_law(arguments.controller):
-        print(f"{arguments.controller}: for 1:10 cars; {size}")
-    if arguments.speed_scale is not None:
-        parameters = parameters.with_(speed_scale=arguments.speed_scale)
+    parameters = law_for(arguments, plant_parameters, size)
     plant, localization = build_plant(plant_parameters, arguments.seed)
-    if plant_parameters.reference_point != "rear_axle":
-        parameters = parameters.with_(reference_point=plant_parameters.reference_point)
     controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
     supervision = {}
     if arguments.faults:
@@ -78,12 +72,7 @@ def run(arguments):
             progress=show,
             **supervision,
         )
-    for t, reason, again in log.stops():
-        until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
-        print(f"stop at {t:.2f} s: {reason.value}; {until}")
-    for fault in supervision.get("faults", ()):
-        if fault.at_s > log.duration:
-            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+    print_stops(log, supervision.get("faults", ()))
     settings = settings_text(
         controller,
         name=arguments.controller,
@@ -104,6 +93,16 @@ def run(arguments):
     return NOT_COMPLETED
 
 
+def print_stops(log, faults):
+    """Each stop, and the faults that came too late."""
+    for t, reason, again in log.stops():
+        until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
+        print(f"stop at {t:.2f} s: {reason.value}; {until}")
+    for fault in faults:
+        if fault.at_s > log.duration:
+            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+
+
 def load_track(source, longest):
     """The raceline to drive, with its findings printed."""
     raceline = load_raceline(source)
@@ -115,6 +114,18 @@ def load_track(source, longest):
     for finding in raceline.findings:
         print(f"{source}: {finding}")
     return raceline
+
+
+def law_for(arguments, plant_parameters, size):
+    """The controller's parameters as raced on a plant, of a car of this size."""
+    parameters = load_law(arguments.controller, plant_parameters.vehicle)
+    if size != ONE_TENTH and parameters != load_law(arguments.controller):
+        print(f"{arguments.controller}: for 1:10 cars; {size}")
+    if arguments.speed_scale is not None:
+        parameters = parameters.with_(speed_scale=arguments.speed_scale)
+    if plant_parameters.reference_point != "rear_axle":
+        parameters = parameters.with_(reference_point=plant_parameters.reference_point)
+    return parameters
 
 
 def controller_of(arguments, parameters, plant_vehicle, raceline):

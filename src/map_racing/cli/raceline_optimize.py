@@ -45,7 +45,7 @@ MOST_POINTS, WIDEST_M = 20000, 100.0
 def run_optimize(arguments):
     """Optimize, compare, write."""
     outputs = [arguments.output, arguments.middle, arguments.sectors]
-    tracks = [split_source(track or "")[0] for track in (arguments.source, arguments.compare)]
+    tracks = [split_source(track)[0] for track in (arguments.source, *arguments.compare)]
     check_outputs(outputs, [*tracks, arguments.vehicle, arguments.lookup_table])
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
@@ -66,10 +66,11 @@ def run_optimize(arguments):
     track, image = load(arguments, vehicle)
     lines = [(label(track.name, "input", ()), track)]
     clearance = 0.5 * vehicle.width + arguments.margin
-    if arguments.compare:
-        other = load_raceline(arguments.compare)
-        lines.append((label(other.name, "compared", (lines[0][0],)), other))
-        clearance = compared_clearance(arguments.compare, clearance_of(other, track), clearance)
+    for source in arguments.compare:
+        other = load_raceline(source)
+        lines.append((label(other.name, "compared", [name for name, _ in lines]), other))
+    theirs = [clearance_of(other, track) for _, other in lines[1:]]
+    clearance = compared_clearance(arguments.compare, theirs, clearance)
 
     began = time.perf_counter()
     with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
@@ -91,34 +92,43 @@ def run_optimize(arguments):
         middle = with_fastest_speeds(found.reference, limits, arguments.speed_scale)
     except ParameterError:
         middle = found.reference
-    for path, form, line in zip(outputs, forms, (optimized, middle)):
+    write(arguments, forms, optimized, middle)
+    if arguments.plots:
+        path = draw_optimized(arguments.plots, optimized, middle, found.walls, image)
+        print(f"  figure: {path}")
+
+
+def write(arguments, forms, optimized, middle):
+    """Write the lines in their formats, and the sectors."""
+    for path, form, line in zip((arguments.output, arguments.middle), forms, (optimized, middle)):
         if path:
             save_raceline(line, path, form)
             without = "" if line.speed is not None else ", without speeds"
             print(f"{path}: format {form}, {line.n} points{without}")
     if arguments.sectors:
         sectors = corners_and_straights(optimized)
-        save_speed_sectors(arguments.sectors, sectors)
+        save_speed_sectors(arguments.sectors, optimized, sectors)
         print(f"{arguments.sectors}: {len(sectors)} sectors")
-    if arguments.plots:
-        path = draw_optimized(arguments.plots, optimized, middle, found.walls, image)
-        print(f"  figure: {path}")
 
 
 def label(name, other, taken):
-    """Name of a row of the table that is not yet taken."""
-    name = name[:24]
-    return other if not name or name in ("middle", "optimized", *taken) else name
+    """Name of a row of the table that is not yet taken; else `other`, with a number if needed."""
+    taken, name = ("middle", "optimized", *taken), name[:24]
+    others = (other, *(f"{other} {number}" for number in range(2, len(taken))))
+    return next(text for text in (name, *others) if text and text not in taken)
 
 
-def compared_clearance(source, theirs, ours):
-    """Clearance of the search: that of the line to compare with, if a car can have it."""
-    if theirs < 0.01:
-        where = f"{-theirs:.2f} m beyond" if theirs < 0.0 else "at"
-        print(f"  {source} is {where} a wall: the optimized line keeps {ours:.3f} m from the walls")
-        return ours
+def compared_clearance(sources, theirs, ours):
+    """Clearance of the search: the least of the lines to compare with that a car can have."""
+    for source, clearance in zip(sources, theirs):
+        if clearance < 0.01:
+            where = f"{-clearance:.2f} m beyond" if clearance < 0.0 else "at"
+            print(f"  {source} is {where} a wall")
+    possible = [clearance for clearance in theirs if clearance >= 0.01]
+    if theirs and not possible:
+        print(f"  the optimized line keeps {ours:.3f} m from the walls")
     # A millimeter more, so that rounding does not favor our line.
-    return theirs + 1e-3
+    return min(possible) + 1e-3 if possible else ours
 
 
 def tell_slower(lines, times, track, clearance, vehicle):

@@ -85,7 +85,16 @@ def analyses(arguments, delays=False):
                     delays=delays_of(recording, car) if delays and car is not None else None,
                 )
             )
+            found[-1].notes.extend(_other_car(vehicle, settings))
     return found, failed
+
+
+def _other_car(given, settings):
+    """Doubt where the controller drove with another vehicle than the one given, if any."""
+    driven = settings and settings.vehicle
+    if given is None or not driven or given.name == driven.name:
+        return []
+    return [f"warning: --vehicle is {given.name}, but the controller drove with {driven.name}"]
 
 
 def delays_of(recording, vehicle):

@@ -1,12 +1,14 @@
 """``map-racing tune``: the parameters with which a controller follows its tracks closest."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 
 from ..control.parameters import ControllerParameters, save_controller_parameters
 from ..errors import ParameterError
 from ..experiments.campaign import Plan
-from ..experiments.robustness import grid_table
+from ..experiments.robustness_tables import grid_table
 from ..experiments.tuning import ROBUST_STEPS, tune_robust
 from ..files import make_folder
 from ..vehicle.size import size_of
@@ -54,15 +56,11 @@ def run_robust(arguments, controllers):
     session = open_grid(arguments, "tune-robust")
     grid = session.grid
     controllers = named_controllers(arguments.controller, grid.vehicle)
-
-    def steps(label, controller):
-        def jobs_for(candidate):
-            return grid.jobs(label, candidate)
-
-        candidates = yield from tune_robust(jobs_for, controller, size_of(grid.vehicle))
-        return candidates
-
-    plans = [Plan(steps(*each), 6 * len(grid.names)) for each in controllers.items()]
+    size, races = size_of(grid.vehicle), 6 * len(grid.names)
+    plans = [
+        Plan(tune_robust(partial(grid.jobs, label), controller, size), races)
+        for label, controller in controllers.items()
+    ]
     found = dict(zip(controllers, session.carry_out(plans, "tuning")))
     tried, rows = [], []
     folder = make_folder(session.folder / "controllers")
@@ -83,15 +81,7 @@ def run_robust(arguments, controllers):
                 races=candidate.races,
             )
         rows.append({"speed_scale": grid.conditions.speed_scale, **tried[-len(candidates)]})
-        values = best.controller
-        print(
-            f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, slip lookahead "
-            f"{values.slip_lookahead:g}, delay {values.delay_s:g} s, curvature feedforward "
-            f"{values.curvature_feedforward:g}, yaw rate gain {values.yaw_rate_gain_s:g} s, speed "
-            f"lookahead {values.speed_lookahead_s:g} s; all {best.races} races completed, typical "
-            f"RMS error {best.error:.4f} m, worst race {best.worst:.4f} m; "
-            f"{len(candidates)} candidates"
-        )
+        print(_tuned(label, candidates))
         if shares:
             print("\n".join(grid_lines(table)))
     frame = pd.DataFrame(tried)
@@ -100,6 +90,20 @@ def run_robust(arguments, controllers):
     controllers = {label: candidates[0].controller for label, candidates in found.items()}
     session.write(pd.DataFrame(rows), controllers, candidates=frame)
     session.report()
+
+
+def _tuned(label, candidates):
+    """The best of the candidates in words."""
+    best = candidates[0]
+    values = best.controller
+    return (
+        f"tuned {label}: L_d = {values.m_m:g} m + {values.q_s:g} s v, slip lookahead "
+        f"{values.slip_lookahead:g}, delay {values.delay_s:g} s, curvature feedforward "
+        f"{values.curvature_feedforward:g}, yaw rate gain {values.yaw_rate_gain_s:g} s, speed "
+        f"lookahead {values.speed_lookahead_s:g} s; all {best.races} races completed, typical "
+        f"RMS error {best.error:.4f} m, worst race {best.worst:.4f} m; "
+        f"{len(candidates)} candidates"
+    )
 
 
 def _values(controller):

@@ -15,14 +15,14 @@ What the controller drives with follows from that belief with caution, see `Adap
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from .. import __version__
 from ..vehicle.parameters import parameter_hash, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tire_steering import TireSteering
+from .belief import Belief
 
-__all__ = ["Adaptation", "Belief"]
+__all__ = ["Adaptation"]
 
 # Standard deviations of the prior: logarithms of friction, front and rear stiffness; dead time and
 # lag [s]. The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %;
@@ -65,45 +65,6 @@ RISE, NEAR = 0.03, 0.7
 DELAY_RATE = 0.01
 # The steering map follows when a factor has changed by more than this share of its deviation.
 NOTABLE = 0.25
-
-
-class Belief(NamedTuple):
-    """What is believed of the day; the message ``Belief`` has the same numbers.
-
-    ``low`` and ``high`` are the ends of an interval of 95 %.
-
-    Parameters
-    ----------
-    friction, friction_low, friction_high : float
-        Friction coefficient relative to the vehicle file's.
-    front_stiffness, front_stiffness_low, front_stiffness_high : float
-        Cornering stiffness of the front axle relative to the file's, at equal friction.
-    rear_stiffness, rear_stiffness_low, rear_stiffness_high : float
-        The same of the rear axle.
-    delay, delay_low, delay_high : float
-        Age of a pose when it is used, plus dead time and lag of the steering [s].
-    grip : float
-        Lateral limit that the speeds use, relative to the vehicle file's.
-    """
-
-    friction: float
-    friction_low: float
-    friction_high: float
-    front_stiffness: float
-    front_stiffness_low: float
-    front_stiffness_high: float
-    rear_stiffness: float
-    rear_stiffness_low: float
-    rear_stiffness_high: float
-    delay: float
-    delay_low: float
-    delay_high: float
-    grip: float
-
-    @property
-    def factors(self):
-        """Factors on friction, front and rear stiffness."""
-        return self.friction, self.front_stiffness, self.rear_stiffness
 
 
 _QUANTILE = 1.96  # of a normal distribution, for 95 %

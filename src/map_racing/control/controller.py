@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
 from .adaptation import Adaptation
-from .grip_guard import GripGuard
 from .guidance import bearing, lateral_acceleration, missing_curvature
+from .setup import Setup
 from .sideslip import SideslipEstimate
-from .speed_plan import WALKING_PACE, AdaptiveSpeedPlan, SpeedPlan, requested_speed
+from .speed_plan import WALKING_PACE, requested_speed
 from .state import CarState, predicted
 from .steering import build_steering_maps
 
@@ -106,7 +105,7 @@ class Controller:
     vehicle : Vehicle
         Provides steering limits and geometry.
     raceline : Raceline or None
-        With None every step commands a stop, until :attr:`raceline` is set.
+        With None every step commands a stop, until another one is given, see `change`.
     sectors : SpeedSectors or None
         Speed scales by sector.
     grip : object with ``max_lateral_acceleration(v)``, optional
@@ -125,7 +124,7 @@ class Controller:
         self._estimate_v_y = SideslipEstimate(vehicle, ahead)
         self._behind = vehicle.l_r - ahead
         self._learned = self._setup = self._guard = self._adaptation = self._untaught = None
-        self.apply(self._planned(_Setup(parameters, steering_map, grip, raceline, sectors)))
+        self.apply(self._planned(Setup(parameters, steering_map, grip, raceline, sectors)))
         self.reset()
 
     # -- what it drives with -------------------------------------------------------------------
@@ -176,23 +175,9 @@ class Controller:
             self._follow_belief()
 
     def _planned(self, setup):
-        """A setup with the tracker and the speed plan that go with the rest of it."""
-        parameters, raceline, old = setup.parameters, setup.raceline, self._setup
-        setup = setup._replace(adaptation=self._adaptation_of(parameters))
-        if raceline is None:
-            return setup._replace(tracker=None, plan=None, guard=None)
-        if old is None or raceline is not old.raceline:
-            setup = setup._replace(tracker=RacelineTracker(raceline))
-        if not parameters.grip_use:
-            requested_speed(raceline, parameters)  # an error without speeds
-            return setup._replace(plan=None, guard=None)
-        if old is None or setup.plan is None or _plan_key(setup) != _plan_key(old):
-            kind = SpeedPlan if setup.adaptation is None else AdaptiveSpeedPlan
-            setup = setup._replace(
-                plan=kind(raceline, parameters, setup.limit, setup.sectors),
-                guard=GripGuard(setup.limit, parameters.v_max_mps),
-            )
-        return setup
+        """A setup with all that goes with what is given."""
+        adaptation = self._adaptation_of(setup.parameters)
+        return setup._replace(adaptation=adaptation).planned(self._setup)
 
     def _adaptation_of(self, parameters):
         """What learns the tires, which survives being switched off; None while it is."""
@@ -219,32 +204,24 @@ class Controller:
             self._plan.level = adaptation.grip
             self._guard.level = adaptation.level
 
+    def change(self, **changes):
+        """Prepare and apply `changes` at once."""
+        self.apply(self.prepare(**changes))
+
     @property
     def raceline(self):
-        """The raceline; setting another one restarts tracking, while the steering continues."""
+        """The raceline, or None."""
         return self._raceline
-
-    @raceline.setter
-    def raceline(self, raceline):
-        self.apply(self.prepare(raceline=raceline))
 
     @property
     def parameters(self):
         """The controller's parameters."""
         return self._parameters
 
-    @parameters.setter
-    def parameters(self, parameters):
-        self.apply(self.prepare(parameters=parameters))
-
     @property
     def steering_map(self):
         """The steering map as given; with adaptation a table is replaced by the belief's."""
         return self._setup.steering_map
-
-    @steering_map.setter
-    def steering_map(self, steering_map):
-        self.apply(self.prepare(steering_map=steering_map))
 
     @property
     def adaptation(self):
@@ -278,10 +255,6 @@ class Controller:
     def sectors(self):
         """Speed scales by sector, or None."""
         return self._sectors
-
-    @sectors.setter
-    def sectors(self, sectors):
-        self.apply(self.prepare(sectors=sectors))
 
     @property
     def plan(self):
@@ -467,35 +440,6 @@ class Controller:
         return ControlResult(
             self._last_angle, 0.0, status, state, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN
         )
-
-
-class _Setup(NamedTuple):
-    """All that may change while driving: what is given, and what is worked out from it."""
-
-    parameters: object
-    steering_map: object
-    grip: object
-    raceline: object
-    sectors: object
-    tracker: object = None
-    plan: object = None
-    guard: object = None
-    adaptation: object = None
-
-    @property
-    def limit(self):
-        """What knows the grip."""
-        if self.adaptation is not None:
-            return self.adaptation.file_steering
-        return self.steering_map if self.grip is None else self.grip
-
-
-def _plan_key(setup):
-    """What a speed plan depends on; equal for equal plans."""
-    return (
-        *(id(setup.raceline), id(setup.sectors), id(setup.limit)),
-        *(getattr(setup.parameters, name) for name in SpeedPlan.DEPENDS_ON),
-    )
 
 
 def build_controller(parameters, vehicle, raceline=None, sectors=None):

@@ -24,7 +24,7 @@ from .state import CarState
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["Decision", "Mode", "Reason", "Supervisor"]
+__all__ = ["Decision", "Mode", "Reason", "Supervisor", "state_text"]
 
 # A car that did not move as commanded, or not to where its pose points, rests for this long [s]
 # before it tries again.
@@ -90,6 +90,11 @@ class Decision(NamedTuple):
     reason: Reason
     steering_angle: float
     speed: float
+
+
+def state_text(mode: Mode, reason: Reason) -> str:
+    """Mode and reason as diagnostics and bags have them."""
+    return f"{mode.value}: {reason.value}" if reason.value else mode.value
 
 
 class Supervisor:

@@ -25,6 +25,9 @@ __all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_
 # In a corner the car needs more than this share of the lap's largest lateral acceleration; a sector
 # shorter than this share of the lap belongs to its neighbors.
 _CORNER, _SHORTEST = 0.4, 0.03
+# A sector that begins farther [m] from where its file says is of another raceline.
+_ELSEWHERE = 1.0
+_PLACES = "start_points"
 # Range of the curvature, as a share of the largest, from which a bend all along is an oval.
 _OVAL = 0.1
 
@@ -146,10 +149,11 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
         start, _, scale = sectors.pop(sectors.index(max(sectors)))
         sectors.append((start, raceline.length, scale))
     own = [re.fullmatch(r"Sector(0|[1-9]\d*)", str(key)) for key in content]
+    general = ("global_limit", "n_sectors", _PLACES)
     unknown = [
         str(key)
         for key, sector in zip(content, own)
-        if key not in ("global_limit", "n_sectors") and not (sector and int(sector[1]) < count)
+        if key not in general and not (sector and int(sector[1]) < count)
     ]
     if unknown:
         raise ParameterError(
@@ -162,6 +166,8 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
             f"{path}: the last sector ends at point {last}, the raceline has {len(points)}: are "
             "the sectors of another one?"
         )
+    starts = [int(content[f"Sector{index}"]["start"]) for index in range(count)]
+    doubts += _elsewhere(path, content.get(_PLACES), starts, raceline)
     try:
         return SpeedSectors(sectors, raceline.length, min(1.0, limit), doubts)
     except ParameterError as error:
@@ -205,13 +211,36 @@ def corners_and_straights(raceline: Raceline) -> list:
     return [(a, b - 1, names[int(kind[a])]) for a, b in zip(starts, starts[1:])]
 
 
-def save_speed_sectors(path: str | Path, sectors: list, notes: Iterable[str] = ()) -> None:
-    """Write the public stack's ``speed_scaling.yaml``.
+def _elsewhere(path, places, starts, raceline):
+    """Doubt about sectors that begin elsewhere on their own raceline, as the file says."""
+    if places is None:
+        return []
+    listed = isinstance(places, list) and all(isinstance(p, list) and len(p) == 2 for p in places)
+    if not (listed and len(places) == len(starts)):
+        raise ParameterError(f"{path}: {_PLACES}: expected x and y of the start of each sector")
+    places = np.array([[finite(f"{path}: {_PLACES}", v) for v in place] for place in places])
+    at = raceline.sample(raceline.s_points[np.minimum(starts, raceline.s_points.size - 1)])
+    for index, (x, y) in enumerate(places):
+        away = math.hypot(at.x[index] - x, at.y[index] - y)
+        if away > _ELSEWHERE:
+            return [
+                f"{path}: Sector{index} begins {away:.1f} m from where it begins on the raceline "
+                "that the sectors were made for: are they of another one?"
+            ]
+    return []
+
+
+def save_speed_sectors(
+    path: str | Path, raceline: Raceline, sectors: list, notes: Iterable[str] = ()
+) -> None:
+    """Write the public stack's ``speed_scaling.yaml``, and where each sector begins.
 
     Parameters
     ----------
     path : str or pathlib.Path
         Replaced in one step if it exists.
+    raceline : Raceline
+        Whose points the sectors count.
     sectors : list of (int, int, str) or (int, int, str, float)
         As from `corners_and_straights`, with a scale or with 1; the words become comments.
     notes : iterable of str, optional
@@ -234,6 +263,9 @@ def save_speed_sectors(path: str | Path, sectors: list, notes: Iterable[str] = (
             "  only_FTG: false",
             "  no_FTG: false",
         ]
+    at = raceline.sample(raceline.s_points)
+    places = ", ".join(f"[{at.x[start]:.2f}, {at.y[start]:.2f}]" for start, *_ in rows)
+    lines.append(f"{_PLACES}: [{places}]")
     with replacing(path) as file:
         file.write("\n".join(lines) + "\n")
 

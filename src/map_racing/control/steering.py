@@ -15,7 +15,7 @@ import math
 from functools import lru_cache
 
 from ..errors import ParameterError
-from ..vehicle.lookup import default_grid
+from ..vehicle.grids import default_grid
 from ..vehicle.parameters import linearized
 from ..vehicle.steady_state import steady_state_table
 

@@ -91,7 +91,7 @@ class SupervisedController:
             return
         try:
             waiting, self._waiting = self._waiting, None
-            self.controller.apply(self.controller.prepare(**waiting))
+            self.controller.change(**waiting)
             self.supervisor.raceline_changed(True)
             self._on_raceline()
         finally:

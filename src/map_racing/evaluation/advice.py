@@ -164,8 +164,12 @@ def _check(run):
         raise EvaluationError(f"{source}: no advice: the car is not known, give --vehicle")
     if run.profile.track.speed is None:
         raise EvaluationError(f"{source}: no advice: the raceline has no speeds to scale")
+    if not any(profile.lap.valid for profile in run.profile.laps):
+        reasons = "; ".join(dict.fromkeys(p.lap.reason for p in run.profile.counted))
+        raise EvaluationError(f"{source}: no advice: no lap counts ({reasons})")
     if not np.isfinite(run.profile.mean("a_lat")).all():
-        raise EvaluationError(f"{source}: no advice: neither yaw rate nor heading is known")
+        why = "; ".join(run.profile.notes) or "neither yaw rate nor heading is known"
+        raise EvaluationError(f"{source}: no advice: {why.replace('warning: ', '')}")
 
 
 class _Heat:
@@ -237,7 +241,7 @@ class _Heat:
             begin = int(np.argmin(np.abs(self.s - corner.begin)))
             length = (corner.end - corner.begin) % self.track.length or self.track.length
             cells = (begin + np.arange(max(int(round(length / self.ds)), 1))) % self.s.size
-            bent = np.flatnonzero(self.use[cells] > _BENT * self.use[cells].max())[-1] + 1
+            bent = np.flatnonzero(self.use[cells] >= _BENT * self.use[cells].max())[-1] + 1
             name = corner.name or "whole lap"
             found.setdefault(self._point(corner.begin), name)
             if corner.side and (len(cells) - bent) * self.ds > _SHORTEST * self.size:
@@ -299,7 +303,7 @@ class _Heat:
 
     def reachable(self, sectors):
         """No sector is so fast that the next one's speed is not reached soon after its begin."""
-        brake = self.run.limits.a_brake_max
+        brake = min(self.run.limits.a_brake_max, self.vehicle.a_brake_max)
         found = list(sectors)
         for i in reversed(range(2 * len(found))):
             one, following = found[i % len(found)], found[(i + 1) % len(found)]
@@ -410,7 +414,7 @@ def advice_table(advice: Advice) -> list[list[str]]:
     -------
     list of list of str
     """
-    rows = [["sector", "from", "to", "driven", "next", "bound by", "grip used", "off the line"]]
+    rows = [["sector", "from", "to", "driven", "next", "bound by", "sure grip", "off the line"]]
     rows[0].append("clearance")
     for one in advice.sectors:
         clearance = "" if math.isnan(one.clearance_m) else f"{one.clearance_m:.2f} m"

@@ -123,7 +123,7 @@ def analyze(
         limits,
         None if planned is None else planned(track.s + track.start_s),
         delays,
-        list(settings.notes) if settings is not None else [],
+        [*profile.notes, *(settings.notes if settings is not None else ())],
     )
 
 

@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..bags.samples import Recording
-from ..control.adaptation import PRIOR, Adaptation, Belief
+from ..control.adaptation import PRIOR, Adaptation
+from ..control.belief import Belief
 from ..control.state import CarState
 from ..vehicle.parameters import Vehicle
 from .results import Lap
+from .turning import speed_driven, turning_of
 
 __all__ = ["DayGrip", "grip_of_day"]
 
@@ -86,6 +88,9 @@ def _feed(learner, recording, laps):
     t, commands = recording.t, recording.commands
     if commands is None or not laps:
         return False
+    rate, _ = turning_of(recording)
+    if rate is not recording.yaw_rate or not speed_driven(recording)[1]:
+        return False
     chosen = np.zeros(t.size, dtype=bool)
     for lap in reversed(laps):
         if np.count_nonzero(chosen) >= _MOST_POSES:
@@ -94,10 +99,10 @@ def _feed(learner, recording, laps):
     # The command that answers a pose is the one before the next pose.
     following = np.append(t[1:], t[-1] + 0.02) - 1e-6
     angles = commands.held(following, commands.steering_angle)
-    chosen &= np.isfinite(angles) & np.isfinite(recording.v_x) & np.isfinite(recording.yaw_rate)
+    chosen &= np.isfinite(angles) & np.isfinite(recording.v_x) & np.isfinite(rate)
     index = np.flatnonzero(chosen)[-_MOST_POSES:]
     states = (t, recording.x, recording.y, recording.psi, recording.v_x, recording.v_y)
-    rows = np.column_stack([column[index] for column in (*states, recording.yaw_rate, angles)])
+    rows = np.column_stack([column[index] for column in (*states, rate, angles)])
     for *state, angle in rows.tolist():
         learner.update(CarState(*state), angle)
     return bool(index.size)

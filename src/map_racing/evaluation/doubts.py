@@ -8,6 +8,7 @@ import numpy as np
 
 from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
+from ..bags.series import commands_of_two
 from .results import Lap
 from .speed import speed_of
 
@@ -18,18 +19,24 @@ __all__ = [
     "command_units",
     "frame_warning",
     "speed_warning",
+    "time_jump",
     "uncommanded",
 ]
 
 
-# Poses that alternate between two places do so after an odd and an even number of samples.
-_ODD, _EVEN, _ALIKE, _APART = 7, 8, 0.4, 0.02
+# Poses that alternate between two places do so after an odd and an even number of samples. One
+# that moved by less than this share of the usual step repeats the one before.
+_ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
+# A step in time that is so many times the usual one, and longer by more [s], may be of a clock that
+# was set; so many samples to both sides tell the speed.
+_LONG, _AHEAD, _AROUND = 1.5, 0.05, 10
 # No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
 _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
-# Speed [m/s] of a car that drives; and how far the wheels may be off, typically, as they slip.
-_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.4
+# Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
+# the motion of the poses, and nothing shortens it.
+_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.1
 
 
 def frame_warning(topic: str, frame: str) -> str:
@@ -47,23 +54,26 @@ def frame_warning(topic: str, frame: str) -> str:
     )
 
 
-def alternation(topic: str, x: np.ndarray, y: np.ndarray) -> str:
+def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     """Doubt about poses that alternate between two places, as of two nodes on a topic; or empty.
 
-    Second differences of such poses change their direction from each sample to the next, and keep
-    doing so; those of noise are forgotten after three, and those of a driving car keep theirs.
+    Such a pose is beside the straight way from the one before to the one after, on the other side
+    from each sample to the next, and stays so; what noise does is forgotten after three, and a
+    driving car stays on one side. Poses that are sent again are no places.
 
     Parameters
     ----------
     topic : str
         Name of the poses.
-    x, y : ndarray, shape (n,)
-        Positions [m].
+    t, x, y : ndarray, shape (n,)
+        Times [s] and positions [m].
     """
-    bends = np.stack((np.diff(x, 2), np.diff(y, 2)))
-    if bends.shape[1] < 10 * _EVEN:
+    t, x, y = (values[_new(x, y)] for values in (t, x, y))
+    if t.size < 10 * _EVEN + 2:
         return ""
-    apart = 0.5 * float(np.median(np.hypot(*bends)))
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
+    apart = float(np.median(np.hypot(*bends)))
     size = float(np.median(np.sum(bends**2, axis=0)))
     if apart < _APART:
         return ""
@@ -122,11 +132,48 @@ def bunches(topic: str, t: np.ndarray) -> str:
     )
 
 
+def time_jump(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
+    """Doubt about times that jump ahead while the car moves as in a usual step; or empty.
+
+    A car that drives as fast before as after such a step was not slower during it: its clock was
+    set. Poses that catch up with the car later are no jump of time.
+    """
+    steps, way = np.diff(t), np.hypot(np.diff(x), np.diff(y))
+    if steps.size < 4 * _AROUND:
+        return ""
+    usual = float(np.median(steps))
+    long = np.flatnonzero(steps > max(_LONG * usual, usual + _AHEAD))
+    if long.size > 0.02 * steps.size:
+        return ""
+    for k in long[(long >= _AROUND) & (long < steps.size - _AROUND)]:
+        before, after = slice(k - _AROUND, k), slice(k + 1, k + 1 + _AROUND)
+        speeds = [float(np.sum(way[part]) / np.sum(steps[part])) for part in (before, after)]
+        v = 0.5 * sum(speeds)
+        near = slice(k - 2, k + 4)
+        spent = float(np.sum(way[near])) / v if v > 0.0 else math.inf
+        ahead = float(np.sum(steps[near])) - spent
+        steady = min(speeds) > 2.0 * _MOVING and max(speeds) < 1.2 * min(speeds)
+        if steady and ahead > max(_AHEAD, 0.8 * (steps[k] - usual)):
+            return (
+                f"{topic}: time jumps ahead by {ahead:.2f} s at {t[k] - t[0]:.1f} s, while the car "
+                f"moves as in {steps[k] - ahead:.2f} s: that lap is so much too long"
+            )
+    return ""
+
+
+def _new(x, y):
+    """Which poses do not repeat the one before."""
+    moved = np.hypot(np.diff(x), np.diff(y))
+    return np.append(True, moved > _REPEATED * np.mean(moved))
+
+
 def command_clock(recording: Recording) -> str:
     """Doubt about commands that are plainly not of the time at which the car turns; or empty."""
     commands = recording.commands
     if commands is None or recording.t.size < 10:
         return ""
+    if commands_of_two(commands.topic, commands.steering_angle, commands.speed):
+        return ""  # which is said, and makes any lag
     t, moved = recording.t, (np.gradient(v, recording.t) for v in (recording.x, recording.y))
     speed = np.hypot(*moved)
     turning = np.gradient(np.unwrap(np.where(np.isfinite(recording.psi), recording.psi, 0.0)), t)

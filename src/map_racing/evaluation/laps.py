@@ -29,7 +29,7 @@ from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
 from .results import Lap, LapTrace, RunResult, Summary
-from .speed import speed_of
+from .speed import REPEATED_M, speed_of
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 
 __all__ = ["NO_WALLS", "LapEvaluator", "LapLimits", "passage_times"]
@@ -251,8 +251,11 @@ class LapEvaluator:
         if last is None:
             self._tracker.reset()
             self._changed = t
-        if last is not None and x == last.x and y == last.y:
-            progress, d = last.progress, last.d
+        repeated = (
+            last is not None and abs(x - last.x) <= REPEATED_M and abs(y - last.y) <= REPEATED_M
+        )
+        if repeated:
+            x, y, progress, d = last.x, last.y, last.progress, last.d
         else:
             place = self._tracker.update(x, y)
             progress, d = (place.s - self._start_s) % length, place.d

@@ -7,38 +7,25 @@ which the messages arrive.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import os
 from bisect import bisect_right
 from collections import deque
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
-from ..bags.clocks import COMMAND_DELAY_NS, LATENCY_NS
-from ..bags.samples import COMMAND_HOLD_S
-from ..errors import FileFormatError, MapRacingError, ParameterError
+from ..errors import ParameterError
 from ..track.findings import raceline_warnings
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
 from .doubts import uncommanded
 from .laps import LapEvaluator, LapLimits, check_options
+from .live_commands import LONGEST_WAIT, CommandClock, Commands
 from .recordings import same_raceline
-from .report import csv_cells
 from .results import Lap, RunResult
 
-__all__ = ["LapLog", "LiveEvaluation", "LiveLap"]
-
-# Poses kept while there is no raceline: 30 minutes at 100 Hz.
-_LONGEST_WAIT = 180000
-# Changes between poses and commands after which their clocks are compared, and that are remembered.
-_COMPARED, _REMEMBERED = 25, 500
-# Past commands are deleted in groups of this size.
-_PASSED = 4096
+__all__ = ["LiveEvaluation", "LiveLap"]
 
 
 class LiveLap(NamedTuple):
@@ -61,121 +48,6 @@ class _Pose(NamedTuple):
     y: float
     v: float
     received: float
-
-
-class _Commands:
-    """Commands in the order of their time stamps, of one run."""
-
-    def __init__(self, gap_ns):
-        self._gap_ns = gap_ns
-        self.clear()
-
-    def clear(self):
-        self._stamps, self._values = [], []
-        # Commands after a step back in time that the poses have not made yet.
-        self._ahead = []
-        # Later commands [ns] belong to the run that ended.
-        self._end_ns = math.inf
-
-    def add(self, stamp_ns, value):
-        if stamp_ns > self._end_ns:
-            return
-        self._end_ns = math.inf
-        if self._stamps and stamp_ns < self._stamps[-1] - self._gap_ns:
-            self._ahead.append((stamp_ns, value))
-            return
-        self._insert(stamp_ns, value)
-        # Time continues as before: the step back was a stray message or two.
-        for entry in self._ahead:
-            self._insert(*entry)
-        self._ahead = []
-
-    def _insert(self, stamp_ns, value):
-        at = bisect_right(self._stamps, stamp_ns)
-        if at == 0 or self._stamps[at - 1] != stamp_ns:
-            self._stamps.insert(at, stamp_ns)
-            self._values.insert(at, value)
-            if len(self._stamps) > 2 * _LONGEST_WAIT:
-                self._forget(_LONGEST_WAIT)
-
-    @property
-    def any(self):
-        """Whether there are commands at all."""
-        return bool(self._stamps)
-
-    def beyond(self, stamp_ns):
-        """Whether a later command has arrived."""
-        return bool(self._stamps) and self._stamps[-1] > stamp_ns
-
-    def at(self, stamp_ns):
-        """Command in force; later calls must not ask for earlier times."""
-        index = bisect_right(self._stamps, stamp_ns) - 1
-        value = (math.nan, math.nan)
-        if index >= 0 and (stamp_ns - self._stamps[index]) * 1e-9 <= COMMAND_HOLD_S:
-            value = self._values[index]
-        if index > _PASSED:
-            self._forget(index)
-        return value
-
-    def restart(self, begin_ns, end_ns):
-        """Poses stepped back from time ``end_ns`` to ``begin_ns``."""
-        ahead = self._ahead
-        self.clear()
-        for entry in ahead:
-            self._insert(*entry)
-        if not ahead:
-            self._end_ns = (begin_ns + end_ns) // 2
-
-    def _forget(self, count):
-        del self._stamps[:count], self._values[:count]
-
-
-class _CommandClock:
-    """How far the clock that stamps the commands is behind the clock of the poses.
-
-    Another clock shows in the lags, the time of receipt minus the stamp. So does a callback that
-    comes late: where a bag is played ten times as fast, 50 ms are half a second. But a late topic
-    catches up, so that its newest message is then newer than the other topic's. Clocks differ only
-    if neither topic ever catches up with the other.
-    """
-
-    def __init__(self):
-        self._pose = self._command = None
-        self._command_is_last = False
-        # Stamp of the newest pose minus the newest command's, where one kind follows the other.
-        self._ends_of_commands = deque(maxlen=_REMEMBERED)
-        self._ends_of_poses = deque(maxlen=_REMEMBERED)
-        self._lags = deque(maxlen=_REMEMBERED)
-        self._changes = 0
-        self.offset_ns = 0
-
-    @property
-    def compared(self):
-        """Whether the clocks have been compared."""
-        return self._changes >= _COMPARED
-
-    def add_pose(self, stamp_ns, lag_ns):
-        if self._command_is_last and self._pose is not None:
-            (pose_ns, pose_lag), (command_ns, command_lag) = self._pose, self._command
-            self._ends_of_commands.append(pose_ns - command_ns)
-            self._lags.append(command_lag - pose_lag)
-        self._pose, self._command_is_last = (stamp_ns, lag_ns), False
-
-    def add_command(self, stamp_ns, lag_ns):
-        if not self._command_is_last and self._ends_of_commands:
-            self._ends_of_poses.append(self._pose[0] - self._command[0])
-            self._changes += 1
-            if self._changes % _COMPARED == 0:
-                self._compare()
-        self._command, self._command_is_last = (stamp_ns, lag_ns), True
-
-    def _compare(self):
-        offset = int(np.median(self._lags))
-        # Of equal clocks, the topic that ended is the newer one: zero lies between these two.
-        one, other = np.median(self._ends_of_commands), np.median(self._ends_of_poses)
-        constant = one * other > 0.0 and min(abs(one), abs(other)) > abs(one - other)
-        other = constant and not -LATENCY_NS <= offset <= COMMAND_DELAY_NS
-        self.offset_ns = offset if other else 0
 
 
 class LiveEvaluation:
@@ -231,12 +103,12 @@ class LiveEvaluation:
         self._patience = patience
         self._on_lap = on_lap or (lambda lap: None)
         self._on_run = on_run or (lambda number, result: None)
-        self._poses = deque(maxlen=_LONGEST_WAIT)
+        self._poses = deque(maxlen=LONGEST_WAIT)
         self._raceline = self._evaluator = None
         self._run = 1
         self._t0_ns = self._last_ns = None
         self._gap_ns = int(round(self._limits.max_gap * 1e9))
-        self._commands, self._clock = _Commands(self._gap_ns), _CommandClock()
+        self._commands, self._clock = Commands(self._gap_ns), CommandClock()
         self._believed_ns, self._beliefs = [], []
         self._reported = 0
         # Doubts of the run by kind; times of the samples of the present lap, and their commands.
@@ -338,8 +210,8 @@ class LiveEvaluation:
         if not stamps or stamp_ns > stamps[-1]:
             stamps.append(stamp_ns)
             self._beliefs.append(values)
-        if len(stamps) > 2 * _LONGEST_WAIT:
-            del stamps[:_LONGEST_WAIT], self._beliefs[:_LONGEST_WAIT]
+        if len(stamps) > 2 * LONGEST_WAIT:
+            del stamps[:LONGEST_WAIT], self._beliefs[:LONGEST_WAIT]
 
     def advance(self, now: float) -> None:
         """Evaluate the poses that need not wait any longer.
@@ -423,68 +295,3 @@ class LiveEvaluation:
         self._reported = 0
         self._doubts, self._driven = {}, ([], [])
         self._t0_ns = self._last_ns = None
-
-
-class LapLog:
-    """CSV file to which laps are appended, each safe on the disk before `add` returns.
-
-    It has the columns of `map_racing.evaluation.report.write_csv`, ``warnings`` included, with the
-    number of the run instead of the bag. An existing file is continued; a last line that was cut
-    off by a power loss is removed.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-    sectors : int
-        Number of sectors of the laps.
-
-    Raises
-    ------
-    FileFormatError
-        If the file exists and has other columns.
-    MapRacingError
-        If it cannot be written.
-    """
-
-    def __init__(self, path: str | Path, sectors: int):
-        self.path = Path(path)
-        names = [field.name for field in fields(Lap)[:-2]]
-        self._names = ["run", *names, *(f"sector_{i}_s" for i in range(1, sectors + 1))]
-        self._names.append("warnings")
-        header = ",".join(self._names)
-        try:
-            self._file = open(self.path, "a+b")  # noqa: SIM115 - it stays open for the next laps
-            self._file.seek(0)
-            content = self._file.read()
-        except OSError as error:
-            raise MapRacingError(f"{path}: cannot write: {error.strerror}") from None
-        complete = content[: content.rfind(b"\n") + 1]
-        if complete and complete.split(b"\n", 1)[0] != header.encode():
-            self._file.close()
-            raise FileFormatError(f"{path}: expected a new file or one that begins with {header}")
-        if content and not complete and not header.encode().startswith(content):
-            self._file.close()
-            raise FileFormatError(f"{path}: expected a new file or one of laps")
-        self._file.truncate(len(complete))
-        if not complete:
-            self._append(self._names)
-
-    def add(self, live_lap: LiveLap) -> None:
-        """Append a `LiveLap`."""
-        row = {"run": live_lap.run, **live_lap.lap.row(), "warnings": "; ".join(live_lap.warnings)}
-        self._append(csv_cells(row[name] for name in self._names))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _append(self, cells):
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerow(cells)
-        try:
-            # A single write, so that a killed process leaves no partial line.
-            self._file.write(text.getvalue().encode())
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        except OSError as error:
-            raise MapRacingError(f"{self.path}: cannot write: {error.strerror}") from None

@@ -43,7 +43,12 @@ _LEAST = 0.0005
 # Share of a loss at each end of its place that is left out of the place.
 _TAIL = 0.03
 # Less is no difference worth a word [m].
-_WIDE = 0.05
+_WIDE, _EARLY = 0.05, 0.15
+# Braking is told where the speed falls by at least this [m/s], from one that is the reference's
+# within this share; it may begin so many places before the stretch of the bend.
+_FALL, _SAME, _BEFORE = 0.5, 0.03, 15
+# No day has more grip than this share of the vehicle file's.
+_DOUBTFUL_GRIP = 1.3
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,8 @@ class Place:
         Where: ``"entry"``, ``"apex"`` or ``"exit"``.
     grip_used : float
         Largest share of the table's lateral acceleration; NaN if unknown.
+    early_m : float
+        How much earlier than in the reference the car brakes for the bend [m].
     """
 
     corner: Corner
@@ -159,6 +166,7 @@ class Place:
     wide_m: float
     wide_at: str
     grip_used: float
+    early_m: float = 0.0
 
     def __str__(self):
         name = f", {self.corner.name}" if self.corner.name else ""
@@ -183,13 +191,19 @@ class Place:
         # The most telling two.
         if len(said) == 3:
             del said[2]
+        if abs(self.early_m) >= _EARLY:
+            when = "earlier" if self.early_m > 0.0 else "later"
+            said = [f"brakes {abs(self.early_m):.1f} m {when}", *said[:2]]
         if self.wide_m >= _WIDE:
             said.append(f"{self.wide_m:.2f} m wide at the {self.wide_at}")
         elif self.wide_m <= -_WIDE:
             said.append(f"{-self.wide_m:.2f} m closer to the inside at the {self.wide_at}")
+        said = said or ["the same speeds and line"]
         if not math.isnan(self.grip_used):
             said.append(f"{self.grip_used:.0%} of the grip used".replace("%", " %"))
-        return ", ".join(said) or "the same speeds and line"
+        if self.grip_used > _DOUBTFUL_GRIP:
+            said.append("more than the vehicle file's tires have: is it the file of this car?")
+        return ", ".join(said)
 
 
 def corners_of(track: TrackProfile) -> list[Corner]:
@@ -366,6 +380,9 @@ def costliest(
         where = (
             "apex" if inside_apex and abs(at - apex) <= near else ("entry" if at < apex else "exit")
         )
+        # Who brakes earlier does so before the stretch begins.
+        before = (inside[0] - np.arange(_BEFORE, 0, -1)) % cells
+        approach = np.concatenate((before, inside))
         slow = part[int(np.argmin(v[part]))]
         slow_reference = reference.v[:cells][part].min()
         places.append(
@@ -383,9 +400,28 @@ def costliest(
                 float(outward[widest]) if corner.side else 0.0,
                 where,
                 float(np.max(grip[part])),
+                _earlier(v[approach], reference.v[:cells][approach], track.length / cells),
             )
         )
     return sorted(places, key=lambda place: -place.loss_s)[:most]
+
+
+def _earlier(own, reference, step):
+    """How much earlier one speed falls to the middle of a bend's braking than another [m]."""
+    low = int(np.argmin(reference))
+    high, own_high = (int(np.argmax(v[: low + 1])) for v in (reference, own))
+    fall = reference[high] - reference[low]
+    if not fall >= _FALL or abs(own[own_high] / reference[high] - 1.0) > _SAME:
+        return 0.0
+    middle = reference[low] + 0.5 * fall
+    places = []
+    for v, begin in ((reference, high), (own, own_high)):
+        below = np.flatnonzero(v[begin:] < middle)
+        if not below.size or not below[0]:
+            return 0.0
+        i = begin + int(below[0])
+        places.append(i - (middle - v[i]) / (v[i - 1] - v[i]))
+    return float(step * (places[0] - places[1]))
 
 
 def _largest_sum(values):

@@ -7,7 +7,7 @@ anew. Places are distances from the start line.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,7 @@ from ..vehicle.lookup import LookupTable
 from ..vehicle.parameters import Vehicle
 from .laps import passage_times
 from .results import Lap, RunResult
+from .turning import speed_driven, turning_of
 
 __all__ = [
     "CHANNELS",
@@ -104,11 +105,10 @@ class CarLimits:
 
 
 def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None) -> CarLimits:
-    """Limits of a car: those of the vehicle, or of the controller's parameters if lower."""
+    """Limits of a car: lengthwise those that its controller plans with, else the vehicle's."""
     drive, brake, v_max = vehicle.a_max, vehicle.a_brake_max, vehicle.v_max
     if parameters is not None:
-        drive = min(drive, parameters.a_drive_max_mps2)
-        brake = min(brake, parameters.a_brake_max_mps2)
+        drive, brake = parameters.a_drive_max_mps2, parameters.a_brake_max_mps2
         v_max = min(v_max, parameters.v_max_mps)
     table = build_steering_map("table", vehicle, v_max)
     return CarLimits(vehicle, table, vehicle.delta_max, drive, brake, v_max)
@@ -181,11 +181,14 @@ class RunProfile:
     track : TrackProfile
     laps : list of LapProfile
         The completed ones; if there are none, the longer stretches.
+    notes : list of str
+        Doubts about the signals.
     """
 
     result: RunResult
     track: TrackProfile
     laps: list
+    notes: list = field(default_factory=list)
 
     @property
     def counted(self) -> list[LapProfile]:
@@ -230,7 +233,7 @@ def profiles_of(
     RunProfile
     """
     track = track_profile(result.raceline, result.start_s, limits)
-    signals = _signals(recording)
+    signals, notes = _signals(recording)
     laps = []
     complete = [lap for lap in result.laps if not math.isnan(lap.lap_time_s)]
     for lap in complete or result.laps:
@@ -240,7 +243,7 @@ def profiles_of(
             if s[-1] - s[0] < _WORTH * track.length:
                 continue
         laps.append(_lap_profile(lap, s, track, signals, recording, limits))
-    return RunProfile(result, track, laps)
+    return RunProfile(result, track, laps, notes)
 
 
 def track_profile(
@@ -271,20 +274,17 @@ def _closed(values):
 
 
 def _signals(recording):
-    """Signals over the time of the recording: yaw rate, and accelerations."""
-    t, rate = recording.t, recording.yaw_rate
-    if not np.isfinite(rate).all() and np.isfinite(recording.psi).all():
-        rate = np.gradient(np.unwrap(recording.psi), t)
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    if not np.isfinite(v).all():
-        v = np.hypot(np.gradient(recording.x, t), np.gradient(recording.y, t))
+    """Accelerations over the time of the recording, and notes about them."""
+    t = recording.t
+    rate, notes = turning_of(recording)
+    v, _ = speed_driven(recording)
     width = _SMOOTHING / max(float(np.median(np.diff(t))), 1e-4)
 
     def smooth(values):
         return ndimage.gaussian_filter1d(values, width) if width > 0.3 else values
 
     with np.errstate(invalid="ignore"):
-        return {"a_lat": smooth(v * rate), "a_lon": np.gradient(smooth(v), t)}
+        return {"a_lat": smooth(v * rate), "a_lon": np.gradient(smooth(v), t)}, notes
 
 
 def _lap_profile(lap, s, track, signals, recording, limits):

@@ -16,6 +16,7 @@ from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..bags.series import quaternion_note
 from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
 from ..files import refuse_special
+from ..printing import printable
 from ..tables import UNITS, column_index, read_columns, some_names, without_unit
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
@@ -67,6 +68,7 @@ _QUATERNION = {
 # Columns of a trajectory without names, as the TUM RGB-D benchmark and evo write it.
 _UNNAMED = {8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
 _RECEIVED = "%time"
+_FRAMES = ("header.frame_id", "frame_id")
 # Times under these names are in nanoseconds.
 _NANOSECONDS = ("%time", "header.stamp")
 _REQUIRED = ("t", "x", "y")
@@ -141,7 +143,9 @@ def recorded_raceline(recording: Recording) -> Raceline:
         If it is unusable.
     """
     if recording.waypoints is None:
-        raise BagError(f"{recording.source}: no raceline in it; give one with --raceline")
+        damage = [n for n in recording.notes if n.startswith("warning: damaged bag: ")]
+        why = "".join(f" ({note[len('warning: ') :]})" for note in damage)
+        raise BagError(f"{recording.source}: no raceline in it{why}; give one with --raceline")
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
 
 
@@ -242,8 +246,9 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     if unknown:
         raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
     doubts = []
-    table = read_columns(path, partial(_locate, path, columns, doubts), _UNNAMED)
+    table = read_columns(path, partial(_locate, path, columns, doubts), _UNNAMED, _frame_column)
     table.notes.extend(doubts)
+    frame = _keep_first_frame(table)
     for name, unit in table.units.items():
         table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
     _bring_to_seconds(path, table)
@@ -277,6 +282,7 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
         source=str(path),
         topic=" ".join(table.names[name] for name in _REQUIRED),
         type="CSV",
+        frame=frame,
         commands=Commands(t, steering, speed, " ".join(given)) if given else None,
         notes=table.notes,
     )
@@ -395,6 +401,25 @@ def _plain(name):
     """Name of a column without case, unit and what `rostopic echo -p` puts before it."""
     name = without_unit(name).lower()
     return name[len("field.") :] if name.startswith("field.") else name
+
+
+def _frame_column(names):
+    """Index of the column with the frame of the poses, None without."""
+    plain = [_plain(name) for name in names]
+    return next((plain.index(name) for name in _FRAMES if name in plain), None)
+
+
+def _keep_first_frame(table):
+    """The first frame of the poses; those in another are lost, as of a second sender in a bag."""
+    first = next((printable(word) for word in table.words if word), "")
+    other = np.array([word not in ("", first) for word in table.words], dtype=bool)
+    if other.any():
+        table.values["x"][other] = math.nan
+        table.notes.append(
+            f"warning: {np.count_nonzero(other)} rows in another frame left out: only the first, "
+            f"{first}, counts"
+        )
+    return first
 
 
 def _locate(path, columns, doubts, names):

@@ -18,9 +18,10 @@ __all__ = ["Lap", "LapTrace", "RunResult", "Summary"]
 class LapTrace(NamedTuple):
     """Samples of a lap, for plots; the first and last are the interpolated crossings.
 
-    Time ``t`` [s] on the recording's clock, position ``x, y`` [m], distance ``s`` along the track
-    [m] from the start line, in an out-lap from its first sample, deviation ``d`` [m] left positive,
-    speed ``v`` [m/s], speed ``command`` in force [m/s], NaN without one.
+    Each has the shape (n,): time ``t`` [s] on the recording's clock, position ``x, y`` [m],
+    distance ``s`` along the track [m] from the start line, in an out-lap from its first sample,
+    deviation ``d`` [m] left positive, speed ``v`` [m/s], speed ``command`` in force [m/s], NaN
+    without one.
     """
 
     t: np.ndarray

@@ -18,6 +18,7 @@ from .doubts import (
     command_units,
     frame_warning,
     speed_warning,
+    time_jump,
     uncommanded,
 )
 from .laps import NO_WALLS, LapEvaluator, LapLimits
@@ -144,8 +145,9 @@ def evaluate(
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
     doubts = [
         frame_warning(recording.topic, recording.frame),
-        alternation(recording.topic, recording.x, recording.y),
+        alternation(recording.topic, recording.t, recording.x, recording.y),
         bunches(recording.topic, recording.t),
+        time_jump(recording.topic, recording.t, recording.x, recording.y),
         speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
         command_clock(recording),
         *command_units(recording),

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["speed_of"]
+__all__ = ["REPEATED_M", "speed_of"]
+
+REPEATED_M = 1e-5
+"""A pose that is no farther [m] from the one before, in x and y, is the same, but for rounding."""
 
 # A pose that is repeated for longer [s] is of a car that stands.
 _REPEATED = 0.25
@@ -56,7 +59,7 @@ def _differences(t, x, y):
 
 def _fresh(t, x, y):
     """Indices of samples whose pose is a new one, or has been the same for long."""
-    moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
+    moved = np.append(True, (np.abs(np.diff(x)) > REPEATED_M) | (np.abs(np.diff(y)) > REPEATED_M))
     if moved.all():
         return np.arange(t.size)
     kept = [0]

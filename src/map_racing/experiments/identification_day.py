@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..control.steering_ramp import RampParameters
-from ..identification.data import ChannelMap, SensorSetup, load_run
+from ..identification.channels import ChannelMap, SensorSetup
+from ..identification.data import load_run
 from ..identification.identify import Identification, identify
 from ..identification.limits import SteadyLimits
 from ..simulation.plant import PlantParameters

@@ -24,12 +24,8 @@ from .identification_day import identify_on
 from .jobs import RaceJob, execute
 from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
-from .robustness import (
-    Grid,
-    grid_plan,
-    grid_provenance,
-    race_rows,
-)
+from .robustness import Grid, grid_plan
+from .robustness_tables import grid_provenance, race_rows
 from .store import Store
 from .tuning import Tuned, frame_of
 

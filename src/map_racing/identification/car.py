@@ -13,7 +13,8 @@ from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle, linearized
 from ..vehicle.plausibility import HIGHEST_FRICTION
 from ..vehicle.single_track import GRAVITY
-from .data import Run, SensorSetup
+from .channels import SensorSetup
+from .data import Run
 from .identify import Identification, steady_tires
 from .laps import PRIOR, LapTires, tires_from_laps
 from .limits import SteadyLimits

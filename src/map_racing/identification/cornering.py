@@ -8,33 +8,37 @@ segments of steady speed, yaw rate and steering: constant steering angles or slo
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
-from scipy.signal import butter, savgol_filter, sosfiltfilt
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import savgol_filter
 
 from ..angles import wrap
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import ONE_TENTH, Size, size_of
-from .data import POSE, Run, Signal
+from .channels import POSE
+from .data import Run, Signal
+from .filters import (
+    LONGEST_GAP_S,
+    LONGEST_HOLD_S,
+    briefly_far,
+    low_passed,
+    near,
+    running_median,
+    spike_thresholds,
+    spikes_in,
+    stretches,
+)
 from .limits import RATE_HZ, SteadyLimits
 
-__all__ = ["ProcessedRun", "low_passed", "motion_of"]
+__all__ = ["ProcessedRun", "motion_of"]
 
-# A signal is known between samples this far apart [s]; a command holds until the next one.
-LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # What follows is for 1:10 cars; for larger ones `motion_of` takes it by their size.
 # Localization is lost where its speed or yaw rate differs from the car's sensors by more than this.
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
-# A spike is farther from the local median than this many usual distances, and than its threshold.
-SPIKE_WINDOW_S, SPIKE_FACTOR = 1.2, 6.5
-POSE_SPIKE_WINDOW_S, LONGEST_SPIKE_S = 2.0, 0.2
-SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
-SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
+POSE_SPIKE_WINDOW_S = 2.0
 CLOCK_SEARCH_S = 1.5
 # Clocks are plainly apart if a shift leaves less than this share of the squared differences.
 PLAIN = 0.3
@@ -138,7 +142,7 @@ class ProcessedRun:
         shortest = round(self.limits.shortest_s * RATE_HZ)
         return [
             slice(cut.start + margin, cut.stop - margin)
-            for cut in _stretches(self.usable)
+            for cut in stretches(self.usable)
             if cut.stop - cut.start >= shortest + 2 * margin
         ]
 
@@ -168,19 +172,12 @@ def motion_of(
     """
     limits, size = limits or SteadyLimits(), size_of(vehicle)
     setup = run.setup
-    least = _spike_thresholds(size)
+    least = spike_thresholds(size)
     signals, spikes = _without_spikes(run, least)
     pose_t, *poses = _poses(run, signals, spikes, least)
     middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
-    offset, apart = 0.0, 0.0
-    if "yaw_rate" in signals:
-        rate = setup.yaw_rate_scale * signals["yaw_rate"].value
-        found, sure = _clock_offset(middle, velocities[2], signals["yaw_rate"].t, rate)
-        if run.pose_clock:
-            offset = found
-            middle, pose_t = middle + offset, pose_t + offset
-        elif sure:
-            apart = found
+    offset, apart = _clocks(run, signals, middle, velocities[2])
+    middle, pose_t = middle + offset, pose_t + offset
     t, known = _common_clock(run, signals, pose_t)
     columns = dict(
         zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
@@ -227,37 +224,6 @@ def motion_of(
     return replace(motion, **{name: _noise(values, cuts) for name, values in signals.items()})
 
 
-def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
-    """Zero-phase Butterworth low-pass along the last axis; half the power passes at the cutoff.
-
-    Parameters
-    ----------
-    values : ndarray, shape (..., n)
-    rate_hz, cutoff_hz : float
-        Rate of the samples and cutoff [Hz].
-
-    Returns
-    -------
-    ndarray, shape (..., n)
-    """
-    # Twice through a filter of second order: each pass may take a quarter of the power.
-    once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
-    padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
-    return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
-
-
-@lru_cache(maxsize=16)
-def _sections(cutoff):
-    return butter(2, cutoff, output="sos")
-
-
-def _spike_thresholds(size):
-    """`SPIKES` for a car's size."""
-    length, speed = size
-    factors = {"x": length, "y": length, "v_x": speed, "v_y": speed, "yaw_rate": 1.0 / speed}
-    return {name: factors.get(name, 1.0) * value for name, value in SPIKES.items()}
-
-
 def _without_spikes(run, least):
     """Signals without spikes on true time, and the share of spikes in each."""
     for name in (*POSE, "steering"):
@@ -277,10 +243,24 @@ def _without_spikes(run, least):
         if name == "speed_command":
             continue
         if name not in (*POSE, "steering"):
-            good = ~_spikes(t, value, least[name])
+            good = ~spikes_in(t, value, least[name])
             t, value, spikes[name] = t[good], value[good], 1.0 - float(np.mean(good))
         signals[name] = Signal(run.setup.time_scale * t, value)
     return signals, spikes
+
+
+def _clocks(run, signals, middle, turning):
+    """What to add to the times of the poses, and how far theirs is from another clock [s].
+
+    Poses with a clock of their own are brought to that of the yaw rates; of others it is only said.
+    """
+    if "yaw_rate" not in signals:
+        return 0.0, 0.0
+    rate_t, rate = signals["yaw_rate"]
+    found, sure = _clock_offset(middle, turning, rate_t, run.setup.yaw_rate_scale * rate)
+    if run.pose_clock:
+        return found, 0.0
+    return 0.0, found if sure else 0.0
 
 
 def _common_clock(run, signals, pose_t):
@@ -288,16 +268,16 @@ def _common_clock(run, signals, pose_t):
     others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
     commands = signals["steering"].t
     begin = max(commands[0], *(own[0] for own in others))
-    end = min(own[-1] for own in others)  # the last command stays
+    end = min(own[-1] for own in others)
     if end - begin < 1.0:
         raise IdentificationError(
             f"{run.name}: expected a second in which all signals exist, got "
             f"{max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
-    known = _near(t, commands, LONGEST_HOLD_S)
+    known = near(t, commands, LONGEST_HOLD_S)
     for own in others:
-        known &= _near(t, own, LONGEST_GAP_S)
+        known &= near(t, own, LONGEST_GAP_S)
     return t, known
 
 
@@ -321,7 +301,7 @@ def _filtered(columns, known, cutoff_hz):
     """Low-passed columns, 0 where they are not known, and where they are."""
     raw = np.stack(list(columns.values()))
     passed, filtered = np.zeros(raw.shape), np.zeros(known.size, dtype=bool)
-    for cut in _stretches(known):
+    for cut in stretches(known):
         if cut.stop - cut.start > RATE_HZ:
             passed[:, cut] = low_passed(raw[:, cut], RATE_HZ, cutoff_hz)
             filtered[cut] = True
@@ -350,28 +330,6 @@ def _steady(v_x, r, delta, limits):
     return steady
 
 
-def _spikes(t, value, least, window_s=SPIKE_WINDOW_S):
-    """Mask of spikes: samples far from the local median."""
-    return _far(t, np.abs(value - _median(t, value, window_s)), least, window_s)
-
-
-def _far(t, distance, least, window_s):
-    """Mask of distances that are large for their neighborhood, but only briefly; NaN is none."""
-    with np.errstate(invalid="ignore"):
-        far = distance > np.maximum(SPIKE_FACTOR * _median(t, distance, window_s), least)
-    for cut in _stretches(far):
-        # A lasting one is a step: the car brakes, or localization corrected itself.
-        if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
-            far[cut] = False
-    return far
-
-
-def _median(t, value, window_s):
-    """Running median; too few samples stay as they are."""
-    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
-    return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
-
-
 def _poses(run, signals, spikes, least):
     """Times of the valid poses; evenly spaced times and the poses there, without spikes.
 
@@ -391,9 +349,9 @@ def _poses(run, signals, spikes, least):
     drift = psi - turned
     # Without yaw rate, the heading itself changes within the window.
     window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
-    middle = np.arctan2(*(_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
+    middle = np.arctan2(*(running_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
     distance = np.abs(wrap(drift - middle))
-    good = ~_far(psi_t, distance, least["psi"], window)
+    good = ~briefly_far(psi_t, distance, least["psi"], window)
     spikes["psi"] = 1.0 - float(np.mean(good))
     psi = turned_even + np.interp(t, psi_t[good], np.unwrap(drift[good]))
 
@@ -405,7 +363,7 @@ def _poses(run, signals, spikes, least):
     drifts = [p - np.interp(own, t, path) for p, path in zip((x, y), reckoned)]
     if "v_x" in signals:
         for drift in drifts:
-            good &= ~_spikes(own, drift, least["x"], POSE_SPIKE_WINDOW_S)
+            good &= ~spikes_in(own, drift, least["x"], POSE_SPIKE_WINDOW_S)
     spikes["position"] = 1.0 - float(np.mean(good))
     x, y = (path + np.interp(t, own[good], drift[good]) for path, drift in zip(reckoned, drifts))
     return own[good], t, x, y, psi
@@ -468,12 +426,6 @@ def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
     return a_y - np.gradient(r, 1.0 / RATE_HZ) * ahead + r * r * setup.imu_y_m
 
 
-def _near(t, samples, longest):
-    """Whether each time lies in a gap of at most `longest` [s] between samples."""
-    after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
-    return (samples[after] - samples[after - 1] <= longest) | (t > samples[-1])
-
-
 def _noise(values, cuts, window_s=2.0):
     """Standard deviation from a local parabola, over the segments that are long enough."""
     half = int(0.5 * window_s * RATE_HZ)
@@ -486,9 +438,3 @@ def _noise(values, cuts, window_s=2.0):
         return 0.0
     # A parabola through so few samples absorbs part of the noise.
     return 1.2 * float(np.std(np.concatenate(parts)))
-
-
-def _stretches(mask):
-    """Slices in which a mask is true."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return [slice(begin, end) for begin, end in zip(edges[::2], edges[1::2])]

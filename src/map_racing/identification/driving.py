@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
-from .cornering import low_passed
 from .data import Run
+from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
 __all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
 
@@ -23,8 +23,6 @@ __all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of",
 GRID_HZ, SMOOTH_HZ = 100.0, 6.0
 # Slower than this slip angles, and delays, are of no use [m/s].
 SLOWEST_MPS = 1.0
-# Longer gaps in measurements, and silences of the commands, end a window [s].
-LONGEST_GAP_S, LONGEST_HOLD_S = 0.25, 0.6
 # Longest dead time and lag together that are looked for [s].
 LONGEST_DELAY_S = 0.3
 # So late an estimate is at that bound, and other parameters make up for the rest [s].
@@ -87,7 +85,15 @@ class Held(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Measurements of one quantity: times [s] and values [SI]."""
+    """Measurements of one quantity.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        [s]
+    value : ndarray, shape (n,)
+        [SI]
+    """
 
     t: np.ndarray
     value: np.ndarray
@@ -146,18 +152,7 @@ def driving_of(run: Run) -> Driving:
     if "steering" not in signals:
         raise IdentificationError(f"{run.name}: steering: expected drive commands, got none")
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
-    r = scaled.get("yaw_rate")
-    if r is None:
-        r = _rate_of_heading(run, scaled)
-        notes.append("yaw rate from the heading of the poses")
-    else:
-        r = r[0], setup.yaw_rate_scale * r[1]
-    v = scaled.get("v_x")
-    if v is None:
-        v = _speed_of_path(run, scaled)
-        notes.append("speed from the path of the poses")
-    else:
-        v = v[0], setup.speed_scale * v[1]
+    r, v = _turn_and_speed(run, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
     commands_t, angle = scaled["steering"]
     begin = max(begin, float(commands_t[0]))
@@ -178,9 +173,9 @@ def driving_of(run: Run) -> Driving:
         measured["a_y"] = a_y
     if "v_y" in scaled:
         measured["v_y"] = Measured(*scaled["v_y"])
-    usable = (smooth[0] > SLOWEST_MPS) & _near(t, commands_t, LONGEST_HOLD_S)
+    usable = (smooth[0] > SLOWEST_MPS) & near(t, commands_t, LONGEST_HOLD_S)
     for name in measured:
-        usable &= _near(t, measured[name].t, LONGEST_GAP_S)
+        usable &= near(t, measured[name].t, LONGEST_GAP_S)
     speed = scaled.get("speed_command")
     delay = setup.steering_delay_s
     return Driving(
@@ -196,6 +191,22 @@ def driving_of(run: Run) -> Driving:
         usable,
         notes,
     )
+
+
+def _turn_and_speed(run, scaled, notes):
+    """Yaw rate and speed, each with its times: measured or, where nothing does, from the poses."""
+    r, v = scaled.get("yaw_rate"), scaled.get("v_x")
+    if r is None:
+        r = _rate_of_heading(run, scaled)
+        notes.append("yaw rate from the heading of the poses")
+    else:
+        r = r[0], run.setup.yaw_rate_scale * r[1]
+    if v is None:
+        v = _speed_of_path(run, scaled)
+        notes.append("speed from the path of the poses")
+    else:
+        v = v[0], run.setup.speed_scale * v[1]
+    return r, v
 
 
 @dataclass(frozen=True)
@@ -421,9 +432,3 @@ def without_outliers(t, value):
     usual = median_filter(distance, 5 * NEIGHBORS, mode="nearest")
     good = distance <= np.maximum(OUTLIER * usual, LEAST_OUTLIER)
     return t[good], value[good]
-
-
-def _near(t, samples, longest):
-    """Whether each time lies in a gap of at most `longest` [s] between samples."""
-    after = np.clip(np.searchsorted(samples, t), 1, samples.size - 1)
-    return samples[after] - samples[after - 1] <= longest

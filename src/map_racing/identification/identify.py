@@ -19,8 +19,9 @@ from ..vehicle.parameters import Vehicle, holding
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
+from .channels import SensorSetup
 from .cornering import ProcessedRun, motion_of
-from .data import Run, SensorSetup
+from .data import Run
 from .limits import RATE_HZ, SteadyLimits
 from .sensor_findings import SensorFinding
 from .survey import Survey, survey

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of
+from .channels import SensorSetup
 from .cornering import ProcessedRun
-from .data import SensorSetup
 from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = [

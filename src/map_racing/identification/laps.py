@@ -21,8 +21,8 @@ from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle, holding, scaled_tires
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
-from .cornering import low_passed
-from .data import Run, SensorSetup
+from .channels import SensorSetup
+from .data import Run
 from .delay import Delays, estimate_delays
 from .driving import (
     AT_LONGEST_S,
@@ -33,6 +33,7 @@ from .driving import (
     driving_of,
     windows_of,
 )
+from .filters import low_passed
 from .kinematic_checks import LOCK_MARGIN
 from .output_error import believed, fit_car, simulate
 from .robust_fit import CONFIDENCE, Fitted
@@ -201,16 +202,7 @@ def tires_from_laps(
         If there is too little turning, if the commands do not explain it, or if they are later
         than the fit allows for.
     """
-    used, drives, notes = [], [], []
-    for run in runs:
-        try:
-            drive = driving_of(run)
-        except IdentificationError as error:
-            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
-            continue
-        used.append(run)
-        drives.append(drive)
-        notes += [f"{run.label}: {note}" for note in (*run.notes, *drive.notes)]
+    used, drives, notes = _drives_of(runs)
     labels = [run.label for run in used]
     if not drives:
         raise IdentificationError("; ".join(notes))
@@ -258,6 +250,21 @@ def tires_from_laps(
         delays=estimate_delays(used, vehicle),
         runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,
     )
+
+
+def _drives_of(runs):
+    """Runs that can be used, as driving; and notes on all."""
+    used, drives, notes = [], [], []
+    for run in runs:
+        try:
+            drive = driving_of(run)
+        except IdentificationError as error:
+            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            continue
+        used.append(run)
+        drives.append(drive)
+        notes += [f"{run.label}: {note}" for note in (*run.notes, *drive.notes)]
+    return used, drives, notes
 
 
 def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:

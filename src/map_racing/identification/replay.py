@@ -15,14 +15,15 @@ import numpy as np
 
 from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
-from .cornering import low_passed, motion_of
+from .cornering import motion_of
 from .data import Run
 from .drive import BELIEVED as DRIVE_BELIEVED
 from .drive import drive_windows, driven_speed, fit_drive
 from .driving import GRID_HZ, SMOOTH_HZ, Driving, driving_of, windows_of, without_outliers
+from .filters import low_passed
 from .limits import REPLAY_WINDOW_S
 from .output_error import NAMES, believed, fit_car, simulate
-from .sensor_checks import reason_to_refuse
+from .usable_runs import reason_to_refuse
 
 __all__ = [
     "Actuators",

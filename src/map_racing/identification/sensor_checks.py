@@ -14,12 +14,12 @@ from typing import Callable
 
 import numpy as np
 
-from ..bags.clocks import LONGEST_LAG_S, lag_of_effect
 from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.size import size_of
+from .channels import SensorSetup
+from .clock_checks import check_clocks
 from .cornering import RATE_HZ, STANDSTILL_MPS, ProcessedRun
-from .data import SensorSetup
 from .kinematic_checks import (
     both_sides,
     check_front_slip,
@@ -28,20 +28,11 @@ from .kinematic_checks import (
     check_steering_gain,
 )
 from .sensor_findings import SensorFinding, turning_rate
+from .usable_runs import is_localized
 
-__all__ = ["check", "correct", "reason_to_refuse", "reason_unsteady"]
+__all__ = ["check", "correct"]
 
-LEAST_USABLE_S = 2.0
-# Of a drive for steady cornering at least this share is steady; else it is ordinary driving.
-LEAST_STEADY_SHARE = 0.2
 LEAST_STANDING_S = 0.4
-MOST_APART_S = 0.08  # between yaw rates and poses
-# Steering that is held has few turns, and yaw rates are averaged around each sample: of a real car
-# they came 0.16 s before their commands.
-EARLIEST_LAG_S = -0.25
-LARGEST_ANGLE = 1.0  # largest plausible road-wheel angle [rad]
-# Spread of the ratios of localization to sensors in one run beyond which no constant explains them.
-LARGEST_SPREAD = 0.35
 # An IMU axis measures lateral acceleration if it follows speed times yaw rate with at least this
 # slope (its unit may be g) and this share of its variance explained.
 LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
@@ -50,73 +41,6 @@ LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
 SURE, INDEPENDENT = 3.0, RATE_HZ / 2.0
 # A setup with contradictions left after so many corrections is beyond repair.
 MOST_CORRECTIONS = 16
-
-
-def reason_to_refuse(motion: ProcessedRun) -> str:
-    """Why a run says nothing about tires; empty if it is usable."""
-    if not motion.moving.any():
-        return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
-    if _diverged(motion):
-        return "localization diverged: its speed or yaw rate has no constant ratio to the car's"
-    if _astray(motion):
-        return (
-            "the poses do not move where their heading points, nor at a constant angle to it: "
-            "is an axis of the position turned around, or are the axes swapped?"
-        )
-    usable, driven, text = _steady_driving(motion)
-    if usable >= LEAST_USABLE_S:
-        return ""
-    lost = np.count_nonzero(motion.moving & ~motion.coherent) / RATE_HZ
-    if lost > 0.5 * driven:
-        return (
-            f"localization and the car's sensors disagree in {lost:.1f} of {driven:.1f} s of "
-            f"driving, which leaves {usable:.1f} s of steady driving"
-        )
-    angle = float(np.median(np.abs(motion.delta[motion.moving])))
-    if angle > LARGEST_ANGLE:
-        return f"{text}; steering of {angle:.1f} rad: is it in degrees, or a servo's position?"
-    return ""
-
-
-def reason_unsteady(motion: ProcessedRun) -> str:
-    """Why a run that is usable says nothing about steady cornering; empty if it does."""
-    usable, driven, text = _steady_driving(motion)
-    return "" if usable >= max(LEAST_USABLE_S, LEAST_STEADY_SHARE * driven) else text
-
-
-def _steady_driving(motion):
-    """Seconds of usable steady driving, of driving, and both in words."""
-    driven = np.count_nonzero(motion.moving) / RATE_HZ
-    steady = np.count_nonzero(motion.steady) / RATE_HZ
-    usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
-    text = f"only {usable:.1f} s of steady driving ({steady:.1f} s in {driven:.1f} s of driving)"
-    return usable, driven, text
-
-
-def _diverged(motion):
-    """Whether localization and the car's sensors differ by more than a constant factor."""
-    moving = motion.moving & (motion.path_speed > STANDSTILL_MPS)
-    if np.count_nonzero(moving) < RATE_HZ:
-        return False
-    if np.mean(motion.coherent[moving]) > 0.5:
-        return False
-    # A wrong scale or sign gives ratios that agree with each other.
-    ratio = motion.path_speed[moving] / np.maximum(np.abs(motion.v_x[moving]), STANDSTILL_MPS)
-    turning = moving & (np.abs(motion.r) > turning_rate(motion.size))
-    turns = motion.heading_rate[turning] / motion.r[turning]
-    return bool(
-        _spread(ratio) > LARGEST_SPREAD
-        or (turns.size > RATE_HZ and _spread(turns) > LARGEST_SPREAD)
-        or _astray(motion)
-    )
-
-
-def _astray(motion):
-    """Whether the poses move in all directions relative to their own heading."""
-    beta = motion.beta[motion.moving & (motion.path_speed > STANDSTILL_MPS)]
-    if beta.size < RATE_HZ:
-        return False
-    return bool(np.hypot(np.mean(np.cos(beta)), np.mean(np.sin(beta))) < 0.8)
 
 
 def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> list[SensorFinding]:
@@ -135,15 +59,11 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
     list of SensorFinding
         In the order in which repairs must be made.
     """
-    motions = [
-        motion
-        for motion in motions
-        if motion.moving.any() and not _diverged(motion) and not _astray(motion)
-    ]
+    motions = [motion for motion in motions if is_localized(motion)]
     if not motions:
         return []
     findings = []
-    for checker in (_clocks, _heading, _rates):
+    for checker in (check_clocks, _heading, _rates):
         findings += checker(motions, setup, vehicle)
         if any(finding.critical for finding in findings):
             # Everything else is judged by speed, yaw rate and heading.
@@ -191,46 +111,6 @@ def correct(
         corrections.append(todo)
         setup = dataclasses.replace(setup, **todo.fix)
     return setup, corrections
-
-
-def _clocks(motions, setup, vehicle):
-    """Do the poses turn when the yaw rate says so, and the car after its commands?"""
-    return [
-        *_commands_late(motions, vehicle),
-        *_poses_late(motions),
-    ]
-
-
-def _commands_late(motions, vehicle):
-    findings = []
-    for motion in motions:
-        v_x = np.where(motion.moving, motion.v_x, np.nan)
-        longest = LONGEST_LAG_S * size_of(vehicle).time
-        lag = lag_of_effect(
-            motion.t, motion.delta, motion.t, motion.r / v_x, longest, EARLIEST_LAG_S
-        )
-        if lag is not None:
-            text = (
-                f"clock: {motion.run.label}: the car turns {abs(lag):.2f} s "
-                f"{'after' if lag > 0.0 else 'before'} its steering commands: they are not of the "
-                "same clock (--steering-delay takes a known delay)"
-            )
-            findings.append(SensorFinding("clock", text, critical=True))
-    return findings
-
-
-def _poses_late(motions):
-    return [
-        SensorFinding(
-            "clock",
-            f"clock: {motion.run.label}: the yaw rate comes {abs(motion.clocks_apart_s):.2f} s "
-            f"{'later' if motion.clocks_apart_s > 0.0 else 'earlier'} than the poses turn, and no "
-            "times of receipt tell which of their clocks is wrong",
-            critical=True,
-        )
-        for motion in motions
-        if abs(motion.clocks_apart_s) > MOST_APART_S
-    ]
 
 
 def _heading(motions, setup, vehicle):
@@ -462,12 +342,6 @@ def _localization(motions, setup, vehicle):
             )
             findings.append(SensorFinding("clock", text))
     return findings
-
-
-def _spread(values):
-    """Interquartile range as a share of the median."""
-    low, middle, high = np.percentile(values, (25.0, 50.0, 75.0))
-    return (high - low) / max(abs(middle), 1e-9)
 
 
 def _pooled(motions, name, mask):

@@ -10,11 +10,13 @@ from typing import Iterable, NamedTuple
 
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
+from .channels import SensorSetup
 from .cornering import ProcessedRun, motion_of
-from .data import Run, SensorSetup
+from .data import Run
 from .limits import SteadyLimits
-from .sensor_checks import check, correct, reason_to_refuse, reason_unsteady
+from .sensor_checks import check, correct
 from .sensor_findings import SensorFinding
+from .usable_runs import reason_to_refuse, reason_unsteady
 
 __all__ = ["Survey", "survey"]
 

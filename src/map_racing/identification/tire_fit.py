@@ -291,7 +291,7 @@ def fit_pacejka(
 
 def left_by(tire: PacejkaTire, points: AxlePoints) -> float:
     """Robust standard deviation of the points from a curve, in the metric of both noises [N]."""
-    ratio = points.slip_noise / points.force_noise if points.force_noise > 0.0 else 0.0
+    ratio = _ratio(points)
     theta = (tire.B, tire.C, tire.D, tire.E)
     error = _errors(theta, -points.slip, points.force, points.load, ratio)
     return 1.4826 * float(np.median(np.abs(error)))

@@ -121,19 +121,7 @@ class ControllerNode:
         self._last_angle = 0.0
         self._message = AckermannDriveStamped()
 
-        # With a queue of 1, rospy drops commands of a busy computer, others for each subscriber.
-        self._drive = _publisher("drive", AckermannDriveStamped)
-        self._guidance = _publisher("guidance", Guidance)
-        self._tracking = _publisher("tracking", Tracking)
-        self._belief = _publisher(BELIEF_TOPIC, Belief)
-        self._numbers = {
-            name: _publisher(name, Float64)
-            for name in ("lateral_error", "speed_error", "latency", "pose_age")
-        }
-        self._driven = rospy.Publisher(
-            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
-        )
-        self._settings = rospy.Publisher(SETTINGS_TOPIC, String, queue_size=1, latch=True)
+        self._advertise()
         topic = "/tf" if pose_source == "tf" else rospy.resolve_name(pose_source)
         self._pose_from = "/tf, {} to {}".format(*self._frames) if topic == "/tf" else topic
         pose_type = POSE_TYPES[pose_source]._type
@@ -165,6 +153,21 @@ class ControllerNode:
         # The garbage collector need not look through what exists now while the car drives.
         gc.collect()
         gc.freeze()
+
+    def _advertise(self):
+        # With a queue of 1, rospy drops commands of a busy computer, others for each subscriber.
+        self._drive = _publisher("drive", AckermannDriveStamped)
+        self._guidance = _publisher("guidance", Guidance)
+        self._tracking = _publisher("tracking", Tracking)
+        self._belief = _publisher(BELIEF_TOPIC, Belief)
+        self._numbers = {
+            name: _publisher(name, Float64)
+            for name in ("lateral_error", "speed_error", "latency", "pose_age")
+        }
+        self._driven = rospy.Publisher(
+            "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
+        )
+        self._settings = rospy.Publisher(SETTINGS_TOPIC, String, queue_size=1, latch=True)
 
     # -- poses -------------------------------------------------------------------------------
 

@@ -10,8 +10,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ..bags import messages
+from ..bags.topics import STATE
 from ..control.controller import Controller, ControlResult, Status
-from ..control.safety import Mode, Reason, Supervisor
+from ..control.safety import Mode, Reason, Supervisor, state_text
 from ..control.settings import doubts_of
 from .node import why_silent
 from .priority import present_priority
@@ -85,7 +86,7 @@ class Diagnosis:
             self._quiet_until[reason] = now + QUIET_S
             log = rospy.logwarn if mode in (Mode.STOPPING, Mode.STOPPED) else rospy.loginfo
             age = f" ({self._supervisor.pose_age:.2f} s)" if reason is Reason.STALE_POSE else ""
-            log(_text(mode, reason) + age)
+            log(state_text(mode, reason) + age)
         self._publish()
 
     def _publish(self, _=None):
@@ -99,9 +100,9 @@ class Diagnosis:
             level = DiagnosticStatus.WARN
         status = DiagnosticStatus(
             level=level,
-            name=f"{rospy.get_name().lstrip('/')}: state",
+            name=rospy.get_name().lstrip("/") + STATE,
             hardware_id=self._controller.vehicle.name,
-            message=_text(mode, reason),
+            message=state_text(mode, reason),
             values=[KeyValue(key, value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
@@ -193,7 +194,3 @@ def _believed(adaptation):
         values[f"believed {key}"] = f"{value:.3f} ({low:.3f} to {high:.3f})"
     values["grip in use"] = f"{belief.grip:.3f}"
     return values
-
-
-def _text(mode, reason):
-    return f"{mode.value}: {reason.value}" if reason.value else mode.value

@@ -17,8 +17,9 @@ from ..bags.messages import BELIEF_FIELDS
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
+from ..evaluation.lap_log import LapLog
 from ..evaluation.laps import LapLimits
-from ..evaluation.live import LapLog, LiveEvaluation
+from ..evaluation.live import LiveEvaluation
 from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline
 from .conversions import frame, stamp_ns, to_time
@@ -87,7 +88,10 @@ class LapEvaluatorNode:
         self._results = rospy.Publisher("lap_result", LapResult, queue_size=100, latch=True)
         self._markers = rospy.Publisher("lap_markers", MarkerArray, queue_size=10, latch=True)
         self._markers.publish(delete_all())
+        self._listen(source, pose)
 
+    def _listen(self, source, pose):
+        """Subscribe: from now on callbacks queue."""
         self._idle = threading.Event()
         self._idle.set()
         rospy.on_shutdown(self._stop)

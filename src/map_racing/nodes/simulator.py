@@ -79,15 +79,7 @@ class SimulatorNode:
         # Guards the car; notified by each command.
         self._changed = threading.Condition(threading.RLock())
         self._answered = 0
-
-        self._odom = rospy.Publisher("odom", Odometry, queue_size=100, tcp_nodelay=True)
-        self._pose = rospy.Publisher("pose", PoseStamped, queue_size=100, tcp_nodelay=True)
-        self._imu = rospy.Publisher("imu", Imu, queue_size=100, tcp_nodelay=True)
-        self._truth = rospy.Publisher("ground_truth/odom", Odometry, queue_size=100)
-        self._collision = rospy.Publisher("wall_collision", Bool, queue_size=10, latch=True)
-        self._transforms = TransformBroadcaster()
-        self._collision.publish(False)
-        self._collided = False
+        self._advertise()
 
         self._start_clock()
         self._drive = rospy.Subscriber(
@@ -96,6 +88,16 @@ class SimulatorNode:
         rospy.Subscriber("initialpose", PoseWithCovarianceStamped, self._on_initial_pose)
         self._service = rospy.Service("~inject_fault", InjectFault, self._on_inject)
         rospy.on_shutdown(self._end_second)
+
+    def _advertise(self):
+        self._odom = rospy.Publisher("odom", Odometry, queue_size=100, tcp_nodelay=True)
+        self._pose = rospy.Publisher("pose", PoseStamped, queue_size=100, tcp_nodelay=True)
+        self._imu = rospy.Publisher("imu", Imu, queue_size=100, tcp_nodelay=True)
+        self._truth = rospy.Publisher("ground_truth/odom", Odometry, queue_size=100)
+        self._collision = rospy.Publisher("wall_collision", Bool, queue_size=10, latch=True)
+        self._transforms = TransformBroadcaster()
+        self._collision.publish(False)
+        self._collided = False
 
     # -- time ----------------------------------------------------------------------------------
 

@@ -37,12 +37,13 @@ def speeds_section(runs: list[RunAnalysis], advices: list) -> str:
         head, *rows = advice_table(advice)
         parts.append(table(head, rows))
         parts.append(f"<p>{'<br>'.join(map(escape, advice_notes(advice)))}</p>\n")
-    parts.append(
-        '<p class="hint">Scales of the raceline&#x27;s speed. <code>map-racing advise RUN '
-        "--speed-sectors speed_scaling.yaml</code> writes them; drive them at speed_scale 1. Grip "
-        "used: of what the tires surely have that day, in the mean lap.</p></section>\n"
-    )
-    return "".join(parts)
+    if not all(isinstance(advice, str) for advice in advices):
+        parts.append(
+            '<p class="hint">Scales of the raceline&#x27;s speed. <code>map-racing advise RUN '
+            "--speed-sectors speed_scaling.yaml</code> writes them; drive them at speed_scale 1. "
+            "Sure grip: how much the mean lap used of what the tires surely have that day.</p>\n"
+        )
+    return "".join([*parts, "</section>\n"])
 
 
 def car_section(runs: list[RunAnalysis], advices: list) -> str:
@@ -52,7 +53,7 @@ def car_section(runs: list[RunAnalysis], advices: list) -> str:
         rows = [*_delay_rows(run), *_grip_rows(advice), *_table_rows(run)]
         parts.append(_name(run, runs))
         if rows:
-            parts.append(table(["what", "found", "95 %", "driven with", "advice"], rows))
+            parts.append(table(["what", "found", "95 %", "driven with", "advice"], rows, "car"))
         else:
             text = "The recording does not say which car it is: give --vehicle."
             if run.limits is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from .. import __version__
 from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
 from ..evaluation.places import costliest
+from .driven_with import driven_with
 from .html import Markup, document, escape, plotly_script, table
 from .next_heat import advice_of, car_section, speeds_section
 from .report_data import chart_data, charted_laps
@@ -26,14 +27,13 @@ _DATED = 10**17  # 1973 [ns]
 _MOST_ROWS, _MOST_LAPS, _MOST_BUTTONS, _MOST_OTHERS = 60, 1000, 200, 5
 
 
-def report_page(runs: list[RunAnalysis], title: str = "") -> str:
+def report_page(runs: list[RunAnalysis]) -> str:
     """Page of runs.
 
     Parameters
     ----------
     runs : list of RunAnalysis
         At least one.
-    title : str, optional
 
     Returns
     -------
@@ -45,7 +45,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
     MapRacingError
         If plotly is not installed.
     """
-    title = title or " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
+    title = " and ".join(run.name for run in runs[:3]) + (", ..." if runs[3:] else "")
     compared = [_comparisons(run, runs) for run in runs]
     advices = [advice_of(run) for run in runs]
     first = [_head(title, runs), '<main>\n<div id="left">\n', _first_screen(runs, compared)]
@@ -59,7 +59,7 @@ def report_page(runs: list[RunAnalysis], title: str = "") -> str:
         car_section(runs, advices),
         _laps(runs),
         _poses(runs),
-        _driven_with(runs),
+        driven_with(runs),
         f"<footer>map_racing {escape(__version__)}. Distances are along the raceline from the "
         "start line; left is positive.</footer>\n",
     ]
@@ -142,7 +142,8 @@ def _first_screen(runs, compared):
     head = ["run"] if len(runs) > 1 else []
     head += ["laps counted", "best lap", "ideal lap", "mean lap", "RMS error"]
     head += ["clearance", "saturated"]
-    parts = ['<section id="first">\n', table(head, rows, "summary"), _lap_strip(runs)]
+    parts = ['<section id="first">\n', table(head, rows, "summary"), _doubts(runs)]
+    parts.append(_lap_strip(runs))
     parts.append('<div class="bar"><h2>Where the time goes</h2>')
     if len(runs) > 1:
         options = "".join(
@@ -156,6 +157,21 @@ def _first_screen(runs, compared):
         for j, (reference, places) in enumerate(comparisons):
             parts.append(_place_list(i, j, reference, places, runs[i]))
     parts.append("</section>\n")
+    return "".join(parts)
+
+
+def _doubts(runs):
+    """What makes the numbers of runs doubtful, a line each."""
+    parts = []
+    for run in runs:
+        mark = "warning: "
+        said = [note for note in (*run.result.notes, *run.notes) if note.startswith(mark)]
+        said = list(dict.fromkeys(said))
+        if said:
+            name = f"{run.name}: " if len(runs) > 1 else ""
+            more = f" ({len(said) - 1} more below)" if said[1:] else ""
+            text = f"Doubtful: {name}{said[0][len(mark) :]}{more}"
+            parts.append(f'<p class="doubt">{escape(text)}</p>\n')
     return "".join(parts)
 
 
@@ -257,8 +273,8 @@ def _map():
 def _grip(runs):
     known = any(run.limits is not None for run in runs)
     text = (
-        "The lines are sideways what the tires of the vehicle file give, lengthwise "
-        "the acceleration and braking that vehicle file and controller allow."
+        "The lines are sideways what the tires of the vehicle file give, lengthwise the "
+        "acceleration and braking that the controller plans with, or else the vehicle file has."
         if known
         else "The car is not known: no settings are in the recording, so give --vehicle for the "
         "limits of its tires and for what its table asks of the steering."
@@ -373,44 +389,6 @@ def _poses(runs):
             rows = [[lap.lap, lap.reason] for lap in stopped[:_MOST_ROWS]]
             parts += [_run_name(run, runs), table(["lap", "stop"], rows)]
     return "".join([*parts, "</section>\n"])
-
-
-def _driven_with(runs):
-    parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
-    for run in runs:
-        parts.append(_run_name(run, runs))
-        rows = [["file", run.result.source], *_notes(run)]
-        if run.settings is None:
-            rows.append(["settings", "none in the recording"])
-        else:
-            rows += _flat(run.settings.values)
-        parts.append(table(["what", "value"], rows, "settings"))
-    return "".join([*parts, "</section>\n"])
-
-
-def _notes(run):
-    notes = [*run.result.notes, *run.notes]
-    return [["note", note] for note in list(dict.fromkeys(notes))[:_MOST_ROWS]]
-
-
-def _flat(values, before=""):
-    """Rows of nested settings."""
-    rows = []
-    for key, value in values.items():
-        if isinstance(value, dict):
-            rows += _flat(value, f"{before}{key}: ")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for number, part in enumerate(value):
-                rows += _flat(part, f"{before}{key} {number}: ")
-        else:
-            rows.append([f"{before}{key}", _plain(value)])
-    return rows
-
-
-def _plain(value):
-    if isinstance(value, list):
-        return ", ".join(map(_plain, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _run_name(run, runs):

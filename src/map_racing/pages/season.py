@@ -34,11 +34,11 @@ _TABLE = (
     ("mean_lap_time_s", "mean [s]", "{:.3f}"),
     ("rms_lateral_error_m", "RMS error [m]", "{:.3f}"),
     ("stops", "stops", "{:.0f}"),
-    ("reason", "remarks", "{}"),
+    ("warnings", "remarks", "{}"),
 )
 
 
-def season_page(heats: Sequence[dict], title: str = "Season") -> str:
+def season_page(heats: Sequence[dict]) -> str:
     """Page of the heats of a season.
 
     Parameters
@@ -46,7 +46,6 @@ def season_page(heats: Sequence[dict], title: str = "Season") -> str:
     heats : sequence of dict
         Rows by `map_racing.experiments.season.COLUMNS`, in the order of time; ``report`` is the
         path of a report relative to the page, empty without one.
-    title : str, optional
 
     Returns
     -------
@@ -62,16 +61,22 @@ def season_page(heats: Sequence[dict], title: str = "Season") -> str:
     text = f"Heats: {len(heats)}; laps that count: {laps}; tracks: {len(tracks)}"
     if len(read) < len(heats):
         text += f"; bags that cannot be evaluated: {len(heats) - len(read)}"
-    parts = [f"<header><h1>{escape(title)}</h1><p>{escape(text)}</p></header>\n"]
+    parts = [f"<header><h1>Season</h1><p>{escape(text)}</p></header>\n"]
     for track in tracks:
         driven = [heat for heat in read if heat["track"] == track]
         parts.append(_section(track, driven, colors))
     parts.append("<section><h2>All heats</h2>\n")
     head = [name for _, name, _ in _TABLE]
-    parts.append(table(head, ([_cell(heat, *column) for column in _TABLE] for heat in heats)))
+    parts.append(table(head, ([_cell(heat, *column) for column in _TABLE] for heat in read)))
     parts.append("</section>\n")
+    if len(read) < len(heats):
+        parts.append("<section><h2>Bags that cannot be evaluated</h2>\n")
+        rows = [
+            [_cell(heat, "bag", "bag", "{}"), heat["reason"]] for heat in heats if heat["reason"]
+        ]
+        parts += [table(["bag", "reason"], rows), "</section>\n"]
     parts.append(f"<footer>map_racing {escape(__version__)}. Times are UTC.</footer>\n")
-    return document(title, "".join(parts))
+    return document("Season", "".join(parts))
 
 
 def _short(heats):
@@ -174,8 +179,6 @@ def _cell(heat, key, _, form):
     value = heat[key]
     if key == "bag":
         return Markup(_linked(heat, escape(value)))
-    if key == "reason":
-        return value or heat["warnings"]
     if isinstance(value, float) and math.isnan(value):
         return value
     return form.format(value)

@@ -48,7 +48,7 @@ class AxleFigure(NamedTuple):
 
 
 class DriveFigure(NamedTuple):
-    """Signals of one drive on one clock, shape (n,), and slices of its steady segments."""
+    """Signals of one drive on one clock [SI], shape (n,), and slices of its steady segments."""
 
     name: str
     t: np.ndarray

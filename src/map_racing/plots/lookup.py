@@ -16,9 +16,7 @@ from .style import finished, new_figure
 __all__ = ["plot_lookup_curves", "plot_lookup_surface"]
 
 
-def plot_lookup_surface(
-    speeds, angles, a_lat, title: str = "Steady-state lateral acceleration"
-) -> Figure:
+def plot_lookup_surface(speeds, angles, a_lat) -> Figure:
     """Lookup table as a surface over speed and steering angle.
 
     Parameters
@@ -29,7 +27,6 @@ def plot_lookup_surface(
         [rad]
     a_lat : array_like, shape (n_angles, n_speeds)
         [m/s^2]; NaN where there is no stable steady state.
-    title : str, optional
 
     Returns
     -------
@@ -60,15 +57,13 @@ def plot_lookup_surface(
     axes.set_zlabel("lateral acceleration [m/s²]", labelpad=6)
     axes.set_zlim(0.0, top)
     axes.view_init(elev=28.0, azim=-125.0)
-    axes.set_title(title)
+    axes.set_title("Steady-state lateral acceleration")
     figure.colorbar(mappable, ax=axes, shrink=0.65, pad=0.1, label="lateral acceleration [m/s²]")
     figure.subplots_adjust(left=0.07, right=0.96, bottom=0.03, top=0.95)
     return figure
 
 
-def plot_lookup_curves(
-    speeds, angles, a_lat, count: int = 8, title: str = "Steering for lateral acceleration"
-) -> Figure:
+def plot_lookup_curves(speeds, angles, a_lat) -> Figure:
     """Lookup table as curves: steering angle over lateral acceleration, one per speed.
 
     Dots mark the largest reachable acceleration; beyond it a curve is dotted.
@@ -77,9 +72,6 @@ def plot_lookup_curves(
     ----------
     speeds, angles, a_lat
         As for `plot_lookup_surface`.
-    count : int, optional
-        Number of speeds, spread over the table.
-    title : str, optional
 
     Returns
     -------
@@ -90,7 +82,7 @@ def plot_lookup_curves(
     axes = figure.add_subplot(1, 1, 1)
     lowest = min(max(1.0, speeds[0]), speeds[-1])
     picked = sorted(
-        {int(np.argmin(np.abs(speeds - v))) for v in np.linspace(lowest, speeds[-1], count)}
+        {int(np.argmin(np.abs(speeds - v))) for v in np.linspace(lowest, speeds[-1], 8)}
     )
     colors = cm.viridis(np.linspace(0.0, 0.9, len(picked)))
     for color, j in zip(colors, picked):
@@ -105,7 +97,7 @@ def plot_lookup_curves(
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("lateral acceleration [m/s²]")
     axes.set_ylabel("steering angle [rad]")
-    axes.set_title(title)
+    axes.set_title("Steering for lateral acceleration")
     axes.grid(alpha=0.25)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     return finished(figure)

@@ -19,7 +19,6 @@ def plot_optimized(
     line: Raceline,
     reference: Raceline,
     walls: Walls,
-    title: str | None = None,
     image: MapImage | None = None,
 ) -> Figure:
     """An optimized line colored by speed between the walls; curvature and speed along the lap.
@@ -31,7 +30,6 @@ def plot_optimized(
     reference : Raceline
         Compared with the line where it is beside it; with or without speeds.
     walls : Walls
-    title : str, optional
     image : MapImage, optional
         Map from which the walls were taken, drawn beneath.
 
@@ -51,7 +49,7 @@ def plot_optimized(
     layout = figure.add_gridspec(*shape, **ratios)
     track, top, bottom = (figure.add_subplot(layout[place]) for place in places)
     path = _draw_lines(track, line, reference, walls)
-    legend_above(track, title or line.name or "optimized line")
+    legend_above(track, line.name or "optimized line")
     if image is not None:
         draw_map(track, image)
     figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)

@@ -174,7 +174,7 @@ def plot_boxes(named_results, title: str | None = None) -> Figure:
     return finished(figure, top=0.94 if title else 1.0)
 
 
-def plot_differences(named_results, title: str | None = None) -> Figure:
+def plot_differences(named_results) -> Figure:
     """Runs over the distance: lateral deviation, difference of errors, difference of time.
 
     The upper plot has the mean deviation of each run and the band of its valid laps. The others
@@ -186,7 +186,6 @@ def plot_differences(named_results, title: str | None = None) -> Figure:
     ----------
     named_results : iterable of (str, RunResult)
         At least two, with traces, on the same raceline from the same start line.
-    title : str, optional
 
     Returns
     -------
@@ -228,7 +227,7 @@ def plot_differences(named_results, title: str | None = None) -> Figure:
         axes.axhline(0.0, color=RACELINE, lw=0.8)
         axes.grid(alpha=0.25)
         axes.set_xlim(0.0, first.raceline.length)
-    heading = title or "Deviation over the distance, differences of error and time"
+    heading = "Deviation over the distance, differences of error and time"
     for axes, text in ((top, heading), (middle, ""), (bottom, "")):
         legend_above(axes, text, columns=2)
     top.set_ylabel("lateral deviation,\nleft positive [m]")

@@ -177,8 +177,6 @@ def race(
         raise ParameterError(f"laps: expected at least 1, got {laps}")
     if slowdown is not None and not 0.0 <= slowdown < math.inf:
         raise ParameterError(f"slowdown: expected 0 or more, got {slowdown}")
-    if time_limit is None:
-        time_limit = math.inf
 
     start_s = START_S * size_of(plant.vehicle).length
     start = raceline.pose(start_s)
@@ -193,8 +191,8 @@ def race(
     steering, speed = 0.0, 0.0
     samples, truth = [], []
     processor = _Processor(driver.step, slowdown, plant.time_step)
-    way = _Way(raceline.length, start_s)
-    poses, crossed = 0, None
+    referee = _Referee(raceline, start_s, laps, plant.vehicle.width, time_limit)
+    poses, outcome = 0, None
     while True:
         taken, arrived = car.observe()
         if taken is not None:
@@ -206,22 +204,12 @@ def race(
             if faults is not None:
                 _take(driver, *faults.update(car.now, s))
             grip.update(car.now, s, 1.0 if faults is None else faults.grip)
-            way.update(s, car.now)
+            answered = math.inf if faults is not None else samples[-1].true[0] if samples else 0.0
+            outcome = referee.see(car.now, s, d, answered)
             if progress is not None and poses % 40 == 0:
-                progress(way.driven / raceline.length)
-            if hits_wall(raceline, s, d, plant.vehicle.width):
-                outcome = Outcome.CRASHED
-                break
-            finish = (laps + 1) * raceline.length
-            if crossed is None and way.driven > finish + start_s / 3.0:
-                crossed = car.now
-            if way.driven > finish + start_s and (
-                faults is not None or (samples and samples[-1].true[0] >= crossed)
-            ):
-                outcome = Outcome.COMPLETED
-                break
-        if car.now > time_limit or car.now > way.headway_at + PATIENCE:
-            outcome = Outcome.STALLED
+                progress(referee.driven / raceline.length)
+        outcome = outcome or referee.look_at_clock(car.now)
+        if outcome is not None:
             break
         for seen, result in processor.take(car.now, arrived):
             steering, speed = result.steering_angle, result.speed
@@ -234,7 +222,7 @@ def race(
                 steering, speed = decision.steering_angle, decision.speed
         for _ in range(_stride(car, driver, processor)):
             car.advance(steering, speed)
-    laps_driven = max(int(way.driven / raceline.length) - 1, 0)
+    laps_driven = max(int(referee.driven / raceline.length) - 1, 0)
     work = None if slowdown is None else processor.work(controller)
     commands = list(driver.commands)
     return RaceLog(outcome, laps_driven, car.now, samples, commands, truth, work)
@@ -264,21 +252,39 @@ def _take(driver, begun, ended):
         driver.end(fault)
 
 
-class _Way:
-    """How far the car has come along the track, and when it last made headway."""
+class _Referee:
+    """How far the car has come along the track [m], and how the race ends."""
 
-    def __init__(self, length, start_s):
-        self._length = length
-        self.driven, self._last_s = start_s, None
-        self._headway, self.headway_at = start_s, 0.0
+    def __init__(self, raceline, start_s, laps, width, time_limit):
+        self._raceline, self._start_s, self._width = raceline, start_s, width
+        self._finish = (laps + 1) * raceline.length
+        self._time_limit = math.inf if time_limit is None else time_limit
+        self.driven, self._last_s, self._crossed = start_s, None, None
+        self._headway, self._headway_at = start_s, 0.0
 
-    def update(self, s, now):
-        """Take the place on the track [m] at a time [s]."""
+    def see(self, now, s, d, answered):
+        """The outcome, if the race ends with the car at a place on the track.
+
+        A race is only completed when a pose from beyond the line was answered: `answered` is the
+        time of the last one that was.
+        """
         if self._last_s is not None:
-            self.driven += math.remainder(s - self._last_s, self._length)
+            self.driven += math.remainder(s - self._last_s, self._raceline.length)
         self._last_s = s
         if self.driven > self._headway + HEADWAY:
-            self._headway, self.headway_at = self.driven, now
+            self._headway, self._headway_at = self.driven, now
+        if hits_wall(self._raceline, s, d, self._width):
+            return Outcome.CRASHED
+        if self._crossed is None and self.driven > self._finish + self._start_s / 3.0:
+            self._crossed = now
+        if self.driven > self._finish + self._start_s and answered >= self._crossed:
+            return Outcome.COMPLETED
+        return None
+
+    def look_at_clock(self, now):
+        """The outcome, if the race has taken too long."""
+        late = now > self._time_limit or now > self._headway_at + PATIENCE
+        return Outcome.STALLED if late else None
 
 
 class _Processor:

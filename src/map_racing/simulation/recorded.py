@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Iterable
 
 from ..bags.writer import BagWriter
+from ..control.safety import state_text
 from ..track.files.waypoints import waypoint_rows
 from ..track.raceline import Raceline
 from .car import Sample
@@ -31,8 +32,8 @@ def write_race_bag(
     Localization is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, stamped with the time
     of measurement and received when it arrived; commands are on the drive topic, the IMU on
     ``/vesc/sensors/imu/raw``, the raceline on ``/global_waypoints``, the true motion on
-    ``/ground_truth/odom``, the settings on ``/map_racing/settings``, and what an adaptive
-    controller believes on ``/map_racing/belief``.
+    ``/ground_truth/odom``, the settings on ``/map_racing/settings``, what an adaptive controller
+    believes on ``/map_racing/belief``, and states of the supervisor on ``/diagnostics``.
 
     Parameters
     ----------
@@ -60,8 +61,13 @@ def write_race_bag(
                 bag.belief(stamp, sample.belief, received=arrival)
             if not log.commands:
                 _command(bag, sample.arrival, sample.result)
+        said = ""
         for t, decision in log.commands:
             _command(bag, t, decision)
+            state = state_text(decision.mode, decision.reason)
+            if state != said:
+                bag.state(_time(t), state)
+            said = state
 
 
 def write_ramp_bag(

@@ -117,7 +117,7 @@ def track_from_map(
 
 
 def walls_from_map(
-    image: MapImage, line: Raceline, speckle: float | None = None
+    image: MapImage, line: Raceline
 ) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
     """Distances from a line to the walls of a map, across the line.
 
@@ -125,8 +125,6 @@ def walls_from_map(
     ----------
     image : MapImage
     line : Raceline
-    speckle : float, optional
-        See `track_from_map`.
 
     Returns
     -------
@@ -139,7 +137,7 @@ def walls_from_map(
     RacelineError
         If the line leaves the free space.
     """
-    free, removed = _without_speckle(image, speckle)
+    free, removed = _without_speckle(image, None)
     findings = list(image.findings)
     if removed:
         findings.append(Finding("speckle", NOTE, f"{removed} specks of walls removed as noise"))

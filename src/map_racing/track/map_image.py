@@ -101,6 +101,30 @@ def read_map_image(path: str | Path) -> MapImage:
         If a file cannot be read or a field is missing or impossible; the message names it.
     """
     path = Path(path)
+    header = _read_header(path)
+    free, findings = _free_cells(_gray(path.parent / header.image), header)
+    if header.origin[2] != 0.0:
+        text = (
+            f"the map is turned by the yaw of its origin, {header.origin[2]:g} rad, as map_server "
+            "says; a line made by a program that ignores it does not fit"
+        )
+        findings.append(Finding("origin-yaw", NOTE, text))
+    return MapImage(free[::-1], header.resolution, header.origin, str(path), tuple(findings))
+
+
+class _Header(NamedTuple):
+    """What the YAML file says; `missing` are thresholds that it does not state."""
+
+    image: str
+    resolution: float
+    origin: tuple
+    negate: int
+    free_below: float
+    occupied_above: float
+    missing: list
+
+
+def _read_header(path):
     content = read_yaml_mapping(path)
     resolution = _number(path, content, "resolution")
     if not 1e-4 < resolution < 100.0:
@@ -109,9 +133,11 @@ def read_map_image(path: str | Path) -> MapImage:
     if not isinstance(origin, list) or len(origin) != 3:
         raise FileFormatError(f"{path}: origin: expected [x, y, yaw], got {origin!r}")
     origin = tuple(_number(path, {"origin": value}, "origin") for value in origin)
-    free_below = _number(path, content, "free_thresh", _SAVERS_FREE)
-    occupied_above = _number(path, content, "occupied_thresh", 0.65)
-    for key, value in (("free_thresh", free_below), ("occupied_thresh", occupied_above)):
+    thresholds = {
+        key: _number(path, content, key, usual)
+        for key, usual in (("free_thresh", _SAVERS_FREE), ("occupied_thresh", 0.65))
+    }
+    for key, value in thresholds.items():
         if not 0.0 <= value <= 1.0:
             raise FileFormatError(f"{path}: {key}: expected 0 to 1, got {value:g}")
     negate = content.get("negate", 0)
@@ -123,15 +149,21 @@ def read_map_image(path: str | Path) -> MapImage:
     name = content.get("image")
     if not isinstance(name, str) or not name:
         raise FileFormatError(f"{path}: image: expected the name of a file, got {name!r}")
-    gray = _gray(path.parent / name)
+    missing = [key for key in thresholds if key not in content]
+    return _Header(name, resolution, origin, negate, *thresholds.values(), missing)
 
+
+def _free_cells(gray, header):
+    """Mask of the free cells of an image, and what was found."""
+    _, _, _, negate, free_below, occupied_above, missing = header
     # The rule of map_server: the darker a cell, the more likely it is occupied.
     occupied = gray / 255.0 if negate else (255.0 - gray) / 255.0
-    free, findings = (occupied < free_below) & (occupied <= occupied_above), []
-    for key, value in (("free_thresh", free_below), ("occupied_thresh", occupied_above)):
-        if key not in content:
-            text = f"{key} is missing: taken as {value:g}"
-            findings.append(Finding("thresholds", WARNING, text))
+    free = (occupied < free_below) & (occupied <= occupied_above)
+    taken = {"free_thresh": free_below, "occupied_thresh": occupied_above}
+    findings = [
+        Finding("thresholds", WARNING, f"{key} is missing: taken as {taken[key]:g}")
+        for key in missing
+    ]
     if occupied_above < free_below:
         text = (
             f"occupied_thresh {occupied_above:g} is below free_thresh {free_below:g}: cells up to "
@@ -150,13 +182,7 @@ def read_map_image(path: str | Path) -> MapImage:
             f"unknown (gray {_UNSEEN}): taken as unknown"
         )
         findings.append(Finding("unknown-cells", WARNING, text))
-    if origin[2] != 0.0:
-        text = (
-            f"the map is turned by the yaw of its origin, {origin[2]:g} rad, as map_server says; a "
-            "line made by a program that ignores it does not fit"
-        )
-        findings.append(Finding("origin-yaw", NOTE, text))
-    return MapImage(free[::-1], resolution, origin, str(path), tuple(findings))
+    return free, findings
 
 
 def _number(path, content, key, default=None):

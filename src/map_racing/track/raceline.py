@@ -43,7 +43,23 @@ class CurvePoint(NamedTuple):
 
 
 class CurveSamples(NamedTuple):
-    """Arrays along the curve; speed [m/s] and wall distances [m] are None where unknown."""
+    """Arrays along the curve; what is not known of the raceline is None.
+
+    Parameters
+    ----------
+    s : ndarray, shape (n,)
+        Arc lengths [m].
+    x, y : ndarray, shape (n,)
+        Positions [m].
+    psi : ndarray, shape (n,)
+        Headings [rad].
+    kappa : ndarray, shape (n,)
+        Curvatures [1/m], left positive.
+    speed : ndarray, shape (n,), or None
+        [m/s]
+    d_left, d_right : ndarray, shape (n,), or None
+        Distances to the walls [m].
+    """
 
     s: np.ndarray
     x: np.ndarray

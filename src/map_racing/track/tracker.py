@@ -8,6 +8,9 @@ from .raceline import Projection, Raceline
 
 __all__ = ["RacelineTracker"]
 
+# Longest plausible movement from one update to the next [m].
+FARTHEST_STEP = 3.0
+
 
 class RacelineTracker:
     """Continuous projection of a moving car onto a raceline.
@@ -21,8 +24,6 @@ class RacelineTracker:
     Parameters
     ----------
     raceline : Raceline
-    max_step : float, optional
-        Longest plausible movement from one update to the next [m].
     max_deviation : float, optional
         Largest plausible distance from the curve [m]. Default: 0.5 m beyond the farther wall or,
         without walls, 2 m.
@@ -36,15 +37,13 @@ class RacelineTracker:
         The last update left the car farther from the curve than `max_deviation`.
     """
 
-    def __init__(
-        self, raceline: Raceline, *, max_step: float = 3.0, max_deviation: float | None = None
-    ):
+    def __init__(self, raceline: Raceline, *, max_deviation: float | None = None):
         if max_deviation is None:
             max_deviation = 2.0
             if raceline.d_left is not None:
                 max_deviation = 0.5 + max(raceline.d_left.max(), raceline.d_right.max())
         self.raceline = raceline
-        self.max_step, self.max_deviation = float(max_step), float(max_deviation)
+        self.max_deviation = float(max_deviation)
         self.reset()
 
     def reset(self) -> None:
@@ -75,7 +74,7 @@ class RacelineTracker:
         if last is not None:
             dx, dy = x - self._x, y - self._y
             moved = math.sqrt(dx * dx + dy * dy)
-            if moved <= self.max_step:
+            if moved <= FARTHEST_STEP:
                 guess = last.s + dx * math.cos(last.psi) + dy * math.sin(last.psi)
                 # Inside a bend the projection moves faster than the car.
                 found = self.raceline.project_near(x, y, guess, 3.0 * moved + 0.5)
@@ -96,4 +95,4 @@ class RacelineTracker:
         moved = math.hypot(x - self._x, y - self._y)
         half = 0.5 * self.raceline.length
         along = (found.s - self._last.s + half) % self.raceline.length - half
-        return moved > self.max_step or abs(along) > 3.0 * moved + 0.5
+        return moved > FARTHEST_STEP or abs(along) > 3.0 * moved + 0.5

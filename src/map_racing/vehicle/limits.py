@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .lookup import GRID_SPEEDS, LookupTable, default_grid
+from .grids import GRID_SPEEDS, default_grid
+from .lookup import LookupTable
 from .parameters import Vehicle
 from .steady_state import steady_state_table
 

@@ -16,13 +16,8 @@ from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping, replacing
 from ..tables import open_text, parse_rows
 from ..validation import positive
-from .parameters import Vehicle
-from .size import ONE_TENTH, size_of
 
-__all__ = ["LookupTable", "Provenance", "default_grid", "load_table", "published_grid"]
-
-# Bounds of the fastest column of a grid [m/s].
-GRID_SPEEDS = 0.2, 100.0
+__all__ = ["LookupTable", "Provenance", "load_table"]
 
 
 @dataclass(frozen=True)
@@ -106,7 +101,7 @@ class LookupTable:
 
     Between the nodes, from standstill to 15 m/s, steering angles of ``nuc4`` differ from the exact
     solution by at most 0.21 mrad up to 95 % of the limit on the published grid, and by 0.18 mrad up
-    to 99 % on the `default_grid`; at the limit, where the angle rises steeply, by 5.2 and 1.7 mrad.
+    to 99 % on the default grid; at the limit, where the angle rises steeply, by 5.2 and 1.7 mrad.
     """
 
     def __init__(
@@ -318,58 +313,6 @@ class LookupTable:
         # the floor keeps the inverse monotone: an oversteering car cannot go that fast
         angles = _from_zero(np.cumsum(np.maximum(rise - geometric, 0.1 * rise)))
         return _column(column.limit, np.asarray(column.shares), angles)
-
-
-def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Speeds and angles so fine that interpolation errors hardly matter.
-
-    There are 257 angles, and about one column per 0.1 m/s from 0.1 m/s on; the notes of
-    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. Larger cars
-    have columns as much farther apart as they are faster, and angles that are denser the smaller
-    they are: at full speed they steer by hundredths of a radian.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    v_max : float, optional
-        Fastest column [m/s], from 0.2 to 100; default: the vehicle's, within these bounds. Faster
-        than its columns a table extrapolates.
-
-    Returns
-    -------
-    speeds, angles : ndarray
-        [m/s] and [rad], up to the vehicle's largest steering angle.
-
-    Raises
-    ------
-    ParameterError
-        If `v_max` is out of its range.
-    """
-    slowest, fastest = GRID_SPEEDS
-    v_max = min(max(vehicle.v_max, slowest), fastest) if v_max is None else float(v_max)
-    if not slowest <= v_max <= fastest:
-        raise ParameterError(
-            f"v_max: expected a speed from {slowest:g} to {fastest:g} m/s, got {v_max:g}"
-        )
-    size = size_of(vehicle)
-    speeds = np.linspace(0.1, v_max, int(math.ceil(10.0 / size.time * (v_max - 0.1))) + 1)
-    if size == ONE_TENTH:
-        return speeds, np.linspace(0.0, vehicle.delta_max, 257)
-    return speeds, vehicle.delta_max * np.linspace(0.0, 1.0, 257) ** 2
-
-
-def published_grid() -> tuple[np.ndarray, np.ndarray]:
-    """Speeds and angles of the published tables, which contain 0.1 rad twice.
-
-    Returns
-    -------
-    speeds : ndarray, shape (65,)
-        [m/s]
-    angles : ndarray, shape (60,)
-        [rad]
-    """
-    angles = np.concatenate((np.linspace(0.0, 0.1, 30), np.linspace(0.1, 0.4, 30)))
-    return np.linspace(0.5, 7.0, 65), angles
 
 
 def load_table(path: str | Path) -> LookupTable:

@@ -11,14 +11,23 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Iterator, NamedTuple
 
+import numpy as np
+
 from ..errors import ParameterError
+from .single_track import GRAVITY
 from .size import size_of
 
 if TYPE_CHECKING:
     from .lookup import LookupTable
     from .parameters import Vehicle
 
-__all__ = ["HIGHEST_FRICTION", "doubts_of_table", "doubts_of_vehicle", "friction_doubt"]
+__all__ = [
+    "HIGHEST_FRICTION",
+    "doubts_of_peak",
+    "doubts_of_table",
+    "doubts_of_vehicle",
+    "friction_doubt",
+]
 
 HIGHEST_FRICTION = 1.3
 """More than rubber holds on a clean floor without downforce."""
@@ -121,7 +130,25 @@ def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
             f"lookup table: ends at an angle of {table.angles[-1]:.3g} rad, the wheels of "
             f"{vehicle.name} turn to {vehicle.delta_max:.3g} rad"
         )
-    return doubts
+    return doubts + ([] if friction_doubt(vehicle) else doubts_of_peak(table))
+
+
+def doubts_of_peak(table: LookupTable) -> list[str]:
+    """Doubt about the grip that a lookup table shows where more angle gives less acceleration.
+
+    A table of linear tires has no such peak, and tells nothing about grip.
+    """
+    with np.errstate(invalid="ignore"):
+        falling = np.any(np.diff(table.a_lat, axis=0) < 0.0, axis=0)
+    if not falling.any():
+        return []
+    grip = float(np.median(np.nanmax(table.a_lat[:, falling], axis=0))) / GRAVITY
+    if grip <= HIGHEST_FRICTION:
+        return []
+    return [
+        f"lookup table: its peak is that of a friction of {grip:.3g}, expected at most "
+        f"{HIGHEST_FRICTION:g} of rubber on a floor without downforce"
+    ]
 
 
 def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
@@ -141,6 +168,7 @@ def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
         field = f"{name} tire: cornering stiffness over load"
         others = {"1/deg": 1.0 / _DEGREE}
         yield _Range(field, vehicle.mu * tire.stiffness, 1.0, 100.0, "1/rad", others)
+        yield _Range(f"{name} tire: friction", vehicle.mu * getattr(tire, "D", 1.0), 0.1, 2.5, "")
     softer = vehicle.mu * min(vehicle.front.stiffness, vehicle.rear.stiffness)
     yield _Range("softer axle: cornering stiffness over load", softer, 1.0, 40.0, "1/rad")
     yield _Range("delta_max", vehicle.delta_max, 0.1, 1.2, "rad", {"deg": _DEGREE})

@@ -172,17 +172,9 @@ class TireSteering:
         return 1.0 / (inverse[k - 1] + part * (inverse[k] - inverse[k - 1]))
 
     def max_lateral_acceleration(self, v: float | np.ndarray) -> float | np.ndarray:
-        """Largest lateral acceleration that `steering` reaches.
+        """Largest lateral acceleration that `steering` reaches [m/s^2].
 
-        Parameters
-        ----------
-        v : float or ndarray
-            Speed [m/s], of any shape; its sign does not matter.
-
-        Returns
-        -------
-        float or ndarray
-            [m/s^2], in the shape of `v`.
+        As `map_racing.vehicle.lookup.LookupTable.max_lateral_acceleration`.
         """
         speed = np.abs(np.asarray(v, dtype=float))
         w = 1.0 / np.maximum(speed, SLOWEST) ** 2

@@ -220,48 +220,15 @@ class LinearTire:
         return math.inf
 
     def normalized_force(self, alpha: float | np.ndarray) -> np.ndarray:
-        """Force ``-F_y / (mu F_z)`` at slip angles.
-
-        Parameters
-        ----------
-        alpha : float or ndarray
-            Slip angle [rad], of any shape.
-
-        Returns
-        -------
-        ndarray
-            [-], in the shape of `alpha`.
-        """
+        """Force ``-F_y / (mu F_z)`` [-] at slip angles [rad], of their shape."""
         return self.C_S * np.asarray(alpha, dtype=float)
 
     def slope(self, alpha: float | np.ndarray) -> np.ndarray:
-        """Derivative of `normalized_force`.
-
-        Parameters
-        ----------
-        alpha : float or ndarray
-            Slip angle [rad], of any shape.
-
-        Returns
-        -------
-        ndarray
-            [1/rad], in the shape of `alpha`.
-        """
+        """Derivative of `normalized_force` [1/rad] at slip angles [rad], of their shape."""
         return np.full_like(np.asarray(alpha, dtype=float), self.C_S)
 
     def slip(self, force: float | np.ndarray) -> np.ndarray:
-        """Slip angle [rad] of a normalized force [-], the inverse of `normalized_force`.
-
-        Parameters
-        ----------
-        force : float or ndarray
-            Normalized force [-], of any shape.
-
-        Returns
-        -------
-        ndarray
-            [rad], in the shape of `force`.
-        """
+        """Slip angles [rad] of normalized forces [-], of their shape; see `PacejkaTire.slip`."""
         return np.asarray(force, dtype=float) / self.C_S
 
     def scalar(self) -> Callable[[float], float]:

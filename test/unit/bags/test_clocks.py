@@ -9,7 +9,7 @@ from map_racing.bags import messages as msg
 from map_racing.bags.bag import Connection, Message
 from map_racing.bags.clocks import lag_of_effect
 from map_racing.bags.reader import read_recording, read_signals
-from map_racing.bags.series import Series
+from map_racing.bags.series import Series, commands_of_two
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError
@@ -80,6 +80,41 @@ def test_commands_of_two_nodes(gone):
     assert notes[1:] == ([took_over] if gone else [])
 
 
+def drives(count=1000):
+    """Commands of one node, on noisy poses: angles tremble, speeds do not."""
+    rng = np.random.default_rng(2)
+    t = 0.02 * np.arange(count)
+    return 0.2 * np.sin(t) + 0.03 * rng.normal(size=count), 5.0 + np.sin(0.7 * t)
+
+
+def test_commands_of_one_node_that_trembles_are_not_doubted():
+    angle, speed = drives()
+    trembling = angle + np.where(np.arange(1000) % 17 < 2, 0.06 * (-1.0) ** np.arange(1000), 0.0)
+    for one in (angle, trembling, 0.0 * angle):
+        assert commands_of_two("/drive", one, speed) == ""
+        assert commands_of_two("/drive", one, np.round(speed)) == ""
+
+
+@pytest.mark.parametrize(
+    ("every", "other", "said"),
+    [
+        (50, (0.0, 0.0), "20 of the commands"),  # a brake, once a second
+        (3, (0.2, 0.2), "% of the commands"),  # a node that wants almost the same
+        (2, (-0.3, -4.0), "% of the commands"),
+        (5, (0.3, 0.0), "of the commands"),  # only the angles differ
+    ],
+)
+def test_commands_of_two_nodes_that_nothing_names(every, other, said):
+    angle, speed = drives()
+    turn, faster = other
+    theirs = np.arange(1000) % every == 1
+    stops = other == (0.0, 0.0)
+    angle = np.where(theirs, 0.0 if stops else angle + turn, angle)
+    speed = np.where(theirs, 0.0 if stops else speed + faster, speed)
+    doubt = commands_of_two("/drive", angle, speed)
+    assert said in doubt and "are unlike those before and after" in doubt
+
+
 def test_stamps_in_bunches_and_even_receipts(tmp_path):
     path = write(
         tmp_path / "a.bag",
@@ -104,6 +139,39 @@ def test_a_bag_played_slowly_and_recorded_again_keeps_its_stamps(tmp_path):
     recording = read_recording(path)
     assert not any(note.startswith("warning") for note in recording.notes)
     np.testing.assert_array_equal(recording.commands.t, recording.t)
+    assert (
+        "/car_state/odom: 0.200 s of its stamps pass in a second of receipt: lap times are those "
+        "of the stamps"
+    ) in recording.notes
+
+
+def test_messages_that_overtake_each_other_keep_their_stamps(tmp_path):
+    """Two at a time in the wrong order, as of a node with several threads."""
+    order = np.arange(COUNT) ^ 1
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i, k in enumerate(order.tolist()):
+            stamp, received = (T0 + 0.025 * j for j in (k, i))
+            bag.odometry(stamp, 0.1 * k, 0.0, 0.0, 4.0, 0.0, 0.0, received=received + 0.03)
+    recording = read_recording(tmp_path / "a.bag")
+    np.testing.assert_allclose(recording.t, 0.025 * np.arange(COUNT), atol=1e-6)
+    np.testing.assert_allclose(recording.x, 0.1 * np.arange(COUNT), atol=1e-9)
+
+
+def test_commands_whose_clock_was_set_meanwhile(tmp_path):
+    """Their stamps are right for more than half of the time, and 3 s early before."""
+
+    def stamp(i, t):
+        return t - (3.0 if i < 80 else 0.0)
+
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for i in range(COUNT):
+            t = T0 + 0.025 * i
+            bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0, received=t + 0.001)
+            bag.drive(stamp(i, t), 0.001 * i, float(i), received=t + 0.001)
+    recording = read_recording(tmp_path / "a.bag")
+    (said,) = [note for note in recording.notes if note.startswith("warning")]
+    assert "from another clock than the poses' for a part of the time" in said
+    np.testing.assert_allclose(recording.commands.t, recording.t, atol=2e-3)
 
 
 def test_commands_that_no_receipt_brings_to_the_poses_are_named(tmp_path):

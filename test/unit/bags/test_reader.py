@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from moments import T0, TIMES, write
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from map_racing.bags import messages as msg
 from map_racing.bags.reader import read_recording
@@ -46,6 +46,9 @@ def once(fill):
         ([odometry("/odom"), odometry("/pf/pose/odom")], "/pf/pose/odom"),
         ([odometry("/ground_truth/odom"), odometry("/vesc/odom", "odom")], "/vesc/odom"),
         ([odometry("/ground_truth/odom")], "/ground_truth/odom"),
+        ([odometry("/opponent/odom"), odometry("/pf_odom")], "/pf_odom"),
+        ([pose("/goal_pose"), odometry("/odom", "odom")], "/odom"),
+        ([pose("/lookahead_point"), pose("/slam_pose")], "/slam_pose"),
         ([odometry("/car_state/odom_frenet"), odometry("/vesc/odom", "odom")], "/vesc/odom"),
         ([once(pose("/move_base_simple/goal")), odometry("/odom", "odom")], "/odom"),
         ([odometry("/odom", "odom"), transform()], "/tf"),
@@ -317,7 +320,13 @@ def test_damaged_bag_gives_its_first_laps_and_says_so(tmp_path, race_bag, compre
     whole, part = read_recording(race_bag(compression)), read_recording(path)
     assert 100 < part.t.size < whole.t.size
     np.testing.assert_array_equal(part.x, whole.x[: part.t.size])
-    assert any(note.startswith("damaged bag") for note in part.notes)
+    assert any(note.startswith("warning: damaged bag") for note in part.notes)
+
+
+def test_a_bag_of_ros1_is_one_whatever_its_name(tmp_path, race_bag):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(race_bag().read_bytes())
+    assert read_recording(path).t.size == read_recording(race_bag()).t.size
 
 
 def test_hangar_recording(shared_data):
@@ -428,6 +437,33 @@ def test_a_late_message_is_no_jump(tmp_path):
     assert recording.t0_ns == int(T0 * 1e9)
     assert recording.x[12] == 20.0
     assert any("1 steps back in time: sorted" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("begins", [0, 25])
+def test_two_localizations_on_tf_are_said(tmp_path, begins):
+    """At once, or one after the other has gone."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    name = "tf2_msgs/msg/TFMessage"
+    types.register(get_types_from_msg(msg.DEFINITIONS[name], name))
+    definition, md5sum = types.generate_msgdef(name)
+    with Writer(tmp_path / "a.bag") as writer:
+        lines = [
+            writer.add_connection(
+                *("/tf", name),
+                **{"msgdef": definition, "md5sum": md5sum, "callerid": sender},
+            )
+            for sender in ("/amcl", "/slam")
+        ]
+        for i, t in enumerate(TIMES):
+            for k, line in enumerate(lines):
+                if begins and (i >= begins) != bool(k):
+                    continue
+                at = int(t * 1e9) + 10**6 * k
+                data = msg.encode_transform(i, at, "map", "base_link", i + 0.5 * k, 0.0, 0.0)
+                writer.write(line, at, data)
+    said = [note for note in read_recording(tmp_path / "a.bag").notes if "at once" in note]
+    expected = "warning: /tf: map to base_link: sent by 2 nodes at once, /amcl, /slam: all of them"
+    assert [note[: len(expected)] for note in said] == ([] if begins else [expected])
 
 
 # -- damage --------------------------------------------------------------------------------------

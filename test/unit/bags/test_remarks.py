@@ -11,6 +11,11 @@ from map_racing.bags.cdr import connection_of, layout_of_ros1
 from map_racing.bags.reader import read_recording
 from map_racing.bags.remarks import read_remarks
 from map_racing.bags.writer import BagWriter
+from map_racing.control.safety import Decision, Mode, Reason, state_text
+from map_racing.control.state import CarState
+from map_racing.simulation.car import Sample
+from map_racing.simulation.race import Outcome, RaceLog
+from map_racing.simulation.recorded import write_race_bag
 
 TYPES = get_typestore(Stores.ROS1_NOETIC)
 
@@ -49,20 +54,23 @@ def diagnostics(stamp, *statuses):
     return TYPES.serialize_ros1(array, "diagnostic_msgs/msg/DiagnosticArray")
 
 
-def test_states_of_the_controller(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "hardware"), [("controller: state", "NUC4"), ("controller: driving", "map_racing")]
+)
+def test_states_of_the_controller(tmp_path, name, hardware):
     path = tmp_path / "run.bag"
     with BagWriter(tmp_path / "poses.bag") as bag:
         for i in range(100):
             bag.odometry(100.0 + 0.025 * i, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0)
     recording = read_recording(tmp_path / "poses.bag")
-    lidar = ("lidar", "dirty", "hokuyo")
+    lidar = ("lidar: state", "dirty", "hokuyo")
     with Writer(path) as writer:
         line = writer.add_connection(
             "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", typestore=TYPES
         )
         texts = ["driving", "driving", "stopping: stale pose", "stopped: stale pose", "driving"]
         for i, text in enumerate(texts):
-            ours = ("controller: driving", text, "map_racing")
+            ours = (name, text, hardware)
             data = diagnostics(100 + i, lidar, ours)
             writer.write(line, (100 + i) * 10**9, data)
             writer.write(line, (100 + i) * 10**9 + 1, diagnostics(100 + i, lidar))
@@ -73,6 +81,33 @@ def test_states_of_the_controller(tmp_path):
         (pytest.approx(3.0), "stopped: stale pose"),
         (pytest.approx(4.0), "driving"),
     ]
+
+
+def test_states_of_a_supervised_race(tmp_path, track):
+    """The bag has what the controller's node says on its diagnostics."""
+    driving = Decision(Mode.DRIVING, Reason.NONE, 0.0, 3.0)
+    stopping = Decision(Mode.STOPPING, Reason.STALE_POSE, 0.0, 1.0)
+    line = track.raceline()
+    states = [CarState(0.025 * i, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0) for i in range(8)]
+    samples = [Sample(s, s, s.t, (0.0, 0.0), 0.0, driving) for s in states]
+    commands = [(0.01, driving), (0.06, stopping), (0.08, stopping), (0.15, driving)]
+    log = RaceLog(Outcome.COMPLETED, 0, 0.2, samples, commands)
+    path = tmp_path / "race.bag"
+    write_race_bag(path, log, line)
+    states = read_remarks(path, read_recording(path)).states
+    assert [text for _, text in states] == ["driving", "stopping: pose too old", "driving"]
+    assert [t for t, _ in states] == pytest.approx([0.01, 0.06, 0.15], abs=0.02)
+
+
+def test_every_mode_of_the_supervisor_is_a_state(tmp_path):
+    texts = [state_text(mode, Reason.GRIP) for mode in Mode]
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(100):
+            bag.odometry(100.0 + 0.025 * i, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0)
+        for i, text in enumerate(texts):
+            bag.state(100.5 + i, text)
+    found = read_remarks(tmp_path / "run.bag", read_recording(tmp_path / "run.bag")).states
+    assert [text for _, text in found] == texts
 
 
 def test_a_text_that_is_cut_off():

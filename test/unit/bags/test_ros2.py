@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 import shutil
 import sqlite3
 
@@ -423,3 +424,10 @@ def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, 
 def test_commands_of_one_node_are_not_doubted(made, tmp_path):
     notes = read_recording(write_sqlite(tmp_path / "b", made)).notes
     assert not any("of two nodes?" in note for note in notes)
+
+
+def test_an_error_in_a_compressed_file_names_the_file_that_was_given(made, tmp_path):
+    (path,) = write_sqlite(tmp_path / "run", made, "file").glob("*.zstd")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(BagError, match=re.escape(str(path))):
+        open_bag(path)

@@ -12,7 +12,8 @@ from map_racing.track.files.load import save_raceline
 from map_racing.track.raceline import Raceline
 
 
-@pytest.fixture(scope="session", autouse=True)
+# Of a module, not of the session: the tests of the plots come later.
+@pytest.fixture(scope="module", autouse=True)
 def coarse():
     """Figures of few pixels, not laid out: how they look is for the tests of the plots."""
     with pytest.MonkeyPatch.context() as patch:
@@ -77,6 +78,7 @@ def run(place):
             patch.setattr(tuning, "GRID", (8, 16))
             patch.setattr(tuning, "COARSE", 2)
             patch.setattr(tuning, "MOST_MOVES", 1)
+            patch.setattr(Figure, "tight_layout", lambda figure, **_: None)
             patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
             return main([str(argument) for argument in (*arguments, *conditions)])
 

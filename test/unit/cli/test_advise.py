@@ -47,3 +47,9 @@ def test_what_it_refuses(bags, tmp_path, race_bag, refused):
     assert "--vehicle" in refused("advise", race_bag())
     assert "also an input" in refused("advise", one, "--speed-sectors", one)
     assert "has none" in refused("advise", one, "--laps", "9")
+
+
+def test_doubts_stand_beside_the_advice(bags, capsys):
+    assert main(["advise", str(bags["map"]), "--vehicle", "sim"]) == 0
+    said = capsys.readouterr().out
+    assert "warning: --vehicle is SIM, but the controller drove with NUC4" in said

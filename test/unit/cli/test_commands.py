@@ -38,6 +38,7 @@ def test_help_of_a_command_shows_its_arguments(capsys, command):
         assert f"usage: map-racing {command} {action}" in own and "--" in own
 
 
+@pytest.mark.once
 def test_help_imports_no_heavy_library():
     code = (
         "import sys\nfrom map_racing.cli import main\n"
@@ -61,6 +62,14 @@ def test_help_imports_no_heavy_library():
         (["race"], "map-racing race: error: the following arguments are required: --output"),
         (["race", "--output", "a.bag", "--lapps", "3"], "unrecognized arguments: --lapps 3"),
         (["race", "--output", "a.bag", "--laps", "x"], "argument --laps: invalid int value: 'x'"),
+        (
+            ["evaluate", "a.bag", "--raceline", "a.csv", "--raceline=b.csv"],
+            "argument --raceline: expected once, got it again",
+        ),
+        (
+            ["raceline", "optimize", "a.yaml", "--start", "1,2", "--start", "3", "4"],
+            "argument --start: expected once, got it again",
+        ),
         (["evaluate"], "map-racing evaluate: error: the following arguments are required"),
         (["lookup"], "map-racing lookup: error: the following arguments are required: ACTION"),
     ],

@@ -137,7 +137,8 @@ def test_without_tuning_the_files_are_raced(shipped):
 def test_mistakes_are_one_line(tmp_path, refused, monkeypatch, options, expected):
     monkeypatch.setattr("map_racing.experiments.executors._PATIENCE", 1.0)
     vehicle = [] if "--vehicle" in options else ["--vehicle", "nuc4"]
-    command = ["experiment", "tire-models", *vehicle, "--output", tmp_path / "out"]
+    output = [] if "--output" in options else ["--output", tmp_path / "out"]
+    command = ["experiment", "tire-models", *vehicle, *output]
     assert expected in refused(*command, *options)
 
 
@@ -152,6 +153,7 @@ def test_results_of_another_kind_are_not_overwritten(tires, refused):
     assert "holds results of tire-models; choose another" in line
 
 
+@pytest.mark.once
 def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
     """They import the script anew, which must not start it again."""
     script = Path(__file__).resolve().parents[3] / "scripts" / "map-racing"

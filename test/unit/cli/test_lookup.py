@@ -6,7 +6,8 @@ import numpy as np
 
 from map_racing.cli import main
 from map_racing.resources import find_config
-from map_racing.vehicle.lookup import load_table, published_grid
+from map_racing.vehicle.grids import published_grid
+from map_racing.vehicle.lookup import load_table
 
 
 def test_generated_table_checks_against_its_vehicle(tmp_path, refused, capsys):

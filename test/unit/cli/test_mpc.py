@@ -7,18 +7,22 @@ import pytest
 
 from map_racing.cli import experiment, main
 from map_racing.experiments import rivals, session
+from map_racing.track.files.load import save_raceline
 
 # One of each kind: each costs a process of its own, in which its memory is measured.
 RIVALS = tuple(c for c in rivals.RIVALS if c.label in ("MAP Pacejka", "MPC single-track"))
 
 
-def test_experiment(tmp_path, monkeypatch, capsys):
+@pytest.mark.once
+def test_experiment(ring, tmp_path, monkeypatch, capsys):
     pytest.importorskip("osqp")
     monkeypatch.setattr(experiment, "RIVAL_SCALES", (0.5, 0.6))
     monkeypatch.setattr(experiment, "RIVALS", RIVALS)
     monkeypatch.setattr(rivals, "BELIEFS", rivals.BELIEFS[:2])
     command = ["experiment", "mpc", "--output", str(tmp_path), "--plants", "nuc4", "--seeds", "1"]
-    options = ["--no-tuning", "--laps", "1", "--jobs", "1"]
+    save_raceline(ring, tmp_path / "ring.csv")
+    options = ["--track", str(tmp_path / "ring.csv")]
+    options += ["--no-tuning", "--laps", "1", "--jobs", "1"]
     assert main([*command, *options]) == 0
     folder = tmp_path / "nuc4"
     work = pd.read_csv(folder / "work.csv").set_index("controller")

@@ -2,6 +2,7 @@
 
 import shutil
 
+from map_racing.cli.figures import remove_stale
 from map_racing.resources import find_config
 
 
@@ -24,3 +25,11 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, refused):
     assert "an input" in refused("race", "--vehicle", car, "--output", car)
     assert "name of a file" in refused("race", "--output", ".")
     assert (ours.read_bytes(), car.read_text()) == (before, text)
+
+
+def test_only_own_figures_of_earlier_calls_are_removed(tmp_path):
+    for name in ("run_1.png", "run_12.png", "run_notes.png", "run_1_mine.png", "my_run_1.png"):
+        (tmp_path / name).write_text("")
+    remove_stale(tmp_path, r"run_\d+\.png", ["run_1.png"])
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"run_1.png", "run_notes.png", "run_1_mine.png", "my_run_1.png"}

@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 
 def program(*arguments, **options):
     """Run the command line as a process."""
@@ -62,6 +64,7 @@ def test_too_little_memory_is_one_line(refused, monkeypatch):
     assert "not enough memory" in refused("lookup", "check", "table.csv")
 
 
+@pytest.mark.once
 def test_installed_copy_finds_its_data(tmp_path):
     """What pip installs, without the source tree: command, packages and data files."""
     source = __file__[: __file__.index("/test/unit/")]

@@ -171,7 +171,29 @@ def test_compare_gives_the_same_room(tmp_path, capsys):
     assert run(source, "--compare", tmp_path / "beyond.csv") == 0
     printed = capsys.readouterr().out
     assert "beyond.csv is 0.3" in printed and "m beyond a wall" in printed
+    assert "  the optimized line keeps 0.2" in printed
     assert float(table_of(printed)["beyond"][3]) == pytest.approx(-0.3, abs=0.02)
+
+
+def test_several_lines_to_compare_with(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+    track = load_raceline(str(source))
+    compared = []
+    for folder, d in (("a", 0.4), ("b", 0.55), ("c", 1.2), ("d", 0.3)):
+        (tmp_path / folder).mkdir()
+        line = Raceline(*track.to_cartesian(track.s, np.full(track.s.size, d)))
+        save_raceline(line, tmp_path / folder / "line.csv")
+        compared += ["--compare", tmp_path / folder / "line.csv"]
+    assert run(source, *compared) == 0
+    printed = capsys.readouterr().out
+    assert f"{tmp_path / 'c' / 'line.csv'} is 0.3" in printed
+    table = printed[printed.index("[rad^2/m]") :].splitlines()[1:8]
+    clearances = {line[:26].strip(): float(line[26:].split()[3]) for line in table}
+    expected = {"line": 0.5, "compared": 0.35, "compared 2": -0.3, "compared 3": 0.6}
+    # As close as the closest line that a car can follow.
+    expected["optimized"] = 0.35
+    found = {name: clearances[name] for name in expected}
+    assert found == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "json"])
@@ -357,6 +379,7 @@ def test_what_would_take_all_day_is_refused(tmp_path, capsys, unit, width, text)
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.once
 def test_margin_and_step_are_those_of_the_car(tmp_path, capsys):
     source = centerline(
         tmp_path / "circuit.csv",

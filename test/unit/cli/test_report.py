@@ -57,9 +57,17 @@ def test_its_numbers_are_those_of_evaluate(page, bags, tmp_path):
 
 def test_it_says_what_was_driven_with(page):
     text = text_of(page)
-    assert "controller: steering_map table" in text and "ackermann" in text
     assert "vehicle: name NUC4" in text and "versions: map_racing" in text
     assert "reference, 36.5 m" in text and "speed_scale 0.7" in text
+    differs, same = text[text.index("What differs") :].split("The same in all")
+    assert "controller: steering_map table ackermann" in differs and "vehicle: m " not in differs
+    assert "vehicle: m 3.31" in same and "steering_map" not in same
+
+
+def test_doubts_are_told_on_the_first_screen(bags, tmp_path, page):
+    other = text_of(report(tmp_path, bags["map"], "--vehicle", "sim"))
+    assert other.index("Doubtful: --vehicle is SIM") < other.index("Where the time goes")
+    assert "Doubtful" not in text_of(page)
 
 
 def test_everything_is_in_the_file(page):
@@ -174,6 +182,7 @@ def test_of_many_laps_the_best_and_those_that_do_not_count_are_listed():
     assert pages._some(laps[:100], 100) == laps[:100]
 
 
+@pytest.mark.once
 def test_each_of_many_runs_is_compared_with_the_fastest(bags, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "_MOST_OTHERS", 1)
     copies = [tmp_path / f"{name}.bag" for name in ("a", "b", "c")]

@@ -16,13 +16,8 @@ from map_racing.control.parameters import (
 from map_racing.errors import ParameterError
 from map_racing.experiments import tuning
 from map_racing.experiments.jobs import execute
-from map_racing.experiments.robustness import (
-    Grid,
-    Robustness,
-    bumped,
-    load_robustness,
-    race_rows,
-)
+from map_racing.experiments.robustness import Grid, Robustness, bumped, load_robustness
+from map_racing.experiments.robustness_tables import race_rows
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.size import size_of
@@ -157,6 +152,7 @@ def test_a_grid_of_passenger_cars_is_raced_at_their_size(folder, tmp_path, capsy
     assert controller["m_m"] == load_law("map", load_vehicle("bmw_320i")).m_m
 
 
+@pytest.mark.once
 def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
     small = GRID.replace("generated_seeds: [13]", f"tracks: [{place / 'ring.csv'}]")
@@ -209,6 +205,7 @@ def test_each_track_is_raced_with_each_bump():
     ]
 
 
+@pytest.mark.once
 def test_map_finds_back_to_rough_lines():
     grid = Grid(replace(load_robustness("rough_lines"), tracks=("reference",)))
     results = [execute(job).result for job in grid.jobs("map", load_controller_parameters("map"))]

@@ -268,7 +268,7 @@ def test_what_was_driven_before_a_switch_is_learned_by_what_drove_it(drive):
     controller.adaptation.update = lambda *step: steps.append(step)
     angle = controller.step(state).steering_angle
     assert not steps
-    controller.parameters = OFF
+    controller.change(parameters=OFF)
     assert steps == [(state, angle)]
 
 
@@ -369,14 +369,14 @@ def test_switched_off_it_drives_as_without_and_on_again_it_knows_what_it_learned
     race(Plant(PLANT), controller, REFERENCE, Localization(PLANT, 1), laps=1)
     learning = controller.adaptation
     believed = learning.belief
-    controller.parameters = OFF
+    controller.change(parameters=OFF)
     assert controller.adaptation is None
     plain = build_controller(OFF, NUC4, REFERENCE)
     for subject in (controller, plain):
         subject.reset()
     state = CarState(100.0, *REFERENCE.position(5.0), REFERENCE.pose(5.0).psi, 4.0, 0.0, 0.0)
     assert controller.step(state) == plain.step(state)
-    controller.parameters = ADAPTIVE
+    controller.change(parameters=ADAPTIVE)
     assert controller.adaptation is learning and learning.belief == believed
     assert controller.plan.level == believed.grip
     assert controller.max_lateral_acceleration(6.0) == pytest.approx(
@@ -391,9 +391,9 @@ def test_another_delay_that_is_given_while_driving_counts_at_once(drive):
     controller.learn()
     learning = controller.adaptation
     believed = learning.belief
-    controller.parameters = ADAPTIVE.with_(speed_scale=0.5)
+    controller.change(parameters=ADAPTIVE.with_(speed_scale=0.5))
     assert learning.belief == believed
-    controller.parameters = ADAPTIVE.with_(delay_s=0.12)
+    controller.change(parameters=ADAPTIVE.with_(delay_s=0.12))
     given = Adaptation(NUC4, 12.0, 0.12).belief
     assert learning.belief[9:12] == given[9:12] and learning.belief.factors == believed.factors
     (state, _), at = drive[0], 200.0
@@ -403,8 +403,8 @@ def test_another_delay_that_is_given_while_driving_counts_at_once(drive):
     learning.forget()
     assert learning.belief == given
     # Also one that is given while nothing is learned.
-    controller.parameters = OFF.with_(delay_s=0.04)
-    controller.parameters = ADAPTIVE.with_(delay_s=0.04)
+    controller.change(parameters=OFF.with_(delay_s=0.04))
+    controller.change(parameters=ADAPTIVE.with_(delay_s=0.04))
     assert controller.adaptation is learning and learning.delay == pytest.approx(0.04)
 
 

@@ -448,10 +448,10 @@ def test_another_raceline_does_not_let_the_wheels_jump():
     subject = controller()
     before = subject.step(on_track(REFERENCE, 2.0, turn=-1.5)).steering_angle
     assert before > 0.2
-    subject.raceline = circle(3.0)
+    subject.change(raceline=circle(3.0))
     after = subject.step(on_track(REFERENCE, 2.0, turn=1.5, t=0.025)).steering_angle
     assert after >= before - 0.025 * NUC4.delta_rate_max - 1e-12
-    subject.raceline = None
+    subject.change(raceline=None)
     stop = subject.step(on_track(REFERENCE, 2.0, t=0.05))
     assert (stop.status, stop.speed, stop.steering_angle) == (Status.NO_RACELINE, 0.0, after)
 
@@ -516,7 +516,7 @@ def test_without_raceline_it_stops_and_then_drives_when_there_is_one():
     state = on_track(REFERENCE, 5.0)
     result = subject.step(state)
     assert (result.status, result.speed, result.steering_angle) == (Status.NO_RACELINE, 0.0, 0.0)
-    subject.raceline = REFERENCE
+    subject.change(raceline=REFERENCE)
     assert subject.step(state) == controller().step(state)
 
 
@@ -526,7 +526,7 @@ def test_a_raceline_without_speeds_is_refused_by_name():
         controller(raceline=silent)
     subject = controller()
     with pytest.raises(ParameterError, match="expected speeds"):
-        subject.raceline = silent
+        subject.change(raceline=silent)
     assert subject.raceline is REFERENCE
 
 
@@ -541,6 +541,7 @@ def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
     assert result.a_lat == pytest.approx(16.0 / 3.0, rel=1e-3)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("direction", np.linspace(0.0, 6.0, 7))
 def test_from_far_outside_it_comes_back_at_walking_pace(direction):
     center = float(np.mean(REFERENCE.x)), float(np.mean(REFERENCE.y))

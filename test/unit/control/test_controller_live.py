@@ -50,7 +50,7 @@ def test_the_same_raceline_again_changes_no_command(raceline):
         )
         for k in range(20):
             if replace and k == 10:
-                controller.raceline = load_raceline("reference")
+                controller.change(raceline=load_raceline("reference"))
             last = controller.step(beside(raceline, 2.0 + 0.1 * k, 0.1, 0.025 * k))
         commands.append((last.steering_angle, last.speed))
     assert abs(last.steering_angle) < 0.4
@@ -60,7 +60,7 @@ def test_the_same_raceline_again_changes_no_command(raceline):
 def test_a_new_raceline_steers_at_the_rate_of_the_servo(controller, raceline):
     for k in range(20):
         before = controller.step(beside(raceline, 2.0 + 0.1 * k, 0.0, 0.025 * k))
-    controller.raceline = raceline.reversed()
+    controller.change(raceline=raceline.reversed())
     after = controller.step(beside(raceline, 4.0, 0.0, 0.5))
     limit = load_vehicle("nuc4").delta_rate_max * 0.025
     assert abs(after.steering_angle - before.steering_angle) <= limit * (1.0 + 1e-9)

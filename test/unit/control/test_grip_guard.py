@@ -106,7 +106,7 @@ def test_a_change_while_sliding_does_not_let_go():
         return subject.step(state).speed
 
     before = [command(k) for k in range(8)][-1]
-    subject.parameters = MAP.with_(grip_use=0.9)
+    subject.change(parameters=MAP.with_(grip_use=0.9))
     assert command(8) == pytest.approx(before, abs=0.02)
 
 

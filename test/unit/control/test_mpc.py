@@ -142,6 +142,7 @@ def test_a_lap_of_the_reference(solver, name, error):
     assert np.sqrt(np.mean(np.square(d))) < error
 
 
+@pytest.mark.once
 def test_computing_takes_time(monkeypatch):
     """At 25 ms a pose, a step of 30 ms acts 30 ms later, and is late."""
     clock = iter(np.arange(0.0, 1e6, 0.015))

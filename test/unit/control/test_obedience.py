@@ -277,6 +277,13 @@ def test_a_short_excess_is_none():
         assert first_stop(car.drive(0.1, speed=2.0)) is None
 
 
+def test_rolling_backwards_is_not_taken_for_a_wall():
+    """It then need not feel its way at walking pace."""
+    car = Car()
+    assert car.drive(3.0, v_x=-0.7)[-1].reason is Reason.BACKWARDS
+    assert car.drive(0.7)[-1][::3] == (Mode.DRIVING, 4.0)
+
+
 def test_rolling_backwards_stops_until_it_ends():
     car = Car()
     car.drive(1.0, speed=2.0)

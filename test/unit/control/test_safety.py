@@ -311,6 +311,17 @@ def test_a_car_that_was_accelerating_did_so_in_a_gap_but_not_beyond_the_command(
     assert decision.speed == pytest.approx(first - 4.0 * FIRST_STEP, abs=1e-4)
 
 
+@pytest.mark.parametrize("apart", [PERIOD, 0.15])
+def test_noise_of_the_speed_is_averaged_before_it_counts_as_getting_faster(apart):
+    car = Car(speed=4.0, max_overspeed_mps=10.0)
+    car.drive(speed=8.0)
+    car.now, car.speed = car.now - PERIOD + apart, 4.1
+    car.step(speed=8.0)
+    decision = car.supervisor.watch(car.now - PERIOD + 0.2)
+    rise = 0.1 / max(apart, RISING)
+    assert decision.speed == pytest.approx(4.1 + rise * 0.2 - 4.0 * FIRST_STEP)
+
+
 def test_the_deadline_is_the_limit_after_the_last_pose():
     """Whoever calls `watch` there begins the stop there, whatever the rate of the calls."""
     car = Car(max_pose_age_s=0.2)
@@ -378,3 +389,5 @@ def test_what_is_absurdly_fast_depends_on_the_fastest_speed_of_the_car():
     small, large = Car(speed=60.0), Car(speed=60.0, max_speed=50.0)
     assert small.drive(0.2)[-1].reason is Reason.INVALID_POSE
     assert large.drive(0.2)[-1].mode is Mode.DRIVING
+    large.speed = 101.0
+    assert large.step().reason is Reason.INVALID_POSE

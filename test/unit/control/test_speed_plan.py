@@ -202,19 +202,19 @@ def test_any_change_that_matters_makes_another_plan_and_no_other():
         {"speed_scale": 0.9},
         {"v_max_mps": 5.0},
     ):
-        subject.parameters = subject.parameters.with_(**change)
+        subject.change(parameters=subject.parameters.with_(**change))
         assert changed(), change
-    subject.sectors = SpeedSectors([(0.0, 3.0, 0.5)], REFERENCE.length)
+    subject.change(sectors=SpeedSectors([(0.0, 3.0, 0.5)], REFERENCE.length))
     assert changed()
-    subject.raceline = REFERENCE.reversed()
+    subject.change(raceline=REFERENCE.reversed())
     assert changed()
-    subject.steering_map = steady_state_table(NUC4, TABLE.speeds, TABLE.angles)
+    subject.change(steering_map=steady_state_table(NUC4, TABLE.speeds, TABLE.angles))
     assert changed()
-    subject.parameters = subject.parameters.with_(m_m=0.3, delay_s=0.02)
+    subject.change(parameters=subject.parameters.with_(m_m=0.3, delay_s=0.02))
     assert not changed()
-    subject.parameters = subject.parameters.with_(grip_use=0.0)
+    subject.change(parameters=subject.parameters.with_(grip_use=0.0))
     assert subject.plan is None
-    subject.parameters = subject.parameters.with_(grip_use=0.7)
+    subject.change(parameters=subject.parameters.with_(grip_use=0.7))
     assert subject.plan is not None
 
 
@@ -223,7 +223,7 @@ def test_what_is_prepared_has_no_effect_until_it_is_applied(monkeypatch):
     subject = Controller(LIMITED, TABLE, NUC4, REFERENCE)
     before = subject.step(at_start())
     setup = subject.prepare(parameters=LIMITED.with_(speed_scale=0.1, grip_use=0.5))
-    monkeypatch.setattr("map_racing.control.controller.SpeedPlan", None)
+    monkeypatch.setattr("map_racing.control.setup.SpeedPlan", None)
     assert subject.step(at_start())[:2] == before[:2]
     subject.apply(setup)
     assert subject.step(at_start()).speed < 0.2 * before.speed
@@ -234,7 +234,7 @@ def test_a_raceline_without_speeds_needs_grip_use():
     subject = Controller(LIMITED, TABLE, NUC4, bare)
     assert subject.step(at_start()).speed == pytest.approx(subject.plan.speed_at(0.0), abs=1e-6)
     with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
-        subject.parameters = LIMITED.with_(grip_use=0.0)
+        subject.change(parameters=LIMITED.with_(grip_use=0.0))
     assert subject.parameters == LIMITED
     with pytest.raises(ParameterError, match=r"hall\.csv: expected speeds, got none"):
         Controller(LIMITED.with_(grip_use=0.0), TABLE, NUC4, bare)

@@ -256,13 +256,50 @@ def test_corners_and_straights_of_a_stadium(tmp_path):
         "straight",
     }
     path = tmp_path / "speed_scaling.yaml"
-    save_speed_sectors(path, sectors)
+    save_speed_sectors(path, track, sectors)
     scales = load_speed_sectors(path, track)
     assert {scales.scale_at(s) for s in track.s.tolist()} == {1.0}
     path.write_text(path.read_text().replace("scaling: 1.0", "scaling: 0.5", 1))
     scales = load_speed_sectors(path, track)
     assert scales.scale_at(track.s_points[sectors[0][1]]) == 0.5
     assert scales.scale_at(track.s_points[sectors[1][0]] + 1e-6) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "doubted"),
+    [
+        (lambda x, y: (x, y), False),
+        (lambda x, y: (x + 0.3, y), False),  # another line on the same track
+        (lambda x, y: (np.append(x, x[:1]), np.append(y, y[:1])), False),  # closing point
+        (lambda x, y: (x[:-1], y[:-1]), False),  # as a bag may have it
+        (lambda x, y: (x[::-1], y[::-1]), True),
+        (lambda x, y: (np.roll(x, 20), np.roll(y, 20)), True),
+        (lambda x, y: (x + 3.0, y), True),
+        (lambda x, y: (2.0 * x, 2.0 * y), True),
+        (lambda x, y: (y, x), True),
+    ],
+)
+def test_sectors_of_another_track_with_as_many_points_are_doubted(tmp_path, change, doubted):
+    angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
+    x, y = 9.0 * np.cos(angle), 5.0 * np.sin(angle)
+    path = tmp_path / "speed_scaling.yaml"
+    track = Raceline(x, y, vx_mps=np.full(200, 4.0))
+    sectors = corners_and_straights(track)
+    assert len(sectors) > 2
+    save_speed_sectors(path, track, sectors)
+    doubts = load_speed_sectors(path, Raceline(*change(x, y))).doubts
+    assert any("from where it begins on the raceline that" in said for said in doubts) == doubted
+    assert bool(doubts) == doubted
+
+
+@pytest.mark.parametrize("places", ["3", "[[0, 1]]", "[[0, 1], [2]]", "[[0, 1], [2, x]]", "null"])
+def test_places_that_are_none_are_refused(tmp_path, places):
+    text = FILE + f"start_points: {places}\n"
+    if places == "null":
+        assert load(tmp_path, text).doubts == ()
+    else:
+        with pytest.raises(ParameterError, match="start_points: "):
+            load(tmp_path, text)
 
 
 def test_an_oval_has_corners_where_it_bends_most():

@@ -43,8 +43,9 @@ class Drive:
         )
         self.now, self.angle, self.speed = 100.0, 0.0, 4.0
 
-    def step(self):
-        x, y = RADIUS * math.cos(self.angle), RADIUS * math.sin(self.angle)
+    def step(self, outwards=0.0):
+        radius = RADIUS + outwards
+        x, y = radius * math.cos(self.angle), radius * math.sin(self.angle)
         heading = self.angle + 0.5 * math.pi
         turn = self.speed / RADIUS
         state = CarState(self.now, x, y, heading, self.speed, 0.0, turn)
@@ -148,7 +149,7 @@ def test_live_tuning_meanwhile_is_kept():
     drive.drive(1.0)
     controller = drive.driver.controller
     drive.follow(circle(-1.0))
-    controller.parameters = controller.parameters.with_(speed_scale=0.3)
+    controller.change(parameters=controller.parameters.with_(speed_scale=0.3))
     drive.drive(3.0)
     assert controller.parameters.speed_scale == pytest.approx(0.3)
 
@@ -212,6 +213,8 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     controller.adaptation.update = lambda state, angle: sent.append(angle) or update(state, angle)
     steps = drive.drive(1.0)
     drive.driver.supervisor.request_stop("service")
+    steps.append(drive.step(outwards=0.3))
+    assert steps[-1].result.steering_angle > 0.03 + steps[-1].decision.steering_angle
     steps += drive.drive(0.5)
     # The last command goes out before anything is learned from it.
     assert len(sent) == len(steps) - 1
@@ -222,6 +225,20 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     drive.driver.step(drive.now, CarState(drive.now, math.nan, *state[2:]))
     controller.learn()
     assert len(sent) == len(steps)
+
+
+def test_a_pose_that_is_not_trusted_changes_no_angle_that_was_sent():
+    drive, sent = Drive(load_controller_parameters("map_adaptive").with_(speed_scale=1.0)), []
+    controller = drive.driver.controller
+    drive.drive(1.0)
+    controller.learn()
+    controller.adaptation.update = lambda state, angle: sent.append(angle)
+    drive.speed = 6.0
+    last = drive.step().decision.steering_angle
+    stop = drive.driver.step(drive.now, CarState(drive.now, math.nan, *(0.0,) * 5)).decision
+    assert stop.steering_angle < last  # to brake as well
+    controller.learn()
+    assert sent == [last]
 
 
 @pytest.mark.parametrize(("name", "always"), [("map", True), ("pure_pursuit", False)])
@@ -274,3 +291,6 @@ def test_stops_follow_live_tuning():
     assert tuned.grip is grip and tuned.always is fresh.always is False
     assert tuned.bounded(9.0) == fresh.bounded(9.0) == pytest.approx(2.4)
     assert tuned.braking(6.0, 0.02) == fresh.braking(6.0, 0.02)
+    supervisor.slowing = None
+    drive.driver.tune(setup, SafetyLimits())
+    assert supervisor.slowing is None and supervisor.limits == SafetyLimits()

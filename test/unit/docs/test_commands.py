@@ -29,6 +29,7 @@ from map_racing.experiments import tuning
 from map_racing.identification.data import load_run
 from map_racing.resources import find_config
 from map_racing.simulation.faults import KINDS
+from map_racing.track import speed_profile
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.raceline import Raceline
@@ -53,7 +54,7 @@ READERS = {
     ],
 }
 
-# The last value of an option counts; the longest beginning of a command.
+# These options replace those of the command; the longest beginning of a command counts.
 ON_THE_RING = ["--conditions", "ring.yaml", "--vehicle", "nuc4", "--jobs", "1"]
 RACED_ON_THE_RING = [*ON_THE_RING, "--no-tuning", "--laps", "1"]
 ON_A_SMALL_GRID = ["--grid", "grid.yaml", "--jobs", "1"]
@@ -269,8 +270,18 @@ def run(line, folder, shorter=True):
         words += sorted(glob(name)) if "*" in name else [name]
     if shorter:
         beginnings = (" ".join(words[:count]) for count in (3, 2, 1))
-        words += next((SHORTER[begin] for begin in beginnings if begin in SHORTER), ())
+        words = replaced(words, next((SHORTER[b] for b in beginnings if b in SHORTER), []))
     assert main(words) == 0, line
+
+
+def replaced(words, options):
+    """Words with options of which each may be said once, in place of what is said there."""
+    ours = {word for word in options if word.startswith("--")}
+    kept, skipping = [], False
+    for word in words:
+        skipping = word in ours or (skipping and not word.startswith("--"))
+        kept += [] if skipping else [word]
+    return [*kept, *options]
 
 
 def demo(folder):
@@ -321,11 +332,15 @@ def nodes():
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Figures are composed, but not rendered; few pairs are tuned. Other tests do both."""
+    """Figures are composed, but not rendered; few pairs are tuned; speeds are less fine.
+
+    Other tests do all of that.
+    """
     monkeypatch.setattr(Figure, "tight_layout", lambda figure, **_: None)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
     monkeypatch.setattr(tuning, "GRID", range(8, 17, 8))
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
+    monkeypatch.setattr(speed_profile, "_CELL", 0.1)
 
 
 @pytest.fixture(scope="module")

@@ -134,7 +134,7 @@ def test_a_faster_sector_leaves_room_to_brake(heat, reference):
 def test_the_file_gives_the_controller_these_scales(heat, reference, tmp_path, start_s):
     advice = advise(heat(0.75, start_s=start_s))
     path = tmp_path / "speed_scaling.yaml"
-    save_speed_sectors(path, advice.scales(), ["after a heat"])
+    save_speed_sectors(path, reference, advice.scales(), ["after a heat"])
     read = load_speed_sectors(path, reference)
     places = np.arange(0.0, reference.length, 0.05)
     written = scales(advice, reference)
@@ -147,7 +147,8 @@ def test_the_file_gives_the_controller_these_scales(heat, reference, tmp_path, s
 def test_scales_above_1_raise_the_limit_of_the_file(tmp_path, reference):
     path = tmp_path / "speed_scaling.yaml"
     notes = ["after a.bag\nglobal_limit: 0.1"]  # as a name may be
-    save_speed_sectors(path, [(0, 99, "left", 1.2), (100, 365, "straight", 0.9)], notes)
+    sectors = [(0, 99, "left", 1.2), (100, 365, "straight", 0.9)]
+    save_speed_sectors(path, reference, sectors, notes)
     read = load_speed_sectors(path, reference)
     assert read.scale_at(1.0) == 1.2 and read.scale_at(20.0) == 0.9
 
@@ -229,7 +230,7 @@ def test_a_drive_at_its_limit_gets_no_faster():
 
 def drive(line, parameters, sectors, plant_parameters, path):
     controller = build_controller(parameters, NUC4, line)
-    controller.sectors = sectors
+    controller.change(sectors=sectors)
     plant, noise = Plant(plant_parameters), Localization(plant_parameters, 1)
     log = race(plant, controller, line, noise, rate=40.0, laps=2)
     write_race_bag(path, log, line, settings=settings_text(controller))

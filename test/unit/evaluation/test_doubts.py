@@ -11,6 +11,7 @@ from map_racing.evaluation.doubts import (
     command_units,
     frame_warning,
     speed_warning,
+    time_jump,
 )
 from map_racing.evaluation.speed import speed_of
 from map_racing.evaluation.statistics import mean
@@ -39,8 +40,24 @@ def test_frames_that_are_no_map(frame, said):
 def test_poses_of_two_nodes_alternate(apart):
     x, y = circling()
     x[::2] += apart
-    assert alternation("/pose", x, y).startswith("/pose: poses alternate between two places ")
-    assert f"{apart:.2f} m apart" in alternation("/pose", x, y)
+    doubt = alternation("/pose", T, x, y)
+    assert doubt.startswith("/pose: poses alternate between two places ")
+    assert f"{apart:.2f} m apart" in doubt
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+@pytest.mark.parametrize("times", [2, 3])
+def test_poses_that_are_sent_again_do_not_alternate(times, noise):
+    x, y = (np.repeat(values[::times], times) for values in circling())
+    x, y = (v[: T.size] + noise * np.random.default_rng(1).normal(size=T.size) for v in (x, y))
+    assert alternation("/pose", T, x, y) == ""
+
+
+@pytest.mark.parametrize("early", [0.002, 0.008])
+def test_uneven_times_of_a_car_that_drives_do_not_alternate(early):
+    t = T.copy()
+    t[1::2] -= early
+    assert alternation("/pose", t, 6.0 * np.cos(0.8 * t), 6.0 * np.sin(0.8 * t)) == ""
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1, 1.0])
@@ -49,7 +66,34 @@ def test_noise_and_driving_do_not_alternate(noise, omega):
     x, y = circling(omega=omega)
     rng = np.random.default_rng(1)
     x, y = x + noise * rng.normal(size=T.size), y + noise * rng.normal(size=T.size)
-    assert alternation("/pose", x, y) == ""
+    assert alternation("/pose", T, x, y) == ""
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.07, 0.15, 0.5])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_clock_that_is_set_while_the_car_drives(ahead, noise):
+    rng = np.random.default_rng(1)
+    x, y = (v + noise * rng.normal(size=T.size) for v in circling())
+    t = T + np.where(T > 20.0, ahead, 0.0)
+    doubt = time_jump("/pose", t, x, y)
+    assert bool(doubt) == (ahead > 0.0)
+    if doubt:
+        said = f"ahead by {ahead:.2f} s at 20.0 s, while the car moves as in 0.0"
+        assert said in doubt or noise > 0.0
+
+
+@pytest.mark.parametrize("lost", [0.05, 0.2, 1.0])
+def test_poses_that_are_missing_are_no_jump_of_time(lost):
+    """The car moved on; nor is a pose that catches up with it a jump."""
+    there = np.abs(T - 20.0 - 0.5 * lost) > 0.5 * lost
+    t, (x, y) = T[there], (v[there] for v in circling())
+    assert time_jump("/pose", t, x, y) == ""
+    late = np.where(np.abs(T - 20.0 - 0.5 * lost) < 0.5 * lost, 20.0, T)
+    x, y = 6.0 * np.cos(0.8 * late), 6.0 * np.sin(0.8 * late)
+    assert time_jump("/pose", T, x, y) == ""
+    stood = np.where(T < 20.0, T, np.maximum(T - lost, 20.0))
+    x, y = 6.0 * np.cos(0.8 * stood), 6.0 * np.sin(0.8 * stood)
+    assert time_jump("/pose", T, x, y) == ""
 
 
 def test_bunches():
@@ -62,7 +106,15 @@ def test_bunches():
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [(1.0, ""), (0.8, ""), (1.3, ""), (3.6, "in km/h?"), (0.1, " 0.10 times"), (0.0, "")],
+    [
+        (1.0, ""),
+        (0.8, ""),
+        (1.05, ""),
+        (1.12, "1.12 times"),
+        (3.6, "in km/h?"),
+        (0.1, " 0.10 times"),
+        (0.0, ""),
+    ],
 )
 def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
     doubt = speed_warning("/odom", T, *circling(), np.full(T.size, factor * 4.8))

@@ -251,6 +251,42 @@ def test_the_largest_of_several_faults_is_named(drive, line):
     assert run(line, t, x, y, limits=limits).laps[2].reason.startswith(f"jump of {largest:.2f} m")
 
 
+def test_steps_of_a_fast_car_are_no_jumps_where_its_speed_is_measured():
+    """At 30 m/s and 10 Hz steps are 3 m; the raceline has no speeds."""
+    angle = 2.0 * np.pi * np.arange(400) / 400
+    line = Raceline(50.0 * np.cos(angle), 50.0 * np.sin(angle))
+    t = np.arange(0.0, 25.0, 0.1)
+    turn = 0.6 * t - 0.1
+    x, y = 50.0 * np.cos(turn), 50.0 * np.sin(turn)
+    assert [lap.valid for lap in run(line, t, x, y, np.full(t.size, 30.0)).laps] == [
+        *(False, True, True, False)
+    ]
+    # Up to 1.5 times as fast as measured, and no more.
+    for v in (0.0, 15.0):
+        assert reasons(run(line, t, x, y, np.full(t.size, v)))[1] == "jump"
+
+
+def test_laps_too_short_to_brake_in_count():
+    """Of a circle of 0.25 m radius, at 4 m/s: 0.39 s."""
+    angle = 2.0 * np.pi * np.arange(40) / 40
+    line = Raceline(0.25 * np.cos(angle), 0.25 * np.sin(angle))
+    t = np.arange(0.0, 2.0, 0.05)
+    turn = 16.0 * t - 0.5
+    laps = run(line, t, 0.25 * np.cos(turn), 0.25 * np.sin(turn)).laps[1:-1]
+    assert len(laps) >= 4 and all(lap.valid for lap in laps)
+    assert all(lap.lap_time_s == pytest.approx(2.0 * np.pi / 16.0, abs=2e-3) for lap in laps)
+
+
+def test_the_first_sample_beyond_the_line_is_an_in_lap(drive, line):
+    t, x, y = drive(16.0)
+    end = 1 + int(np.searchsorted(t, run(line, t, x, y).laps[2].end_time_s))
+    for size, expected in (
+        (end - 1, ["out-lap", "", "in-lap"]),
+        (end, ["out-lap", "", "", "in-lap"]),
+    ):
+        assert reasons(run(line, t[:size], x[:size], y[:size])) == expected
+
+
 def test_gap_over_the_line_spoils_both_laps(drive, track, line):
     t, x, y = drive(17.5)
     crossing = (3.0 + track.length) / V
@@ -273,9 +309,14 @@ def test_a_shortcut_is_a_jump(drive, track, line):
     assert [lap.valid for lap in result.laps] == [False, True, False, True, False]
 
 
-@pytest.mark.parametrize(("left", "along"), [(1.0, 4.2), (0.2, None)])
-def test_a_car_that_cuts_across_between_two_straights_takes_a_shortcut(left, along):
-    """Straights of 12 m, 1.4 m apart; it leaves the first so far [m] before its end."""
+@pytest.mark.parametrize(
+    ("left", "along", "seen"), [(1.0, 4.2, True), (0.2, None, True), (4.0, None, False)]
+)
+def test_a_car_that_cuts_across_between_two_straights_takes_a_shortcut(left, along, seen):
+    """Straights of 12 m, 1.4 m apart; it leaves the first so far [m] before its end.
+
+    Where it is not seen to do so, for 0.35 s, that alone is said.
+    """
     bend = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 23)[1:-1]
     ahead = np.linspace(-6.0, 6.0, 121)
     x = np.concatenate((ahead, 6.0 + 0.7 * np.cos(bend), -ahead, -6.0 - 0.7 * np.cos(bend)))
@@ -289,8 +330,14 @@ def test_a_car_that_cuts_across_between_two_straights_takes_a_shortcut(left, alo
     x = np.concatenate((before.x, np.full(across.size, 6.0 - left), after.x))
     y = np.concatenate((before.y, across, after.y))
     limits = LapLimits(max_deviation=5.0)
-    out, lap, whole, _ = run(line, np.arange(x.size) / RATE, x, y, limits=limits).laps
-    if along is None:
+    t = np.arange(x.size) / RATE
+    kept = np.full(t.size, True)
+    if not seen:
+        kept[before.x.size : before.x.size + across.size] = False
+    out, lap, whole, _ = run(line, t[kept], x[kept], y[kept], limits=limits).laps
+    if not seen:
+        assert lap.reason == "gap of 0.38 s"
+    elif along is None:
         assert lap.reason == ""
     else:
         kind, size = lap.reason[:-2].split(" of ")
@@ -361,6 +408,8 @@ def test_a_car_that_stood(drive, track, line, stood, counts):
         # Within 5 cm of the place it is for 0.1 s more before and after.
         assert float(seconds) == pytest.approx(stood + 0.2, abs=0.11)
         assert float(place) == pytest.approx(20.0, abs=0.1)
+    longer = LapLimits(max_stop=stood + 0.5)
+    assert run(line, *drive(23.0, s=s), limits=longer).laps[2].valid
 
 
 def test_a_wall_stops_a_car_as_no_brake_does(drive, track, line):
@@ -580,7 +629,7 @@ def test_samples_that_cannot_be_used_are_passed_over(drive, line):
     for i, row in enumerate(zip(t, x, y)):
         rows.append(row)
         if i % 50 == 0:
-            rows += [row, (row[0], row[1] + 0.2, row[2])]
+            rows += [row, (row[0], row[1] + 5.0, row[2])]
             rows += [(row[0] - 0.01, 0.0, 0.0), (row[0] + 0.001, math.nan, 0.0)]
             rows += [(math.nan, row[1], row[2]), (row[0] + 0.001, 1e300, 0.0)]
     assert as_bits(run(line, *np.array(rows).T)) == as_bits(expected)
@@ -641,6 +690,9 @@ def test_bounds_are_possible_parameters(drive, line):
     for width in (0.0, 10.0):
         assert len(run(line, *drive(8.0), car_width=width).laps) == 3
     assert len(run(line, *drive(8.0), sectors=1000).laps[1].sector_times_s) == 1000
+    (whole,) = run(line, *drive(8.0), sectors=1).laps[1].sector_times_s
+    assert whole == pytest.approx(run(line, *drive(8.0)).laps[1].lap_time_s, nan_ok=True)
+    assert len(run(line, *drive(8.0), start_s=line.length + 0.009).laps) == 3
 
 
 # -- summary ---------------------------------------------------------------------------------------

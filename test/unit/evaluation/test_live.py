@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
-from map_racing.evaluation.live import LapLog, LiveEvaluation
+from map_racing.evaluation.lap_log import LapLog
+from map_racing.evaluation.live import LiveEvaluation
 from map_racing.evaluation.runs import evaluate
 from map_racing.track.findings import NOTE, WARNING, Finding
 

@@ -9,6 +9,8 @@ from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.analysis import analyze, corner_rows, references, same_track
 from map_racing.evaluation.places import (
+    Corner,
+    Place,
     against_ideal,
     against_lap,
     against_run,
@@ -204,6 +206,9 @@ def test_the_first_two_places_are_the_bends_that_were_driven_badly(reference, tw
     assert by_name["fourth left"].wide_m == pytest.approx(0.35, abs=0.08)
     assert "wide at the" in str(by_name["fourth left"])
     assert by_name["second left"].loss_s > 0.02
+    assert by_name["second left"].early_m == pytest.approx(0.5, abs=0.15)
+    assert "; brakes 0." in str(by_name["second left"])
+    assert "brakes" not in str(by_name["fourth left"])
     assert not places[2:] or places[2].loss_s < 0.5 * places[1].loss_s
 
 
@@ -263,3 +268,11 @@ def test_an_invalid_lap_does_not_count(reference, driving):
     broken = dataclasses.replace(recording, x=x)
     run = profiles_of(broken, evaluate(broken, reference))
     assert len(run.laps) == 3 and len(run.counted) == 2
+
+
+def test_words_of_a_place_tell_what_is_the_same_and_what_cannot_be():
+    bend = Corner("first left", 1, 0.0, 10.0, 5.0)
+    place = Place(bend, 4.0, 8.0, 0.01, 5.0, 5.0, 4.0, 4.0, 5.0, 5.0, 0.0, "apex", 0.77)
+    assert place.why == "the same speeds and line, 77 % of the grip used"
+    assert "file of this car" in dataclasses.replace(place, grip_used=2.15).why
+    assert dataclasses.replace(place, grip_used=np.nan).why == "the same speeds and line"

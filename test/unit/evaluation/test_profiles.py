@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from map_racing.evaluation.profiles import CHANNELS, car_limits, profiles_of
+from map_racing.control.parameters import load_controller_parameters
+from map_racing.control.speed_plan import SpeedPlan
+from map_racing.evaluation.profiles import CHANNELS, car_limits, profiles_of, track_profile
 from map_racing.evaluation.runs import evaluate
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -13,6 +15,16 @@ from map_racing.vehicle.parameters import load_vehicle
 @pytest.fixture(scope="module")
 def limits():
     return car_limits(load_vehicle("nuc4"))
+
+
+def test_the_controller_plans_no_more_than_the_grip_allows(reference):
+    """Both brake and drive as hard as the controller does, whatever the vehicle file publishes."""
+    parameters = load_controller_parameters("map").with_(speed_scale=1.0)
+    limits = car_limits(load_vehicle("nuc4"), parameters)
+    track = track_profile(reference, 0.0, limits)
+    plan = SpeedPlan(reference, parameters.with_(grip_use=1.0), limits.table)
+    asked = np.interp(track.s, plan.s, plan.speed, period=reference.length)
+    assert np.max(asked / track.grip_speed) == pytest.approx(1.0, abs=0.03)
 
 
 def test_times_are_those_of_the_evaluator(reference, driving):

@@ -234,6 +234,17 @@ def test_files_of_rostopic_echo(csv, stamped):
     assert ("4 of 4 stamps are 0" in notes) != stamped
 
 
+@pytest.mark.parametrize("name", ["field.header.frame_id", "header.frame_id", "frame_id"])
+def test_frames_of_messages(csv, name):
+    rows = [f"{0.1 * i},{'map' if i % 3 else 'odom'},{i},{2 * i}" for i in range(1, 10)]
+    recording = read_csv_recording(csv(f"t,{name},x,y\n" + "\n".join(rows)))
+    assert recording.frame == "map" and recording.x.tolist() == [1, 2, 4, 5, 7, 8]
+    (said,) = [note for note in recording.notes if note.startswith("warning")]
+    assert "3 rows in another frame left out: only the first, map, counts" in said
+    recording = read_csv_recording(csv(f"t,{name},x,y\n" + "\n".join(rows).replace("map", "odom")))
+    assert recording.frame == "odom" and recording.x.size == 9
+
+
 def test_nanoseconds_since_1970_under_any_name(csv):
     text = "timestamp,x,y\n1700000000000000000,0,0\n1700000000025000000,1,0\n"
     np.testing.assert_allclose(read_csv_recording(csv(text)).t, [0.0, 0.025], atol=1e-6)

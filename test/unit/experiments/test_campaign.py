@@ -176,6 +176,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.once
 def test_a_killed_sweep_goes_on_where_it_stopped(job_of, tmp_path):
     """A real process, killed; what it had finished is not driven again."""
     jobs = [job_of(seed=seed, laps=6) for seed in range(8)]

@@ -24,6 +24,7 @@ def test_the_last_lap_of_a_cold_start_is_beside_one_that_was_told(job):
     assert 0.0 < found.error_m < 0.1 and found.clearance_m > 0.3
 
 
+@pytest.mark.once
 def test_after_a_loss_of_grip_laps_are_those_of_less_grip(job):
     lost, told_before = loss_of_grip(job), cold_start(job).told_lap_s
     assert lost.outcome == "completed" and lost.told_lap_s > 1.05 * told_before

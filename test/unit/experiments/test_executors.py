@@ -33,6 +33,7 @@ def carried_out(job_of, folder, **where):
     return results, files
 
 
+@pytest.mark.once
 def test_serial_processes_and_dask_agree_bit_for_bit(job_of, tmp_path):
     from distributed import LocalCluster
 

@@ -17,6 +17,7 @@ from map_racing.experiments import season as season_module
 from map_racing.experiments.executors import SerialExecutor
 from map_racing.experiments.season import BagOptions, evaluate_season
 from map_racing.experiments.season_bags import find_bags
+from map_racing.pages.season import season_page
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 
@@ -165,6 +166,7 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
 
 
+@pytest.mark.once
 def test_the_command(bags, tmp_path, capsys):
     output = tmp_path / "season"
     arguments = ["season", str(bags), "--output", str(output), "--jobs", "2"]
@@ -277,3 +279,19 @@ def test_a_bag_that_is_removed_meanwhile_is_a_row_with_its_reason(tmp_path, ring
     reasons = {row["bag"]: row["reason"] for row in season.heats}
     assert len(reasons) == 2
     assert [bool(reason) for name, reason in sorted(reasons.items())] == [True, False]
+
+
+def test_the_row_of_a_damaged_bag_says_so(tmp_path, ring):
+    path = heat(tmp_path / "bags" / "a.bag", ring, laps=3.5)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    (row,) = evaluated(tmp_path / "bags", tmp_path / "out").heats
+    assert row["laps"] == 1 and row["warnings"].startswith("damaged bag: ") and not row["reason"]
+
+
+def test_bags_without_a_heat_stand_apart(tmp_path, ring):
+    heat(tmp_path / "bags" / "a.bag", ring)
+    (tmp_path / "bags" / "empty.bag").write_bytes(b"")
+    page = season_page(evaluated(tmp_path / "bags", tmp_path / "out").heats)
+    heats, others = page.split("Bags that cannot be evaluated</h2>")
+    assert "<td>a.bag</td>" in heats and "<td>empty.bag</td>" not in heats
+    assert "got an empty file" in others

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from map_racing.errors import IdentificationError, ParameterError
-from map_racing.identification.cornering import low_passed, motion_of
-from map_racing.identification.data import Run, SensorSetup, Signal
+from map_racing.identification.channels import SensorSetup
+from map_racing.identification.cornering import motion_of
+from map_racing.identification.data import Run, Signal
+from map_racing.identification.filters import low_passed
 from map_racing.identification.limits import SteadyLimits
 from map_racing.vehicle.parameters import load_vehicle
 

@@ -7,13 +7,8 @@ import pytest
 
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, FileFormatError, ParameterError
-from map_racing.identification.data import (
-    Channel,
-    ChannelMap,
-    SensorSetup,
-    load_channel_map,
-    load_run,
-)
+from map_racing.identification.channels import Channel, ChannelMap, SensorSetup, load_channel_map
+from map_racing.identification.data import load_run
 from map_racing.resources import list_config
 
 T0 = 1600000000.0

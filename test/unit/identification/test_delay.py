@@ -264,12 +264,14 @@ def test_an_age_that_nothing_tells_is_not_said_to_be_within(shipped):
     assert "without the age of the pose: the stamps" in delays.delay.reason
 
 
+@pytest.mark.once
 def test_a_servo_later_than_what_is_looked_for():
     run = driven("nuc4", weaving, steering_delay_s=0.32)
     reason = estimate_delays([run], NUC4).steering.reason
     assert "or more after their commands, expected less than 0.3 s" in reason
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "changes",
     [

@@ -14,7 +14,8 @@ from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
 from map_racing.identification.car import identify_car
 from map_racing.identification.car_report import car_data, car_text, provenance
-from map_racing.identification.data import Signal, load_channel_map, load_run
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.data import Signal, load_run
 from map_racing.identification.identify import identify, leave_one_out, predict, steady_acceleration
 from map_racing.identification.limits import SteadyLimits
 from map_racing.identification.report import (
@@ -28,7 +29,7 @@ from map_racing.simulation.race import Outcome, race
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag
 from map_racing.track.files.load import load_raceline
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import Vehicle, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 from map_racing.vehicle.tires import LinearTire, PacejkaTire
@@ -79,6 +80,7 @@ def test_a_quarter_of_gross_outliers_in_the_bag(ramps, curve_error, tmp_path, se
     assert any("spikes" in finding.text for finding in found.findings)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("scale", [0.5, 2.0, 4.0], ids="{:g} times as long".format)
 def test_a_similar_car_of_another_size_is_identified_alike(ramps, found, scale):
     """All lengths times `scale`, the same accelerations (Froude): the tires are the same.
@@ -172,6 +174,7 @@ def test_table_of_the_result_drives_as_well_as_the_true_one(found, ramps):
     assert errors["base"] > 2.0 * errors["true"]  # it is the tires that matter here
 
 
+@pytest.mark.once
 def test_runs_left_out_are_predicted_by_the_others(ramps, tmp_path):
     runs = []
     for number, v in enumerate((2.0, 3.0, 3.5)):
@@ -336,6 +339,7 @@ def test_second_real_car(shared_data):
     assert any("steady cornering to the left only" in finding.text for finding in found.findings)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("friction, mixed", [(1.0, False), (0.88, True), (0.7, True)])
 def test_ramps_on_two_floors_are_no_silent_mixture(ramps, tmp_path, friction, mixed):
     """The same car at another speed is no contradiction, on another floor it is."""
@@ -348,6 +352,7 @@ def test_ramps_on_two_floors_are_no_silent_mixture(ramps, tmp_path, friction, mi
     assert found.doubts == []
 
 
+@pytest.mark.once
 def test_real_circles_are_of_one_floor(shared_data):
     channels = load_channel_map("circles_log")
     folders = sorted((shared_data / "tyre_id").glob("circles_*"))

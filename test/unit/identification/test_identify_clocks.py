@@ -2,11 +2,14 @@
 
 import struct
 
+import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 
 from map_racing.bags.opening import open_bag
 from map_racing.errors import IdentificationError
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.clock_checks import onsets_of_speed
 from map_racing.identification.data import load_run
 from map_racing.identification.identify import identify
 
@@ -77,6 +80,32 @@ def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
     side = "earlier" if seconds > 0.0 else "later"
     with pytest.raises(IdentificationError, match=f"yaw rate comes .* s {side} than the poses"):
         identify([run], ramps.base, fix=True)
+
+
+@pytest.mark.parametrize("seconds", [-0.3, pytest.param(-0.2, marks=pytest.mark.once)])
+def test_late_commands_of_ramps_are_told_by_the_steps_of_the_speed(ramps, right, shifted, seconds):
+    """Ramps of the steering are so even that a shift only looks like other tires."""
+    run = shifted((DRIVE,), seconds, receipts=True)
+    wrong = identify([run], ramps.base)
+    (said,) = [finding.text for finding in wrong.findings if finding.contradiction]
+    assert f"the speed begins to change {0.08 - seconds:.2f} s after 3 steps" in said
+    assert stiffness(wrong)[0] < 0.95 * right[0]
+    mended = identify([run], ramps.base, fix=True)
+    assert stiffness(mended) == pytest.approx(right, rel=0.02)
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.3])
+def test_a_speed_that_changes_before_its_commands_is_refused(ramps, shifted, seconds):
+    run = shifted((DRIVE,), seconds, receipts=True)
+    with pytest.raises(IdentificationError, match=f"{seconds - 0.08:.2f} s before 3 steps of its"):
+        identify([run], ramps.base, fix=True)
+
+
+def test_the_speed_of_a_real_car_begins_to_change_soon(shared_data):
+    for name in ("circles_055502", "circles_061435", "circles_061548"):
+        path = shared_data / "tyre_id" / name / "cmd.csv"
+        onsets = onsets_of_speed(load_run(path, load_channel_map("circles_log")))
+        assert len(onsets) == 6 and np.median(onsets) == pytest.approx(0.06, abs=0.02)
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 1.0, 2.0])

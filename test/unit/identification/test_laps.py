@@ -137,6 +137,7 @@ def test_no_less_grip_than_was_demonstrated(low):
     assert 0.4 < found.least_friction <= found.vehicle.mu * (1.0 + 1e-9) < 1.05 * true.mu
 
 
+@pytest.mark.once
 def test_wheels_that_turn_otherwise_than_commanded(low):
     (run, true), gain = low, 1.12
     t, angle = run.signals["steering"]

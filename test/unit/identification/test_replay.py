@@ -9,7 +9,8 @@ from driven_laps import QUIET, laps_of
 
 from map_racing.errors import IdentificationError, ParameterError
 from map_racing.identification.car import identify_car
-from map_racing.identification.data import Signal, load_channel_map, load_run
+from map_racing.identification.channels import load_channel_map
+from map_racing.identification.data import Signal, load_run
 from map_racing.identification.replay import (
     actuators_of,
     replay,

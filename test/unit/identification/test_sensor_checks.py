@@ -8,10 +8,12 @@ from driven_laps import laps_of
 
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.errors import IdentificationError
+from map_racing.identification.channels import SensorSetup
 from map_racing.identification.cornering import motion_of
-from map_racing.identification.data import SensorSetup, Signal, load_run
+from map_racing.identification.data import Signal, load_run
 from map_racing.identification.identify import identify
-from map_racing.identification.sensor_checks import check, reason_to_refuse
+from map_racing.identification.sensor_checks import check
+from map_racing.identification.usable_runs import reason_to_refuse
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.ramps import drive_ramps
 from map_racing.simulation.recorded import write_ramp_bag

@@ -216,6 +216,7 @@ def test_saturation_is_seen():
     assert fit_pacejka(measured(FRONT, widest=0.4, force_noise=0.2)).saturated
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("share", [0.84, 0.9, 0.98])
 @pytest.mark.parametrize(
     "tire", [FRONT, PacejkaTire(8.0, 1.5, 0.9, 0.2), PacejkaTire(6.0, 1.1, 1.0, -0.5)]

@@ -20,9 +20,9 @@ def test_line_walls_curvature_and_speed(tmp_path, track, wide):
             *(-line.y, line.x), vx_mps=line.speed, d_left_m=line.d_left, d_right_m=line.d_right
         )
     middle = Raceline(line.x, line.y, d_left_m=line.d_left, d_right_m=line.d_right)
-    figure = plot_optimized(line, middle, Walls(line), title="t")
+    figure = plot_optimized(line, middle, Walls(line))
     track, bends, speeds = figure.axes[:3]
-    assert track.get_title() == "t"
+    assert track.get_title() == (line.name or "optimized line")
     path = track.collections[-1]
     np.testing.assert_allclose(path.get_array(), line.speed)
     assert [len(axes.lines) for axes in (bends, speeds)] == [3, 1]

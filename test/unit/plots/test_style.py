@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from map_racing.cli import main
+
 SETTINGS = """
 text.usetex: True
 font.size: 22
@@ -19,7 +21,7 @@ backend: TkAgg
 """
 
 
-COMMAND = ["-m", "map_racing", "raceline", "check", "club", "--plots", "figures"]
+COMMAND = ["raceline", "check", "club", "--plots"]
 # Draws by itself what takes less time.
 PROGRAM = """
 from map_racing.plots.style import finished, new_figure, own_settings, save
@@ -41,13 +43,22 @@ def drawn(folder, arguments=("-c", PROGRAM), **environment):
         stderr=subprocess.STDOUT,
         text=True,
     )
-    pictures = list((folder / "figures").glob("*.png"))
-    return (pictures[0].read_bytes() if pictures else b""), run.stdout
+    return picture(folder / "figures"), run.stdout
 
 
-@pytest.fixture(scope="module")
-def expected(tmp_path_factory):
-    return drawn(tmp_path_factory.mktemp("plain"))[0]
+def picture(folder):
+    pictures = list(folder.glob("*.png"))
+    return pictures[0].read_bytes() if pictures else b""
+
+
+@pytest.fixture
+def expected(tmp_path, monkeypatch):
+    """As this process draws it."""
+    here = tmp_path / "here"
+    (here / "figures").mkdir(parents=True)
+    monkeypatch.chdir(here)
+    exec(PROGRAM, {})
+    return picture(here / "figures")
 
 
 @pytest.mark.parametrize("backend", ["nonsense", "module://no_such_module", ""])
@@ -62,11 +73,13 @@ def test_any_matplotlibrc(tmp_path, expected):
 
 
 def test_commands_draw_the_same_whatever_matplotlibrc_there_is(tmp_path):
-    expected, _ = drawn(tmp_path / "plain", COMMAND)
+    assert main([*COMMAND, str(tmp_path / "plain")]) == 0
+    expected = picture(tmp_path / "plain")
+    command = ["-m", "map_racing", *COMMAND, "figures"]
     (tmp_path / "matplotlibrc").write_text(SETTINGS)
-    assert expected and drawn(tmp_path, COMMAND)[0] == expected
+    assert expected and drawn(tmp_path, command)[0] == expected
 
     (tmp_path / "matplotlibrc").write_bytes(b"\xff\xfe\x00text.usetex: True")
-    picture, printed = drawn(tmp_path, COMMAND)
-    assert picture == expected or "matplotlibrc damaged?" in printed
+    found, printed = drawn(tmp_path, command)
+    assert found == expected or "matplotlibrc damaged?" in printed
     assert "Traceback" not in printed

@@ -80,6 +80,7 @@ def test_a_race_is_an_out_lap_and_the_laps_asked_for(laps):
     assert 7.0 < min(times) <= max(times) < 9.5
 
 
+@pytest.mark.once
 def test_the_last_lap_of_a_fast_car_is_complete():
     """At 45 m/s and 40 Hz, poses are 1.1 m apart and arrive 0.9 m later."""
     car, line = load_vehicle("bmw_320i"), circle(400.0, 45.0)
@@ -213,6 +214,7 @@ def test_a_car_that_sees_no_pose_is_not_waited_for():
     assert (log.outcome, len(log.samples)) == (Outcome.STALLED, 1)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("kind", ["limit", "sectors"])
 def test_a_slow_race_is_no_stall(kind):
     if kind == "limit":

@@ -86,6 +86,7 @@ def road_car(tmp_path_factory):
     return str(path)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("fault", "value", "reason"),
     [

@@ -351,6 +351,7 @@ def test_what_is_wrong_in_the_files_is_named(tmp_path, fields, text):
         read_map_image(path)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("circuit", ["Spielberg", "Oschersleben"])
 def test_published_centerlines_are_found_in_their_maps(shared_data, circuit):
     folder = shared_data / "tracks" / circuit

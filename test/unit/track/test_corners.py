@@ -9,7 +9,7 @@ from map_racing.errors import RacelineError
 from map_racing.track.corners import corners
 from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -16,7 +16,7 @@ from map_racing.track.optimization import fastest_line, minimum_curvature, squar
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import raceline_speeds
 from map_racing.track.walls import Walls
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -82,6 +82,7 @@ def test_the_line_of_a_symmetric_track_is_symmetric():
         assert max(away) < 0.01
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=6)
 @given(st.floats(0.0, 2.0 * math.pi), st.floats(0.3, 4.0), st.booleans())
 def test_place_size_and_side_do_not_matter(angle, scale, mirror):

@@ -263,6 +263,7 @@ def test_point_ahead_on_a_circle(distance):
     assert (point.s - 30.0) % track.length == pytest.approx(arc, abs=1e-4)
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=300)
 @given(st.floats(0.0, 1.0), st.floats(-1.5, 1.5), st.floats(0.01, 20.0))
 def test_point_ahead_is_the_first_one(part, d, distance):

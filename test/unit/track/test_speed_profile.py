@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from map_racing.errors import ParameterError
 from map_racing.track.raceline import Raceline
 from map_racing.track.speed_profile import lap_time, raceline_speeds, speed_profile
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.limits import speed_limits
-from map_racing.vehicle.lookup import default_grid
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 

@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import FileFormatError, ParameterError
-from map_racing.vehicle.lookup import (
-    LookupTable,
-    Provenance,
-    default_grid,
-    load_table,
-    published_grid,
-)
+from map_racing.vehicle.grids import default_grid, published_grid
+from map_racing.vehicle.lookup import LookupTable, Provenance, load_table
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.steady_state import steady_state_table
 
@@ -104,6 +99,10 @@ def test_at_rest_every_acceleration_is_too_much():
     assert TABLE.max_lateral_acceleration(0.0) == 0.0
 
 
+def test_the_largest_demands_saturate_like_any():
+    assert one_column(9.5).steering(2.0, 1.7e308) == (0.2, True)
+
+
 def test_the_limit_is_the_largest_cell_of_a_column():
     np.testing.assert_allclose(
         TABLE.max_lateral_acceleration(SPEEDS), TABLE.a_lat.max(axis=0), rtol=1e-12
@@ -159,6 +158,7 @@ def test_angles_of_a_large_car_are_denser_the_smaller_they_are():
     steps = np.diff(angle_axis)
     assert angle_axis[0] == 0.0 and angle_axis[-1] == pytest.approx(car.delta_max)
     assert np.all(np.diff(steps) > 0.0) and steps[0] < 0.01 * steps[-1]
+    assert angle_axis[128] == pytest.approx(0.25 * car.delta_max)
     assert (speed_axis[0], speed_axis[-1]) == (0.1, car.v_max)
     assert 0.15 < np.diff(speed_axis).max() < 1.0
 
@@ -168,7 +168,7 @@ def test_default_grid_ends_at_the_limits_of_the_car():
     speed_axis, angle_axis = default_grid(car)
     assert (speed_axis[-1], angle_axis[0], angle_axis[-1]) == (9.7, 0.0, 0.35)
     assert np.diff(speed_axis).max() < 0.1 + 1e-12
-    assert angle_axis.size == 257
+    np.testing.assert_allclose(angle_axis, 0.35 * np.arange(257) / 256, rtol=1e-12)
 
 
 @pytest.mark.parametrize("v_max", [0.2, 8.0, 100.0])
@@ -196,6 +196,9 @@ def test_wheelbase_is_recovered_from_a_table_without_provenance():
 def test_wheelbase_is_that_of_the_provenance():
     provenance = dataclasses.replace(TABLE.provenance, l_wb=0.4)
     assert LookupTable(SPEEDS, ANGLES, TABLE.a_lat, provenance).l_wb == 0.4
+    for extreme in (0.01, 10.0):
+        provenance = dataclasses.replace(TABLE.provenance, l_wb=extreme)
+        assert LookupTable(SPEEDS, ANGLES, TABLE.a_lat, provenance).l_wb == extreme
 
 
 def one_column(l_wb, v=2.0):
@@ -270,6 +273,12 @@ def test_only_the_rising_branch_is_inverted():
     assert table.steering(1.0, 1.5) == (pytest.approx(0.2), False)
     assert table.steering(1.0, 2.9) == (pytest.approx(0.39), False)
     assert table.steering(1.0, 9.0) == (pytest.approx(0.4), True)
+    # nor where it stays as it is
+    table = LookupTable([1.0], np.arange(4) / 10.0, np.array([[0.0, 1.0, 1.0, 2.0]]).T)
+    assert table.steering(1.0, 1.5) == (pytest.approx(0.2), False)
+    # nor is there a branch at no angle
+    table = LookupTable([1.0], [0.0, 0.1], [[0.2], [1.0]])
+    assert table.steering(1.0, 0.5) == (pytest.approx(0.05), False)
 
 
 def test_a_speed_without_stable_cell_is_as_the_one_before():
@@ -432,3 +441,47 @@ def test_a_cell_that_was_mistyped_is_refused():
     cells[i, j] *= 10.0
     with pytest.raises(ParameterError, match=f"at {table.speeds[j]:g} m/s and .* the cells beside"):
         LookupTable(table.speeds, table.angles, cells)
+
+
+GEOMETRIC_V, GEOMETRIC_DELTA = np.array([1.0, 2.0, 3.0, 4.0]), np.linspace(0.0, 0.4, 5)
+
+
+def geometric(cells, l_wb=0.4):
+    """Table of a car that rolls as geometry has it, but for some cells, given in its multiples."""
+    rolling = np.tan(GEOMETRIC_DELTA)[:, None] * GEOMETRIC_V**2 / l_wb
+    a_lat = rolling.copy()
+    for (i, j), multiple in cells.items():
+        a_lat[i, j] = multiple * rolling[i, j]
+    return LookupTable(
+        GEOMETRIC_V, GEOMETRIC_DELTA, a_lat, Provenance("X", "linear", "0", l_wb, "test")
+    )
+
+
+@pytest.mark.parametrize("i", [1, 2, 4])
+@pytest.mark.parametrize("j", [0, 1, 3])
+def test_a_cell_far_above_geometry_and_all_beside_it_is_refused(i, j):
+    place = f"at {GEOMETRIC_V[j]:g} m/s and {GEOMETRIC_DELTA[i]:g} rad: "
+    with pytest.raises(ParameterError, match=place):
+        geometric({(i, j): 40.0})
+
+
+@pytest.mark.parametrize("beside", [(3, 1), (2, 2)])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_it_is_not_where_a_cell_beside_it_has_half_of_it(beside, swapped):
+    """As many are together where a car oversteers."""
+    rolling = np.tan(GEOMETRIC_DELTA)[:, None] * GEOMETRIC_V**2
+    one, other = ((2, 1), beside) if not swapped else (beside, (2, 1))
+    ratio = rolling[one] / rolling[other]
+    geometric({one: 40.0, other: 0.55 * 40.0 * ratio})
+    with pytest.raises(ParameterError, match="the cells beside"):
+        geometric({one: 40.0, other: 0.45 * 40.0 * ratio})
+
+
+def test_far_above_geometry_is_three_times_and_more_than_1():
+    geometric({(4, 3): 2.9})
+    with pytest.raises(ParameterError, match="the cells beside"):
+        geometric({(4, 3): 3.1})
+    once = math.tan(0.1) / 4.0
+    geometric({(1, 0): 0.9 / once}, l_wb=4.0)
+    with pytest.raises(ParameterError, match="the cells beside"):
+        geometric({(1, 0): 1.1 / once}, l_wb=4.0)

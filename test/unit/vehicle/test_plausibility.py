@@ -7,7 +7,7 @@ import yaml
 from map_racing.errors import ParameterError
 from map_racing.vehicle.lookup import LookupTable, load_table
 from map_racing.vehicle.parameters import load_vehicle, vehicle_values
-from map_racing.vehicle.plausibility import doubts_of_table
+from map_racing.vehicle.plausibility import doubts_of_peak, doubts_of_table
 from map_racing.vehicle.steady_state import steady_state_table
 
 SMALL = vehicle_values(load_vehicle("sim"))
@@ -74,6 +74,16 @@ def test_geometry_in_another_unit_throughout(load, car, factor):
 def test_the_height_in_another_unit(load, value):
     with pytest.raises(ParameterError, match="h_cg: expected at most the wheelbase, 0.3302 m, got"):
         load(SMALL, h_cg=value)
+
+
+def test_a_tire_whose_numbers_stand_in_another_order_is_doubted(tmp_path):
+    """Of one axle only: the other one holds the car within what rubber can."""
+    lines = {"m": 3.54, "I_z": 0.06, "l_f": 0.162, "l_r": 0.145, "h_cg": 0.014, "mu": 1.0}
+    lines.update(C_Pf=[0.65, 2.2, 4.8, 0.37], C_Pr=[20.0, 1.5, 0.6, 0.0])
+    path = tmp_path / "car.yaml"
+    path.write_text(yaml.safe_dump(lines))
+    (note,) = load_vehicle(path).notes
+    assert note == "warning: front tire: friction: expected 0.1 to 2.5, got 4.8"
 
 
 @pytest.mark.parametrize(
@@ -143,3 +153,18 @@ def test_published_tables_are_of_their_cars(shared_data):
     for car, table in (("NUC4_pacejka.txt", "NUC4_pacejka"), ("SIM_linear.txt", "SIM_linear")):
         path = shared_data / "vehicles" / f"{table}_lookup_table.csv"
         assert doubts_of_table(load_table(path), load_vehicle(shared_data / "vehicles" / car)) == []
+
+
+@pytest.mark.parametrize("grip, said", [(1.0, False), (2.5, True)])
+def test_a_table_whose_peak_no_rubber_has_is_doubted(grip, said):
+    """Without the vehicle, too; of linear tires, which have no peak, nothing is said."""
+    car = load_vehicle("nuc4")
+    speeds, angles = np.linspace(0.5, 9.0, 20), np.linspace(0.0, 0.4, 41)
+    own = steady_state_table(car, speeds, angles)
+    table = LookupTable(speeds * grip**0.5, angles, grip * own.a_lat)
+    assert bool(doubts_of_peak(table)) == said
+    assert bool(doubts_of_table(table, car)) == said
+    if said:
+        assert "its peak is that of a friction of 1.8" in doubts_of_peak(table)[0]
+    linear = steady_state_table(load_vehicle("sim"), speeds, angles)
+    assert np.nanmax(linear.a_lat) > 20.0 and doubts_of_peak(linear) == []

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import ParameterError
-from map_racing.vehicle.lookup import default_grid
+from map_racing.vehicle.grids import default_grid
 from map_racing.vehicle.parameters import linearized, load_vehicle, scaled_tires
 from map_racing.vehicle.steady_state import steady_state_table
 from map_racing.vehicle.tire_steering import TireSteering

@@ -127,9 +127,11 @@ def _add_line(line):
     )
     line.add_argument(
         "--compare",
+        action="append",
+        default=[],
         metavar="FILE",
-        help="raceline to compare with; the car may come as close to the walls as on that line, "
-        "whatever --margin says",
+        help="raceline to compare with, may be given several times; the car may come as close to "
+        "the walls as on the closest of these lines, whatever --margin says",
     )
     line.add_argument(
         "--curvature-only",

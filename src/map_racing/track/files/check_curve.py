@@ -25,6 +25,8 @@ ACCELERATIONS, WIDEST = (2.0, 60.0), 30.0
 # walking pace [m/s], on a track that is wider [m], or on one that is shorter [m]: it is in another
 # unit.
 CRAWLING, LONGEST_LAP, WALKING, FIELD, TINY = 0.2, 300.0, 2.0, 100.0, 0.5
+# Nor does anybody drive so much faster on straights than in bends that need so little [m/s^2].
+PACED, EASY = 1.3, 0.6
 
 # Headings as files state them: code, severity, meaning, and the conversion to rad from +x.
 _HEADINGS = (
@@ -75,6 +77,29 @@ def check_size(draft: Draft) -> None:
             f"{LONGEST:g} m: is it in meters?"
         )
         draft.add("size", WARNING, text)
+        return
+    wide = 0.0
+    if draft.raceline.d_left is not None:
+        wide = float(np.median(draft.raceline.d_left + draft.raceline.d_right))
+    if wide > WIDEST and not _full_size(draft.raceline):
+        text = f"the track is {wide:.3g} m wide, none is wider than {WIDEST:g} m: is it in meters?"
+        draft.add("size", WARNING, text)
+        return
+    needed, speeds = _needed(draft.raceline), draft.raceline.speed
+    if not (needed and needed < EASY and np.mean(speeds) > WALKING):
+        return
+    if np.max(speeds) > PACED * np.min(speeds):
+        text = (
+            f"at its speeds, {np.min(speeds):.3g} to {np.max(speeds):.3g} m/s, a lap of "
+            f"{length:.3g} m needs at most {needed:.2g} m/s^2 in its bends: is it in meters, or "
+            "in pixels?"
+        )
+        draft.add("size", WARNING, text)
+
+
+def _needed(line):
+    """Largest lateral acceleration of a line at its speeds [m/s^2]; 0 without speeds."""
+    return 0.0 if line.speed is None else float(np.max(line.speed**2 * np.abs(line.kappa)))
 
 
 def _other_unit(line):
@@ -87,8 +112,7 @@ def _other_unit(line):
             return f"{width:.3g} wide"
     if line.speed is None or not line.speed.any():
         return ""
-    needed = float(np.max(line.speed**2 * np.abs(line.kappa)))
-    speed = float(np.mean(line.speed))
+    needed, speed = _needed(line), float(np.mean(line.speed))
     duration = line.length / speed
     if needed < CRAWLING and duration > LONGEST_LAP and speed > WALKING:
         return f"which takes {duration:.3g} s and needs at most {needed:.2g} m/s^2 in its bends"
@@ -99,7 +123,7 @@ def _full_size(line):
     """Whether a long track is one of full-size cars: in another unit these would be far off."""
     if line.speed is not None:
         least, most = ACCELERATIONS
-        return least <= float(np.max(line.speed**2 * np.abs(line.kappa))) <= most
+        return least <= _needed(line) <= most
     return line.d_left is not None and float(np.median(line.d_left + line.d_right)) <= WIDEST
 
 

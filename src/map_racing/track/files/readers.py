@@ -98,9 +98,11 @@ def read_raceline_file(path: str | Path, key: str | None = None) -> RacelineTabl
         name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
     if text.lstrip()[:1] in ("{", "["):
         key = key or DEFAULT_KEY
-        columns, findings = _json_columns(text, path, key)
+        content = _json_content(text, path)
+        columns, findings = _json_columns(content, path, key)
         layout = f"race_stack JSON, {key}"
-        table = RacelineTable(columns, layout=layout, findings=tuple(findings))
+        bounds = _json_bounds(content, key)
+        table = RacelineTable(columns, layout=layout, findings=tuple(findings), bounds=bounds)
     else:
         table = _csv_table(text, path, key)
     return table._replace(name=name, source=str(path))
@@ -348,14 +350,45 @@ def _is_data(line):
 # -- JSON ------------------------------------------------------------------------------------
 
 
-def _json_columns(text, path, key):
-    """Columns of one waypoint array of a race_stack JSON file."""
+def _json_content(text, path):
     try:
-        content = json.loads(text, parse_int=float)  # huge integers become inf instead of an error
+        return json.loads(text, parse_int=float)  # huge integers become inf instead of an error
     except RecursionError:
         raise FileFormatError(f"{path}: invalid JSON: nested too deeply") from None
     except ValueError as error:
         raise FileFormatError(f"{path}: invalid JSON: {error}") from None
+
+
+def _json_bounds(content, key):
+    """Points of the walls that the file shows as markers, or else as those of its other lines."""
+    with suppress(LookupError, TypeError, ValueError, AttributeError):
+        markers = content["trackbounds_markers"]["markers"]
+        places = (marker["pose"]["position"] for marker in markers)
+        points = np.array([(place["x"], place["y"]) for place in places], dtype=float)
+        if len(points) and np.isfinite(points).all():
+            return (points,)
+    others = content.items() if isinstance(content, dict) else ()
+    for name, value in others:
+        with suppress(LookupError, TypeError, ValueError, AttributeError):
+            rows = value["wpnts"] if name != key else ()
+            names = ("x_m", "y_m", "d_left", "d_right")
+            x, y, left, right = np.array([[row[n] for n in names] for row in rows], dtype=float).T
+            if np.isfinite(x + y + left + right).all() and np.any(left + right):
+                # Of these the walls may be exchanged as well.
+                return (_walls(x, y, left, right), _walls(x, y, right, left))
+    return ()
+
+
+def _walls(x, y, left, right):
+    """Points on both walls of a closed line of points."""
+    way = np.stack([np.roll(v, -1) - np.roll(v, 1) for v in (x, y)], axis=1)
+    way /= np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)[:, None]
+    normal, points = np.stack((-way[:, 1], way[:, 0]), axis=1), np.stack((x, y), axis=1)
+    return np.concatenate((points + left[:, None] * normal, points - right[:, None] * normal))
+
+
+def _json_columns(content, path, key):
+    """Columns of one waypoint array of a race_stack JSON file."""
     arrays = {}
     if isinstance(content, dict):
         for name, value in content.items():

@@ -26,6 +26,8 @@ class RacelineTable(NamedTuple):
         Line of each point in the file.
     findings : tuple of Finding
         What was noticed while reading.
+    bounds : tuple of ndarray, shape (k, 2)
+        Points on both walls that the file has besides [m]; any of these sets may be wrong.
     """
 
     columns: dict[str, np.ndarray]
@@ -34,6 +36,7 @@ class RacelineTable(NamedTuple):
     layout: str = ""
     lines: np.ndarray | None = None
     findings: tuple[Finding, ...] = ()
+    bounds: tuple[np.ndarray, ...] = ()
 
     @property
     def xy(self) -> np.ndarray:

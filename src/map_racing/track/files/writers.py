@@ -35,8 +35,9 @@ __all__ = [
 class RacelineColumns(NamedTuple):
     """Columns to write: the points in order, the first not repeated.
 
-    Lengths are in meters, angles in radians; speeds [m/s] with the acceleration [m/s^2] that is
-    constant from each point to the next, and distances to the walls [m], are None where unknown.
+    Each has the shape (n,). Lengths are in meters, angles in radians; speeds [m/s] with the
+    acceleration [m/s^2] that is constant from each point to the next, and distances to the walls
+    [m], are None where unknown.
     """
 
     name: str

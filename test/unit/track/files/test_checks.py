@@ -1,5 +1,6 @@
 """What is wrong in a track is found, where it is, and only that."""
 
+import json
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from map_racing.errors import RacelineError
 from map_racing.track.files.checks import examine, raceline_of
 from map_racing.track.files.load import load_raceline
+from map_racing.track.files.readers import read_raceline_file
 from map_racing.track.files.table import RacelineTable
 from map_racing.track.findings import ERROR, NOTE, WARNING
 from map_racing.track.raceline import Raceline
@@ -266,6 +268,36 @@ def test_exchanged_walls():
     assert codes(RacelineTable(columns)) == {}
 
 
+@pytest.mark.parametrize("turned", ["line", "both", "other", "nothing"])
+@pytest.mark.parametrize("shown", ["markers", "line"])
+def test_a_file_that_shows_its_walls_tells_whether_they_are_exchanged(tmp_path, shown, turned):
+    """A line that weaves evenly between two circles, where neither shape nor bends tell."""
+    r, a = 6.0 + 0.4 * np.sin(2.0 * T), 2.0 * T
+    walls = [[w * np.cos(a), w * np.sin(a)] for w in (5.0, 7.5)]
+
+    def waypoints(radius, exchange):
+        sides = radius - 5.0 + 0.0 * T, 7.5 - radius + 0.0 * T
+        columns = radius * np.cos(T), radius * np.sin(T), *(sides[::-1] if exchange else sides)
+        names = ("x_m", "y_m", "d_left", "d_right")
+        return {"wpnts": [dict(zip(names, map(float, row))) for row in zip(*columns)]}
+
+    content = {"global_traj_wpnts_iqp": waypoints(r, turned in ("line", "both"))}
+    if shown == "line":
+        content["centerline_waypoints"] = waypoints(6.2, turned in ("other", "both"))
+    else:
+        places = [{"x": float(x), "y": float(y)} for wall in walls for x, y in zip(*wall)]
+        markers = [{"pose": {"position": place}} for place in places]
+        content["trackbounds_markers"] = {"markers": markers}
+    path = tmp_path / "global_waypoints.json"
+    path.write_text(json.dumps(content))
+    found = codes(read_raceline_file(path))
+    assert ("swapped-walls" in found) == (turned in ("line", "both"))
+    # What a file shows that is of another track tells nothing.
+    content["trackbounds_markers"] = {"markers": [{"pose": {"position": {"x": 50.0, "y": 9.0}}}]}
+    path.write_text(json.dumps(content))
+    assert codes(read_raceline_file(path)) == {}
+
+
 @pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])
 def test_walls_in_other_units(unit):
     line = load_raceline("reference")
@@ -327,6 +359,7 @@ def test_errors_leave_out_what_they_spoil():
     assert list(found) == ["turns-back"]
 
 
+@pytest.mark.once
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -379,6 +412,14 @@ def test_a_track_that_is_certainly_in_another_unit_is_refused(scale, without):
     assert found.severity == ERROR and "in mm or cm? Name it, as in x [mm]" in found.text
 
 
+@pytest.mark.parametrize("scale, said", [(1.0, False), (10.0, False), (30.0, True)])
+def test_a_track_wider_than_any_is_doubted(scale, said):
+    """Shorter than two kilometers, without speeds: a small hall in centimeters."""
+    lengths = ("x", "y", "d_left", "d_right")
+    found = codes(RacelineTable({key: scale * GOOD[key] for key in lengths}))
+    assert ("size" in found) == said
+
+
 def test_a_track_smaller_than_a_car_is_refused():
     tiny = codes(RacelineTable({key: 0.001 * GOOD[key] for key in ("x", "y")}))["unit"]
     assert tiny.severity == ERROR and "shorter than a car" in tiny.text
@@ -389,3 +430,20 @@ def test_slow_laps_in_meters_are_driven(speed, size):
     """At walking pace around a hall or a parking lot; at the speed of a full-size car."""
     columns = {key: size * GOOD[key] for key in ("x", "y")}
     assert "unit" not in codes(RacelineTable({**columns, "speed": speed + 0.0 * GOOD["speed"]}))
+
+
+@pytest.mark.parametrize(
+    ("scale", "speeds", "said"),
+    [
+        (30.0, 1.0, True),  # positions in pixels
+        (1.0, 1.0, False),
+        (1.0, 0.5, False),  # driven at half speed
+        (30.0, 6.0, False),  # a full-size car
+        (30.0, 0.4, False),  # at walking pace
+        (30.0, 0.0, False),  # evenly, as a car that makes a map of a large hall
+    ],
+)
+def test_speeds_that_need_no_grip_tell_another_unit(scale, speeds, said):
+    speed = speeds * GOOD["speed"] if speeds else np.full(N, 3.0)
+    columns = {"x": scale * GOOD["x"], "y": scale * GOOD["y"], "speed": speed}
+    assert ("size" in codes(RacelineTable(columns))) == said

@@ -79,7 +79,7 @@ def same(read, track, columns=(), atol=1e-6):
 @given(
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(40, 300),
-    size=st.floats(2.0, 300.0),
+    size=st.floats(2.0, 60.0),
     x=st.floats(-1e4, 1e4),
     y=st.floats(-1e4, 1e4),
     clockwise=st.booleans(),

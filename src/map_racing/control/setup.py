@@ -1,0 +1,91 @@
+"""What a controller drives with, all that may change while it drives."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ..track.tracker import RacelineTracker
+from .grip_guard import GripGuard
+from .speed_plan import AdaptiveSpeedPlan, SpeedPlan, requested_speed
+
+if TYPE_CHECKING:
+    from ..track.raceline import Raceline
+    from .adaptation import Adaptation
+    from .parameters import ControllerParameters
+    from .speed_sectors import SpeedSectors
+
+__all__ = ["Setup"]
+
+
+class Setup(NamedTuple):
+    """What is given, as for `map_racing.control.controller.Controller`, and what is worked out.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    steering_map, grip : object
+    raceline : Raceline or None
+    sectors : SpeedSectors or None
+    tracker : RacelineTracker or None
+        Of the raceline.
+    plan : SpeedPlan or None
+        None without raceline or with a ``grip_use`` of 0.
+    guard : GripGuard or None
+        With a plan.
+    adaptation : Adaptation or None
+        None while that is off.
+    """
+
+    parameters: ControllerParameters
+    steering_map: Any
+    grip: Any
+    raceline: Raceline | None
+    sectors: SpeedSectors | None
+    tracker: RacelineTracker | None = None
+    plan: SpeedPlan | None = None
+    guard: GripGuard | None = None
+    adaptation: Adaptation | None = None
+
+    @property
+    def limit(self) -> Any:
+        """What knows the grip."""
+        if self.adaptation is not None:
+            return self.adaptation.file_steering
+        return self.steering_map if self.grip is None else self.grip
+
+    def planned(self, old: Setup | None) -> Setup:
+        """With the tracker and the speed plan that go with the rest.
+
+        Parameters
+        ----------
+        old : Setup or None
+            The one in use, whose tracker and plan are kept where nothing changes them.
+
+        Raises
+        ------
+        ParameterError
+            If the raceline has no speeds and ``grip_use`` is 0.
+        """
+        parameters, raceline = self.parameters, self.raceline
+        if raceline is None:
+            return self._replace(tracker=None, plan=None, guard=None)
+        setup = self
+        if old is None or raceline is not old.raceline:
+            setup = setup._replace(tracker=RacelineTracker(raceline))
+        if not parameters.grip_use:
+            requested_speed(raceline, parameters)  # an error without speeds
+            return setup._replace(plan=None, guard=None)
+        if old is None or setup.plan is None or setup._plan_key() != old._plan_key():
+            kind = SpeedPlan if setup.adaptation is None else AdaptiveSpeedPlan
+            setup = setup._replace(
+                plan=kind(raceline, parameters, setup.limit, setup.sectors),
+                guard=GripGuard(setup.limit, parameters.v_max_mps),
+            )
+        return setup
+
+    def _plan_key(self):
+        """What a speed plan depends on; equal for equal plans."""
+        return (
+            *(id(self.raceline), id(self.sectors), id(self.limit)),
+            *(getattr(self.parameters, name) for name in SpeedPlan.DEPENDS_ON),
+        )

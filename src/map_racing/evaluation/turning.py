@@ -1,0 +1,97 @@
+"""How fast the car drove and turned: as recorded, unless the path says that it cannot be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..bags.samples import Recording
+from .doubts import speed_warning
+from .speed import speed_of
+
+__all__ = ["speed_driven", "turning_of"]
+
+# A rate adds up to the turning of the path within this share, where that is more than a half turn;
+# shorter steps of the path [m] have no direction, and nothing is known of longer pauses [s].
+_SHARE, _LEAST_STEP, _PAUSE = 0.3, 0.3, 0.25
+
+
+def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
+    """Yaw rate of a recording and what is to be said about it.
+
+    It is the one recorded or, where that is missing or not the turning of the path (never filled
+    in, in degrees, of another axis), that of the heading.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    rate : ndarray, shape (n,)
+        Yaw rate [rad/s]; NaN where neither will do.
+    notes : list of str
+        Doubts begin with ``warning:``.
+    """
+    notes = []
+    for what, rate in _recorded(recording):
+        turned, path = _turned(recording, rate)
+        if abs(path) < math.pi or abs(turned - path) < _SHARE * abs(path):
+            return rate, [f"{note}: that of the {what} is used" for note in notes]
+        notes.append(
+            f"warning: the {what} recorded turns by {turned:.1f} rad, the path by {path:.1f} rad"
+            if rate.any()
+            else f"the {what} recorded does not change"
+        )
+    left_out = "lateral acceleration and grip are left out"
+    unknown = np.full(recording.t.size, np.nan)
+    if not notes:
+        return unknown, []
+    said = "; ".join(note.replace("warning: ", "") for note in notes)
+    return unknown, [f"warning: {said}: {left_out}"]
+
+
+def speed_driven(recording: Recording) -> tuple[np.ndarray, bool]:
+    """Speed of a recording [m/s], shape (n,), and whether it is the one measured.
+
+    Where that is missing or not the motion of the poses, it is their motion.
+    """
+    t, x, y = recording.t, recording.x, recording.y
+    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    doubtful = bool(speed_warning("", t, x, y, v))
+    driven = speed_of(t, x, y, np.full(v.size, np.nan) if doubtful else v)
+    return driven, driven is v
+
+
+def _recorded(recording):
+    """Yaw rates that are known, the best first, with what they are of."""
+    if np.isfinite(recording.yaw_rate).all():
+        yield "yaw rate", recording.yaw_rate
+    if np.isfinite(recording.psi).all():
+        yield "heading", np.gradient(np.unwrap(recording.psi), recording.t)
+
+
+def _turned(recording, rate):
+    """Angle by which a yaw rate and the path turn, added up [rad]."""
+    t, x, y = recording.t, recording.x, recording.y
+    kept = _apart(x.tolist(), y.tolist())
+    if kept.size < 3:
+        return 0.0, 0.0
+    course = np.arctan2(np.diff(y[kept]), np.diff(x[kept]))
+    steps = np.where(np.diff(t) < _PAUSE, np.diff(t), 0.0)
+    angle = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps))
+    known = np.diff(t[kept]) < 4.0 * _PAUSE
+    known = known[1:] & known[:-1]
+    path = np.sum(np.angle(np.exp(1j * np.diff(course)))[known])
+    # A course is the mean heading between two places.
+    return float(np.sum(0.5 * (angle[kept[2:]] - angle[kept[:-2]])[known])), float(path)
+
+
+def _apart(x, y):
+    """Indices of samples, each so far from the one before that noise hardly turns the course."""
+    kept = [0]
+    for i in range(1, len(x)):
+        if math.hypot(x[i] - x[kept[-1]], y[i] - y[kept[-1]]) > _LEAST_STEP:
+            kept.append(i)
+    return np.array(kept)

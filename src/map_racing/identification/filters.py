@@ -1,0 +1,135 @@
+"""Filters of recorded signals: low-pass, gaps and spikes."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import butter, sosfiltfilt
+
+from ..vehicle.size import Size
+
+__all__ = [
+    "LONGEST_GAP_S",
+    "LONGEST_HOLD_S",
+    "briefly_far",
+    "low_passed",
+    "near",
+    "running_median",
+    "spike_thresholds",
+    "spikes_in",
+    "stretches",
+]
+
+LONGEST_GAP_S = 0.25
+"""A signal is known between samples this far apart [s]."""
+LONGEST_HOLD_S = 0.6
+"""A command holds until the next one, for so long at most [s]."""
+
+# A spike is farther from the local median than this many usual distances, and than its threshold.
+SPIKE_WINDOW_S, SPIKE_FACTOR, LONGEST_SPIKE_S = 1.2, 6.5, 0.2
+# Thresholds for 1:10 cars [SI].
+SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
+SPIKES.update(a_x=0.3, a_y=0.3, a_z=0.3)
+
+
+def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
+    """Zero-phase Butterworth low-pass along the last axis; half the power passes at the cutoff.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+    rate_hz, cutoff_hz : float
+        Rate of the samples and cutoff [Hz].
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+    """
+    # Twice through a filter of second order: each pass may take a quarter of the power.
+    once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
+    padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
+    return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
+
+
+@lru_cache(maxsize=16)
+def _sections(cutoff):
+    return butter(2, cutoff, output="sos")
+
+
+def near(t: np.ndarray, samples: np.ndarray, longest: float) -> np.ndarray:
+    """Whether each time lies in a gap of at most `longest` between samples.
+
+    The last sample counts as long, if none follows: nobody knows what a car does that rolls on
+    after its last command.
+
+    Parameters
+    ----------
+    t, samples : ndarray, shape (n,), (k,)
+        Times, increasing [s].
+    longest : float
+        [s]
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    at = np.searchsorted(samples, t, side="right")
+    before, after = np.append(-np.inf, samples)[at], np.append(samples, np.inf)[at]
+    return np.where(at < samples.size, after, t) - before <= longest
+
+
+def spike_thresholds(size: Size) -> dict[str, float]:
+    """Least distance of a spike by quantity [SI], for a car's size."""
+    length, speed = size
+    factors = {"x": length, "y": length, "v_x": speed, "v_y": speed, "yaw_rate": 1.0 / speed}
+    return {name: factors.get(name, 1.0) * value for name, value in SPIKES.items()}
+
+
+def spikes_in(
+    t: np.ndarray, value: np.ndarray, least: float, window_s: float = SPIKE_WINDOW_S
+) -> np.ndarray:
+    """Spikes of a signal: samples far from the local median.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        Times [s] and values.
+    least : float
+        No spike is closer.
+    window_s : float, optional
+        Window of the median [s].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    return briefly_far(t, np.abs(value - running_median(t, value, window_s)), least, window_s)
+
+
+def briefly_far(t: np.ndarray, distance: np.ndarray, least: float, window_s: float) -> np.ndarray:
+    """Distances that are large for their neighborhood, but only briefly; NaN is none.
+
+    As `spikes_in`, of distances from what is expected.
+    """
+    with np.errstate(invalid="ignore"):
+        far = distance > np.maximum(SPIKE_FACTOR * running_median(t, distance, window_s), least)
+    for cut in stretches(far):
+        # A lasting one is a step: the car brakes, or localization corrected itself.
+        if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
+            far[cut] = False
+    return far
+
+
+def running_median(t: np.ndarray, value: np.ndarray, window_s: float) -> np.ndarray:
+    """Running median over a window [s]; too few samples stay as they are."""
+    window = 2 * int(0.5 * window_s / max(float(np.median(np.diff(t))), 1e-3)) + 1
+    return median_filter(value, window, mode="nearest") if value.size >= 3 * window else value
+
+
+def stretches(mask: np.ndarray) -> list[slice]:
+    """Slices in which a mask, shape (n,), is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return [slice(begin, end) for begin, end in zip(edges[::2], edges[1::2])]
