@@ -262,8 +262,8 @@ def test_steps_of_a_fast_car_are_no_jumps_where_its_speed_is_measured():
         *(False, True, True, False)
     ]
     # Up to 1.5 times as fast as measured, and no more.
-    for v in (0.0, 15.0):
-        assert reasons(run(line, t, x, y, np.full(t.size, v)))[1] == "jump"
+    for v in (np.zeros(t.size), np.full(t.size, 15.0), 30.0 * (np.arange(t.size) % 2)):
+        assert reasons(run(line, t, x, y, v))[1] == "jump"
 
 
 def test_laps_too_short_to_brake_in_count():
@@ -430,6 +430,15 @@ def test_a_car_that_stood(drive, track, line, stood, counts):
     assert run(line, *drive(23.0, s=s), limits=longer).laps[2].valid
 
 
+@pytest.mark.parametrize(("times", "place"), [((1.0, 2.0), "22"), ((2.0, 1.0), "10")])
+def test_the_longest_of_two_stops_is_told(drive, track, line, times, place):
+    first = (track.length + 3.0 + 10.0) / V
+    knots = np.cumsum([0.0, first, times[0], 2.0, times[1], 10.0])
+    places = np.cumsum([-3.0, V * first, 0.0, 12.0, 0.0, 60.0])
+    reason = run(line, *drive(19.0, s=lambda t: np.interp(t, knots, places))).laps[2].reason
+    assert re.search(r"stood 2\.\d s at s = (\d+)\.", reason)[1] == place
+
+
 def test_a_car_that_creeps_around_has_not_stood(drive, track, line):
     result = run(line, *drive(1.3 * track.length / 0.25, s=lambda t: 0.25 * t - 2.0, rate=10.0))
     assert [lap.valid for lap in result.laps] == [False, True, False]
@@ -443,6 +452,14 @@ def test_a_wall_stops_a_car_as_no_brake_does(drive, track, line):
     assert result.laps[2].reason.startswith("stopped from 6.7 to 0.4 m/s")
     assert result.laps[2].reason.endswith("at s = 12.0 m")
     assert [lap.valid for lap in result.laps[:3]] == [False, True, False]
+
+
+def test_a_wall_is_seen_at_a_low_rate(drive, track, line):
+    """7 m/s, then 0.4 m/s for a second, by 10 poses a second."""
+    hit = (track.length + 12.0 + 3.0) / 7.0
+    knots, places = [0.0, hit, hit + 1.0, 18.0], np.cumsum([-3.0, 7.0 * hit, 0.4, 80.0])
+    result = run(line, *drive(14.0, s=lambda t: np.interp(t, knots, places), rate=10.0))
+    assert result.laps[2].reason.startswith("stopped from ")
 
 
 @pytest.mark.parametrize(("deceleration", "stopped"), [(20.0, False), (30.0, True)])
