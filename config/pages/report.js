@@ -86,10 +86,12 @@
     if (others.length) {
       state.b = lapOf(others[0], data.runs[others[0]].best);
     } else {
-      // The median lap against the best one.
-      const run = data.runs[first], whole = run.laps.map((_, k) => k)
+      // The median lap against the best one; one that does not count only if no other does.
+      const run = data.runs[first];
+      let whole = run.laps.map((_, k) => k)
         .filter((k) => run.laps[k].time !== null && k !== run.best)
         .sort((i, j) => run.laps[i].time - run.laps[j].time);
+      if (whole.some((k) => run.laps[k].valid)) whole = whole.filter((k) => run.laps[k].valid);
       state.b = state.a;
       if (whole.length) state.a = lapOf(first, whole[Math.floor((whole.length - 1) / 2)]);
     }
