@@ -117,9 +117,10 @@ def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
 
 def test_commands_that_are_stamped_with_the_pose_they_answer(tmp_path):
     """As the controller node does: they are sent when the pose has come."""
-    controller = build_controller(load_controller_parameters("map"), NUC4, load_raceline("reference"))
+    raceline, parameters = load_raceline("reference"), load_controller_parameters("map")
+    controller = build_controller(parameters, NUC4, raceline)
     car, localization = build_plant(load_plant("nuc4"), 1)
-    log = race(car, controller, controller.raceline, localization, laps=2)
+    log = race(car, controller, raceline, localization, laps=2)
     told = []
     for stamped in (False, True):
         path = tmp_path / f"{stamped}.bag"
