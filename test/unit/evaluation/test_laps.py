@@ -262,8 +262,8 @@ def test_steps_of_a_fast_car_are_no_jumps_where_its_speed_is_measured():
         *(False, True, True, False)
     ]
     # Up to 1.5 times as fast as measured, and no more.
-    for v in (0.0, 15.0):
-        assert reasons(run(line, t, x, y, np.full(t.size, v)))[1] == "jump"
+    for v in (np.zeros(t.size), np.full(t.size, 15.0), 30.0 * (np.arange(t.size) % 2)):
+        assert reasons(run(line, t, x, y, v))[1] == "jump"
 
 
 def test_laps_too_short_to_brake_in_count():
@@ -376,6 +376,18 @@ def test_a_pose_that_was_repeated_for_long_is_a_gap(drive, line):
     assert [lap.valid for lap in result.laps] == [False, True, False, True, False]
 
 
+def test_a_pose_that_hangs_over_the_line_crosses_it_in_its_last_step(drive, line):
+    t, x, y = drive(16.0)
+    end = run(line, t, x, y).laps[1].end_time_s
+    hangs = (t > end - 0.3) & (t < end + 0.2)
+    for column in (x, y):
+        column[hangs] = column[np.flatnonzero(hangs)[0]]
+    lap = run(line, t, x, y).laps[1]
+    assert lap.reason.startswith("gap of 0.5")
+    last = t[np.flatnonzero(hangs)[-1]]
+    assert last < lap.end_time_s < last + 1.0 / RATE + 1e-9
+
+
 def test_a_small_step_of_the_pose_is_no_jump_wherever_the_tracker_looked(track, drive):
     """Far outside of the limits the whole track is searched; the place moves a little more."""
     line = track.raceline(walls=0.2)
@@ -408,8 +420,28 @@ def test_a_car_that_stood(drive, track, line, stood, counts):
         # Within 5 cm of the place it is for 0.1 s more before and after.
         assert float(seconds) == pytest.approx(stood + 0.2, abs=0.11)
         assert float(place) == pytest.approx(20.0, abs=0.1)
+        (moved,) = [
+            lap.reason
+            for lap in run(line, *drive(23.0, s=s), start_s=5.0).laps
+            if "stood" in lap.reason
+        ]
+        assert float(moved[:-2].split(" = ")[1]) == pytest.approx(20.0, abs=0.1)
     longer = LapLimits(max_stop=stood + 0.5)
     assert run(line, *drive(23.0, s=s), limits=longer).laps[2].valid
+
+
+@pytest.mark.parametrize(("times", "place"), [((1.0, 2.0), "22"), ((2.0, 1.0), "10")])
+def test_the_longest_of_two_stops_is_told(drive, track, line, times, place):
+    first = (track.length + 3.0 + 10.0) / V
+    knots = np.cumsum([0.0, first, times[0], 2.0, times[1], 10.0])
+    places = np.cumsum([-3.0, V * first, 0.0, 12.0, 0.0, 60.0])
+    reason = run(line, *drive(19.0, s=lambda t: np.interp(t, knots, places))).laps[2].reason
+    assert re.search(r"stood 2\.\d s at s = (\d+)\.", reason)[1] == place
+
+
+def test_a_car_that_creeps_around_has_not_stood(drive, track, line):
+    result = run(line, *drive(1.3 * track.length / 0.25, s=lambda t: 0.25 * t - 2.0, rate=10.0))
+    assert [lap.valid for lap in result.laps] == [False, True, False]
 
 
 def test_a_wall_stops_a_car_as_no_brake_does(drive, track, line):
@@ -420,6 +452,14 @@ def test_a_wall_stops_a_car_as_no_brake_does(drive, track, line):
     assert result.laps[2].reason.startswith("stopped from 6.7 to 0.4 m/s")
     assert result.laps[2].reason.endswith("at s = 12.0 m")
     assert [lap.valid for lap in result.laps[:3]] == [False, True, False]
+
+
+def test_a_wall_is_seen_at_a_low_rate(drive, track, line):
+    """7 m/s, then 0.4 m/s for a second, by 10 poses a second."""
+    hit = (track.length + 12.0 + 3.0) / 7.0
+    knots, places = [0.0, hit, hit + 1.0, 18.0], np.cumsum([-3.0, 7.0 * hit, 0.4, 80.0])
+    result = run(line, *drive(14.0, s=lambda t: np.interp(t, knots, places), rate=10.0))
+    assert result.laps[2].reason.startswith("stopped from ")
 
 
 @pytest.mark.parametrize(("deceleration", "stopped"), [(20.0, False), (30.0, True)])
@@ -693,6 +733,8 @@ def test_bounds_are_possible_parameters(drive, line):
     (whole,) = run(line, *drive(8.0), sectors=1).laps[1].sector_times_s
     assert whole == pytest.approx(run(line, *drive(8.0)).laps[1].lap_time_s, nan_ok=True)
     assert len(run(line, *drive(8.0), start_s=line.length + 0.009).laps) == 3
+    with pytest.raises(ParameterError, match="start line"):
+        LapEvaluator(line, start_s=line.length + 0.011)
 
 
 # -- summary ---------------------------------------------------------------------------------------
