@@ -237,6 +237,7 @@ def test_speed_sectors(rig, listen, tmp_path):
     )
     # The car of this test drives faster than it is told.
     rig = rig({**AS_ASKED, "sectors": str(path), "grip_use": 0.0, "max_overspeed_mps": 10.0})
+    told(rig, "speed sectors: 25 to 100 % of the raceline's speed")
     guidance = listen("/guidance", Guidance)
     rig.driving()
     wait_for(lambda: guidance and guidance[-1].s > raceline.s_points[half] + 2.0, what="half a lap")
@@ -696,11 +697,27 @@ def test_tuning_and_saving(rig, ros, listen, tmp_path):
     answer = client.update_configuration({"lookahead_min_m": 4.0, "lookahead_max_m": 1.0})
     assert answer["lookahead_min_m"] == shipped["map"].lookahead_min_m
     assert "reconfigure rejected" in rig.node.output
-    # So has that to one beyond the slider, or above the speed at the start; the log says it.
-    assert client.update_configuration({"delay_s": 9.0})["delay_s"] == 0.5
-    assert client.update_configuration({"v_max_mps": 14.0})["v_max_mps"] == 12.0
-    told(rig, "reconfigure: delay_s: expected 0 to 0.5, got 9: 0.5 is taken")
-    told(rig, "reconfigure: v_max_mps: expected at most 12, its value at the start, got 14: 12 is")
+    client.update_configuration({"v_max_mps": 5.0})
+    assert client.update_configuration({"v_max_mps": 14.0})["v_max_mps"] == 5.0
+    told(rig, "reconfigure rejected: v_max_mps: expected at most 12, its value at the start, got")
+
+
+def test_values_beyond_their_sliders_are_rejected_and_those_in_use_stay(rig):
+    """9.5 for 0.95 must not drive at the limit of the slider, beyond the tires."""
+    rig = rig({"controller": "map"})
+    client = Client("/controller/tuning", timeout=10.0)
+    held = client.get_configuration(timeout=10.0)
+    offered = client.get_parameter_descriptions(timeout=10.0)
+    names = [one["name"] for one in offered]
+    for one in offered:
+        if one["type"] == "double":
+            for value in (10.0 * one["max"] + 0.1, one["min"] - 0.1):
+                # Nor is any other change of the same request made.
+                answer = client.update_configuration({"max_jump_m": 0.6, one["name"]: value})
+                assert all(answer[name] == held[name] for name in names), one["name"]
+                bounds = f"{one['name']}: expected {one['min']:g} to {one['max']:g}, got {value:g}"
+                told(rig, f"reconfigure rejected: {bounds}; the values in use stay")
+    assert client.update_configuration({"grip_use": 0.95})["grip_use"] == 0.95
 
 
 def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders(ros, rig):

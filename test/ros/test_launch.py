@@ -197,6 +197,7 @@ def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path,
     remarks = read_remarks(bag, load_recording(bag))
     settings = parse_settings(remarks.settings[-1][1])
     assert settings.controller is not None and settings.vehicle is not None
+    assert "driving" in [text for _, text in remarks.states]
     report = tmp_path / "run.json"
     assert main(["evaluate", str(bag), "--json", str(report)]) == 0
     (run,) = json.loads(report.read_text())["runs"]

@@ -15,8 +15,9 @@ from .topics import DIAGNOSTICS_TOPIC, SETTINGS_TOPIC, STATE
 
 __all__ = ["Remarks", "read_remarks"]
 
-# How the message of the controller's status begins.
+# How the message of the controller's status begins, and those of a car that may not drive.
 _MODES = ("waiting", "driving", "stopping", "stopped")
+_STOPS = _MODES[2:]
 
 
 class Remarks(NamedTuple):
@@ -32,6 +33,16 @@ class Remarks(NamedTuple):
 
     settings: list
     states: list
+
+    @property
+    def stops(self) -> list[float]:
+        """When the controller began to stop the car [s].
+
+        A car that stands already, as one that does not move although commanded, is stopped at once.
+        """
+        stops = [text.split(":")[0] in _STOPS for _, text in self.states]
+        before = [True, *stops[:-1]]  # at first the car may have stood for long
+        return [t for (t, _), now, then in zip(self.states, stops, before) if now and not then]
 
 
 def read_remarks(source: Source, recording: Recording) -> Remarks:

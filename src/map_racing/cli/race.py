@@ -138,6 +138,7 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)
         for doubt in sectors.doubts:
             print(f"warning: {doubt}")
+        print(sectors.told(parameters.speed_scale))
     if isinstance(parameters, MpcParameters):
         if arguments.lookup_table:
             raise ParameterError(f"{arguments.lookup_table}: {arguments.controller} uses no table")

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..track.speed_profile import lap_time, speed_profile
+from .speed_sectors import check_scale
 
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
@@ -37,7 +38,7 @@ def scaled_speed(
     ----------
     raceline : Raceline
     scale : float
-        At least 0.
+        0 to `LARGEST_SCALE`.
     sectors : SpeedSectors, optional
         Anything with ``scale_at(s)``.
 
@@ -49,12 +50,11 @@ def scaled_speed(
     Raises
     ------
     ParameterError
-        If the raceline has no speeds, or the scale is negative or not finite.
+        If the raceline has no speeds, or the scale is out of its range.
     """
     if raceline.speed is None:
         raise ParameterError(f"{raceline.source or raceline.name}: expected speeds, got none")
-    if not 0.0 <= scale < np.inf:
-        raise ParameterError(f"speed_scale: expected 0 or more, got {scale}")
+    check_scale("speed_scale", scale)
 
     def speed(s):
         v = scale * raceline.sample(s).speed

@@ -20,7 +20,17 @@ if TYPE_CHECKING:
 
     from ..track.raceline import Raceline
 
-__all__ = ["SpeedSectors", "corners_and_straights", "load_speed_sectors", "save_speed_sectors"]
+__all__ = [
+    "LARGEST_SCALE",
+    "SpeedSectors",
+    "check_scale",
+    "corners_and_straights",
+    "load_speed_sectors",
+    "save_speed_sectors",
+]
+
+LARGEST_SCALE = 2.0
+"""Largest scale of a sector, as of ``speed_scale``: a larger one is a slip, such as percent."""
 
 # In a corner the car needs more than this share of the lap's largest lateral acceleration; a sector
 # shorter than this share of the lap belongs to its neighbors.
@@ -50,8 +60,8 @@ class SpeedSectors:
     Raises
     ------
     ParameterError
-        For a scale that is negative or not finite, a sector beyond the track or without length,
-        or overlapping sectors.
+        For a scale that is not from 0 to `LARGEST_SCALE`, a sector beyond the track or without
+        length, or overlapping sectors.
     """
 
     def __init__(
@@ -62,13 +72,11 @@ class SpeedSectors:
         doubts: Iterable[str] = (),
     ):
         self.doubts = tuple(doubts)
-        if not 0.0 <= elsewhere < math.inf:
-            raise ParameterError(f"speed elsewhere: expected a scale >= 0, got {elsewhere:g}")
+        check_scale("speed elsewhere", elsewhere)
         stretches = []
         for start, end, scale in sectors:
             where = f"speed sector {start:g} to {end:g} m"
-            if not 0.0 <= scale < math.inf:
-                raise ParameterError(f"{where}: expected a scale >= 0, got {scale:g}")
+            check_scale(where, scale)
             if not (0.0 <= start <= length and 0.0 <= end <= length and start != end):
                 raise ParameterError(f"{where}: expected different places from 0 to {length:g} m")
             if start < end:
@@ -94,6 +102,53 @@ class SpeedSectors:
     def scale_at(self, s: float) -> float:
         """Scale of the speed at arc length `s` [m]."""
         return self._scales[bisect_right(self._starts, s % self._length) - 1]
+
+    def told(self, speed_scale: float) -> str:
+        """What the sectors make of the raceline's speed, in words.
+
+        Parameters
+        ----------
+        speed_scale : float
+            The controller's, which multiplies them.
+
+        Returns
+        -------
+        str
+        """
+        scales = [scale for *_, scale in self.stretches()]
+        text = f"speed sectors: {_range(scales)} of the raceline's speed"
+        if speed_scale == 1.0:
+            return text
+        driven = _range([speed_scale * scale for scale in scales])
+        return (
+            f"{text}, times speed_scale {speed_scale:g}: {driven}; sectors of advise are for "
+            "speed_scale 1"
+        )
+
+
+def _range(scales):
+    low, high = (f"{100.0 * scale:.0f}" for scale in (min(scales), max(scales)))
+    return f"{low} %" if low == high else f"{low} to {high} %"
+
+
+def check_scale(where: str, scale: float) -> None:
+    """Check that a scale of the speed can have been meant.
+
+    Parameters
+    ----------
+    where : str
+        File and field, for the error.
+    scale : float
+
+    Raises
+    ------
+    ParameterError
+        If it is not from 0 to `LARGEST_SCALE`.
+    """
+    if not 0.0 <= scale <= LARGEST_SCALE:  # nor is NaN
+        raise ParameterError(
+            f"{where}: expected a scale from 0 to {LARGEST_SCALE:g}, 1 for 100 %, got {scale:g}"
+        )
 
 
 def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
@@ -122,13 +177,18 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     """
     content = read_yaml_mapping(path)
     points = raceline.s_points
-    limit = _number(path, content, "global_limit", 1.0)
+    if "n_sectors" not in content:
+        raise ParameterError(f"{path}: not a speed_scaling.yaml: n_sectors is missing")
+    limit = _scale(path, content, "global_limit", "global_limit", 1.0)
     sectors, count, last = [], _index(path, content, "n_sectors"), -1
     for index in range(count):
         key = f"Sector{index}"
         sector = content.get(key)
         if not isinstance(sector, dict):
             raise ParameterError(f"{path}: {key}: expected start, end and scaling")
+        missing = [name for name in ("start", "end", "scaling") if name not in sector]
+        if missing:
+            raise ParameterError(f"{path}: {key}: {missing[0]} is missing")
         start, end = (_index(path, sector, name, where=key) for name in ("start", "end"))
         if start > end:
             raise ParameterError(f"{path}: {key}: expected start <= end, got {start}, {end}")
@@ -139,12 +199,12 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
                 f"got {end}"
             )
         last = max(last, end)
+        scale = _scale(path, sector, f"{key}: scaling", "scaling")
         if start >= len(points):
             continue
         # A sector extends to the first point of the next one.
         place = points[end + 1] if end + 1 < len(points) else raceline.length
-        scale = min(_number(path, sector, "scaling", where=key), limit)
-        sectors.append((points[start], place, scale))
+        sectors.append((points[start], place, min(scale, limit)))
     if sectors and min(sectors)[0] == 0.0 and max(sectors)[1] == points[-1]:
         start, _, scale = sectors.pop(sectors.index(max(sectors)))
         sectors.append((start, raceline.length, scale))
@@ -270,15 +330,15 @@ def save_speed_sectors(
         file.write("\n".join(lines) + "\n")
 
 
-def _number(path, mapping, key, default=None, where=""):
-    return finite(f"{path}: {where + ': ' if where else ''}{key}", mapping.get(key, default))
+def _scale(path, mapping, where, key, default=None):
+    value = finite(f"{path}: {where}", mapping.get(key, default))
+    check_scale(f"{path}: {where}", value)
+    return value
 
 
 def _index(path, mapping, key, where=""):
-    value = _number(path, mapping, key, where=where)
+    name = f"{path}: {where + ': ' if where else ''}{key}"
+    value = finite(name, mapping[key])
     if value != int(value) or value < 0:
-        raise ParameterError(
-            f"{path}: {where + ': ' if where else ''}{key}: expected a whole number >= 0, "
-            f"got {value:g}"
-        )
+        raise ParameterError(f"{name}: expected a whole number >= 0, got {value:g}")
     return int(value)

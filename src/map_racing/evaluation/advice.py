@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.speed_sectors import SpeedSectors
+from ..control.speed_sectors import LARGEST_SCALE, SpeedSectors
 from ..errors import EvaluationError, ParameterError
 from ..vehicle.size import size_of
 from .analysis import RunAnalysis
@@ -119,7 +119,7 @@ def advise(run: RunAnalysis, step: float = STEP) -> Advice:
     Parameters
     ----------
     run : RunAnalysis
-        With the limits of its car and a completed lap.
+        With the limits of its car and a lap that counts.
     step : float, optional
         Largest increase of a scale, as a share of it.
 
@@ -158,15 +158,12 @@ def advise(run: RunAnalysis, step: float = STEP) -> Advice:
 
 def _check(run):
     source = run.result.source
-    if not run.profile.counted:
-        raise EvaluationError(f"{source}: no advice without a completed lap")
+    if run.result.none_counts:
+        raise EvaluationError(f"{source}: no advice: {run.result.none_counts}")
     if run.limits is None:
         raise EvaluationError(f"{source}: no advice: the car is not known, give --vehicle")
     if run.profile.track.speed is None:
         raise EvaluationError(f"{source}: no advice: the raceline has no speeds to scale")
-    if not any(profile.lap.valid for profile in run.profile.laps):
-        reasons = "; ".join(dict.fromkeys(p.lap.reason for p in run.profile.counted))
-        raise EvaluationError(f"{source}: no advice: no lap counts ({reasons})")
     if not np.isfinite(run.profile.mean("a_lat")).all():
         why = "; ".join(run.profile.notes) or "neither yaw rate nor heading is known"
         raise EvaluationError(f"{source}: no advice: {why.replace('warning: ', '')}")
@@ -277,6 +274,8 @@ class _Heat:
         begin, end = ((points[i] - self.track.start_s) % length for i in (first, following))
         last = (following - 1) % len(points)
         scale = math.floor(1000.0 * driven * factor) / 1000.0
+        if scale > LARGEST_SCALE:
+            scale, why = LARGEST_SCALE, "the largest scale"
         return SectorAdvice(
             name,
             first,

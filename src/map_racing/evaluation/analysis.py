@@ -43,7 +43,7 @@ class RunAnalysis:
     profile : RunProfile
     corners : list of Corner
     ideal : Ideal or None
-        None if no lap was completed.
+        None if no lap counts.
     timing : PoseTiming
     tracking : SpeedTracking or None
     remarks : Remarks
@@ -141,9 +141,9 @@ def references(run: RunAnalysis, others: list[RunAnalysis]) -> list[Reference]:
     Parameters
     ----------
     run : RunAnalysis
-        With a completed lap.
+        With a lap that counts.
     others : list of RunAnalysis
-        Further runs; those on other tracks and without a completed lap are left out.
+        Further runs; those on other tracks and without a lap that counts are left out.
 
     Returns
     -------
@@ -208,7 +208,7 @@ def corner_rows(run: RunAnalysis) -> list[CornerRow]:
     Returns
     -------
     list of CornerRow
-        Empty if no lap was completed.
+        Empty if no lap counts.
     """
     track, laps = run.profile.track, run.profile.counted
     if not laps:

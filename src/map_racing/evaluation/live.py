@@ -106,7 +106,7 @@ class LiveEvaluation:
         self._poses = deque(maxlen=LONGEST_WAIT)
         self._raceline = self._evaluator = None
         self._run = 1
-        self._t0_ns = self._last_ns = None
+        self._t0_ns = self._last_ns = self._given_up_ns = None
         self._gap_ns = int(round(self._limits.max_gap * 1e9))
         self._commands, self._clock = Commands(self._gap_ns), CommandClock()
         self._believed_ns, self._beliefs = [], []
@@ -193,8 +193,8 @@ class LiveEvaluation:
         """
         self._clock.add_command(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
-        if self._last_ns is not None and self._clock.compared:
-            late_ns = self._last_ns - stamp_ns - self._clock.offset_ns
+        if self._given_up_ns is not None and self._clock.compared:
+            late_ns = self._given_up_ns - stamp_ns - self._clock.offset_ns
             # A command that is older still begins another run.
             if 0 <= late_ns <= self._gap_ns:
                 self._doubts["late"] = (
@@ -241,6 +241,8 @@ class LiveEvaluation:
             if self._t0_ns is None:
                 self._t0_ns = pose.stamp_ns
             self._last_ns = pose.stamp_ns
+            if not (over or known):
+                self._given_up_ns = pose.stamp_ns
             # The same arithmetic as for a recording.
             t = (pose.stamp_ns - self._t0_ns) * 1e-9
             batch.append((t, *pose[1:4], *self._commands.at(pose.stamp_ns - behind)))
@@ -294,4 +296,4 @@ class LiveEvaluation:
         self._run += 1
         self._reported = 0
         self._doubts, self._driven = {}, ([], [])
-        self._t0_ns = self._last_ns = None
+        self._t0_ns = self._last_ns = self._given_up_ns = None

@@ -289,10 +289,10 @@ def ideal_lap(run: RunProfile) -> Ideal:
     Raises
     ------
     EvaluationError
-        If no lap was completed.
+        If no lap counts.
     """
     if not run.counted:
-        raise EvaluationError(f"{run.result.source}: expected a completed lap, got none")
+        raise EvaluationError(f"{run.result.source}: expected a lap that counts, got none")
     track = run.track
     count = int(np.clip(round(track.length / _MINI), _FEWEST, _MOST))
     ends = track.length * np.arange(1, count + 1) / count

@@ -192,9 +192,8 @@ class RunProfile:
 
     @property
     def counted(self) -> list[LapProfile]:
-        """The laps that comparisons use: the valid ones; without any, the completed ones."""
-        valid = [profile for profile in self.laps if profile.lap.valid]
-        return valid or [p for p in self.laps if not math.isnan(p.lap.lap_time_s)]
+        """The laps that count, which are those that comparisons use."""
+        return [profile for profile in self.laps if profile.lap.valid]
 
     @property
     def best(self) -> LapProfile | None:

@@ -227,6 +227,16 @@ class RunResult:
         return begin + lap.trace.s
 
     @property
+    def none_counts(self) -> str:
+        """Why no lap counts; empty if one does."""
+        if self.summary.laps_completed:
+            return ""
+        driven = [lap.reason for lap in self.laps if not math.isnan(lap.lap_time_s)]
+        if not driven:
+            return "no lap was completed"
+        return f"no lap counts ({'; '.join(dict.fromkeys(driven))})"
+
+    @property
     def warnings(self) -> list[str]:
         """Notes on what makes the values doubtful."""
         mark = "warning: "

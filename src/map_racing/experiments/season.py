@@ -234,9 +234,8 @@ def _rows(path, options):
     rows = []
     for number, (part, result) in enumerate(runs, 1):
         begin, end = float(part.t[0]), float(part.t[-1])
-        states = [text for t, text in remarks.states if begin <= t <= end]
-        stops = sum(text.startswith("stopping") for text in states)
-        if not states:
+        stops = sum(begin <= t <= end for t in remarks.stops)
+        if not remarks.states:
             reasons = [lap.reason for lap in result.laps]
             stops = sum("stood" in reason or "stopped" in reason for reason in reasons)
         summary = {name: getattr(result.summary, key) for name, key in _SUMMARY.items()}

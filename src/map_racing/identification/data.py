@@ -24,7 +24,10 @@ from ..resources import find_config
 from ..tables import column_index, read_columns
 from .channels import INERTIAL, POSE, ChannelMap, SensorSetup
 
-__all__ = ["Run", "Signal", "load_run", "run_of"]
+__all__ = ["Run", "Signal", "is_age", "load_run", "run_of"]
+
+# Poses as old as this are from another clock [s], and synchronized clocks differ by the other.
+OLDEST_S, FUTURE_S = 0.15, 0.02
 
 
 class Signal(NamedTuple):
@@ -164,20 +167,33 @@ def run_of(
     """
     signals = {key: (recording.t, getattr(recording, key)) for key in (*POSE, "v_x", "v_y")}
     signals["yaw_rate"] = recording.t, recording.yaw_rate
-    commands, clock = recording.commands, recording.clock
-    if commands is not None:
-        signals["steering"] = commands.t, commands.steering_angle
-        signals["speed_command"] = commands.t, commands.speed
-    signals.update(others or {})
-    path = name or recording.source
-    run = _run(path, signals, setup or SensorSetup(), recording.notes)
-    lag = command_lag = None
+    commands, clock, notes = recording.commands, recording.clock, list(recording.notes)
+    lag, command_lag, shifted = None, None, False
     if clock is not None and not clock.use_receipt and clock.lag.size:
         lag = tuple(1e-9 * np.percentile(clock.lag, (2.5, 50.0, 97.5)))
-        if commands is not None and math.isfinite(commands.lag):
+    if commands is not None:
+        sent, shifted = commands.t, commands.shifted
+        if lag is not None and math.isfinite(commands.lag):
             command_lag = commands.lag
-    shifted = commands is not None and commands.shifted
+            if not shifted and np.isin(commands.t, recording.t).mean() > 0.5:
+                # As the controller node does: the stamp names the pose that was answered.
+                shifted = not is_age(command_lag)
+                if not shifted:
+                    sent, command_lag = sent + command_lag, 0.0
+                    notes.append(
+                        f"{commands.topic}: stamped with the poses, sent {commands.lag:.3f} s later"
+                    )
+        signals["steering"] = sent, commands.steering_angle
+        signals["speed_command"] = sent, commands.speed
+    signals.update(others or {})
+    path = name or recording.source
+    run = _run(path, signals, setup or SensorSetup(), notes)
     return dataclasses.replace(run, pose_lag=lag, commands_shifted=shifted, command_lag=command_lag)
+
+
+def is_age(lag: float) -> bool:
+    """Whether from stamp to receipt so much time [s] may pass on one clock."""
+    return -FUTURE_S <= lag <= OLDEST_S
 
 
 def _load_csv(path, channel_map):

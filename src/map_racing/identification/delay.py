@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
-from .data import Run
+from .data import Run, is_age
 from .drive import drive_windows, fit_drive
 from .driving import AT_LONGEST_S, LONGEST_DELAY_S, driving_of, windows_of
 from .output_error import believed, fit_car
@@ -43,8 +43,6 @@ ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.0
 STEP_S = 0.005
 # The delay is no better known than this [s]: half a step of the model, as servos have steps, too.
 COARSE_S = 0.5 * STEP_S
-# Poses as old as this are from another clock [s], and synchronized clocks differ by the other.
-OLDEST_S, FUTURE_S = 0.15, 0.02
 
 
 class Part(NamedTuple):
@@ -163,7 +161,7 @@ def _pose_age(runs):
         lag = run.pose_lag
         if lag is None:
             continue
-        if not _is_age(lag[1]) and run.command_lag is not None and not run.commands_shifted:
+        if not is_age(lag[1]) and run.command_lag is not None and not run.commands_shifted:
             # The recorder's clock is another one. Commands are stamped when they are sent.
             lag = tuple(value - run.command_lag for value in lag)
             recorded = "relative to the commands', as the recorder's clock is another one"
@@ -171,17 +169,12 @@ def _pose_age(runs):
     if not stamped:
         return Part(reason="the recording does not say when poses were received"), shifted
     low, middle, high = (float(np.median(values)) for values in zip(*stamped))
-    if not _is_age(middle):
+    if not is_age(middle):
         reason = f"the stamps of the poses are from another clock ({middle:+.3f} s)"
         return Part(reason=reason), shifted
     if low == high == 0.0:
         return Part(reason="poses are stamped when they are received"), shifted
     return Part(middle, low, high, recorded), shifted
-
-
-def _is_age(lag):
-    """Whether from stamp to receipt so much time [s] may pass on one clock."""
-    return -FUTURE_S <= lag <= OLDEST_S
 
 
 def _steering(drives, models, notes):

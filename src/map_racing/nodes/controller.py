@@ -115,6 +115,7 @@ class ControllerNode:
     def _start(self, source, pose_source):
         """Advertise, then subscribe: the first pose may drive the car."""
         self._logged_plan, self._logged_doubts, self._published_speeds = None, [], None
+        self._logged_sectors = ""
         self._reader, self._clock = StateReader(), SteadyClock()
         self._ending = self._failing = False
         self._clock_follows = True
@@ -383,6 +384,11 @@ class ControllerNode:
             self._logged_plan = plan
             text = plan or "the speeds are the raceline's, whatever the grip"
             rospy.loginfo("grip_use %g: %s", controller.parameters.grip_use, text)
+        if controller.sectors is not None:
+            text = controller.sectors.told(controller.parameters.speed_scale)
+            if text != self._logged_sectors:
+                rospy.loginfo(text)
+            self._logged_sectors = text
         doubts = doubts_of(controller)
         for doubt in doubts:
             if doubt not in self._logged_doubts:

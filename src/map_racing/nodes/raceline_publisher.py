@@ -37,6 +37,8 @@ class RacelinePublisherNode:
         sectors = load_speed_sectors(sectors, self._raceline) if sectors else None
         for doubt in [*raceline_warnings(self._raceline), *(sectors.doubts if sectors else ())]:
             rospy.logwarn(doubt)
+        if sectors:
+            rospy.loginfo(sectors.told(scale))
         speed = scaled_speed(self._raceline, scale, sectors)
         self._rows = waypoint_rows(self._raceline, spacing, speed)
         rospy.loginfo(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Callable
 
@@ -22,25 +21,35 @@ if TYPE_CHECKING:
 
 __all__ = ["TuningServer"]
 
+_REJECTED = "reconfigure rejected: %s; the values in use stay"
+
 
 class _Server(Server):
-    """The server clamps values to their ranges without a word: this one says so."""
+    """The server clamps values to their ranges, so that a slip drives at a limit: this one rejects
+    the change.
+    """
 
     def update_configuration(self, changes):
-        for name, value in changes.items():
-            low, high = ControllerConfig.min.get(name), ControllerConfig.max.get(name)
-            if isinstance(value, float) and (value < low or value > high):
-                taken = min(max(value, low), high)
-                text = "reconfigure: %s: expected %g to %g, got %g: %g is taken"
-                rospy.logwarn(text, name, low, high, value, taken)
+        try:
+            _check_ranges(changes)
+        except ParameterError as error:
+            rospy.logwarn(_REJECTED, error)
+            changes = {}
         return super().update_configuration(changes)
+
+
+def _check_ranges(changes):
+    for name, value in changes.items():
+        low, high = ControllerConfig.min.get(name), ControllerConfig.max.get(name)
+        if isinstance(value, float) and not low <= value <= high:  # nor is NaN
+            raise ParameterError(f"{name}: expected {low:g} to {high:g}, got {value:g}")
 
 
 class TuningServer:
     """Changes parameters, steering map and safety limits while the car drives.
 
-    Each steering map keeps its own lookahead. A change that is impossible is rejected as a whole;
-    the answer holds the values in use.
+    Each steering map keeps its own lookahead. A change with a value that is impossible or out of
+    its range is rejected as a whole; the answer holds the values in use.
 
     Parameters
     ----------
@@ -73,7 +82,7 @@ class TuningServer:
         shipped[parameters.steering_map] = parameters
         self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
         # Start with the values in use, not with those that an earlier run left on the parameter
-        # server, and with ranges that include them: the server clamps all values at each call.
+        # server, and with ranges that include them: clients send all values at each call.
         values = self._in_use()
         ControllerConfig.defaults.update(values)
         for name, value in values.items():
@@ -95,24 +104,22 @@ class TuningServer:
         try:
             self._apply(config)
         except MapRacingError as error:
-            rospy.logwarn("reconfigure rejected: %s", error)
+            rospy.logwarn(_REJECTED, error)
         config.update(self._in_use())
         return config
 
     def _apply(self, config):
-        for name, value in config.items():
-            if isinstance(value, float) and not math.isfinite(value):
-                raise ParameterError(f"{name}: expected a finite number, got {value}")
         if config["v_max_mps"] > self._v_max:
-            text = "reconfigure: v_max_mps: expected at most %g, its value at the start, got %g: "
-            text += "%g is taken"
-            rospy.logwarn(text, self._v_max, config["v_max_mps"], self._v_max)
+            raise ParameterError(
+                f"v_max_mps: expected at most {self._v_max:g}, its value at the start, got "
+                f"{config['v_max_mps']:g}"
+            )
         kind = config["steering_map"]
         lookaheads = {k: (config[f"{k}_m_m"], config[f"{k}_q_s"]) for k in STEERING_MAPS}
         m_m, q_s = lookaheads.get(kind, (0.0, 0.0))
         parameters = _changed(
             self._controller.parameters,
-            {**config, "m_m": m_m, "q_s": q_s, "v_max_mps": min(config["v_max_mps"], self._v_max)},
+            {**config, "m_m": m_m, "q_s": q_s},
         )
         if parameters.adaptation and self._table:
             raise ParameterError(f"adaptation: expected false with the lookup table {self._table}")

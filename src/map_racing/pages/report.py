@@ -153,7 +153,9 @@ def _first_screen(runs, compared):
     parts.append('<label>against <select id="place-reference"></select></label></div>\n')
     for i, comparisons in enumerate(compared):
         if not comparisons:
-            parts.append(f'<p class="places" data-run="{i}">No lap was completed.</p>\n')
+            reason = runs[i].result.none_counts
+            why = escape(reason[0].upper() + reason[1:])
+            parts.append(f'<p class="places" data-run="{i}">{why}.</p>\n')
         for j, (reference, places) in enumerate(comparisons):
             parts.append(_place_list(i, j, reference, places, runs[i]))
     parts.append("</section>\n")

@@ -99,6 +99,29 @@ def test_states_of_a_supervised_race(tmp_path, track):
     assert [t for t, _ in states] == pytest.approx([0.01, 0.06, 0.15], abs=0.02)
 
 
+def test_stops_are_those_of_the_race(tmp_path, track):
+    """One that stands already stops, too; one that stops for another reason stops once."""
+    told = [
+        (Mode.STOPPED, Reason.STOP_REQUESTED),  # before the recording
+        (Mode.DRIVING, Reason.NONE),
+        (Mode.STOPPING, Reason.STALE_POSE),
+        (Mode.STOPPING, Reason.JUMP),
+        (Mode.STOPPED, Reason.JUMP),
+        (Mode.DRIVING, Reason.NONE),
+        (Mode.STOPPED, Reason.BLOCKED),
+        (Mode.WAITING, Reason.NO_POSE),
+    ]
+    states = [CarState(0.1 * i, 0.4 * i, 0.0, 0.0, 4.0, 0.0, 0.0) for i in range(len(told))]
+    samples = [Sample(s, s, s.t, (0.0, 0.0), 0.0, Decision(*told[0], 0.0, 0.0)) for s in states]
+    commands = [(0.1 * i, Decision(*each, 0.0, 0.0)) for i, each in enumerate(told)]
+    log = RaceLog(Outcome.STALLED, 0, 0.7, samples, commands)
+    path = tmp_path / "race.bag"
+    write_race_bag(path, log, track.raceline())
+    stops = read_remarks(path, read_recording(path)).stops
+    assert stops == pytest.approx([0.2, 0.6])
+    assert stops == pytest.approx([t for t, _, _ in log.stops()][1:])
+
+
 def test_every_mode_of_the_supervisor_is_a_state(tmp_path):
     texts = [state_text(mode, Reason.GRIP) for mode in Mode]
     with BagWriter(tmp_path / "run.bag") as bag:

@@ -97,7 +97,9 @@ def test_sectors_of_another_track_are_doubted_where_they_are_raced(tmp_path, cap
     sectors.write_text(SECTORS.replace("365", "226"))
     assert main(["race", "--laps", "1", "--speed-sectors", str(sectors), "--output", bag]) == 0
     doubt = f"warning: {sectors}: the last sector ends at point 226, the raceline has 366"
-    assert doubt in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert doubt in told
+    assert "times speed_scale 0.7: 35 to 70 %; sectors of advise are for speed_scale 1" in told
 
 
 def test_race_with_a_table_and_sectors(tmp_path):
@@ -121,6 +123,7 @@ def test_race_with_a_table_and_sectors(tmp_path):
         (["--plant", "nowhere"], "nowhere: "),
         (["--laps", "0"], "--laps: expected 1 to 1000, got 0"),
         (["--speed-scale", "-1"], "speed_scale"),
+        (["--speed-scale", "70"], "speed_scale: expected 0 to 2"),
         (["--speed-scale", "nan"], "speed_scale"),
         (["--lookup-table", "nowhere.csv"], "nowhere.csv"),
         (["--speed-sectors", "nowhere.yaml"], "nowhere.yaml"),

@@ -153,6 +153,16 @@ def test_a_run_without_a_lap(tmp_path):
     assert len(data_of(page)["runs"][0]["laps"]) == 1
 
 
+def test_laps_that_do_not_count_are_neither_best_nor_compared(bags, tmp_path):
+    narrow = ("--max-deviation", "0.0001")
+    text = text_of(report(tmp_path, bags["map"], *narrow))
+    first = text[: text.index("Over distance")]
+    assert re.search(r"saturated 0 of \d+ none – – – – –", first), first
+    assert "best" not in first.replace("best lap", "") and "✗ off track" in first
+    assert "No lap counts (off track" in first and "of the grip used" not in first
+    assert "No advice: no lap counts" in text
+
+
 def test_more_laps_than_fit(tmp_path, monkeypatch, ring):
     """The best lap, the last and others at equal steps have charts; the tables have all."""
     with BagWriter(tmp_path / "long.bag") as bag:

@@ -81,12 +81,26 @@ def test_overlap_is_refused(stretches):
         SpeedSectors(stretches, 10.0)
 
 
-@pytest.mark.parametrize("scale", [-0.1, math.nan, math.inf])
+@pytest.mark.parametrize("scale", [-0.1, math.nan, math.inf, 2.01, 82.9])
 def test_impossible_scales_are_refused(scale):
-    with pytest.raises(ParameterError, match=f"1 to 2 m: expected a scale >= 0, got {scale:g}"):
+    """One in percent would be 100 times what was meant."""
+    expected = f"expected a scale from 0 to 2, 1 for 100 %, got {scale:g}"
+    with pytest.raises(ParameterError, match=f"1 to 2 m: {expected}"):
         SpeedSectors([(1.0, 2.0, scale)], 10.0)
-    with pytest.raises(ParameterError, match=f"expected a scale >= 0, got {scale:g}"):
+    with pytest.raises(ParameterError, match=expected):
         SpeedSectors([], 10.0, elsewhere=scale)
+    assert SpeedSectors([(1.0, 2.0, 2.0)], 10.0).scale_at(1.5) == 2.0
+
+
+def test_what_the_sectors_make_of_the_speed_is_told():
+    sectors = SpeedSectors([(0.0, 5.0, 0.8), (5.0, 10.0, 1.1)], 10.0)
+    text = "speed sectors: 80 to 110 % of the raceline's speed"
+    assert sectors.told(1.0) == text
+    assert sectors.told(0.7) == (
+        f"{text}, times speed_scale 0.7: 56 to 77 %; sectors of advise are for speed_scale 1"
+    )
+    alike = SpeedSectors([(0.0, 5.0, 0.8), (5.0, 10.0, 0.8)], 10.0)
+    assert alike.told(1.0) == "speed sectors: 80 % of the raceline's speed"
 
 
 @pytest.mark.parametrize("start, end", [(-1.0, 2.0), (12.0, 15.0), (8.0, 11.0), (11.0, 1.0)])
@@ -195,16 +209,18 @@ def test_real_files(shared_data, track, scale):
 @pytest.mark.parametrize(
     "old, new, expected",
     [
-        ("n_sectors: 2", "", "n_sectors: expected a finite number"),
+        ("n_sectors: 2", "", "not a speed_scaling.yaml: n_sectors is missing"),
         ("n_sectors: 2", "n_sectors: two", "n_sectors: expected a finite number"),
         ("n_sectors: 2", "n_sectors: true", "n_sectors: expected a finite number"),
         ("n_sectors: 2", "n_sectors: 3", "Sector2: expected start, end and scaling"),
         ("n_sectors: 2", "n_sectors: -1", "n_sectors: expected a whole number >= 0, got -1"),
         ("n_sectors: 2", "n_sectors: 1.5", "n_sectors: expected a whole number >= 0, got 1.5"),
         ("global_limit: 0.9", "global_limit: .nan", "global_limit: expected a finite number"),
-        ("global_limit: 0.9", "global_limit: -1", "expected a scale >= 0"),
+        ("global_limit: 0.9", "global_limit: -1", "global_limit: expected a scale from 0 to 2"),
+        ("global_limit: 0.9", "global_limit: 90", "global_limit: expected a scale from 0 to 2"),
         ("global_limit: 0.9", f"global_limit: {10**400}", "global_limit: expected a number of at"),
-        ("start: 10", "begin: 10", "Sector1: start: expected a finite number"),
+        ("start: 10", "begin: 10", "Sector1: start is missing"),
+        ("scaling: 0.5", "scalling: 0.5", "Sector0: scaling is missing"),
         ("start: 10", "start: 9", "overlap"),
         ("start: 10", "start: 9.7", "Sector1: start: expected a whole number >= 0, got 9.7"),
         ("start: 10", "start: -1", "Sector1: start: expected a whole number >= 0, got -1"),
@@ -215,7 +231,8 @@ def test_real_files(shared_data, track, scale):
             "Sector1: end: expected an index of the raceline's 20 points, got 50",
         ),
         ("scaling: 0.5", "scaling: fast", "Sector0: scaling: expected a finite number"),
-        ("scaling: 0.5", "scaling: -0.5", "expected a scale >= 0, got -0.5"),
+        ("scaling: 0.5", "scaling: -0.5", "Sector0: scaling: expected a scale from 0 to 2"),
+        ("scaling: 0.5", "scaling: 82.9", "scale from 0 to 2, 1 for 100 %, got 82.9"),
         ("Sector1:", "Sector7:", "Sector1: expected start, end and scaling"),
     ],
 )

@@ -72,6 +72,14 @@ def test_slow_laps_may_be_driven_faster_by_the_step(heat, reference):
     assert advice.predicted_s == pytest.approx(advice.driven_s / 1.1, rel=0.005)
 
 
+def test_no_scale_is_larger_than_a_file_may_have(heat, reference):
+    """A raceline far too slow for the car grows no further than what is loaded."""
+    slow = Raceline(reference.x, reference.y, vx_mps=0.2 * reference.speed)
+    advice = advise(heat(1.9, line=slow))
+    assert {(one.scale, one.why) for one in advice.sectors} == {(2.0, "the largest scale")}
+    assert advice.predicted_s == pytest.approx(advice.driven_s * 1.9 / 2.0, rel=0.005)
+
+
 def test_no_sector_is_faster_than_step_and_grip_allow(heat):
     advice = advise(heat(0.78))
     assert {"grip", "step"} <= {one.why for one in advice.sectors}
@@ -173,7 +181,7 @@ def test_a_heat_that_does_not_tell_is_refused(driving, reference, heat, limits):
     with pytest.raises(EvaluationError, match="no speeds"):
         advise(analyze(recording, evaluate(recording, bare), limits=limits))
     short = driving(reference, lambda s: 3.0 + 0.0 * s, laps=0.5)
-    with pytest.raises(EvaluationError, match="completed lap"):
+    with pytest.raises(EvaluationError, match="no lap was completed"):
         advise(analyze(short, evaluate(short, reference), limits=limits))
     for step in (0.0, -0.1, 1.5, float("nan")):
         with pytest.raises(ParameterError, match="step"):

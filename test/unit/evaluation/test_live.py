@@ -173,6 +173,22 @@ def test_commands_that_come_too_late_are_told(line, drive):
     assert said == [False, False, True, True]
 
 
+def test_a_pose_that_answers_a_stop_is_not_late(line, drive):
+    """Commands of a stop without poses have later stamps than the first that answers a pose."""
+    _, poses, commands = drive
+    stop, resumed = len(poses) // 2, len(poses) // 2 + 20
+    taken = Taken(line)
+    play(taken, poses[:stop], commands)
+    for stamp, *_ in poses[stop + 4 : resumed + 1]:
+        taken.evaluation.add_command(stamp + 10**6, 0.0, 0.1)
+    taken.evaluation.add_pose(*poses[resumed], 0.0)
+    taken.evaluation.advance(0.0)
+    taken.evaluation.add_command(poses[resumed][0], 6.0, 0.1)
+    play(taken, poses[resumed + 1 :], commands)
+    taken.evaluation.finish()
+    assert not any("after their poses" in text for lap in taken.laps for text in lap.warnings)
+
+
 @pytest.mark.parametrize("early", [0, 5])
 def test_a_step_back_in_time_begins_another_run(line, drive, early):
     """A bag that is played again; its commands may step back before its poses do."""

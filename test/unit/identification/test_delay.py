@@ -115,6 +115,28 @@ def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
     assert delays.delay.low <= total <= delays.delay.high
 
 
+def test_commands_that_are_stamped_with_the_pose_they_answer(tmp_path):
+    """As the controller node does: they are sent when the pose has come."""
+    raceline, parameters = load_raceline("reference"), load_controller_parameters("map")
+    controller = build_controller(parameters, NUC4, raceline)
+    car, localization = build_plant(load_plant("nuc4"), 1)
+    log = race(car, controller, raceline, localization, laps=2)
+    told = []
+    for stamped in (False, True):
+        path = tmp_path / f"{stamped}.bag"
+        with BagWriter(path) as bag:
+            for sample in log.samples:
+                stamp, received = 1.6e9 + sample.measured.t, 1.6e9 + sample.arrival
+                bag.odometry(stamp, *sample.measured[1:], received=received)
+                command = sample.result.steering_angle, sample.result.speed
+                bag.drive(stamp if stamped else received, *command, received=received)
+        told.append(estimate_delays([load_run(path)], NUC4))
+    apart = [abs(a.value - b.value) for a, b in zip(*([d.delay, d.steering] for d in told))]
+    assert max(apart) < 1e-4
+    assert told[1].delay.value == pytest.approx(0.07, abs=0.005)
+    assert any("stamped with the poses, sent 0.020 s later" in note for note in told[1].notes)
+
+
 @pytest.mark.once
 def test_without_a_file_of_the_car(shipped):
     delays = estimate_delays([shipped], others=(NUC4, SIM))

@@ -56,7 +56,7 @@ def test_scale_and_sectors_multiply():
 
 @pytest.mark.parametrize("scale", [-0.1, np.nan, np.inf])
 def test_impossible_scales_are_refused(scale):
-    with pytest.raises(ParameterError, match="speed_scale: expected 0 or more"):
+    with pytest.raises(ParameterError, match="speed_scale: expected a scale from 0 to 2"):
         scaled_speed(circle(), scale)
 
 
