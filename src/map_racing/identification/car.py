@@ -104,13 +104,16 @@ class IdentifiedCar:
     def doubts(self) -> list[str]:
         """What is doubtful about the result."""
         friction = self.largest_a_y / GRAVITY
+        why = f", which the {self.largest_a_y:.2f} m/s^2 that were held would take,"
         if self.laps and self.laps.parameters["friction"].determined:
             tires = self.vehicle.front, self.vehicle.rear
-            friction = max(friction, self.vehicle.mu * min(tire.peak for tire in tires))
+            identified = self.vehicle.mu * min(tire.peak for tire in tires)
+            if identified > friction:
+                friction, why = identified, " identified,"
         if friction <= HIGHEST_FRICTION:
             return []
         return [
-            f"friction of {friction:.2f}, expected at most {HIGHEST_FRICTION:g} of rubber on a "
+            f"a friction of {friction:.2f}{why} expected at most {HIGHEST_FRICTION:g} of rubber on a "
             "floor without downforce: check units and scales of speed, yaw rate and acceleration"
         ]
 

@@ -23,7 +23,7 @@ from .report import (
 
 __all__ = ["car_data", "car_text", "provenance"]
 
-# Parameters of `LapTires` in words, with unit and format.
+# Parameters of `LapTires` in words, with unit and format; the delays are told on their own.
 SHOWN = (
     ("front_stiffness_n_per_rad", "cornering stiffness of the front axle", " N/rad", ".1f"),
     ("rear_stiffness_n_per_rad", "cornering stiffness of the rear axle", " N/rad", ".1f"),
@@ -31,7 +31,6 @@ SHOWN = (
     ("friction", "friction", "", ".3f"),
     ("shape", "factor on the shape C of both curves", "", ".3f"),
     ("bend", "added to E of both curves", "", "+.3f"),
-    ("delay_s", "steering, dead time and lag", " s", ".3f"),
     ("gain", "wheel angle per commanded angle", "", ".3f"),
     ("offset_rad", "wheel angle at 0", " rad", "+.4f"),
 )
@@ -178,12 +177,14 @@ def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
             text = parameter_text(laps, name, unit, form)
             lines.append(f"{label[0].upper()}{label[1:]}: {text}.")
         lines.append(f"Grip demonstrated: {demonstrated_text(laps)}.")
-        delay = laps.delays.delay
-        if delay.value is not None:
-            lines.append(
-                f"The controller's delay_s: {delay.value:.3f} (95 %: {delay.low:.3f} to "
-                f"{delay.high:.3f})."
-            )
+        named = (
+            ("Steering, dead time and lag", laps.delays.steering),
+            ("The controller's delay_s", laps.delays.delay),
+        )
+        for label, part in named:
+            if part.value is not None:
+                interval = f"(95 %: {part.low:.3f} to {part.high:.3f})"
+                lines.append(f"{label}: {part.value:.3f} s {interval}.")
     lines.append(
         f"Steering: wheel angle = {found.setup.steering_gain:.4f} * signal "
         f"{found.setup.steering_offset_rad:+.4f} rad."

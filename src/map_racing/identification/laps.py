@@ -92,8 +92,9 @@ class LapTires:
     parameters : dict of str to Parameter
         ``front_stiffness_n_per_rad`` and ``rear_stiffness_n_per_rad`` of the whole axle at rest,
         ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C), ``bend`` (added
-        to E), and of the steering ``delay_s`` (dead time and lag together), ``gain`` and
-        ``offset_rad``.
+        to E), and of the steering ``gain``, ``offset_rad`` and ``fit_delay_s``: the one delay with
+        which the tires were fitted, which also takes what else shifts the yaw rate. How late the
+        steering is, dead time and lag apart, is in `delays`.
     largest_a_y : float
         Largest sustained lateral acceleration [m/s^2].
     explained : float
@@ -393,7 +394,7 @@ def _parameters(vehicle, base, fitted, free, unknown):
         "shape" not in unknown,
     )
     put("bend", fitted["bend"], free.deviation({"bend": 1.0}), "bend" not in unknown)
-    put("delay_s", fitted["delay"], free.deviation({"delay": 1.0}), True)
+    put("fit_delay_s", fitted["delay"], free.deviation({"delay": 1.0}), True)
     put_factor("gain", math.exp(fitted["gain"]), free.deviation({"gain": 1.0}), True)
     put("offset_rad", fitted["offset"], free.deviation({"offset": 1.0}), True)
     return parameters

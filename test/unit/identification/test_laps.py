@@ -53,10 +53,20 @@ def test_combinations_and_friction_are_the_cars(low, found):
     assert friction.determined and friction.value == pytest.approx(true.mu, rel=0.05)
     assert friction.low < true.mu < friction.high
     assert found.least_friction < true.mu
-    assert found.parameters["delay_s"].value == pytest.approx(0.05, abs=0.006)
+    assert found.parameters["fit_delay_s"].value == pytest.approx(0.05, abs=0.006)
     # Nothing else was learned.
     assert found.vehicle.I_z == NUC4.I_z and found.vehicle.h_cg == NUC4.h_cg
     assert found.vehicle.front.C == NUC4.front.C
+
+
+def test_the_steering_has_one_delay(low):
+    """In report and file: the one that `delay_s` is made of."""
+    found = identify_car([low[0]], NUC4)
+    told, head = car_text(found), provenance(found)
+    steering = found.laps.delays.steering
+    line = f"steering, dead time and lag: {steering.value:.3f} s"
+    assert told.count("teering, dead time and lag") == told.count(line) == 1
+    assert head.count("teering, dead time and lag") == head.count(line[1:]) == 1
 
 
 @pytest.mark.parametrize(
