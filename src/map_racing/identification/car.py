@@ -114,7 +114,8 @@ class IdentifiedCar:
             return []
         return [
             f"a friction of {friction:.2f}{why} expected at most {HIGHEST_FRICTION:g} of rubber "
-            "on a floor without downforce: check units and scales of speed, yaw rate and acceleration"
+            "on a floor without downforce: check units and scales of speed, yaw rate and "
+            "acceleration"
         ]
 
 
