@@ -62,7 +62,7 @@ def test_path_and_markers_close_and_carry_the_speed(start, listen):
     ("parameters", "words"),
     [
         ({"raceline": "nowhere"}, "nowhere: no such file"),
-        ({"speed_scale": -1.0}, "speed_scale: expected 0 or more"),
+        ({"speed_scale": -1.0}, "speed_scale: expected a scale from 0 to 2"),
         ({"period": 0.0}, "~period: expected a positive number, got 0.0"),
     ],
 )

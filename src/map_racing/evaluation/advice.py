@@ -181,6 +181,8 @@ class _Heat:
         self.size = size_of(self.vehicle).length
         self.time = float(np.mean([lap.lap.lap_time_s for lap in profile.counted]))
         self.v = self._mean("v")
+        # One that the car does not obey says nothing about the drive.
+        self.command = self._mean("v_command") if run.followed else np.full(self.v.size, math.nan)
         controller = run.settings.controller if run.settings is not None else None
         known = {
             name: getattr(controller, key)
@@ -224,7 +226,7 @@ class _Heat:
         self.notes.append(
             "the recording does not say which scale was driven: it is that of the speeds"
         )
-        speed = self._mean("v_command")
+        speed = self.command
         if not np.isfinite(speed).all():
             speed = self.v
         return speed / np.maximum(self.track.speed[:-1], 0.1), False
@@ -341,8 +343,7 @@ class _Heat:
         ahead = self.s + self.ahead * self.v
         ratio, other = (np.interp(ahead, self.s, x, period=length) for x in (after, before))
         ratio = ratio / np.maximum(other, 1e-6)
-        command = self._mean("v_command")
-        speed = self.v * ratio
+        command, speed = self.command, self.v * ratio
         if np.isfinite(command).all():
             drive = _Drive.fitted(command, self.v, self.ds)
             speed = self.v * drive.driven(command * ratio) / drive.driven(command)

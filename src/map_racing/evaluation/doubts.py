@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.stats import rankdata
 
 from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
@@ -21,6 +22,7 @@ __all__ = [
     "speed_warning",
     "time_jump",
     "uncommanded",
+    "unfollowed",
 ]
 
 
@@ -34,6 +36,11 @@ _SAME, _BUNCHED = 0.05, 0.7
 _LONG, _AHEAD, _AROUND = 1.5, 0.05, 10
 # No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
 _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
+# A speed follows its command with a correlation of at least this, at some lag [s] of these; usual
+# laps have 0.8 and more. Fewer samples, and commands that vary less [m/s], do not tell; more than
+# so many are not needed.
+_FOLLOWS, _LAGS = 0.6, np.arange(0.0, 0.61, 0.05)
+_TELLING, _VARIED, _ENOUGH = 200, 0.2, 10000
 # Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
 # the motion of the poses, and nothing shortens it.
 _MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.1
@@ -217,6 +224,37 @@ def command_units(recording: Recording) -> list[str]:
             f"{hint}"
         )
     return doubts
+
+
+def unfollowed(recording: Recording) -> str:
+    """Doubt about a commanded speed with which the car's speed has nothing to do; or empty.
+
+    Of Pearson's correlation and that of the ranks, which jumps of the pose do not spoil, the larger
+    counts.
+    """
+    commands = recording.commands
+    if commands is None or not commands.t.size:
+        return ""
+    t = recording.t
+    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    v = speed_of(t, recording.x, recording.y, v)
+    every = slice(None, None, max(t.size // _ENOUGH, 1))
+    t, v = t[every], v[every]
+    found = []
+    for lag in _LAGS:
+        told = commands.held(t - lag, commands.speed)
+        with np.errstate(invalid="ignore"):
+            moving = (told > _MOVING) & (v > _MOVING)
+        told, driven = told[moving], v[moving]
+        if told.size >= _TELLING and np.std(told) > _VARIED and np.std(driven) > 0.0:
+            ranks = rankdata(told), rankdata(driven)
+            found += [float(np.corrcoef(*pair)[0, 1]) for pair in ((told, driven), ranks)]
+    if not found or max(found) >= _FOLLOWS:
+        return ""
+    return (
+        f"{commands.topic}: the car's speed does not follow the speed commanded (correlation at "
+        f"most {max(found):.2f}): speed errors mean nothing"
+    )
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:

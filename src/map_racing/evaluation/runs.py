@@ -20,6 +20,7 @@ from .doubts import (
     speed_warning,
     time_jump,
     uncommanded,
+    unfollowed,
 )
 from .laps import NO_WALLS, LapEvaluator, LapLimits
 from .recordings import recorded_runs
@@ -151,6 +152,7 @@ def evaluate(
         speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
         command_clock(recording),
         *command_units(recording),
+        unfollowed(recording),
     ]
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)

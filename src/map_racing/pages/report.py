@@ -153,7 +153,7 @@ def _first_screen(runs, compared):
     parts.append('<label>against <select id="place-reference"></select></label></div>\n')
     for i, comparisons in enumerate(compared):
         if not comparisons:
-            reason = runs[i].result.none_counts
+            reason = runs[i].result.none_counts or "there is nothing to compare with"
             why = escape(reason[0].upper() + reason[1:])
             parts.append(f'<p class="places" data-run="{i}">{why}.</p>\n')
         for j, (reference, places) in enumerate(comparisons):

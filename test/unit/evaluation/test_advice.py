@@ -80,6 +80,19 @@ def test_no_scale_is_larger_than_a_file_may_have(heat, reference):
     assert advice.predicted_s == pytest.approx(advice.driven_s * 1.9 / 2.0, rel=0.005)
 
 
+def test_a_command_that_the_speed_does_not_follow_is_no_base(heat, reference, limits):
+    run = heat(0.4)
+    commands = run.recording.commands
+    other = replace(run.recording, commands=replace(commands, speed=4.0 - 0.8 * commands.speed))
+    result = evaluate(other, reference)
+    assert any("does not follow the speed commanded" in warning for warning in result.warnings)
+    run = analyze(other, result, limits=limits)
+    assert run.tracking is None
+    advice = advise(run, step=0.1)
+    assert all(one.driven == pytest.approx(0.4, abs=0.01) for one in advice.sectors)
+    assert advice.predicted_s == pytest.approx(advice.driven_s / 1.1, rel=0.01)
+
+
 def test_no_sector_is_faster_than_step_and_grip_allow(heat):
     advice = advise(heat(0.78))
     assert {"grip", "step"} <= {one.why for one in advice.sectors}

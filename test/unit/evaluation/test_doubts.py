@@ -12,6 +12,7 @@ from map_racing.evaluation.doubts import (
     frame_warning,
     speed_warning,
     time_jump,
+    unfollowed,
 )
 from map_racing.evaluation.speed import speed_of
 from map_racing.evaluation.statistics import mean
@@ -158,6 +159,39 @@ def test_commands_in_other_units(angle, speed, said):
     driven = Recording(T, x, y, unknown, unknown, unknown, unknown, commands=commands)
     doubts = command_units(driven)
     assert len(doubts) == len(said) and all(a in b for a, b in zip(said, doubts))
+
+
+def driven_at(v, command):
+    """A recording of a straight, of a speed and a commanded one over `T`."""
+    unknown = np.full(T.size, np.nan)
+    commands = Commands(T, 0.0 * T, command, "/drive")
+    x = np.cumsum(v) * (T[1] - T[0])
+    return Recording(T, x, 0.0 * T, unknown, v, unknown, unknown, commands=commands)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("more", [0.8, 1.0, 2.0])
+def test_a_speed_that_follows_its_command(lag, more):
+    def wave(t):
+        return 4.0 + 1.2 * np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t)
+
+    noise = 0.3 * np.random.default_rng(1).normal(size=T.size)
+    assert unfollowed(driven_at(wave(T - lag) + noise, more * wave(T))) == ""
+
+
+def test_commands_that_are_no_speed_to_follow():
+    v = 4.0 + 1.2 * np.sin(1.3 * T)
+    throttle = 2.0 + 1.3 * np.cos(1.3 * T + 0.4) + 0.4 * np.sin(9.0 * T)  # as it accelerates
+    for command in (6.0 - v, 2.0 + 1.2 * np.sin(4.1 * T), throttle):
+        assert "does not follow the speed commanded" in unfollowed(driven_at(v, command))
+    # One that hardly varies leads nowhere, and says nothing.
+    for command in (3.0 + 0.0 * T, 4.0 + 0.1 * np.sin(4.1 * T), 0.0 * T):
+        assert unfollowed(driven_at(v, command)) == ""
+    # A pose that jumps is no other speed.
+    jumping = driven_at(v, v)
+    jumping.x[300::100] += 30.0
+    jumping.v_x[:] = np.nan
+    assert unfollowed(jumping) == ""
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.004, 0.012])
