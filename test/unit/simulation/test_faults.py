@@ -218,7 +218,7 @@ def test_the_race_says_what_it_cannot_do(parameters):
     for name, kind in KINDS.items():
         for where in ("race", "simulator"):
             if where not in kind.where:
-                with pytest.raises(ParameterError, match=f"{name}: only .* injects it, not .*{where}"):
+                with pytest.raises(ParameterError, match=f"{name}: only .*, not .*{where}"):
                     faulty(parameters, Fault(name), where=where)
 
 
