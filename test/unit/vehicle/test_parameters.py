@@ -350,7 +350,7 @@ def test_incomplete_newer_spelling_names_the_missing_one(write):
         ("- 1\n- 2\n", "expected a vehicle file .YAML., got a list"),
         ("", "expected a vehicle file .YAML., got nothing"),
         ("x_m;y_m\n1;2\n", "expected a vehicle file .YAML., got a text"),
-        ("x_m,y_m: 1\n1,2\n3,4\n", "car.yaml:2: expected a vehicle file .YAML.: could not find"),
+        ("x_m,y_m: 1\n1,2\n3,4\n", "car.yaml:3: expected a vehicle file .YAML.: could not find"),
     ],
 )
 def test_other_files_are_refused(write, text, message):
