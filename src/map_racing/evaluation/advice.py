@@ -33,6 +33,8 @@ _BEYOND = 1.15
 # A corner ends where less than this share of its largest lateral acceleration is left, and what
 # follows is a sector of its own if it is so long [m].
 _BENT, _SHORTEST = 0.5, 1.5
+# The line driven may have had other points: so many of a sector's own may be beside it.
+_BESIDE = 3
 # A speed below this share of the one asked for is held back by the controller's own limit.
 _HELD = 0.99
 # So far into a slower sector [m] its speed must be reached by braking.
@@ -217,24 +219,21 @@ class _Heat:
                 "the recording does not show the grip of the day (commands, speed and yaw rate): "
                 "what any day has is used"
             )
-        self.asked, self.behind_points = self._asked(controller)
+        self.asked, self.at_points = self._asked(controller)
 
     def _mean(self, channel):
         return self.run.profile.mean(channel)[:-1]
 
     def _asked(self, controller):
-        """Scale asked for at each place and, where it is known exactly, behind each point."""
+        """Scale asked for at each place and, where it is known exactly, at each point."""
         arc = (self.s + self.track.start_s) % self.line.length
         if controller is not None:
             try:
                 sectors = self.run.settings.speed_sectors(self.line)
-                # The settings have millimeters, so that a sector may begin beside its point.
-                points = self.line.s_points
-                between = 0.5 * (points + np.append(points[1:], self.line.length))
                 return tuple(
                     controller.speed_scale
                     * np.array([sectors.scale_at(at) if sectors else 1.0 for at in places.tolist()])
-                    for places in (arc, between)
+                    for places in (arc, self.line.s_points)
                 )
             except ParameterError:
                 pass
@@ -274,11 +273,12 @@ class _Heat:
         inside = self._inside(first, following)
         hot = max(float(np.max(self.use[inside])), 1e-3)
         off, clear = float(np.max(self.off[inside])), float(np.min(self.clearance[inside]))
-        if self.behind_points is None:
+        if self.at_points is None:
             driven = float(np.median(self.asked[inside]))
         else:
             count = (following - first - 1) % len(self.line.s_points) + 1
-            driven = float(np.min(np.roll(self.behind_points, -first)[:count]))
+            asked = np.sort(np.roll(self.at_points, -first)[:count])
+            driven = float(asked[min(_BESIDE, (count - 1) // 2)])
         # What the laps held is held: only what went wrong makes a sector slower.
         bounds = [(1.0 + step, "step"), (max(math.sqrt(1.0 / hot), 1.0), "grip")]
         for value, (least, most), why in (

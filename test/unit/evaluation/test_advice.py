@@ -217,17 +217,19 @@ def test_where_the_slowest_place_is_held_back_the_row_says_so(heat, reference):
     assert not any("own limit" in note for note in free.notes)
 
 
-def test_the_scale_of_a_driven_sector_is_not_that_of_its_neighbor(heat, reference, tmp_path):
-    """The settings in a bag have millimeters, so that a sector begins beside its point."""
+@pytest.mark.parametrize("shift", [0.0, 0.001, -0.09, 0.1])
+def test_the_scale_of_a_driven_sector_is_not_that_of_its_neighbor(heat, reference, shift):
+    """A file counts the points of the line that was loaded, a bag has them at other places."""
     before = advise(heat(0.6, settings=told(reference, 0.6)))
-    path = tmp_path / "speed_scaling.yaml"
-    names = [one.name for one in before.sectors]
-    driven = {name: 0.55 if i % 2 else 0.65 for i, name in enumerate(names)}
-    rows = [(*row[:2], row[2], driven[row[2]]) for row in before.scales()]
-    save_speed_sectors(path, reference, rows, ["alternating"])
-    sectors = load_speed_sectors(path, reference)
-    after = advise(heat(0.6, settings=told(reference, 1.0, sectors)))
-    found = {one.name: one.driven for one in after.sectors}
+    driven = {one.name: 0.55 if i % 2 else 0.65 for i, one in enumerate(before.sectors)}
+    rows = [one._replace(scale=driven[one.name]) for one in before.sectors]
+    length = reference.length
+    moved = [
+        ((begin + shift) % length, (end + shift) % length, scale)
+        for begin, end, scale in _stretches(rows, reference)
+    ]
+    settings = told(reference, 1.0, SpeedSectors(moved, length))
+    found = {one.name: one.driven for one in advise(heat(0.6, settings=settings)).sectors}
     assert found == {name: pytest.approx(scale) for name, scale in driven.items()}
 
 
