@@ -24,12 +24,14 @@ __all__ = [
 ]
 
 
-def read_yaml_mapping(path: str | Path) -> dict:
+def read_yaml_mapping(path: str | Path, what: str = "") -> dict:
     """Read a YAML file with one mapping.
 
     Parameters
     ----------
     path : str or pathlib.Path
+    what : str, optional
+        What the file should be, for the error, such as ``"a vehicle file"``.
 
     Returns
     -------
@@ -52,10 +54,16 @@ def read_yaml_mapping(path: str | Path) -> dict:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else str(path)
         problem = getattr(error, "problem", None) or "not readable"
-        raise FileFormatError(f"{where}: expected YAML: {problem}") from None
+        expected = f"{what} (YAML)" if what else "YAML"
+        raise FileFormatError(f"{where}: expected {expected}: {problem}") from None
     if not isinstance(values, dict):
-        raise FileFormatError(f"{path}: expected keys and values, got {type(values).__name__}")
+        expected = f"{what} (YAML)" if what else "keys and values"
+        kind = type(values).__name__
+        raise FileFormatError(f"{path}: expected {expected}, got {_IN_WORDS.get(kind, kind)}")
     return values
+
+
+_IN_WORDS = {"NoneType": "nothing", "str": "a text", "list": "a list"}
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

@@ -141,6 +141,12 @@ def test_a_missing_bag_is_one_line(launch, tmp_path):
     replay.wait(60.0)
     assert f"play: bag: {tmp_path / 'none.bag'}: no such file" in replay.output
     assert "Traceback" not in replay.output
+    empty = tmp_path / "empty.bag"
+    empty.touch()
+    replay = launch("replay.launch", bag=empty)
+    replay.wait(60.0)
+    assert f"play: {empty}: expected a ROS 1 bag (format 2.0), got an empty file" in replay.output
+    assert "Error reading" not in replay.output
 
 
 def test_a_replay_of_other_topics_says_so(launch, tmp_path):
@@ -150,6 +156,7 @@ def test_a_replay_of_other_topics_says_so(launch, tmp_path):
     replay = launch("replay.launch", bag=bag, rate=20, stack="f1tenth_system")
     replay.wait(60.0)
     assert "no poses on /pf/pose/odom: nothing was evaluated" in replay.output
+    assert "run.bag: no pose on /pf/pose/odom: expected one of /car_state/odom" in replay.output
 
 
 def test_a_saved_controller_keeps_its_speed(launch, tmp_path):

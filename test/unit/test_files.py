@@ -21,10 +21,10 @@ def test_reads_a_mapping(tmp_path):
 @pytest.mark.parametrize(
     "content, expected",
     [
-        (b"", "expected keys and values, got NoneType"),
-        (b"# nothing but prose\n", "expected keys and values, got NoneType"),
-        (b"- 1\n- 2\n", "expected keys and values, got list"),
-        (b"just a text\n", "expected keys and values, got str"),
+        (b"", "expected keys and values, got nothing"),
+        (b"# nothing but prose\n", "expected keys and values, got nothing"),
+        (b"- 1\n- 2\n", "expected keys and values, got a list"),
+        (b"just a text\n", "expected keys and values, got a text"),
         (b"a: 1\nb: [1, 2\nc: 3\n", ":3: expected YAML"),
         (b"a: 1\nb: 2: 3\n", ":2: expected YAML"),
         (b"a: 1\n\tb: 2\n", ":2: expected YAML"),

@@ -337,7 +337,7 @@ def load_law(
 ) -> ControllerParameters | MpcParameters:
     """Read a controller file of any law; see `load_controller_parameters` and `parameters_of`."""
     path = find_config("controllers", source, (".yaml",))
-    values = read_yaml_mapping(path)
+    values = read_yaml_mapping(path, "a controller file")
     values.pop("safety", None)
     parameters = parameters_of(path, values)
     return parameters.of_size(vehicle) if _shipped(path) and vehicle is not None else parameters

@@ -109,6 +109,11 @@ def load_recording(
     if not _is_csv(source):
         if columns:
             raise ParameterError(f"columns: expected a CSV file, got {source}")
+        if Path(source).is_file() and not is_bag(source):
+            raise BagError(
+                f"{source}: expected a bag of ROS 1 (format 2.0) or ROS 2, or a CSV file, got "
+                "another file"
+            )
         return read_recording(source, pose_topic)
     if pose_topic is not None:
         raise ParameterError(f"pose topic {pose_topic}: expected a bag, got {source}")
@@ -280,7 +285,7 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
         yaw_rate,
         t0_ns=int(round(start * 1e9)),
         source=str(path),
-        topic=" ".join(table.names[name] for name in _REQUIRED),
+        topic="columns " + " ".join(table.names[name] for name in _REQUIRED),
         type="CSV",
         frame=frame,
         commands=Commands(t, steering, speed, " ".join(given)) if given else None,

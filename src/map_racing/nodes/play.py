@@ -17,8 +17,9 @@ from pathlib import Path
 
 import rosgraph
 
+from ..bags.records import BagFile
 from ..bags.restamped import write_restamped
-from ..errors import MapRacingError
+from ..errors import BagError, MapRacingError
 from .node import to_launch_folder
 
 __all__ = ["main"]
@@ -55,6 +56,11 @@ def main(arguments: list[str] | None = None) -> int:
         if not os.path.isfile(bag):
             print(f"play: bag: {bag or 'none given'}: no such file in {os.getcwd()}")
             return 1
+        try:
+            BagFile(bag).close()
+        except BagError as error:  # rosbag would not name the bag
+            print(f"play: {error}")
+            return 1
     awaited = [a[len(AWAIT) :].partition(":")[::2] for a in arguments if a.startswith(AWAIT)]
     with tempfile.TemporaryDirectory(prefix="map_racing_") as folder:
         copies = _copies(bags, [topic for _, topic in awaited], folder)
@@ -72,14 +78,15 @@ def _copies(bags, topics, folder):
     copies = {}
     for number, bag in enumerate(bags):
         copy = Path(folder) / f"{number}.bag"
-        # What cannot be evaluated is played as it is.
-        with suppress(MapRacingError):
+        try:
             if write_restamped(bag, copy, topics[0] if topics else None):
                 print(
                     f"play: {bag}: stamps missing or from another clock: replaced by those of the "
                     "evaluation"
                 )
                 copies[bag] = str(copy)
+        except MapRacingError as error:
+            print(f"play: {error}; it is played as it is")
     return copies
 
 

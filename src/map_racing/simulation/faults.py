@@ -99,6 +99,9 @@ KINDS = {
 }
 
 
+_INJECTORS = {"race": "map-racing race", "simulator": "the node simulator"}
+
+
 def kinds_table() -> str:
     """Markdown table of the faults: name, meaning, default and valid sizes, who injects it."""
     rows = ["| fault | what happens | size by default, and valid | by |", "|---|---|---|---|"]
@@ -191,7 +194,7 @@ def load_faults(path: str | Path, lap: float = math.inf) -> list[Fault]:
     ParameterError
         For an unknown name or an impossible value, naming entry and field.
     """
-    values = read_yaml_mapping(path)
+    values = read_yaml_mapping(path, "a schedule of faults")
     if set(values) != {"faults"}:
         raise FileFormatError(
             f"{path}: expected one list, faults, got {', '.join(map(str, values))}"
@@ -258,9 +261,9 @@ class Faults:
         """Add a fault to the schedule."""
         kind = KINDS[fault.fault]
         if self._where not in kind.where:
+            others = " and ".join(_INJECTORS[where] for where in kind.where)
             raise ParameterError(
-                f"{fault.fault}: expected a fault that {self._where} can inject; only "
-                f"{' and '.join(kind.where)} can, got it at {fault.at_s:g} s"
+                f"{fault.fault}: only {others} injects it, not {_INJECTORS[self._where]}"
             )
         if kind.method and not hasattr(self._plant, kind.method):
             raise ParameterError(f"{fault.fault}: this plant cannot ({kind.text})")

@@ -38,7 +38,7 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
         If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
     path = find_config("plants", source, (".yaml",))
-    values = read_yaml_mapping(path)
+    values = read_yaml_mapping(path, "a plant file")
     model = values.pop("model", "single_track")
     if model not in MODELS:
         raise ParameterError(f"{path}: model: expected {', '.join(MODELS)}, got {model!r}")

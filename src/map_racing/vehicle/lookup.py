@@ -405,8 +405,11 @@ def _read_rows(path):
         rows = [(n, line.split(",")) for n, line in enumerate(file, 1) if line.strip()]
     columns = range(1, 1 + len(rows[0][1]) if rows else 1)
     if len(rows) < 2 or len(columns) < 2:
+        got = f"{len(rows)} row{'s' * (len(rows) != 1)}"
+        if rows and len(columns) < 2:
+            got = f"no comma in {rows[0][1][0].strip()[:40]!r}"
         raise FileFormatError(
-            f"{path}: expected comma-separated speeds, then rows of angles, got {len(rows)} rows"
+            f"{path}: expected comma-separated speeds, then rows of angles, got {got}"
         )
     rows[0][1][0] = "0"  # means nothing, and may be anything
     return parse_rows(path, rows, columns)[0]

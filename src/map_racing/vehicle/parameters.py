@@ -158,7 +158,7 @@ def load_vehicle(source: str | Path) -> Vehicle:
         If the file is not a YAML mapping.
     """
     path = find_config("vehicles", source, (".yaml",))
-    values = read_yaml_mapping(path)
+    values = read_yaml_mapping(path, "a vehicle file")
     try:
         values, notes = _joined(path, values)
         vehicle = _vehicle(values, default_name=path.stem)

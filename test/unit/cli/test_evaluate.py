@@ -50,6 +50,9 @@ def test_evaluate_refuses(bags, tmp_path, refused):
     assert "text.bag" in refused("evaluate", tmp_path / "text.bag")
     (tmp_path / "empty.bag").write_bytes(b"")
     assert "empty.bag" in refused("evaluate", tmp_path / "empty.bag")
+    (tmp_path / "car.yaml").write_text("m: 3\n")
+    told = "car.yaml: expected a bag of ROS 1 (format 2.0) or ROS 2, or a CSV file, got another"
+    assert told in refused("evaluate", tmp_path / "car.yaml")
     assert "/nothing" in refused("evaluate", bag, "--pose-topic", "/nothing")
     assert "club" in refused("evaluate", bag, "--raceline", "club")
     assert "no pose on /" in refused("evaluate", bag, "--pose-topic", "")

@@ -248,7 +248,7 @@ def test_malformed_files_are_refused_by_field(tmp_path, old, new, expected):
 def test_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match=r"speed_scaling\.yaml: cannot read"):
         load_speed_sectors(tmp_path / "speed_scaling.yaml", circle())
-    with pytest.raises(FileFormatError, match=r"speed_scaling\.yaml: expected keys and values"):
+    with pytest.raises(FileFormatError, match=r"expected a speed_scaling\.yaml .YAML., got a list"):
         load(tmp_path, "- 1\n")
 
 

@@ -353,12 +353,12 @@ def test_a_table_without_provenance_does_not_inherit_an_old_one(tmp_path):
     [
         ("0,1,2\n0.1,1\n", "table.csv:2: expected 3 columns, got 2"),
         ("0,1,2\n0.1,1,2\n\n0.2,x,4\n", "table.csv:4: column 2: expected a number, got 'x'"),
-        ("0;1;2\n0.1;1;2\n", "table.csv: expected comma-separated speeds, then rows"),
+        ("0;1;2\n0.1;1;2\n", "speeds, then rows of angles, got no comma in '0;1;2'"),
         ("0,2,1\n0.1,1,2\n", "speeds: expected ascending values, got 2 before 1"),
         ("0,1\n0.2,1\n0.1,2\n", "angles: expected ascending values, got 0.2 before 0.1"),
         ("0,1\n0.1,inf\n", "a_lat: expected finite values or NaN"),
-        ("0,1,2\n", "expected comma-separated speeds, then rows"),
-        ("", "expected comma-separated speeds, then rows"),
+        ("0,1,2\n", "then rows of angles, got 1 row"),
+        ("", "then rows of angles, got 0 rows"),
     ],
 )
 def test_malformed_files_are_refused(tmp_path, text, message):

@@ -345,10 +345,12 @@ def test_incomplete_newer_spelling_names_the_missing_one(write):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("m: [1, 2", "car.yaml:1: expected YAML"),
-        ("m: 1\n\t- 2", "car.yaml:2: expected YAML"),
-        ("- 1\n- 2\n", "expected keys and values, got list"),
-        ("", "expected keys and values, got NoneType"),
+        ("m: [1, 2", "car.yaml:1: expected a vehicle file"),
+        ("m: 1\n\t- 2", "car.yaml:2: expected a vehicle file"),
+        ("- 1\n- 2\n", "expected a vehicle file .YAML., got a list"),
+        ("", "expected a vehicle file .YAML., got nothing"),
+        ("x_m;y_m\n1;2\n", "expected a vehicle file .YAML., got a text"),
+        ("x_m,y_m: 1\n1,2\n3,4\n", "car.yaml:3: expected a vehicle file .YAML.: could not find"),
     ],
 )
 def test_other_files_are_refused(write, text, message):

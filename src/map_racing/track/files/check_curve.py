@@ -9,6 +9,7 @@ import numpy as np
 from ...angles import wrap
 from ..crossings import crossings
 from ..findings import ERROR, NOTE, WARNING, points
+from ..speed_profile import lap_time
 from .draft import Draft
 
 __all__ = ["check_shape", "check_size", "check_stated"]
@@ -66,8 +67,8 @@ def check_size(draft: Draft) -> None:
     certain = _other_unit(draft.raceline)
     if certain:
         text = (
-            f"expected meters, got a lap of {length:.3g}, {certain}: in mm or cm? Name it, as in "
-            "x [mm]"
+            f"expected meters, got a lap of {_rounded(length)} m, {certain}: in mm or cm? Name "
+            "it, as in x [mm]"
         )
         draft.add("unit", ERROR, text)
         return
@@ -109,14 +110,21 @@ def _other_unit(line):
     if line.d_left is not None and line.length > LONGEST:
         width = float(np.median(line.d_left + line.d_right))
         if width > FIELD:
-            return f"{width:.3g} wide"
+            return f"{_rounded(width)} m wide"
     if line.speed is None or not line.speed.any():
         return ""
     needed, speed = _needed(line), float(np.mean(line.speed))
     duration = line.length / speed
     if needed < CRAWLING and duration > LONGEST_LAP and speed > WALKING:
-        return f"which takes {duration:.3g} s and needs at most {needed:.2g} m/s^2 in its bends"
+        exact = lap_time(line.speed, line.ds)
+        took = exact if math.isfinite(exact) else duration
+        return f"which takes {took:.0f} s and needs at most {needed:.2g} m/s^2 in its bends"
     return ""
+
+
+def _rounded(value):
+    """Three digits at least, and no power of ten."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _full_size(line):
