@@ -292,7 +292,7 @@ def _grip(runs):
 
 def _corners(runs):
     parts = ['<section id="corners"><h2>Corners, lap by lap</h2>\n']
-    head = ["corner", "from", "to", "time", "best", "speed at the entry", "slowest"]
+    head = ["corner", "from", "to", "time", "best", "speed at the entry", "slowest in the bend"]
     head += ["off the line at the apex", "grip used"]
     for run in runs:
         rows = [
