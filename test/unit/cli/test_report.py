@@ -58,6 +58,7 @@ def test_its_numbers_are_those_of_evaluate(page, bags, tmp_path):
 def test_it_says_what_was_driven_with(page):
     text = text_of(page)
     assert "vehicle: name NUC4" in text and "versions: map_racing" in text
+    assert " · simulated" in text and "UTC" not in text
     assert "reference, 36.5 m" in text and "speed_scale 0.7" in text
     differs, same = text[text.index("What differs") :].split("The same in all")
     assert "controller: steering_map table ackermann" in differs and "vehicle: m " not in differs
