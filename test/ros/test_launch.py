@@ -20,7 +20,9 @@ from map_racing.control.parameters import (
     save_controller_parameters,
 )
 from map_racing.control.settings import parse_settings
+from map_racing.errors import ParameterError
 from map_racing.evaluation.recordings import load_recording
+from map_racing.nodes.launched import check_launch_arguments
 from map_racing.resources import config_directory
 
 STACKS = {
@@ -91,6 +93,28 @@ def test_every_argument_that_counts_is_listed(folder):
 def test_every_file_for_every_stack(nodes_of, file, stack):
     stacked = [] if file == "rviz" else [f"stack:={stack}"]
     assert MAIN_NODE[file] in nodes_of(file, *stacked, *NEEDED.get(file, []))
+
+
+def test_a_misspelled_argument_is_refused(launch):
+    """roslaunch ignores it: the car would drive at the speed of the controller's file."""
+    race = launch("race.launch", speedscale=0.3)
+    race.wait(60.0)
+    told = "lists, got speedscale (like speed_scale)"
+    assert told in race.output and "Traceback" not in race.output
+
+
+@pytest.mark.parametrize("file", MAIN_NODE)
+def test_arguments_that_a_file_has_are_not_refused(folder, file):
+    words = ["/usr/bin/python3", "/opt/ros/noetic/bin/roslaunch", "--wait", "map_racing"]
+    words.append(f"{file}.launch")
+    own = ElementTree.parse(folder / f"{file}.launch").getroot().findall("arg")
+    check_launch_arguments([*words, *(f"{one.get('name')}:=1" for one in own), "__ns:=a"])
+    with pytest.raises(ParameterError, match=f"roslaunch {file}.launch: .* got nonsense"):
+        check_launch_arguments([*words, "nonsense:=1"])
+    # What launches other files may have others.
+    check_launch_arguments([*words[:3], "my_car", "race.launch", "nonsense:=1"])
+    check_launch_arguments([*words[:3], "my.launch", "nonsense:=1"])
+    check_launch_arguments(["bash", "map_racing", f"{file}.launch", "nonsense:=1"])
 
 
 def test_another_stack_is_refused(nodes_of):

@@ -132,7 +132,10 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     """The controller, with a note where its model of the car is not the plant's."""
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
     if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
-        print(f"the controller knows {vehicle.name}, but the plant is {plant_vehicle.name}")
+        print(
+            f"the controller knows {vehicle.name} of {arguments.vehicle}, but the plant "
+            f"{arguments.plant} is {plant_vehicle.name} with other values"
+        )
     sectors = None
     if arguments.speed_sectors:
         sectors = load_speed_sectors(arguments.speed_sectors, raceline)

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
 from ..printing import printable
-from ..track.centerline import track_from_map
+from ..track.centerline import track_from_map, widest_place
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
 from ..track.files.readers import split_source
@@ -211,13 +211,15 @@ def load(arguments, vehicle):
 
 def load_map(arguments, vehicle):
     """Centerline of a map, from the start given, and the map."""
-    if arguments.start is None:
-        raise ParameterError(f"{arguments.source}: expected --start X,Y[,PSI] for a map")
     passage = arguments.passage
     if passage is None:
         passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
-    start, psi = start_of(arguments.start)
     image = read_map_image(arguments.source)
+    if arguments.start is None:
+        place = widest_place(image, arguments.speckle)
+        such = f", such as --start {place[0]:.2f},{place[1]:.2f}, the widest place" if place else ""
+        raise ParameterError(f"{arguments.source}: expected --start X,Y[,PSI] for a map{such}")
+    start, psi = start_of(arguments.start)
     track = track_from_map(image, start, psi, passage=passage, speckle=arguments.speckle)
     return track, image
 
@@ -236,7 +238,7 @@ def start_of(words):
 def print_table(lines, track, limits, scale):
     """Figures of each line, computed in the same way for all; lap times by name, inf for none."""
     print(
-        f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'clearance':>10s} "
+        f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'to a wall':>10s} "
         f"{'lap time':>9s}\n"
         f"  {'':24s} {'[m]':>9s} {'[rad^2/m]':>12s} {'[m]':>8s} {'[m]':>10s} {'[s]':>9s}"
     )

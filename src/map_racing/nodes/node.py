@@ -19,6 +19,7 @@ import rospy
 from ..errors import MapRacingError, ParameterError
 from ..printing import printable
 from ..validation import meaning
+from .launched import check_launch_arguments
 
 __all__ = [
     "SENDER_GONE_S",
@@ -122,6 +123,7 @@ def run(name: str, make: Callable[[], object]) -> None:
         rospy.init_node(name, disable_signals=True)
         for watch in (_watch_master, _watch_clock):
             threading.Thread(target=watch, daemon=True).start()
+        check_launch_arguments()
         node = make()
         if not rospy.core.is_shutdown_requested():
             getattr(node, "run", rospy.spin)()

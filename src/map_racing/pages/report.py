@@ -108,6 +108,9 @@ def _track_name(run):
     line = run.result.raceline
     recorded = run.settings.values.get("raceline") if run.settings is not None else None
     name = recorded.get("name") if isinstance(recorded, dict) else None
+    waypoints = run.recording.waypoints
+    if waypoints is not None and name == waypoints.topic.rpartition("/")[2]:
+        name = f"raceline of {waypoints.topic}"  # the node knows no other name of it
     name = name or (line.name if line.name != run.name else "")
     return f"{name or 'raceline'}, {line.length:.1f} m"
 

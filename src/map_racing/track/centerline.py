@@ -21,7 +21,7 @@ from .normals import points_and_normals
 from .raceline import Raceline
 from .walls import march, smooth_between
 
-__all__ = ["track_from_map", "walls_from_map"]
+__all__ = ["track_from_map", "walls_from_map", "widest_place"]
 
 # Islands up to this share of the size of the largest are obstacles on the track.
 _OBSTACLE = 1.0 / 3.0
@@ -114,6 +114,33 @@ def track_from_map(
     )
     track.findings = tuple(findings)
     return track
+
+
+def widest_place(image: MapImage, speckle: float | None = None) -> tuple[float, float] | None:
+    """The place of the largest free space that is farthest from walls, a start to suggest.
+
+    Parameters
+    ----------
+    image : MapImage
+    speckle : float, optional
+        As for `track_from_map`.
+
+    Returns
+    -------
+    tuple of float or None
+        x and y [m]; None for a map without free space.
+    """
+    free = _without_speckle(image, speckle)[0]
+    labels, count = ndimage.label(free)
+    if not count:
+        return None
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    distance = _distances(free, image.resolution)[1:-1, 1:-1]
+    inside = np.where(labels == np.argmax(sizes), distance, -1.0)
+    row, column = np.unravel_index(np.argmax(inside), inside.shape)
+    x, y = image.to_world([[column, row]])[0]
+    return float(x), float(y)
 
 
 def walls_from_map(

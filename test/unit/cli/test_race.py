@@ -197,3 +197,14 @@ def test_a_full_size_car_is_driven_by_the_shipped_controllers(tmp_path, capsys):
     assert lap["rms_lateral_error_m"] < 0.3
     # 0.86 of the grip on bends of 43 m radius, and more beside them.
     assert lap["mean_speed_mps"] > 18.0
+
+
+def test_another_vehicle_than_the_plants_is_named_by_its_file(tmp_path, capsys):
+    """Both may have the same name inside."""
+    values = yaml.safe_load(find_config("vehicles", "nuc4", (".yaml",)).read_text())
+    car = tmp_path / "heavy.yaml"
+    car.write_text(yaml.safe_dump({**values, "m": 3.6}))
+    output = ["--laps", "1", "--output", str(tmp_path / "a.bag")]
+    assert main(["race", "--vehicle", str(car), *output]) == 0
+    told = f"the controller knows NUC4 of {car}, but the plant nuc4 is NUC4 with other values"
+    assert told in capsys.readouterr().out

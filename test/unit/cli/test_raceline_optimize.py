@@ -256,7 +256,7 @@ def test_a_map_becomes_a_raceline_in_one_command(tmp_path, capsys, start, turn):
 @pytest.mark.parametrize(
     "options, text",
     [
-        ([], "expected --start X,Y[,PSI] for a map"),
+        ([], "expected --start X,Y[,PSI] for a map, such as --start "),
         (["--start", "1"], "--start: expected X,Y or X,Y,PSI"),
         (["--start", "a,b"], "--start: expected X,Y or X,Y,PSI"),
         (["--start", "0,0"], "is in a wall or on unknown ground"),
@@ -267,6 +267,12 @@ def test_starts_that_cannot_be(tmp_path, capsys, options, text):
     assert run(hall_map(tmp_path), *options) == 1
     error = capsys.readouterr().err
     assert text in error and error.count("\n") == 1
+
+
+def test_the_start_that_the_error_names_will_do(tmp_path, capsys):
+    assert run(hall_map(tmp_path)) == 1
+    start = re.search(r"such as --start (\S+), the widest", capsys.readouterr().err).group(1)
+    assert run(hall_map(tmp_path), "--start", start, "--output", tmp_path / "line.csv") == 0
 
 
 WHOLE = ("x", "y", "right", "left")

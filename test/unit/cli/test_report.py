@@ -55,6 +55,19 @@ def test_its_numbers_are_those_of_evaluate(page, bags, tmp_path):
                 assert " ".join(cells) in text
 
 
+@pytest.mark.parametrize(
+    "name, told", [("global_waypoints", "raceline of /global_waypoints"), ("club", "club")]
+)
+def test_a_raceline_known_by_its_topic_alone_is_said_to_be_of_it(name, told):
+    run = SimpleNamespace(
+        name="a.bag",
+        result=SimpleNamespace(raceline=SimpleNamespace(name="", length=36.54)),
+        settings=SimpleNamespace(values={"raceline": {"name": name}}),
+        recording=SimpleNamespace(waypoints=SimpleNamespace(topic="/global_waypoints")),
+    )
+    assert pages._track_name(run) == f"{told}, 36.5 m"
+
+
 def test_it_says_what_was_driven_with(page):
     text = text_of(page)
     assert "vehicle: name NUC4" in text and "versions: map_racing" in text
