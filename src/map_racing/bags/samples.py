@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from typing import NamedTuple, Sequence
 
 import numpy as np
@@ -13,10 +14,13 @@ from .clocks import Clock
 
 __all__ = [
     "COMMAND_HOLD_S",
+    "SIMULATED",
+    "SIMULATED_NS",
     "Beliefs",
     "Commands",
     "Recording",
     "Waypoints",
+    "date_of",
     "in_order",
     "is_map_frame",
     "is_odometry_frame",
@@ -27,6 +31,14 @@ __all__ = [
 COMMAND_HOLD_S = 1.5
 """An older drive command [s] is not in force: no driver heeds it."""
 
+SIMULATED_NS = 1_700_000_000_000_000_000
+"""Time at which simulated races begin [ns]: fixed, so that the same race gives the same file."""
+SIMULATED = "simulated"
+"""What such races have instead of a date."""
+
+# Poses of a simulated race begin within this time [ns]. Times before 1973 [ns] are those of clocks
+# that were never set, and of simulated time.
+_BEGIN, _DATED = 600 * 10**9, 10**17
 _MAPS = ("", "map", "world")
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
@@ -166,6 +178,11 @@ class Recording:
     clock: Clock | None = None
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def date(self) -> str:
+        """When it was recorded, see `date_of`."""
+        return date_of(self.t0_ns)
+
 
 def is_map_frame(frame: str) -> bool:
     """Whether a frame is one that racelines are in; without a name it is taken for the map."""
@@ -257,3 +274,25 @@ def in_order(
         notes.append(f"{what}: {np.count_nonzero(~first)} repeated time stamps left out")
         times, columns = times[first], [column[first] for column in columns]
     return times, list(columns)
+
+
+def date_of(time_ns: int) -> str:
+    """Date of a recording.
+
+    Parameters
+    ----------
+    time_ns : int
+        Time stamp of its first pose [ns], `Recording.t0_ns`.
+
+    Returns
+    -------
+    str
+        Such as ``"2026-05-14 16:20:00"`` (UTC), ``"simulated"`` for races of ``map-racing race``,
+        empty where no clock was set.
+    """
+    if time_ns < _DATED:
+        return ""
+    if 0 <= time_ns - SIMULATED_NS < _BEGIN:
+        return SIMULATED
+    moment = datetime.fromtimestamp(time_ns // 10**9, timezone.utc)
+    return moment.strftime("%Y-%m-%d %H:%M:%S")

@@ -33,6 +33,10 @@ _BEYOND = 1.15
 # A corner ends where less than this share of its largest lateral acceleration is left, and what
 # follows is a sector of its own if it is so long [m].
 _BENT, _SHORTEST = 0.5, 1.5
+# The line driven may have had other points: so many of a sector's own may be beside it.
+_BESIDE = 3
+# A speed below this share of the one asked for is held back by the controller's own limit.
+_HELD = 0.99
 # So far into a slower sector [m] its speed must be reached by braking.
 _SLOWING = 1.5
 # Models of a drive that are tried: lags [s], and limits as the largest accelerations seen or none.
@@ -149,9 +153,15 @@ def advise(run: RunAnalysis, step: float = STEP) -> Advice:
             "surely have: perhaps it is not the file of this car"
         )
     sectors = heat.reachable(sectors)
-    predicted, held_back = heat.predicted(sectors)
-    if held_back:
-        notes.append(held_back)
+    planned = heat.planned(sectors)
+    predicted = heat.predicted(sectors, planned)
+    if planned is not None:
+        sectors = [heat.held(one, planned) for one in sectors]
+        if any(heat.own_limit in one.why for one in sectors):
+            notes.append(
+                f"bound by {heat.own_limit}: the controller's own limit holds the speed back, at "
+                "the slowest place or, by itself, all over the sector"
+            )
     points = len(heat.line.s_points)
     return Advice(sectors, heat.grip, heat.time, predicted, step, points, notes)
 
@@ -191,6 +201,7 @@ class _Heat:
         }
         if getattr(controller, "reference_point", "") == "center_of_gravity":
             known["behind"] = 0.0
+        self.own_limit = "grip_use" if getattr(controller, "grip_use", 0.0) else "v_max_mps"
         self.ahead = getattr(controller, "speed_lookahead_s", 0.0)
         laps = [lap.lap for lap in profile.counted]
         self.grip = grip_of_day(run.recording, laps, self.vehicle, **known)
@@ -208,19 +219,22 @@ class _Heat:
                 "the recording does not show the grip of the day (commands, speed and yaw rate): "
                 "what any day has is used"
             )
-        self.asked, self.exact = self._asked(controller)
+        self.asked, self.at_points = self._asked(controller)
 
     def _mean(self, channel):
         return self.run.profile.mean(channel)[:-1]
 
     def _asked(self, controller):
-        """Scale that was asked for at each place, and whether it is known exactly."""
+        """Scale asked for at each place and, where it is known exactly, at each point."""
         arc = (self.s + self.track.start_s) % self.line.length
         if controller is not None:
             try:
                 sectors = self.run.settings.speed_sectors(self.line)
-                scales = [sectors.scale_at(at) if sectors else 1.0 for at in arc.tolist()]
-                return controller.speed_scale * np.array(scales), True
+                return tuple(
+                    controller.speed_scale
+                    * np.array([sectors.scale_at(at) if sectors else 1.0 for at in places.tolist()])
+                    for places in (arc, self.line.s_points)
+                )
             except ParameterError:
                 pass
         self.notes.append(
@@ -229,7 +243,7 @@ class _Heat:
         speed = self.command
         if not np.isfinite(speed).all():
             speed = self.v
-        return speed / np.maximum(self.track.speed[:-1], 0.1), False
+        return speed / np.maximum(self.track.speed[:-1], 0.1), None
 
     # -- sectors -----------------------------------------------------------------------------------
 
@@ -259,8 +273,12 @@ class _Heat:
         inside = self._inside(first, following)
         hot = max(float(np.max(self.use[inside])), 1e-3)
         off, clear = float(np.max(self.off[inside])), float(np.min(self.clearance[inside]))
-        asked = self.asked[inside]
-        driven = float(np.min(asked) if self.exact else np.median(asked))
+        if self.at_points is None:
+            driven = float(np.median(self.asked[inside]))
+        else:
+            count = (following - first - 1) % len(self.line.s_points) + 1
+            asked = np.sort(np.roll(self.at_points, -first)[:count])
+            driven = float(asked[min(_BESIDE, (count - 1) // 2)])
         # What the laps held is held: only what went wrong makes a sector slower.
         bounds = [(1.0 + step, "step"), (max(math.sqrt(1.0 / hot), 1.0), "grip")]
         for value, (least, most), why in (
@@ -317,29 +335,37 @@ class _Heat:
 
     # -- the lap -----------------------------------------------------------------------------------
 
-    def predicted(self, sectors):
-        """Lap time with these scales, and a note where the controller would not heed them."""
+    def planned(self, sectors):
+        """Speeds that the controller would mean to drive with these scales; None if unknown."""
+        if self.run.planned is None:
+            return None
+        settings = replace(
+            self.run.settings,
+            controller=self.run.settings.controller.with_(speed_scale=1.0),
+            sectors=tuple(_stretches(sectors, self.line)),
+        )
+        return settings.planned_speed(self.line)((self.s + self.track.start_s) % self.line.length)
+
+    def held(self, one, planned):
+        """The sector as far as the controller's own limit lets its scale count."""
+        inside = np.flatnonzero(self._inside(one.first, (one.last + 1) % len(self.line.s_points)))
+        share = planned[inside] / np.maximum(self.track.speed[inside], 0.1)
+        most = max(math.ceil(1000.0 * float(np.max(share))) / 1000.0, one.driven)
+        if one.scale > one.driven and most < one.scale:
+            return one._replace(scale=most, why=self.own_limit)
+        if one.scale > one.driven and share[np.argmin(planned[inside])] < _HELD * one.scale:
+            return one._replace(why=f"{one.why}, {self.own_limit}")
+        return one
+
+    def predicted(self, sectors, planned):
+        """Lap time with these scales, of which the controller would drive the planned speeds."""
         length = self.line.length
         new = SpeedSectors(_stretches(sectors, self.line), length)
         arc = (self.s + self.track.start_s) % length
         scales = np.array([new.scale_at(at) for at in arc.tolist()])
         before, after = self.asked, scales
-        note = ""
-        if self.run.planned is not None:
-            settings = replace(
-                self.run.settings,
-                controller=self.run.settings.controller.with_(speed_scale=1.0),
-                sectors=tuple(_stretches(sectors, self.line)),
-            )
-            planned = settings.planned_speed(self.line)(arc)
-            asked = scales * self.line.sample(arc).speed
+        if planned is not None:
             before, after = self.run.planned[:-1], planned
-            share = float(np.mean(planned < 0.99 * asked))
-            if share > 0.01:
-                note = (
-                    f"on {100 * share:.0f} % of the lap the controller's own limit (grip_use, "
-                    "v_max_mps) holds the speeds back"
-                )
         ahead = self.s + self.ahead * self.v
         ratio, other = (np.interp(ahead, self.s, x, period=length) for x in (after, before))
         ratio = ratio / np.maximum(other, 1e-6)
@@ -348,7 +374,7 @@ class _Heat:
             drive = _Drive.fitted(command, self.v, self.ds)
             speed = self.v * drive.driven(command * ratio) / drive.driven(command)
         time, driven = (float(np.sum(1.0 / np.maximum(v, 0.1))) for v in (speed, self.v))
-        return self.time * time / driven, note
+        return self.time * time / driven
 
 
 def _stretches(sectors, line):

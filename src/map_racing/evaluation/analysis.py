@@ -185,7 +185,7 @@ class CornerRow:
     time_s, time_std_s, best_s : float
         Time in its stretch [s].
     entry_mps, entry_std_mps, slowest_mps, slowest_std_mps : float
-        Speeds at the begin of the stretch and at the slowest place [m/s].
+        Speeds at the begin of the stretch and at the slowest place of the bend itself [m/s].
     apex_d_m, apex_std_m : float
         Lateral deviation at the apex, left positive [m].
     grip_used : float
@@ -221,13 +221,16 @@ def corner_rows(run: RunAnalysis) -> list[CornerRow]:
     if not laps:
         return []
     s, cells = track.s, track.s.size - 1
+    kappa = track.kappa[:cells]
     time = np.array([lap.values["time"] for lap in laps])
     v = np.array([lap.values["v"] for lap in laps])
     d = np.array([lap.values["d"] for lap in laps])
     grip = np.mean([lap.grip_used for lap in laps], axis=0)
     rows = []
     for corner in run.corners:
-        inside = np.flatnonzero(corner.inside(s[:cells], track.length))
+        stretch = corner.inside(s[:cells], track.length)
+        inside = np.flatnonzero(stretch)
+        bend = inside if not corner.side else _bend(corner, stretch, kappa, s)
         spent = np.sum(np.diff(time, axis=1)[:, inside], axis=1)
         begin, apex = (int(np.argmin(np.abs(s - at))) for at in (corner.begin, corner.apex))
         rows.append(
@@ -236,12 +239,22 @@ def corner_rows(run: RunAnalysis) -> list[CornerRow]:
                 *_spread(spent),
                 float(spent.min()),
                 *_spread(v[:, begin]),
-                *_spread(v[:, inside].min(axis=1)),
+                *_spread(v[:, bend].min(axis=1)),
                 *_spread(d[:, apex]),
                 float(np.max(grip[inside])),
             )
         )
     return rows
+
+
+def _bend(corner, stretch, kappa, s):
+    """Places around the apex of a corner, in its stretch, that are at least half as bent."""
+    apex = int(np.argmin(np.abs(s[:-1] - corner.apex)))
+    bent = np.roll(stretch & (kappa * kappa[apex] >= 0.5 * kappa[apex] ** 2), -apex)
+    ends = np.flatnonzero(~bent)
+    if not ends.size:
+        return np.flatnonzero(stretch)
+    return (apex + np.arange(ends[-1] + 1 - bent.size, ends[0])) % bent.size
 
 
 def _spread(values):

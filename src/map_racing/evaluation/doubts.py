@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.stats import rankdata
 
 from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
@@ -247,7 +246,7 @@ def unfollowed(recording: Recording) -> str:
             moving = (told > _MOVING) & (v > _MOVING)
         told, driven = told[moving], v[moving]
         if told.size >= _TELLING and np.std(told) > _VARIED and np.std(driven) > 0.0:
-            ranks = rankdata(told), rankdata(driven)
+            ranks = _ranks(told), _ranks(driven)
             found += [float(np.corrcoef(*pair)[0, 1]) for pair in ((told, driven), ranks)]
     if not found or max(found) >= _FOLLOWS:
         return ""
@@ -255,6 +254,12 @@ def unfollowed(recording: Recording) -> str:
         f"{commands.topic}: the car's speed does not follow the speed commanded (correlation at "
         f"most {max(found):.2f}): speed errors mean nothing"
     )
+
+
+def _ranks(values):
+    """Ranks of values, that of equal ones their mean."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - 0.5 * counts)[which]
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:

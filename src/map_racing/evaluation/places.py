@@ -148,7 +148,7 @@ class Place:
     wide_at : str
         Where: ``"entry"``, ``"apex"`` or ``"exit"``.
     grip_used : float
-        Largest share of the table's lateral acceleration; NaN if unknown.
+        Largest share of the table's lateral acceleration in the mean lap; NaN if unknown.
     early_m : float
         How much earlier than in the reference the car brakes for the bend [m].
     """
@@ -356,7 +356,7 @@ def costliest(
     cells = track.s.size - 1
     loss = np.diff(run.mean("time") - reference.time)
     v, d = run.mean("v")[:cells], run.mean("d")[:cells]
-    grip = np.max([profile.grip_used[:cells] for profile in run.counted], axis=0)
+    grip = np.mean([profile.grip_used[:cells] for profile in run.counted], axis=0)
     places = []
     for corner in corners:
         inside = np.flatnonzero(corner.inside(track.s[:cells], track.length))

@@ -12,7 +12,6 @@ import math
 import os
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
 from concurrent.futures.process import BrokenProcessPool
-from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, Sequence
@@ -25,6 +24,7 @@ from .. import __version__
 from ..bags.opening import Source, source_name
 from ..bags.remarks import read_remarks
 from ..bags.ros2 import METADATA, SUFFIXES
+from ..bags.samples import SIMULATED, date_of
 from ..control.settings import parse_settings
 from ..errors import EvaluationError, MapRacingError
 from ..evaluation.laps import LapLimits
@@ -172,12 +172,15 @@ def evaluate_season(
         finally:
             for future in running:
                 future.cancel()
-    rows = [
-        dict(row, bag=source_name(path), reason=_without_name(row["reason"], path))
-        for path in bags
-        for row in heats[path]
-    ]
-    rows.sort(key=lambda row: (row["date"], row["bag"], row["run"]))
+    rows = []
+    for path in bags:
+        for row in heats[path]:
+            reason = _without_name(row["reason"], path)
+            row = dict(row, bag=source_name(path), reason=reason)
+            # Simulated races have no date: the later one was written later.
+            written = _written(path) if row["date"] == SIMULATED else 0
+            rows.append((row["date"], written, row["bag"], row["run"], row))
+    rows = [row for *_, row in sorted(rows, key=lambda entry: entry[:-1])]
     _name_tracks(rows, options.tracks)
     return Season(rows, len(bags) - kept, kept)
 
@@ -225,10 +228,11 @@ def _evaluate_bag(path, options):
 
 def _rows(path, options):
     recording = load_recording(path)
+    date = recording.date
     try:
         runs = _runs(recording, options)
     except MapRacingError as error:
-        return [_row(path, date=_date(recording.t0_ns), reason=str(error))]
+        return [_row(path, date=date, reason=str(error))]
     remarks = read_remarks(path, recording)
     driven_with = _settings(remarks.settings[-1][1]) if remarks.settings else {}
     rows = []
@@ -242,7 +246,7 @@ def _rows(path, options):
         rows.append(
             _row(
                 path,
-                date=_date(recording.t0_ns + int(begin * 1e9)),
+                date=date if date == SIMULATED else date_of(recording.t0_ns + int(begin * 1e9)),
                 run=number,
                 track_length_m=round(result.raceline.length, 3),
                 stops=stops,
@@ -305,13 +309,6 @@ def _row(path, **values):
     return row
 
 
-def _date(time_ns):
-    if time_ns < 10**9:
-        return ""
-    moment = datetime.fromtimestamp(time_ns // 10**9, timezone.utc)
-    return moment.strftime("%Y-%m-%d %H:%M:%S")
-
-
 def _places(raceline: Raceline):
     """Positions along a raceline [m], by which its track is known."""
     at = raceline.sample(np.arange(_PLACES) * (raceline.length / _PLACES))
@@ -334,6 +331,11 @@ def _stamp(path):
     except FileNotFoundError:
         return []
     return stamps
+
+
+def _written(path):
+    """When the last file of a bag was written [ns]."""
+    return max((changed for *_, changed in _stamp(path)), default=0)
 
 
 def _of_bag(file):

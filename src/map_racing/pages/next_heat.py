@@ -111,8 +111,11 @@ def _grip_rows(advice):
 
 
 def _share(what, same, value, low, high):
-    keep = low <= 1.0 <= high or abs(value - 1.0) < same
-    advice = "keep" if keep else "identify the tires from this run"
+    advice = "identify the tires from this run"
+    if low <= 1.0 <= high:
+        advice = "keep"
+    elif abs(value - 1.0) < same:
+        advice = f"keep: off by less than {100 * same:.0f} %"
     return [what, f"{value:.2f}", f"{low:.2f} to {high:.2f}", "1 (vehicle file)", advice]
 
 
@@ -122,14 +125,16 @@ def _table_rows(run):
         degrees = math.degrees(band.more_rad)
         kind = "more" if degrees > 0.0 else "less"
         share = 100 * abs(band.per_angle)
-        fits = abs(band.more_rad) < _SAME_ANGLE
+        most = math.degrees(_SAME_ANGLE)
         rows.append(
             [
                 f"steering at {100 * band.low:.0f} to {100 * band.high:.0f} % of the grip",
                 f"{abs(degrees):.1f} degrees ({share:.0f} %) {kind} than the table",
                 "",
                 f"{100 * band.share:.0f} % of the laps",
-                "the table fits" if fits else "identify the tires from this run",
+                f"keep: off by less than {most:.0f} degree"
+                if abs(degrees) < most
+                else "identify the tires from this run",
             ]
         )
     return rows

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from datetime import datetime, timezone
 
 import numpy as np
 
@@ -21,7 +20,6 @@ __all__ = ["report_page"]
 # A page may have this size [bytes]. What is left beside plotly.js and the tables is for the charts'
 # data, but at least the second.
 _PAGE, _LEAST = 5_800_000, 200_000
-_DATED = 10**17  # 1973 [ns]
 # Rows of states and notes that a page shows, laps in its tables and as buttons, and other runs that
 # each is compared with.
 _MOST_ROWS, _MOST_LAPS, _MOST_BUTTONS, _MOST_OTHERS = 60, 1000, 200, 5
@@ -98,11 +96,9 @@ def _some(laps, most, best=None):
 def _head(title, runs):
     tracks = list(dict.fromkeys(_track_name(run) for run in runs))
     facts = ["; ".join(tracks[:3]) + ("; ..." if tracks[3:] else "")]
-    # Earlier dates are those of clocks that were never set, and of simulated time.
-    stamps = [run.recording.t0_ns for run in runs if run.recording.t0_ns > _DATED]
-    if stamps:
-        when = datetime.fromtimestamp(1e-9 * min(stamps), timezone.utc)
-        facts.append(when.strftime("%Y-%m-%d %H:%M UTC"))
+    dates = sorted({run.recording.date for run in runs} - {""})
+    if dates:
+        facts.append(f"{dates[0][:16]} UTC" if dates[0][0].isdigit() else dates[0])
     if len(runs) == 1 and _driver(runs[0]):
         facts.append(_driver(runs[0]))
     return f"<header><h1>{escape(title)}</h1><p>{escape(' · '.join(facts))}</p></header>\n"
@@ -295,7 +291,7 @@ def _grip(runs):
 
 def _corners(runs):
     parts = ['<section id="corners"><h2>Corners, lap by lap</h2>\n']
-    head = ["corner", "from", "to", "time", "best", "speed at the entry", "slowest"]
+    head = ["corner", "from", "to", "time", "best", "speed at the entry", "slowest in the bend"]
     head += ["off the line at the apex", "grip used"]
     for run in runs:
         rows = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Iterable
 
+from ..bags.samples import SIMULATED_NS
 from ..bags.writer import BagWriter
 from ..control.safety import state_text
 from ..track.files.waypoints import waypoint_rows
@@ -15,9 +16,6 @@ from .race import RaceLog
 __all__ = ["GROUND_TRUTH_TOPIC", "write_race_bag", "write_ramp_bag"]
 
 GROUND_TRUTH_TOPIC = "/ground_truth/odom"
-
-# Start of all recordings [ns]: fixed, so that the same race gives the same file.
-EPOCH_NS = 1_700_000_000_000_000_000
 
 
 def write_race_bag(
@@ -51,9 +49,9 @@ def write_race_bag(
         If the file cannot be written.
     """
     with BagWriter(path, compression=compression) as bag:
-        bag.waypoints(EPOCH_NS, waypoint_rows(raceline))
+        bag.waypoints(SIMULATED_NS, waypoint_rows(raceline))
         if settings:
-            bag.text(EPOCH_NS, settings)
+            bag.text(SIMULATED_NS, settings)
         for sample in log.samples:
             stamp, arrival = _measured(bag, sample, pose=True)
             bag.odometry(stamp, *sample.true[1:], topic=GROUND_TRUTH_TOPIC, received=arrival)
@@ -97,4 +95,4 @@ def _command(bag, t, command):
 
 
 def _time(t):
-    return EPOCH_NS + round(t * 1e9)
+    return SIMULATED_NS + round(t * 1e9)

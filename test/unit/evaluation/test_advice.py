@@ -182,6 +182,57 @@ def test_an_oval_without_corners_is_one_sector(heat, driving, limits):
     assert scales(advice, ring) == pytest.approx(0.575, abs=0.003)
 
 
+# -- the controller's own limit --------------------------------------------------------------------
+
+
+def told(line, scale, sectors=None, grip_use=0.0):
+    """Settings of a controller that drove at a scale, or in sectors of the line's speed."""
+    parameters = MAP.with_(speed_scale=1.0 if sectors else scale, grip_use=grip_use)
+    text = settings_text(build_controller(parameters, NUC4, line, sectors))
+    return parse_settings(text)
+
+
+def test_what_the_controller_holds_back_is_no_advice(heat, reference):
+    """Its own limit is at 3 m/s everywhere: from there on a larger scale changes nothing."""
+    ring = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    line = Raceline(6.0 * np.cos(ring), 6.0 * np.sin(ring), vx_mps=np.full(200, 5.0))
+    settings = told(line, 0.58)
+    settings = replace(settings, controller=settings.controller.with_(v_max_mps=3.0))
+    (one,) = advise(heat(0.58, line=line, settings=settings), step=0.1).sectors
+    assert one.why == "v_max_mps" and one.scale == pytest.approx(0.6, abs=0.001)
+    settings = replace(settings, controller=settings.controller.with_(v_max_mps=2.9))
+    (one,) = advise(heat(0.58, line=line, settings=settings), step=0.1).sectors
+    assert one.why == "v_max_mps" and one.scale == one.driven == pytest.approx(0.58)
+    (one,) = advise(heat(0.58, line=line, settings=told(line, 0.58)), step=0.1).sectors
+    assert one.why == "step" and one.scale == pytest.approx(0.638, abs=0.001)
+
+
+def test_where_the_slowest_place_is_held_back_the_row_says_so(heat, reference):
+    advice = advise(heat(0.6, settings=told(reference, 0.6, grip_use=0.4)))
+    said = {one.name: one.why for one in advice.sectors}
+    assert any("grip_use" in why for why in said.values()), said
+    assert any("bound by grip_use" in note for note in advice.notes)
+    free = advise(heat(0.6, settings=told(reference, 0.6)))
+    assert not any("grip_use" in one.why for one in free.sectors)
+    assert not any("own limit" in note for note in free.notes)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.001, -0.09, 0.1])
+def test_the_scale_of_a_driven_sector_is_not_that_of_its_neighbor(heat, reference, shift):
+    """A file counts the points of the line that was loaded, a bag has them at other places."""
+    before = advise(heat(0.6, settings=told(reference, 0.6)))
+    driven = {one.name: 0.55 if i % 2 else 0.65 for i, one in enumerate(before.sectors)}
+    rows = [one._replace(scale=driven[one.name]) for one in before.sectors]
+    length = reference.length
+    moved = [
+        ((begin + shift) % length, (end + shift) % length, scale)
+        for begin, end, scale in _stretches(rows, reference)
+    ]
+    settings = told(reference, 1.0, SpeedSectors(moved, length))
+    found = {one.name: one.driven for one in advise(heat(0.6, settings=settings)).sectors}
+    assert found == {name: pytest.approx(scale) for name, scale in driven.items()}
+
+
 # -- what the recording does not tell --------------------------------------------------------------
 
 

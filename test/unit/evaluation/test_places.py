@@ -18,7 +18,7 @@ from map_racing.evaluation.places import (
     costliest,
     ideal_lap,
 )
-from map_racing.evaluation.profiles import profiles_of, track_profile
+from map_racing.evaluation.profiles import car_limits, profiles_of, track_profile
 from map_racing.evaluation.recordings import load_recording
 from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.plant import Localization, Plant
@@ -237,6 +237,36 @@ def test_consistency_of_the_corners(reference, driving):
     )
     assert middle.slowest_mps == pytest.approx(3.5, abs=0.03)
     assert middle.slowest_std_mps == pytest.approx(np.sqrt(0.5), abs=0.03)
+
+
+def test_slowest_is_the_bend_not_the_stretch(reference, driving):
+    """The stretch of a corner also has where the one before is left, and the next braked for."""
+
+    def speed(s):
+        return 0.7 * reference.sample(s % reference.length).speed
+
+    recording = driving(reference, speed)
+    run = analyze(recording, evaluate(recording, reference))
+    track, v = run.profile.track, run.profile.mean("v")
+    apart = 0
+    for row in corner_rows(run):
+        apex = v[int(np.argmin(np.abs(track.s - row.corner.apex)))]
+        inside = row.corner.inside(track.s, track.length)
+        assert v[inside].min() - 0.01 <= row.slowest_mps <= apex + 0.01
+        assert row.slowest_mps > 0.85 * apex
+        apart += v[inside].min() < 0.85 * apex
+    assert apart
+
+
+def test_grip_of_a_place_is_that_of_its_corner(reference, driving):
+    recording = driving(reference, lambda s: 3.0 + 0.3 * np.floor(s / reference.length))
+    limits = car_limits(load_vehicle("nuc4"))
+    run = analyze(recording, evaluate(recording, reference), limits=limits)
+    of_corner = {row.corner.name: row.grip_used for row in corner_rows(run)}
+    places = costliest(run.profile, references(run, [])[-1], run.corners)
+    assert places
+    for place in places:
+        assert place.grip_used <= of_corner[place.corner.name] + 1e-9
 
 
 def test_another_raceline_is_not_compared(reference, driving):

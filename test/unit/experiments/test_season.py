@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from ros2_bags import messages_of, write_mcap, write_sqlite
 
+from map_racing.bags.samples import SIMULATED_NS
 from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.control.settings import parse_settings
@@ -21,7 +22,7 @@ from map_racing.pages.season import season_page
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
 
-T0 = 1700000000.0
+T0 = 1750000000.0
 
 
 def heat(path, line, begin=T0, speed=3.0, raceline=True, laps=2.3, settings=""):
@@ -84,7 +85,7 @@ def test_heats_are_in_order_with_their_tracks_and_reasons(bags, tmp_path):
     # The row has the name of the bag already.
     assert rows["saturday/broken.bag"]["reason"].startswith("no topic with the pose")
     dates = [row["date"] for row in season.heats if not row["reason"]]
-    assert dates == sorted(dates) and dates[0] == "2023-11-14 22:13:20"
+    assert dates == sorted(dates) and dates[0] == "2025-06-15 15:06:40"
     # Lines of one track have one name, whatever the format; the others are numbered.
     names = {name: row["track"] for name, row in rows.items()}
     assert names["friday/a.bag"] == "track 1" and names["saturday/a.bag"] == "track 2"
@@ -94,6 +95,18 @@ def test_heats_are_in_order_with_their_tracks_and_reasons(bags, tmp_path):
         assert rows[name]["laps"] == 2
         assert rows[name]["best_lap_time_s"] == rows["friday/b.bag"]["best_lap_time_s"]
         assert rows[name]["rms_lateral_error_m"] < 0.01
+
+
+def test_simulated_races_have_no_date_and_are_in_the_order_of_their_writing(ring, tmp_path):
+    begin = 1e-9 * SIMULATED_NS
+    names = ["b.bag", "c.bag", "a.bag"]
+    for number, name in enumerate(names):
+        heat(tmp_path / "bags" / name, ring, begin + 0.03)
+        os.utime(str(tmp_path / "bags" / name), ns=(0, (number + 1) * 10**9))
+    heat(tmp_path / "bags" / "real.bag", ring)
+    heats = evaluated(tmp_path / "bags", tmp_path / "out").heats
+    assert [os.path.basename(row["bag"]) for row in heats] == ["real.bag", *names]
+    assert [row["date"] for row in heats] == ["2025-06-15 15:06:40", *["simulated"] * 3]
 
 
 def test_what_has_not_changed_is_not_read_again(bags, tmp_path, monkeypatch, ring):

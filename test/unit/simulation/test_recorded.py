@@ -5,6 +5,7 @@ import pytest
 
 from map_racing.bags.reader import read_recording
 from map_racing.bags.records import BagFile
+from map_racing.bags.samples import SIMULATED_NS
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.recordings import recorded_raceline
@@ -12,7 +13,7 @@ from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.plant import Localization, Plant
 from map_racing.simulation.plants import load_plant
 from map_racing.simulation.race import Outcome, race
-from map_racing.simulation.recorded import EPOCH_NS, GROUND_TRUTH_TOPIC, write_race_bag
+from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC, write_race_bag
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -32,7 +33,7 @@ def test_recording_is_what_was_measured_and_commanded(raced, tmp_path, compressi
     raceline, log = raced
     write_race_bag(tmp_path / "race.bag", log, raceline, compression=compression)
     recording = read_recording(tmp_path / "race.bag")
-    assert recording.topic == "/car_state/odom" and recording.t0_ns == EPOCH_NS
+    assert recording.topic == "/car_state/odom" and recording.t0_ns == SIMULATED_NS
     seen = np.array([sample.measured for sample in log.samples])
     columns = (recording.t, recording.x, recording.y, recording.v_x, recording.v_y)
     for column, expected in zip(columns, seen[:, [0, 1, 2, 4, 5]].T):
@@ -46,7 +47,7 @@ def test_recording_is_what_was_measured_and_commanded(raced, tmp_path, compressi
 def test_records_bear_the_time_of_arrival(raced, tmp_path):
     raceline, log = raced
     write_race_bag(tmp_path / "race.bag", log, raceline)
-    arrivals = [EPOCH_NS + round(sample.arrival * 1e9) for sample in log.samples]
+    arrivals = [SIMULATED_NS + round(sample.arrival * 1e9) for sample in log.samples]
     with BagFile(tmp_path / "race.bag") as bag:
         times = {}
         for message in bag.messages():
