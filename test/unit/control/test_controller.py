@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from map_racing.control.controller import Controller, Status, build_controller
 from map_racing.control.guidance import missing_curvature
 from map_racing.control.parameters import ControllerParameters, load_controller_parameters
-from map_racing.control.speed_sectors import SpeedSectors
+from map_racing.control.speed_sectors import LARGEST_SCALE, SpeedSectors
 from map_racing.control.state import CarState, moved, predicted
 from map_racing.control.steering import build_steering_map
 from map_racing.errors import ParameterError
@@ -206,7 +206,7 @@ def test_speed_scales_of_sectors_hold_where_the_car_is():
     s=st.floats(0.0, 40.0),
     v_x=st.floats(-5.0, 30.0),
     scale=st.floats(0.0, 2.0),
-    sector=st.floats(0.0, 1e6),
+    sector=st.floats(0.0, LARGEST_SCALE),
     v_max=st.floats(0.01, 20.0),
 )
 def test_no_speed_above_the_limit_whatever_is_asked(s, v_x, scale, sector, v_max):
