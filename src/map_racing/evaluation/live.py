@@ -111,8 +111,9 @@ class LiveEvaluation:
         self._commands, self._clock = Commands(self._gap_ns), CommandClock()
         self._believed_ns, self._beliefs = [], []
         self._reported = 0
-        # Doubts of the run by kind; times of the samples of the present lap, and their commands.
-        self._doubts, self._driven = {}, ([], [])
+        # Doubts of the run by kind; times of the samples of the present lap, and their commands;
+        # times of its samples whose commands came too late.
+        self._doubts, self._driven, self._late = {}, ([], []), []
         if raceline is not None:
             self.set_raceline(raceline)
 
@@ -197,10 +198,9 @@ class LiveEvaluation:
             late_ns = self._given_up_ns - stamp_ns - self._clock.offset_ns
             # A command that is older still begins another run.
             if 0 <= late_ns <= self._gap_ns:
-                self._doubts["late"] = (
-                    f"drive commands came more than {self._patience:g} s after their poses: "
-                    "speed error and steering rate do without them"
-                )
+                at = 1e-9 * (self._given_up_ns - self._t0_ns)
+                if at not in self._late[-1:]:
+                    self._late.append(at)
 
     def add_belief(self, stamp_ns: int, values: Sequence[float]) -> None:
         """Add what the controller believes: time stamp [ns] and `BELIEF_FIELDS`."""
@@ -271,6 +271,11 @@ class LiveEvaluation:
             )
         t, command = map(np.array, self._driven)
         missing = uncommanded(t, command, laps) if self._commands.any else []
+        if any(lap.start_time_s <= at <= lap.end_time_s for lap in laps for at in self._late):
+            missing.append(
+                f"drive commands came more than {self._patience:g} s after their poses: "
+                "speed error and steering rate do without them"
+            )
         return *raceline_warnings(self._raceline), *self._doubts.values(), *missing
 
     def _report(self, laps):
@@ -286,6 +291,7 @@ class LiveEvaluation:
             over = bisect_right(self._driven[0], laps[-1].end_time_s) - 1
             for values in self._driven:
                 del values[: max(over, 0)]
+            self._late = [at for at in self._late if at > laps[-1].end_time_s]
         self._reported += len(laps)
 
     def _end_run(self):
@@ -295,5 +301,5 @@ class LiveEvaluation:
         self._on_run(self._run, replace(result, notes=notes))
         self._run += 1
         self._reported = 0
-        self._doubts, self._driven = {}, ([], [])
+        self._doubts, self._driven, self._late = {}, ([], []), []
         self._t0_ns = self._last_ns = self._given_up_ns = None
