@@ -32,8 +32,10 @@ __all__ = ["LapEvaluatorNode", "main"]
 _STOP = object()
 _SILENCE_S = 5.0  # warn after this time without poses
 _SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
-# A shutdown waits until no message has come for this time, but no longer than the second one [s].
-_QUIET_S, _LAST_MESSAGES_S = 0.3, 3.0
+# A shutdown looks so many times for another message in vain, and how long it rests before each look
+# [s]: a time would also pass while a busy computer does not let this process read. But it waits no
+# longer than this [s].
+_LOOKS, _REST_S, _LAST_MESSAGES_S = 15, 0.02, 6.0
 _NAN = math.nan
 LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
 
@@ -145,10 +147,11 @@ class LapEvaluatorNode:
 
         A busy computer has not yet read all that was sent when a bag that is played fast ends.
         """
-        begin = time.monotonic()
-        end = begin + _LAST_MESSAGES_S
-        while time.monotonic() < min(max(self._arrived, begin) + _QUIET_S, end):
-            time.sleep(0.02)
+        end, looks, arrived = time.monotonic() + _LAST_MESSAGES_S, 0, self._arrived
+        while looks < _LOOKS and time.monotonic() < end:
+            time.sleep(_REST_S)
+            looks = looks + 1 if arrived == self._arrived else 0
+            arrived = self._arrived
         self._queue.put((_STOP, None, 0, 0.0))
         self._idle.wait(_SUMMARY_S)
 
