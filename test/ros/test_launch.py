@@ -117,6 +117,26 @@ def test_arguments_that_a_file_has_are_not_refused(folder, file):
     check_launch_arguments(["bash", "map_racing", f"{file}.launch", "nonsense:=1"])
 
 
+@pytest.mark.parametrize(
+    ("file", "word"),
+    [("race", "drive_car:=false"), ("race", "drive_topic:=/drive"), ("rviz", "track:=club")],
+)
+def test_an_argument_that_does_not_count_is_refused(file, word):
+    """A launch file sets it on its way, works it out or does not pass it on."""
+    with pytest.raises(ParameterError, match=f"got {word.partition(':')[0]}"):
+        check_launch_arguments(["roslaunch", "map_racing", f"{file}.launch", word])
+    # One that is passed on counts.
+    check_launch_arguments(["roslaunch", "map_racing", "race.launch", "evaluate:=false"])
+
+
+def test_values_of_the_options_of_roslaunch_hide_no_misspelled_argument():
+    words = ["roslaunch", "-p", "11312", "map_racing", "race.launch", "speedscale:=0.3"]
+    with pytest.raises(ParameterError, match="speedscale"):
+        check_launch_arguments(words)
+    check_launch_arguments(["roslaunch", "--help"])
+    check_launch_arguments(["roslaunch"])
+
+
 def test_another_stack_is_refused(nodes_of):
     text = "stack: expected race_stack, f1tenth_system or f1tenth_simulator, got autoware"
     with pytest.raises(RLException, match=text):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from array import array
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ class _Samples:
     def at_once(self):
         """Names of senders of which none took the place of another."""
         spans = sorted((span, name) for name, span in self.senders.items())
-        pairs = ((one, other) for one, other in zip(spans, spans[1:]) if other[0][0] < one[0][1])
+        pairs = ((one, other) for one, other in combinations(spans, 2) if other[0][0] < one[0][1])
         return sorted({name for pair in pairs for _, name in pair})
 
     def columns(self):

@@ -20,6 +20,7 @@ from ..pages.html import plotly_script
 from ..pages.report import report_page
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
+from ..vehicle.parameters import parameter_hash
 from .evaluate import check_evaluation, evaluate_one, run_names
 from .inputs import joined, read_vehicle
 from .outputs import check_outputs
@@ -92,9 +93,12 @@ def analyses(arguments, delays=False):
 def _other_car(given, settings):
     """Doubt where the controller drove with another vehicle than the one given, if any."""
     driven = settings and settings.vehicle
-    if given is None or not driven or given.name == driven.name:
+    if given is None or not driven or parameter_hash(given) == parameter_hash(driven):
         return []
-    return [f"warning: --vehicle is {given.name}, but the controller drove with {driven.name}"]
+    other = " with other values" if given.name == driven.name else ""
+    return [
+        f"warning: --vehicle is {given.name}, but the controller drove with {driven.name}{other}"
+    ]
 
 
 def delays_of(recording, vehicle):

@@ -279,6 +279,8 @@ def _elsewhere(path, places, starts, raceline):
     listed = isinstance(places, list) and all(isinstance(p, list) and len(p) == 2 for p in places)
     if not (listed and len(places) == len(starts)):
         raise ParameterError(f"{path}: {_PLACES}: expected x and y of the start of each sector")
+    if not starts:
+        return []
     places = np.array([[finite(f"{path}: {_PLACES}", v) for v in place] for place in places])
     at = raceline.sample(raceline.s_points[np.minimum(starts, raceline.s_points.size - 1)])
     for index, (x, y) in enumerate(places):

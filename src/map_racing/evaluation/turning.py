@@ -37,7 +37,9 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
     notes = []
     for what, rate in _recorded(recording):
         turned, path = _turned(recording, rate)
-        if abs(path) < math.pi or abs(turned - path) < _SHARE * abs(path):
+        # A figure eight adds up to nothing, so that a rate that was never filled in would, too.
+        little = abs(path) < math.pi and (what == "heading" or rate.any())
+        if little or abs(turned - path) < _SHARE * abs(path):
             return rate, [f"{note}: that of the {what} is used" for note in notes]
         notes.append(
             f"warning: the {what} recorded turns by {turned:.1f} rad, the path by {path:.1f} rad"

@@ -17,7 +17,9 @@ _PASSED_ON = "include/nodes.launch"
 
 
 def check_launch_arguments(words: list[str] | None = None) -> None:
-    """Refuse a misspelled argument, with which the car would drive otherwise than was meant.
+    """Refuse an argument that does not count: misspelled, or set by the launch file itself.
+
+    The car would drive otherwise than was meant.
 
     Parameters
     ----------
@@ -36,24 +38,32 @@ def check_launch_arguments(words: list[str] | None = None) -> None:
         return
     words = [word for word in words[programs[0] + 1 :] if not word.startswith("-")]
     given = [word.partition(":=")[0] for word in words if ":=" in word]
-    files = [word for word in words if ":=" not in word]
+    # Before package and file may stand the values of options, as in -p 11312.
+    package, file = ["", "", *(word for word in words if ":=" not in word)][-2:]
     folder = config_directory().parent / "launch"
-    shipped = len(files) == 2 and files[0] == "map_racing" and (folder / files[1]).is_file()
-    if not shipped:
+    if package != "map_racing" or not (folder / file).is_file():
         return
-    known = {
-        argument.get("name")
-        for file in (files[1], _PASSED_ON)
-        for argument in ElementTree.parse(folder / file).getroot().findall("arg")
-    }
+    known = _arguments(folder, file)
     for name in given:
         if name not in known and not name.startswith("_"):
             near = get_close_matches(name, known)
             like = f" (like {' or '.join(near)})" if near else ""
             raise ParameterError(
-                f"roslaunch {files[1]}: expected an argument that roslaunch --ros-args map_racing "
-                f"{files[1]} lists, got {name}{like}"
+                f"roslaunch {file}: expected an argument that roslaunch --ros-args map_racing "
+                f"{file} lists, got {name}{like}"
             )
+
+
+def _arguments(folder, file):
+    """Names of the arguments that count: what a file works out or sets on the way is not asked."""
+    own, inner = (ElementTree.parse(folder / one).getroot() for one in (file, _PASSED_ON))
+    known, passed = (
+        {one.get("name") for one in root.findall("arg") if "value" not in one.attrib}
+        for root in (own, inner)
+    )
+    for include in own.findall("include"):
+        known |= passed - {one.get("name") for one in include.findall("arg")}
+    return known
 
 
 def _command_of_parent():

@@ -439,9 +439,19 @@ def test_a_late_message_is_no_jump(tmp_path):
     assert any("1 steps back in time: sorted" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize("begins", [0, 25])
-def test_two_localizations_on_tf_are_said(tmp_path, begins):
-    """At once, or one after the other has gone."""
+@pytest.mark.parametrize(
+    ("spans", "told"),
+    [
+        ({"/amcl": (0, 50), "/slam": (0, 50)}, "2 nodes at once, /amcl, /slam: all of them"),
+        ({"/amcl": (0, 25), "/slam": (25, 50)}, None),
+        (
+            {"/amcl": (0, 50), "/gps": (5, 15), "/slam": (25, 40)},
+            "3 nodes at once, /amcl, /gps, /slam: all of them",
+        ),
+    ],
+)
+def test_localizations_at_once_on_tf_are_said(tmp_path, spans, told):
+    """At once, not where one follows when the other has gone."""
     types = get_typestore(Stores.ROS1_NOETIC)
     name = "tf2_msgs/msg/TFMessage"
     types.register(get_types_from_msg(msg.DEFINITIONS[name], name))
@@ -452,18 +462,18 @@ def test_two_localizations_on_tf_are_said(tmp_path, begins):
                 *("/tf", name),
                 **{"msgdef": definition, "md5sum": md5sum, "callerid": sender},
             )
-            for sender in ("/amcl", "/slam")
+            for sender in spans
         ]
         for i, t in enumerate(TIMES):
-            for k, line in enumerate(lines):
-                if begins and (i >= begins) != bool(k):
+            for k, (line, (begin, end)) in enumerate(zip(lines, spans.values())):
+                if not begin <= i < end:
                     continue
                 at = int(t * 1e9) + 10**6 * k
                 data = msg.encode_transform(i, at, "map", "base_link", i + 0.5 * k, 0.0, 0.0)
                 writer.write(line, at, data)
     said = [note for note in read_recording(tmp_path / "a.bag").notes if "at once" in note]
-    expected = "warning: /tf: map to base_link: sent by 2 nodes at once, /amcl, /slam: all of them"
-    assert [note[: len(expected)] for note in said] == ([] if begins else [expected])
+    expected = f"warning: /tf: map to base_link: sent by {told}"
+    assert [note[: len(expected)] for note in said] == ([expected] if told else [])
 
 
 # -- damage --------------------------------------------------------------------------------------

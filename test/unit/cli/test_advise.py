@@ -1,5 +1,6 @@
 """``map-racing advise``: a table, and speed sectors that the next race drives with."""
 
+import dataclasses
 from argparse import ArgumentParser
 
 import yaml
@@ -9,6 +10,7 @@ from map_racing.cli.options.advise import add_options
 from map_racing.control.speed_sectors import load_speed_sectors
 from map_racing.evaluation.advice import STEP
 from map_racing.track.files.load import load_raceline
+from map_racing.vehicle.parameters import load_vehicle, save_vehicle
 
 
 def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
@@ -53,3 +55,12 @@ def test_doubts_stand_beside_the_advice(bags, capsys):
     assert main(["advise", str(bags["map"]), "--vehicle", "sim"]) == 0
     said = capsys.readouterr().out
     assert "warning: --vehicle is SIM, but the controller drove with NUC4" in said
+
+
+def test_another_car_of_the_same_name_is_a_doubt(bags, tmp_path, capsys):
+    car = load_vehicle("nuc4")
+    for mu, other in ((car.mu, False), (0.9 * car.mu, True)):
+        save_vehicle(dataclasses.replace(car, mu=mu), tmp_path / "mine.yaml")
+        assert main(["advise", str(bags["map"]), "--vehicle", str(tmp_path / "mine.yaml")]) == 0
+        text = "warning: --vehicle is NUC4, but the controller drove with NUC4 with other values"
+        assert (text in capsys.readouterr().out) == other

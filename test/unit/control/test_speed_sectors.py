@@ -319,6 +319,11 @@ def test_places_that_are_none_are_refused(tmp_path, places):
             load(tmp_path, text)
 
 
+def test_a_file_without_sectors_has_no_places(tmp_path):
+    text = "global_limit: 0.8\nn_sectors: 0\nstart_points: []\n"
+    assert load(tmp_path, text).scale_at(3.0) == 0.8
+
+
 def test_an_oval_has_corners_where_it_bends_most():
     """Driven at the limit all along, its lateral acceleration is the same everywhere."""
     angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from map_racing.bags.samples import Recording
 from map_racing.evaluation.profiles import profiles_of
 from map_racing.evaluation.runs import evaluate
 from map_racing.evaluation.turning import speed_driven, turning_of
@@ -60,6 +61,21 @@ def test_less_than_half_a_turn_tells_nothing(reference, driving):
     short = dataclasses.replace(recording, **short)
     rate, notes = turning_of(short)
     assert rate is short.yaw_rate and notes == []
+
+
+def test_a_rate_that_was_never_filled_in_is_told_on_a_figure_eight_too():
+    """Its laps turn by nothing, all in all."""
+    t = np.arange(0.0, 20.0, 0.02)
+    phase = 2.0 * np.pi * t / 10.0
+    x, y = 5.0 * np.sin(phase), 2.5 * np.sin(2.0 * phase)
+    psi = np.arctan2(np.gradient(y, t), np.gradient(x, t))
+    turning = np.gradient(np.unwrap(psi), t)
+    v = np.hypot(np.gradient(x, t), np.gradient(y, t))
+    rate, notes = turning_of(Recording(t, x, y, psi, v, 0.0 * v, 0.0 * v))
+    assert np.array_equal(rate, turning)
+    assert notes == ["the yaw rate recorded does not change: that of the heading is used"]
+    rate, notes = turning_of(Recording(t, x, y, psi, v, 0.0 * v, turning))
+    assert rate is turning and notes == []
 
 
 @pytest.mark.parametrize("factor", [0.0, 1.0, 1.12, 3.6])
