@@ -40,7 +40,7 @@ def run(arguments):
     with replacing(arguments.output) as file:
         file.write(report_page(runs))
     for found in runs:
-        print(f"{found.name}: {found.result.summary.laps_completed} laps count")
+        print(f"{found.name}: laps counted: {found.result.summary.laps_completed}")
     print(f"report written to {arguments.output}")
     return failed
 

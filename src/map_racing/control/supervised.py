@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Callable, NamedTuple
 
+from ..errors import MapRacingError
 from ..vehicle.size import size_of
 from .controller import Controller, ControlResult
 from .safety import Decision, Supervisor
@@ -91,7 +92,12 @@ class SupervisedController:
             return
         try:
             waiting, self._waiting = self._waiting, None
-            self.controller.change(**waiting)
+            try:
+                self.controller.change(**waiting)
+            except MapRacingError:
+                # Tuning meanwhile took what the raceline lacks, such as speeds within the grip.
+                self.refuse()
+                raise
             self.supervisor.raceline_changed(True)
             self._on_raceline()
         finally:

@@ -17,6 +17,7 @@ from map_racing.control.supervised import (
     build_slowing,
     build_supervisor,
 )
+from map_racing.errors import ParameterError
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
@@ -123,6 +124,20 @@ def test_a_change_that_is_prepared_meanwhile_loses_no_raceline():
     assert drive.drive(1.0)[-1].decision.mode is Mode.DRIVING
     assert driver.controller.raceline is other and driver.controller.parameters is slower
     assert not driver.changing.locked() and len(drive.told) == 1
+
+
+def test_a_waiting_raceline_that_tuning_made_impossible_is_refused():
+    drive = Drive()
+    drive.drive(1.0)
+    driver = drive.driver
+    other = circle(-1.0)
+    assert not drive.follow(Raceline(other.x, other.y))
+    driver.controller.change(parameters=driver.controller.parameters.with_(grip_use=0.0))
+    with pytest.raises(ParameterError, match="speeds"):
+        drive.drive(3.0)
+    assert drive.drive(0.2)[-1].decision[:2] == (Mode.STOPPED, Reason.INVALID_RACELINE)
+    assert drive.follow(circle())
+    assert drive.drive(1.0)[-1].decision.mode is Mode.DRIVING
 
 
 def test_the_last_of_two_racelines_counts():
