@@ -123,6 +123,25 @@ def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
     assert car.state == (Mode.DRIVING, Reason.NONE) and command.drive.speed > 1.0
 
 
+def test_commands_are_stamped_in_order(car, monkeypatch):
+    """A stop without poses is stamped later than the late pose that comes after it."""
+    monkeypatch.setattr(
+        rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(car.clock.time))
+    )
+    car.drive()
+    car.clock.time += 0.3
+    car.node._watch(car.clock.time)
+    late = car.clock.time - 0.02
+    (command,) = car.pose(stamp=late)
+    stamps = [message.header.stamp.to_nsec() for message in car.sent]
+    assert stamps == sorted(set(stamps)) and len(stamps) > 10
+    assert command.header.stamp.to_sec() == pytest.approx(late + 0.02)
+    # Nor is the header of the pose another one; and a clock that was set back is followed.
+    assert car.node._guidance.sent[-1]["header"].stamp.to_sec() == pytest.approx(late)
+    (command,) = car.pose(stamp=START - 50.0)
+    assert command.header.stamp.to_sec() == START - 50.0
+
+
 def test_poses_of_a_second_node_make_none(car):
     car.drive()
     assert car.pose(sender="/other") == []

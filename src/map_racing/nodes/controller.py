@@ -52,6 +52,8 @@ QUIET_S = 1.0
 LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
 # Longest wait [s of wall time] for /clock to reach a pose that overtook it.
 CLOCK_PATIENCE_S = 1.0
+# A pose whose stamp is before the last command's by more than this [s] shows a clock that was set.
+LONGEST_OVERTAKEN_S = 1.0
 
 POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
@@ -119,7 +121,7 @@ class ControllerNode:
         self._reader, self._clock = StateReader(), SteadyClock()
         self._ending = self._failing = False
         self._clock_follows = True
-        self._last_angle = 0.0
+        self._last_angle, self._last_stamp = 0.0, rospy.Time()
         self._message = AckermannDriveStamped()
 
         self._advertise()
@@ -277,6 +279,13 @@ class ControllerNode:
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
+        stamp, last = header.stamp, self._last_stamp
+        if stamp < last and (last - stamp).to_sec() < LONGEST_OVERTAKEN_S:
+            # A stop without poses was stamped when it was sent, later than the pose that came then:
+            # without order nobody knows by the stamps which command is in force.
+            stamp = last + rospy.Duration(0, 1)
+            header = Header(stamp=stamp, frame_id=header.frame_id)
+        self._last_stamp = stamp
         # One message for all commands: creating one takes as long as a control step.
         command = self._message
         command.header = header
