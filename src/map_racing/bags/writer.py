@@ -174,7 +174,7 @@ class BagWriter:
         self._write(topic, msg.STRING, stamp, received, msg.encode_string, (text,), latched=latched)
 
     def state(self, stamp, text, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
-        """State of the controller, as its node has it in its diagnostics."""
+        """State of the controller in the words of its node: level 0 where it drives, else 2."""
         values = (0 if text == "driving" else 2, f"controller{STATE}", text, hardware)
         self._write(topic, msg.DIAGNOSTICS, stamp, received, msg.encode_status, values)
 

@@ -44,19 +44,20 @@ class LapLog:
         self._names.append("warnings")
         header = ",".join(self._names)
         try:
-            self._file = open(self.path, "a+b")  # noqa: SIM115 - it stays open for the next laps
-            self._file.seek(0)
-            content = self._file.read()
+            if self.path.exists() and not self.path.is_file():
+                raise MapRacingError(f"{path}: cannot write: it is no file")
+            content = self.path.read_bytes() if self.path.exists() else b""
+            complete = content[: content.rfind(b"\n") + 1]
+            if complete and complete.split(b"\n", 1)[0] != header.encode():
+                raise FileFormatError(
+                    f"{path}: expected a new file or one that begins with {header}"
+                )
+            if content and not complete and not header.encode().startswith(content):
+                raise FileFormatError(f"{path}: expected a new file or one of laps")
+            self._file = open(self.path, "ab")  # noqa: SIM115 - it stays open until `close`
+            self._file.truncate(len(complete))
         except OSError as error:
             raise MapRacingError(f"{path}: cannot write: {error.strerror}") from None
-        complete = content[: content.rfind(b"\n") + 1]
-        if complete and complete.split(b"\n", 1)[0] != header.encode():
-            self._file.close()
-            raise FileFormatError(f"{path}: expected a new file or one that begins with {header}")
-        if content and not complete and not header.encode().startswith(content):
-            self._file.close()
-            raise FileFormatError(f"{path}: expected a new file or one of laps")
-        self._file.truncate(len(complete))
         if not complete:
             self._append(self._names)
 

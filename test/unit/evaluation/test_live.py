@@ -423,3 +423,6 @@ def test_other_files_are_left_alone(tmp_path, laps):
         assert path.read_bytes() == content
     with pytest.raises(MapRacingError, match="cannot write"):
         LapLog(tmp_path / "none" / "laps.csv", 3)
+    for device in ("/dev/null", "/dev/full", tmp_path):
+        with pytest.raises(MapRacingError, match="cannot write: it is no file"):
+            LapLog(device, 3)
