@@ -12,7 +12,7 @@ from ..errors import MapRacingError, ParameterError
 from ..evaluation.report import write_rows
 from ..experiments.executors import open_executor
 from ..experiments.season import COLUMNS, BagOptions, evaluate_season
-from ..experiments.season_bags import find_bags
+from ..experiments.season_bags import find_bags, first_part, parts_of
 from ..files import make_folder, replacing
 from ..pages.html import plotly_script
 from ..pages.season import season_page
@@ -71,18 +71,13 @@ def _anywhere(source):
     return os.path.abspath(path) + (f"#{key}" if key else "")
 
 
-def parts_of(bag):
-    """Files or folders of a bag, of which a run that was split has several."""
-    return list(bag) if isinstance(bag, tuple) else [bag]
-
-
 def report_paths(bags, output):
     """Where the report of each bag is: in the folder ``reports``, in the folders of the bags."""
-    folders = [os.path.dirname(os.path.abspath(str(parts_of(bag)[0]))) for bag in bags]
+    folders = [os.path.dirname(os.path.abspath(str(first_part(bag)))) for bag in bags]
     base = os.path.commonpath(folders)
     paths = {}
     for bag in bags:
-        name = os.path.relpath(os.path.abspath(str(parts_of(bag)[0])), base)
+        name = os.path.relpath(os.path.abspath(str(first_part(bag))), base)
         name = re.sub(r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?)$", "", name)
         paths[source_name(bag)] = output / "reports" / f"{name}.html"
     return paths

@@ -15,8 +15,6 @@ from ..vehicle.size import size_of
 from .experiment import grid_lines, named_controllers
 from .session import open_grid, open_session
 
-DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
-
 
 def run(arguments):
     """Tune."""

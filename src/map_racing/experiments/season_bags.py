@@ -11,7 +11,7 @@ from ..bags.opening import Source, open_bag
 from ..bags.ros2 import METADATA, SUFFIXES
 from ..errors import MapRacingError
 
-__all__ = ["find_bags", "first_part"]
+__all__ = ["find_bags", "first_part", "parts_of"]
 
 # Parts of a run as a recorder names them, maybe with the date of each, and the longest pause or
 # overlap between two [ns].
@@ -104,7 +104,12 @@ def _span(bag):
 
 def first_part(source: Source) -> Path:
     """The bag, or the first one of the parts of a run."""
-    return source[0] if isinstance(source, tuple) else source
+    return parts_of(source)[0]
+
+
+def parts_of(source: Source) -> list[Path]:
+    """Files or folders of a bag, of which a run that was split has several."""
+    return list(source) if isinstance(source, tuple) else [source]
 
 
 def _is_ros2_folder(path, names):

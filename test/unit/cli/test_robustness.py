@@ -107,8 +107,12 @@ def test_doubts_about_tracks_stand_in_the_provenance(results, tmp_path):
 
 def test_the_same_again_drives_nothing(folder, results, capsys):
     options = ("--controller", "map", "--speed-scale", 1.4, "--output", results)
+    (results / "figures" / "robustness_final.png").write_text("the user's own")
     assert run(folder, "experiment", "robustness", *options) == 0
+    own = {"robustness_map.png", "robustness_final.png"}
+    assert {path.name for path in (results / "figures").iterdir()} == own
     said = capsys.readouterr().out
+    assert "robustness_bold.png: removed: left over from an earlier call" in said
     assert "0 races driven, 3 found on disk" in said
     assert "RMS error" in said and "map: " in said
 
