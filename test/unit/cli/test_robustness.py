@@ -179,11 +179,10 @@ def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     assert found.grip_use == load_controller_parameters("map").grip_use
 
 
-def test_options_of_the_grid_belong_to_robust_tuning(folder, tmp_path, capsys):
-    assert run(folder, "tune", "--generated", 1, "--output", tmp_path / "x") == 1
-    assert "--generated belongs to --robust" in capsys.readouterr().err
-    assert run(folder, "tune", "--grid", "rough_lines", "--output", tmp_path / "x") == 1
-    assert "--grid belongs to --robust" in capsys.readouterr().err
+@pytest.mark.parametrize("option", ["--grid", "--tracks", "--generated", "--grip-use"])
+def test_options_of_the_grid_belong_to_robust_tuning(tmp_path, capsys, option):
+    assert main(["tune", option, "1", "--output", str(tmp_path / "x")]) == 1
+    assert f"{option} belongs to --robust" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--speed-scale", "--seeds", "--track", "--plant", "--vehicle"])
