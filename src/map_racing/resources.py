@@ -63,6 +63,8 @@ def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Pat
     ParameterError
         If there is neither such a file nor such a name; the message lists the shipped names.
     """
+    if not isinstance(source, (str, Path)):
+        raise ParameterError(f"expected a name of the shipped {kind} or a path, got {source!r}")
     path = Path(source)
     if path.is_file():
         return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 
 from ..bags.opening import source_name
@@ -17,6 +18,7 @@ from ..pages.html import plotly_script
 from ..pages.season import season_page
 from ..printing import printable
 from ..track.files.load import load_raceline
+from ..track.files.readers import split_source
 from .evaluate import check_evaluation
 
 
@@ -63,8 +65,10 @@ def run(arguments):
 
 def _anywhere(source):
     """A source as other processes find it, which may have another working folder."""
-    path, mark, key = source.partition("#")
-    return os.path.abspath(path) + mark + key if Path(path).exists() else source
+    path, key = split_source(source)
+    if not Path(path).exists():
+        return source
+    return os.path.abspath(path) + (f"#{key}" if key else "")
 
 
 def report_paths(bags, output):
@@ -91,14 +95,20 @@ def make_reports(heats, parts, reports, arguments):
     """Write the reports of the latest heats that can be read, where they are missing or older."""
     from . import build_parser, report
 
-    latest = list(dict.fromkeys(heat["bag"] for heat in heats[::-1] if not heat["reason"]))
-    for bag in latest[: arguments.reports]:
-        path = reports[bag]
-        files = list(map(str, parts[bag]))
-        changed = max(os.stat(file).st_mtime for file in files)
+    latest = {heat["bag"]: heat["given"] for heat in heats[::-1] if not heat["reason"]}
+    for bag, given in list(latest.items())[: arguments.reports]:
+        path, files = reports[bag], list(map(str, parts[bag]))
+        read = [Path(name) for name in [*files, *([split_source(given)[0]] if given else [])]]
+        changed = max((name.stat().st_mtime for name in read if name.exists()), default=0.0)
         if path.is_file() and path.stat().st_mtime >= changed:
             continue
         make_folder(path.parent)
         words = ["report", *files, "--output", str(path), "--car-width", str(arguments.car_width)]
         words += ["--join"] if len(files) > 1 else []
-        report.run(build_parser().parse_args(words))
+        words += ["--raceline", given] if given else []
+        if arguments.max_deviation is not None:
+            words += ["--max-deviation", str(arguments.max_deviation)]
+        try:
+            report.run(build_parser().parse_args(words))
+        except MapRacingError as error:  # the others, and the table, are as good without it
+            print(f"map-racing: no report of {printable(bag)}: {error}", file=sys.stderr)

@@ -1,7 +1,7 @@
 """A season of bags: each evaluated once, in any number of processes, and kept on disk.
 
-What is kept of a bag holds as long as its files have the same sizes and times of change, the
-options are the same, and so is the code that evaluates.
+What is kept of a bag holds as long as its files and those of the tracks given have the same sizes
+and times of change, the options are the same, and so is the code that evaluates.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from ..evaluation.runs import evaluate_runs
 from ..files import make_folder, write_json
 from ..resources import fingerprint_of_code, list_config
 from ..track.files.load import load_raceline
+from ..track.files.readers import split_source
 from ..track.raceline import Raceline
 from .executors import carried_out
 from .season_bags import first_part, parts_of
@@ -137,7 +138,9 @@ def evaluate_season(
     Returns
     -------
     Season
-        With a row for each run of each bag; one that cannot be read has a ``reason``.
+        With a row for each run of each bag; one that cannot be read has a ``reason``. Beside
+        `COLUMNS` a row has ``given``, which of the tracks it was evaluated on; empty for the
+        raceline in the bag.
 
     Raises
     ------
@@ -146,8 +149,9 @@ def evaluate_season(
     """
     folder = make_folder(Path(output) / "heats")
     heats, waiting = {}, []
+    asked = [*options, [_stamp_of_track(source) for source in options.tracks]]
     for path in bags:
-        rows = _kept(folder, path, options)
+        rows = _kept(folder, path, asked)
         if rows is None:
             waiting.append(path)
         else:
@@ -169,7 +173,7 @@ def evaluate_season(
                 raise MapRacingError("a worker of the cluster has another version of map_racing")
             for (path, stamp), (rows, lasting) in zip(batch, results):
                 if lasting:
-                    _keep(folder, path, stamp, options, rows)
+                    _keep(folder, path, stamp, asked, rows)
                 heats[path] = rows
                 bar.update()
     rows = []
@@ -221,7 +225,7 @@ def _rows(path, options):
     recording = load_recording(path)
     date = recording.date
     try:
-        runs = _runs(recording, options)
+        given, runs = _runs(recording, options)
     except MapRacingError as error:
         return [_row(path, date=date, reason=str(error))]
     remarks = read_remarks(path, recording)
@@ -243,6 +247,7 @@ def _rows(path, options):
                 stops=stops,
                 warnings="; ".join(result.warnings),
                 line=_places(result.raceline),
+                given=given,
                 **driven_with,
                 **summary,
             )
@@ -251,18 +256,18 @@ def _rows(path, options):
 
 
 def _runs(recording, options):
-    """Runs on the racelines in the recording or, without one, on the first track that fits."""
+    """The track that it was evaluated on, empty for racelines in the recording, and the runs."""
     more = {
         "car_width": options.car_width,
         "limits": LapLimits(max_deviation=options.max_deviation),
     }
     if recording.waypoints is not None:
-        return evaluate_runs(recording, **more)
+        return "", evaluate_runs(recording, **more)
     if not options.tracks:
         raise EvaluationError(f"{recording.source}: no raceline in it; give its track by --tracks")
     for source in options.tracks:
         try:
-            return evaluate_runs(recording, _track(source), source, **more)
+            return source, evaluate_runs(recording, _track(source), source, **more)
         except EvaluationError:
             continue
     raise EvaluationError(
@@ -270,8 +275,13 @@ def _runs(recording, options):
     )
 
 
-@lru_cache(maxsize=None)
 def _track(source):
+    # A worker of a cluster lives longer than a file stays as it is.
+    return _loaded(source, json.dumps(_stamp_of_track(source)))
+
+
+@lru_cache(maxsize=16)
+def _loaded(source, _):
     return load_raceline(source)
 
 
@@ -295,7 +305,7 @@ def _settings(text):
 def _row(path, **values):
     texts = ("date", "track", "vehicle", "controller", "settings", "warnings", "reason", "report")
     row = {name: "" if name in texts else math.nan for name in COLUMNS}
-    row.update(bag=path, run=1, laps=0, line=None)
+    row.update(bag=path, run=1, laps=0, line=None, given="")
     row.update(values)
     return row
 
@@ -323,6 +333,10 @@ def _stamp(path):
     return stamps
 
 
+def _stamp_of_track(source):
+    return _stamp(Path(split_source(source)[0]))
+
+
 def _written(path):
     """When the last file of a bag was written [ns]."""
     return max((changed for *_, changed in _stamp(path)), default=0)
@@ -337,16 +351,16 @@ def _record(folder, path):
     return folder / f"{name}.json"
 
 
-def _state(stamp, options):
+def _state(stamp, asked):
     """What must be as it was for the rows to hold."""
-    return json.loads(json.dumps([fingerprint_of_code(_DECISIVE), COLUMNS, stamp, options]))
+    return json.loads(json.dumps([fingerprint_of_code(_DECISIVE), COLUMNS, stamp, asked]))
 
 
-def _kept(folder, path, options):
+def _kept(folder, path, asked):
     """Rows of a bag that has not changed; None for others."""
     try:
         record = json.loads(_record(folder, path).read_text(encoding="utf-8"))
-        if record["state"] != _state(_stamp(path), options):
+        if record["state"] != _state(_stamp(path), asked):
             return None
         return [
             {
@@ -359,8 +373,8 @@ def _kept(folder, path, options):
         return None
 
 
-def _keep(folder, path, stamp, options, rows):
-    content = {"bag": source_name(path), "state": _state(stamp, options), "rows": rows}
+def _keep(folder, path, stamp, asked, rows):
+    content = {"bag": source_name(path), "state": _state(stamp, asked), "rows": rows}
     write_json(_record(folder, path), content, indent=None)
 
 

@@ -45,6 +45,8 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
     left_out = None if without is None else os.path.realpath(str(without))
     found = {}
     for folder in folders:
+        if not str(folder):  # such as an unset variable of the shell
+            raise MapRacingError("'': expected the name of a folder or a bag")
         if not Path(folder).exists():
             raise MapRacingError(f"{folder}: no such folder")
         if Path(folder).is_file() or _is_ros2_folder(Path(folder), os.listdir(str(folder))):
