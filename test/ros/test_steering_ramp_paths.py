@@ -13,8 +13,9 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import LONGEST_STEP, Mode, Reason
+from map_racing.control.safety import LONGEST_STEP
 from map_racing.control.steering_ramp import Phase
 from map_racing.nodes import steering_ramp
 from map_racing.nodes.conversions import set_plane_pose

@@ -15,7 +15,7 @@ from harness import HandClock
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool
 
-from map_racing.control.safety import Mode, Reason
+from map_racing.control.decision import Mode, Reason
 from map_racing.errors import RacelineError
 from map_racing.nodes import controller, watchdog
 from map_racing.nodes.conversions import set_plane_pose

@@ -11,10 +11,10 @@ controller wait for `Supervisor.resume`.
 from __future__ import annotations
 
 import math
-from enum import Enum
-from typing import TYPE_CHECKING, Callable, NamedTuple
+from typing import TYPE_CHECKING, Callable
 
 from .controller import ControlResult, Status
+from .decision import Decision, Mode, Reason
 from .obedience import MOVING, ROLLING, SETTLING, Course, Obedience, PoseMotion
 from .safety_limits import SafetyLimits
 from .slowing import Slowing
@@ -24,7 +24,7 @@ from .state import CarState
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["Decision", "Mode", "Reason", "Supervisor", "state_text"]
+__all__ = ["Supervisor"]
 
 # A car that did not move as commanded, or not to where its pose points, rests for this long [s]
 # before it tries again.
@@ -49,52 +49,6 @@ RISING, QUICKEST = 0.1, 5.0
 
 # A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
-
-
-class Mode(Enum):
-    """What the car does."""
-
-    WAITING = "waiting"  # it has not driven yet
-    DRIVING = "driving"
-    STOPPING = "stopping"  # the commanded speed ramps down
-    STOPPED = "stopped"
-
-
-class Reason(Enum):
-    """Why the car may not drive, by descending priority."""
-
-    NONE = ""
-    STOP_REQUESTED = "stop requested"
-    FAILURE = "controller failed"
-    NO_POSE = "no pose yet"
-    FRAME = "pose in another frame"
-    INVALID_POSE = "pose not finite or absurd"
-    STALE_POSE = "pose too old"
-    FROZEN_POSE = "pose frozen while moving"
-    JUMP = "pose jumped"
-    HEADING = "heading against the motion"
-    BACKWARDS = "rolling backwards"
-    BLOCKED = "no motion although commanded"
-    INVALID_RACELINE = "raceline not drivable"
-    OPPOSED_RACELINE = "raceline against the motion"
-    NO_RACELINE = "no raceline"
-    DEVIATION = "too far from the raceline"
-    OVERSPEED = "faster than commanded for long"
-    GRIP = "grip exceeded for long"
-
-
-class Decision(NamedTuple):
-    """Command to the car, and why."""
-
-    mode: Mode
-    reason: Reason
-    steering_angle: float
-    speed: float
-
-
-def state_text(mode: Mode, reason: Reason) -> str:
-    """Mode and reason as diagnostics and bags have them."""
-    return f"{mode.value}: {reason.value}" if reason.value else mode.value
 
 
 class Supervisor:

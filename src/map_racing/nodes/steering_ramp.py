@@ -11,8 +11,8 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
 from ..control.controller import ControlResult, Status, build_controller
+from ..control.decision import Mode, Reason
 from ..control.parameters import load_controller_parameters, load_safety_limits
-from ..control.safety import Mode, Reason
 from ..control.state import CarState
 from ..control.steering_ramp import (
     Box,

@@ -4,16 +4,15 @@ import pytest
 from supervised_car import PERIOD, Car
 
 from map_racing.control.controller import Status
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.safety import (
     FIRST_STEP,
     LONGEST_STEP,
     QUICKEST,
     RISING,
-    Mode,
-    Reason,
-    SafetyLimits,
     Supervisor,
 )
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.errors import ParameterError
 from map_racing.track.raceline import Raceline
 
