@@ -407,7 +407,7 @@ def _rate_of_heading(run, scaled):
 
 
 def _speed_of_path(run, scaled):
-    if "x" not in scaled:
+    if not {"x", "y"} <= set(scaled):
         raise IdentificationError(f"{run.name}: expected a speed or poses, got neither")
     t, x = scaled["x"]
     y = np.interp(t, *scaled["y"])
