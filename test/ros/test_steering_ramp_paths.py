@@ -13,8 +13,9 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import Mode, Reason
+from map_racing.control.safety import LONGEST_STEP
 from map_racing.control.steering_ramp import Phase
 from map_racing.nodes import steering_ramp
 from map_racing.nodes.conversions import set_plane_pose
@@ -319,11 +320,29 @@ def test_time_that_is_set_back_begins_the_ramp_anew(car, by):
     elif by != "pose":
         car.pose(frame="map")
         car.clock.time += 1.0
-    (command,) = car.pose()
-    assert command.drive.speed == 0.0 and car.node._phase is Phase.WAITING
-    # From standstill, not with a step to where it was.
-    speeds = [car.pose()[0].drive.speed for _ in range(30)]
+    # A stop as any other, and from standstill on no step to where it was.
+    speeds = [car.speed] + [car.pose()[0].drive.speed for _ in range(20)]
+    assert car.node._phase is Phase.STARTING and min(speeds) == 0.0
+    hardest = load_controller_parameters("map").a_brake_max_mps2
+    steps = [before - after for before, after in zip(speeds, speeds[1:])]
+    assert max(steps) <= LONGEST_STEP * hardest + 1e-9
+    speeds += [car.pose()[0].drive.speed for _ in range(30)]
+    assert speeds[-1] == 2.0
     assert max(after - before for before, after in zip(speeds, speeds[1:])) <= 8.0 * PERIOD + 1e-9
+
+
+def test_time_that_is_set_back_stops_the_car_where_no_more_poses_come(car, monkeypatch):
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    angle, count = car.angle, len(car.sent)
+    for k in range(60):
+        car.node._watch(50.0 + 0.02 * k)
+    commands = [(m.drive.steering_angle, m.drive.speed) for m in car.sent[count:]]
+    assert commands[0] == (angle, 2.0 - 4.0 * 0.05) and commands[-1] == (angle, 0.0)
+    assert car.state == (Mode.STOPPED, Reason.NO_POSE)
+    assert "%s: %s stopping no pose yet" in car.said
+    count = len(car.sent)
+    car.node._end()
+    assert [m.drive.speed for m in car.sent[count:]] == [0.0] * 10
 
 
 # -- the watch, failures, the end ------------------------------------------------------------------

@@ -15,7 +15,7 @@ from harness import HandClock
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool
 
-from map_racing.control.safety import Mode, Reason
+from map_racing.control.decision import Mode, Reason
 from map_racing.errors import RacelineError
 from map_racing.nodes import controller, watchdog
 from map_racing.nodes.conversions import set_plane_pose
@@ -281,6 +281,22 @@ def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
         car.pose(frame="map" if by == "pose" else "odom")
     assert all(len(spy.calls) == 1 for spy in spies)
     assert "time was set back: starting over" in car.said
+
+
+def test_a_clock_that_is_set_back_stops_the_car_where_no_more_poses_come(car, monkeypatch):
+    monkeypatch.setattr(controller.time, "sleep", lambda _: None)
+    car.drive()
+    angle, count = car.last[0], len(car.sent)
+    for k in range(100):
+        car.node._watch(50.0 + 0.02 * k)
+    speeds = [message.drive.speed for message in car.sent[count:]]
+    assert speeds[0] == SPEED - 4.0 * 0.05 and speeds[-1] == 0.0
+    assert car.state == (Mode.STOPPED, Reason.NO_POSE)
+    assert car.last[0] == pytest.approx(angle, abs=0.1)
+    # Nor is it forgotten at the end that it drove.
+    count = len(car.sent)
+    car.node._end()
+    assert [message.drive.speed for message in car.sent[count:]] == [0.0] * 5
 
 
 def test_a_jump_restarts_the_estimate_of_velocities(car, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -121,9 +122,10 @@ def run_robustness(arguments):
     title = f"Robustness: {scale:.0%} speed, {laps} timed lap{'s' if laps > 1 else ''}"
     drawn = []
     for label in controllers:
-        own, stem = races[races.controller == label], Path(label).stem
-        drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", stem).name)
-    remove_stale(session.figures, r"robustness_.*\.png", drawn)
+        own = races[races.controller == label]
+        drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", label).name)
+    for label in session.earlier.provenance.get("controllers", ()) if session.earlier else ():
+        remove_stale(session.figures, re.escape(f"robustness_{label}.png"), drawn)
     session.report()
 
 

@@ -16,7 +16,6 @@ from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
 from ..track.files.load import load_raceline
-from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import parameter_hash
 from ..vehicle.plausibility import doubts_of_table
@@ -36,15 +35,8 @@ def run(arguments):
     """Race and record; exit code."""
     if not 1 <= arguments.laps <= MOST_LAPS:
         raise ParameterError(f"--laps: expected 1 to {MOST_LAPS}, got {arguments.laps}")
-    inputs = [
-        split_source(arguments.track)[0],
-        arguments.controller,
-        arguments.plant,
-        arguments.vehicle,
-        arguments.lookup_table,
-        arguments.speed_sectors,
-        arguments.faults,
-    ]
+    inputs = [arguments.track, arguments.controller, arguments.plant, arguments.vehicle]
+    inputs += [arguments.lookup_table, arguments.speed_sectors, arguments.faults]
     check_outputs([arguments.output], inputs)
     parameters = load_law(arguments.controller)
     if arguments.faults and isinstance(parameters, MpcParameters):
@@ -57,10 +49,10 @@ def run(arguments):
     parameters = law_for(arguments, plant_parameters, size)
     plant, localization = build_plant(plant_parameters, arguments.seed)
     controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
-    supervision = {}
+    faults, limits = (), None
     if arguments.faults:
-        supervision["faults"] = load_faults(arguments.faults, raceline.length)
-        supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
+        faults = load_faults(arguments.faults, raceline.length)
+        limits = load_safety_limits(arguments.controller, plant_parameters.vehicle)
     output = Path(arguments.output)
     with progress_bar(output.name, arguments.laps + 1, "laps") as show:
         log = race(
@@ -70,9 +62,10 @@ def run(arguments):
             localization,
             laps=arguments.laps,
             progress=show,
-            **supervision,
+            limits=limits,
+            faults=faults,
         )
-    print_stops(log, supervision.get("faults", ()))
+    print_stops(log, faults)
     settings = settings_text(
         controller,
         name=arguments.controller,

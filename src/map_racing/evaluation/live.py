@@ -119,7 +119,8 @@ class LiveEvaluation:
         self._reported = 0
         self._drive_topic, self._history = drive_topic, History(pose_topic, drive_topic)
         # Doubts of the run by kind, and those that its driving tells; times of the samples of the
-        # present lap, and their commands; times of its samples whose commands came too late.
+        # present lap, and their commands; times of the first and last of its samples whose commands
+        # came too late.
         self._doubts, self._told = {}, []
         self._driven, self._late = ([], []), []
         if raceline is not None:
@@ -211,8 +212,9 @@ class LiveEvaluation:
             # A command that is older still begins another run.
             if 0 <= late_ns <= self._gap_ns:
                 at = 1e-9 * (self._given_up_ns - self._t0_ns)
-                if at not in self._late[-1:]:
-                    self._late.append(at)
+                # One lap begins where the other ends: the first and the last say which laps have
+                # any, however long a lap lasts.
+                self._late = [min([*self._late, at]), max([*self._late, at])]
 
     def add_belief(self, stamp_ns: int, values: Sequence[float]) -> None:
         """Add what the controller believes: time stamp [ns] and `BELIEF_FIELDS`."""

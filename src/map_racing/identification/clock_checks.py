@@ -100,7 +100,7 @@ def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
         begin, step = at[k], command[k] - command[k - 1]
         before = command[(at >= begin - time) & (at < begin)]
         held = command[(at >= begin) & (at < begin + 0.6 * time)]
-        if max(np.ptp(before), np.ptp(held)) > 0.05 * abs(step):
+        if not before.size or max(np.ptp(before), np.ptp(held)) > 0.05 * abs(step):
             continue
         calm = v[(t >= begin - time) & (t < begin - 0.6 * time)]
         if calm.size < 5 or np.median(calm) < SLOWEST_STEP_MPS * time:

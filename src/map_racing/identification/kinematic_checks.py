@@ -94,6 +94,9 @@ def check_steering_gain(
         text = "steering: driven at one speed only, its gain cannot be separated from understeer"
         return [SensorFinding("steering", text)]
     gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
+    if math.isinf(gain):
+        text = "steering: slow cornering does not follow the signal: its gain cannot be told"
+        return [SensorFinding("steering", text)]
     text = (
         f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
         f"{offset:+.4f} +- {offset_error:.4f} rad"
@@ -187,6 +190,8 @@ def _contradiction(low, vehicle, text):
     gain, error, _, _ = _steering(low, vehicle, with_offset=True)
     if abs(gain - 1.0) > max(0.05, 3.0 * error):
         return []  # to be repaired first
+    if math.isinf(gain):
+        return [SensorFinding("front slip", text, critical=True)]
     text += (
         f", but slow cornering says {gain:.3f} +- {error:.3f} times as much: these contradict each "
         "other, and no gain and offset repair both"

@@ -196,7 +196,7 @@ def _lateral_axis(motions, setup, vehicle):
     if expected.size < RATE_HZ or np.percentile(np.abs(expected), 90) < 1.0:
         return []
     fits = {}
-    for axis in motions[0].axes:
+    for axis in sorted(set.intersection(*(set(motion.axes) for motion in motions))):
         values = np.concatenate([motion.axes[axis][motion.steady] for motion in motions])
         fits[axis] = _line(expected, values)
 

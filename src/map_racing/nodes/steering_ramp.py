@@ -11,8 +11,8 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
 from ..control.controller import ControlResult, Status, build_controller
+from ..control.decision import Mode, Reason
 from ..control.parameters import load_controller_parameters, load_safety_limits
-from ..control.safety import Mode, Reason
 from ..control.state import CarState
 from ..control.steering_ramp import (
     Box,
@@ -33,7 +33,7 @@ from .watchdog import Watchdog
 __all__ = ["SteeringRampNode", "main"]
 
 # What the supervisor may say while nothing is wrong.
-READY = (Reason.NONE, Reason.NO_POSE, Reason.STOP_REQUESTED)
+READY = (Reason.NONE, Reason.STOP_REQUESTED)
 LOOK_S = 0.05
 QUIET_S = 1.0
 LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
@@ -151,6 +151,7 @@ class SteeringRampNode:
 
     def _restart(self):
         """Time was set back, as in a simulation that begins anew: so does the ramp."""
+        rospy.loginfo("time was set back: starting over")
         if self._ramp is not None:
             self._ramp.interrupt()
 

@@ -40,7 +40,7 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
     path = find_config("plants", source, (".yaml",))
     values = read_yaml_mapping(path, "a plant file")
     model = values.pop("model", "single_track")
-    if model not in MODELS:
+    if not isinstance(model, str) or model not in MODELS:
         raise ParameterError(f"{path}: model: expected {', '.join(MODELS)}, got {model!r}")
     parameters = read_parameters(path, MODELS[model], values)
     beside = path.parent / parameters.vehicle

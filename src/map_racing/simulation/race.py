@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.safety import Mode
+from ..control.decision import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..vehicle.size import size_of

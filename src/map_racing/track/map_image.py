@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..files import read_yaml_mapping
+from ..validation import FARTHEST
 from .findings import NOTE, WARNING, Finding
 
 __all__ = ["MapImage", "read_map_image"]
@@ -187,7 +188,8 @@ def _free_cells(gray, header):
 
 def _number(path, content, key, default=None):
     value = content.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not -FARTHEST <= value <= FARTHEST:
         raise FileFormatError(f"{path}: {key}: expected a number, got {value!r}")
     return float(value)
 

@@ -227,6 +227,8 @@ class _Limits:
                         end = square[i]
                     if end < begin:
                         end = begin
+                    if end <= 0.0:  # from rest, with no drive at such a speed
+                        end = 0.5 * reached
                     if abs(end - reached) <= 1e-13 * reached:
                         break
                     reached = end

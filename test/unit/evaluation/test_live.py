@@ -173,6 +173,32 @@ def test_commands_that_come_too_late_are_told(line, drive):
     assert said == [False, False, True, False]
 
 
+@pytest.mark.parametrize("lap", [1, 2])
+def test_late_commands_of_a_lap_that_lasts_are_kept_in_a_few_numbers(track, line, lap):
+    """The car stands in it for a while, and each command comes too late; other laps have none."""
+    per_lap, stands = int(track.length / V * RATE), 200
+    s = V / RATE * np.arange(4 * per_lap) - 1.0
+    at = (lap - 1) * per_lap + 40
+    s = np.concatenate((s[:at], np.full(stands, s[at]), s[at:]))
+    stamps = [T0_NS + int(round(i * 1e9 / RATE)) for i in range(s.size)]
+    x, y, _ = track.place(s, np.zeros(s.size))
+    poses = list(zip(stamps, x.tolist(), y.tolist(), [V] * s.size, [0.0] * s.size))
+    commands = [(stamp, 6.0, 0.1) for stamp in stamps]
+    taken = Taken(line)
+    play(taken, poses[:at], commands)
+    sizes = []
+    for pose, command in zip(poses[at : at + stands], commands[at : at + stands]):
+        taken.evaluation.add_pose(*pose, 0.0)
+        taken.evaluation.advance(2.0)
+        taken.evaluation.add_command(*command)
+        sizes.append(len(taken.evaluation._late))
+    assert max(sizes) == 2
+    play(taken, poses[at + stands :], commands)
+    taken.evaluation.finish()
+    said = [any("after their poses" in text for text in told.warnings) for told in taken.laps]
+    assert said == [number == lap for number in range(5)]
+
+
 def test_a_pose_that_answers_a_stop_is_not_late(line, drive):
     """Commands of a stop without poses have later stamps than the first that answers a pose."""
     _, poses, commands = drive

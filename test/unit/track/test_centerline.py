@@ -337,6 +337,7 @@ def test_no_place_is_wide_enough(tmp_path):
         ({"image": None}, "image: expected the name of a file"),
         ({"resolution": 0.0}, "resolution: expected meters per cell"),
         ({"resolution": None}, "resolution: expected a number"),
+        ({"resolution": 10**400}, "resolution: expected a number"),
         ({"origin": "[0, 0]"}, "origin: expected"),
         ({"origin": "[0, 0, .nan]"}, "origin: expected a number"),
         ({"negate": 2}, "negate: expected 0 or 1"),
