@@ -222,7 +222,7 @@ def replay(
         try:
             found.append(_replayed(vehicle, run, actuators, length, reached))
         except IdentificationError as error:
-            refused.append((run.label, str(error).replace(f"{run.name}: ", "")))
+            refused.append((run.label, str(error)))
     if not found:
         reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)
         raise IdentificationError(f"no run to replay: {reasons}")
@@ -235,7 +235,7 @@ def _replayed(vehicle, run, actuators, length, reached):
     try:
         motion = motion_of(run, vehicle, acceleration="yaw_rate")
     except IdentificationError as error:
-        notes.append(f"no drift: {str(error).replace(f'{run.name}: ', '')}")
+        notes.append(f"no drift: {error}")
     else:
         reason = reason_to_refuse(motion)
         if reason:

@@ -33,6 +33,7 @@ from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Tire, Vehicle
 from ..vehicle.single_track import GRAVITY, axle_loads, slip_angles
 from ..vehicle.tires import LinearTire, PacejkaTire
+from .robust_fit import CONFIDENCE
 
 __all__ = [
     "AT_PEAK",
@@ -62,7 +63,6 @@ RISEN = 0.75
 FEWEST_POINTS = 20
 NEAREST_STEPS = 5  # to the nearest place of a curve
 FEW_POINTS = 300  # are enough for the first fit
-CONFIDENCE = 1.96  # of a normal distribution: 95 %
 
 
 class AxlePoints(NamedTuple):
