@@ -15,6 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from ..errors import ParameterError, RacelineError
+from .corners import runs_around
 from .findings import NOTE, WARNING, Finding
 from .map_image import MapImage
 from .normals import points_and_normals
@@ -77,10 +78,7 @@ def track_from_map(
     name, resolution = image.source, image.resolution
     findings = list(image.findings)
     free, removed = _without_speckle(image, speckle)
-    if removed:
-        text = f"{removed} specks of walls removed as noise"
-        findings.append(Finding("speckle", NOTE, text))
-
+    findings += _noise(removed)
     distance = _distances(free, resolution)
     room = distance >= 0.5 * passage
     labels, _ = ndimage.label(room)
@@ -143,9 +141,7 @@ def widest_place(image: MapImage, speckle: float | None = None) -> tuple[float, 
     return float(x), float(y)
 
 
-def walls_from_map(
-    image: MapImage, line: Raceline
-) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
+def walls_from_map(image: MapImage, line: Raceline) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
     """Distances from a line to the walls of a map, across the line.
 
     Parameters
@@ -166,8 +162,7 @@ def walls_from_map(
     """
     free, removed = _without_speckle(image, None)
     findings = list(image.findings)
-    if removed:
-        findings.append(Finding("speckle", NOTE, f"{removed} specks of walls removed as noise"))
+    findings += _noise(removed)
     distance = _distances(free, image.resolution)
     clear = _clearance(image, distance)
     inside = clear(np.stack((line.x, line.y), axis=1))
@@ -208,7 +203,7 @@ def _widths(line, clear, half, farthest):
         return widths, []
     x, y, deep = max(openings, key=lambda opening: opening[2])
     text = (
-        f"{len(openings)} openings in the walls shorter than the track is wide closed, the "
+        f"{len(openings)} opening{'s' * (len(openings) != 1)} in the walls shorter than the track is wide closed, the "
         f"deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
     )
     return widths, [Finding("openings", NOTE, text)]
@@ -222,6 +217,12 @@ def _without_speckle(image, speckle):
     small = sizes < limit
     small[0] = False
     return image.free | small[labels], int(small.sum())
+
+
+def _noise(removed):
+    """The finding that specks were removed, if any were."""
+    text = f"{removed} speck{'s' * (removed != 1)} of walls removed as noise"
+    return [Finding("speckle", NOTE, text)] if removed else []
 
 
 def _bad_start(image, start, labels, distance, passage, row, column):
@@ -445,14 +446,11 @@ def _without_openings(widths, line):
     for side, width in zip((1.0, -1.0), widths):
         closed = ndimage.grey_opening(width, window, mode="wrap")
         deep = width > closed + 0.5 * float(np.median(width))
-        labels, _ = ndimage.label(deep)
-        for k in range(1, labels.max() + 1):
-            i = int(np.flatnonzero(labels == k)[np.argmax(width[labels == k])])
-            beside = ndimage.binary_dilation(labels == k, iterations=2)
-            if np.max(np.abs(np.diff(width))[beside[1:] & beside[:-1]]) < _JUMP * float(
-                np.median(width)
-            ):
-                deep[labels == k] = False
+        for cells in runs_around(deep):
+            i = int(cells[np.argmax(width[cells])])
+            around = np.arange(cells[0] - 2, cells[0] + cells.size + 2) % width.size
+            if np.max(np.abs(np.diff(width[around]))) < _JUMP * float(np.median(width)):
+                deep[cells] = False
                 continue
             x, y = line.to_cartesian(line.s[i], side * closed[i])
             openings.append((float(x), float(y), float(width[i] - closed[i])))
