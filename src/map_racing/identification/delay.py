@@ -119,7 +119,7 @@ def estimate_delays(
         try:
             drive = driving_of(run)
         except IdentificationError as error:
-            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            notes.append(f"{run.label}: left out: {error}")
             continue
         drives.append(drive)
         notes += [f"{run.label}: {note}" for note in drive.notes]

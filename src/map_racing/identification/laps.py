@@ -241,7 +241,7 @@ def tires_from_laps(
         runs=labels,
         notes=notes,
         windows=windows.count,
-        parameters=_parameters(vehicle, base, fitted, free, unknown),
+        parameters=_parameters(vehicle, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
         setup=used[0].setup,
@@ -260,7 +260,7 @@ def _drives_of(runs):
         try:
             drive = driving_of(run)
         except IdentificationError as error:
-            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            notes.append(f"{run.label}: left out: {error}")
             continue
         used.append(run)
         drives.append(drive)
@@ -360,7 +360,7 @@ def _explained(windows: Windows, fitted: Fitted) -> float:
     return 1.0 - (fitted.noise["r"] / float(np.std(value))) ** 2
 
 
-def _parameters(vehicle, base, fitted, free, unknown):
+def _parameters(vehicle, fitted, free, unknown):
     """Values of the fit that counts, with the intervals of the one with all that is uncertain."""
     parameters = {}
 

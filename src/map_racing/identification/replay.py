@@ -222,7 +222,7 @@ def replay(
         try:
             found.append(_replayed(vehicle, run, actuators, length, reached))
         except IdentificationError as error:
-            refused.append((run.label, str(error).replace(f"{run.name}: ", "")))
+            refused.append((run.label, str(error)))
     if not found:
         reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)
         raise IdentificationError(f"no run to replay: {reasons}")
@@ -231,11 +231,11 @@ def replay(
 
 def _replayed(vehicle, run, actuators, length, reached):
     """Replay of one run."""
-    notes, path = [], None
+    notes, motion, path = [], None, None
     try:
         motion = motion_of(run, vehicle, acceleration="yaw_rate")
     except IdentificationError as error:
-        notes.append(f"no drift: {str(error).replace(f'{run.name}: ', '')}")
+        notes.append(f"no drift: {error}")
     else:
         reason = reason_to_refuse(motion)
         if reason:
@@ -248,7 +248,7 @@ def _replayed(vehicle, run, actuators, length, reached):
         raise IdentificationError(
             "; ".join([*notes, f"expected {length + BURN_IN_S:g} s of commanded driving at a time"])
         )
-    if not any(note.startswith("no drift") for note in notes):
+    if motion is not None:
         path = _path(run, drive.t, motion.clock_offset_s)
     if reached is not None:
         beyond = float(np.mean(np.abs(drive.v_x * drive.r)[drive.usable] > reached))
