@@ -29,6 +29,7 @@ from .tire_fit import (
     AxlePoints,
     LinearFit,
     PacejkaFit,
+    Parameter,
     axle_points,
     beside_rear,
     fit_linear,
@@ -143,13 +144,19 @@ class Identification:
         return self.largest_a_y / GRAVITY
 
     @property
-    def understeer_gradient(self) -> float:
+    def understeer_gradient(self) -> Parameter:
         """``m / l_wb (l_r / C_f - l_f / C_r)`` [rad s^2/m], with the stiffness at zero slip."""
-        car = self.vehicle
-        front, rear = (
-            axle.pacejka.parameters["stiffness_n_per_rad"].value for axle in self.axles.values()
+        car, shares, unsure = self.vehicle, [], []
+        for name, arm in (("front", car.l_r), ("rear", car.l_f)):
+            value, _, high, _ = self.axles[name].pacejka.parameters["stiffness_n_per_rad"]
+            shares.append(car.m / car.l_wb * arm / value)
+            unsure.append(shares[-1] * (high / value - 1.0))
+        value, half = shares[0] - shares[1], math.hypot(*unsure)
+        known = all(
+            axle.pacejka.parameters["stiffness_n_per_rad"].determined
+            for axle in self.axles.values()
         )
-        return car.m / car.l_wb * (car.l_r / front - car.l_f / rear)
+        return Parameter(value, value - half, value + half, known)
 
     def predictions(self) -> list[Prediction]:
         """The fitted data as the identified car predicts them."""
