@@ -19,6 +19,7 @@ from ..vehicle.parameters import Vehicle, holding
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
+from .axles import AxlePoints, axle_points
 from .channels import SensorSetup
 from .cornering import ProcessedRun, motion_of
 from .data import Run
@@ -26,11 +27,9 @@ from .limits import RATE_HZ, SteadyLimits
 from .sensor_findings import SensorFinding
 from .survey import Survey, survey
 from .tire_fit import (
-    AxlePoints,
     LinearFit,
     PacejkaFit,
     Parameter,
-    axle_points,
     beside_rear,
     fit_linear,
     fit_pacejka,
@@ -187,7 +186,7 @@ def identify(
     limits : SteadyLimits, optional
         What counts as steady.
     front_force : {"model", "paper"}
-        See `map_racing.identification.tire_fit.axle_points`.
+        See `map_racing.identification.axles.axle_points`.
     acceleration : {"imu", "yaw_rate"}
         Source of the lateral acceleration, see `map_racing.identification.cornering.motion_of`.
     name : str, optional
