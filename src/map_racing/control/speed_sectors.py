@@ -37,8 +37,7 @@ LARGEST_SCALE = 2.0
 _CORNER, _SHORTEST = 0.4, 0.03
 # A sector that begins farther [m] from where its file says is of another raceline.
 _ELSEWHERE = 1.0
-_PLACES = "start_points"
-_KIND = "a speed_scaling.yaml"
+_PLACES = "start_points"  # key of the places where sectors begin
 # Range of the curvature, as a share of the largest, from which a bend all along is an oval.
 _OVAL = 0.1
 
@@ -176,10 +175,10 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     ParameterError
         If the file is missing or malformed; the message names file and field.
     """
-    content = read_yaml_mapping(path, _KIND)
+    content = read_yaml_mapping(path, "a speed_scaling.yaml")
     points = raceline.s_points
     if "n_sectors" not in content:
-        raise ParameterError(f"{path}: not {_KIND}: n_sectors is missing")
+        raise ParameterError(f"{path}: not a speed_scaling.yaml: n_sectors is missing")
     limit = _scale(path, content, "global_limit", "global_limit", 1.0)
     sectors, count, last = [], _index(path, content, "n_sectors"), -1
     for index in range(count):
