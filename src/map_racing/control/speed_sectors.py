@@ -208,18 +208,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     if sectors and min(sectors)[0] == 0.0 and max(sectors)[1] == points[-1]:
         start, _, scale = sectors.pop(sectors.index(max(sectors)))
         sectors.append((start, raceline.length, scale))
-    own = [re.fullmatch(r"Sector(0|[1-9]\d*)", str(key)) for key in content]
-    general = ("global_limit", "n_sectors", _PLACES)
-    unknown = [
-        str(key)
-        for key, sector in zip(content, own)
-        if key not in general and not (sector and int(sector[1]) < count)
-    ]
-    if unknown:
-        raise ParameterError(
-            f"{path}: {unknown[0]}: unknown; known are global_limit, n_sectors and Sector0 to "
-            f"Sector{count - 1}"
-        )
+    _refuse_unknown(path, content, count)
     doubts = []
     if count and last < len(points) - 2:
         doubts.append(
@@ -232,6 +221,18 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
         return SpeedSectors(sectors, raceline.length, min(1.0, limit), doubts)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error
+
+
+def _refuse_unknown(path, content, count):
+    """Refuse keys that are none of a file with so many sectors."""
+    for key in content:
+        sector = re.fullmatch(r"Sector(0|[1-9]\d*)", str(key))
+        known = key in ("global_limit", "n_sectors", _PLACES) or (sector and int(sector[1]) < count)
+        if not known:
+            raise ParameterError(
+                f"{path}: {key}: unknown; known are global_limit, n_sectors and Sector0 to "
+                f"Sector{count - 1}"
+            )
 
 
 def corners_and_straights(raceline: Raceline) -> list:
