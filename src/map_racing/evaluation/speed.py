@@ -19,8 +19,9 @@ _REPEATED = 0.25
 # Times between samples vary if they are typically off by more than this share; then so many samples
 # to both sides count.
 _VARIED, _REACH = 0.15, 4
-# Noise of this share of a step lengthens the way by 0.1 %; and longer chords [s] would shorten it.
-_NOISY, _LONGEST_CHORD = 0.03, 0.2
+# Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top speed
+# by 2 %; longer chords [s] would shorten both.
+_NOISY, _LITTLE, _LONGEST_CHORD = 0.03, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
 
@@ -152,7 +153,7 @@ def _noisy_reach(x, y, usual):
     if step <= 0.0 or noise < _NOISY * step:
         return 0
     most = max(int(_LONGEST_CHORD / usual), 1)
-    return min(max(int(np.ceil(noise / (_NOISY * step))), 2), most) if most > 1 else 0
+    return min(int(np.ceil(noise / (_LITTLE * step))), most) if most > 1 else 0
 
 
 def _fresh(t, x, y):
