@@ -19,8 +19,8 @@ _REPEATED = 0.25
 # Times between samples vary if they are typically off by more than this share; then so many samples
 # to both sides count.
 _VARIED, _REACH = 0.15, 4
-# Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top speed
-# by 2 %; longer chords [s] would shorten both.
+# Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top
+# speed by 2 %; longer chords [s] would shorten both.
 _NOISY, _LITTLE, _LONGEST_CHORD = 0.03, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
