@@ -1,4 +1,4 @@
-"""What a controller drives with, all that may change while it drives."""
+"""What a controller drives with and may be given anew while it drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Setup"]
 
 
 class Setup(NamedTuple):
-    """What is given, as for `map_racing.control.controller.Controller`, and what is worked out.
+    """Arguments of `map_racing.control.controller.Controller`, and what follows from them.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class Setup(NamedTuple):
 
     @property
     def limit(self) -> Any:
-        """What knows the grip."""
+        """The steering map whose ``max_lateral_acceleration`` limits the speeds."""
         if self.adaptation is not None:
             return self.adaptation.file_steering
         return self.steering_map if self.grip is None else self.grip
 
     def planned(self, old: Setup | None) -> Setup:
-        """With the tracker and the speed plan that go with the rest.
+        """This setup with its tracker and speed plan.
 
         Parameters
         ----------

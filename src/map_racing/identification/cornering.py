@@ -271,8 +271,7 @@ def _common_clock(signals, pose_t):
     end = min(own[-1] for own in others)
     if end - begin < 1.0:
         raise IdentificationError(
-            "expected a second in which all signals exist, got "
-            f"{max(end - begin, 0.0):.1f} s"
+            f"expected a second in which all signals exist, got {max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
     known = near(t, commands, LONGEST_HOLD_S)

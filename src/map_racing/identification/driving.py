@@ -391,7 +391,7 @@ def _rate_of_heading(scaled):
 
 
 def _speed_of_path(scaled):
-    if "x" not in scaled:
+    if not {"x", "y"} <= set(scaled):
         raise IdentificationError("expected a speed or poses, got neither")
     t, x = scaled["x"]
     y = np.interp(t, *scaled["y"])

@@ -48,7 +48,8 @@ def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarr
     -------
     ndarray, shape (..., n)
     """
-    # Twice through a filter of second order: each pass may take a quarter of the power.
+    # Forwards and backwards through a filter of second order: at the cutoff each pass leaves
+    # sqrt(1/2) of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
     padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
     return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)

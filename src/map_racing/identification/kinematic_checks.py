@@ -10,6 +10,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of
 from .channels import SensorSetup
 from .cornering import ProcessedRun
+from .limits import RATE_HZ
 from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = [
@@ -24,7 +25,8 @@ __all__ = [
 LOW_SHARE = 0.45
 # Angles this much beyond the lock are refused: offset and play of a linkage.
 LOCK_MARGIN = 1.05
-PICK = 5  # samples per point: the low-pass leaves neighbors dependent
+# Samples per point; and how many points of a second the low-pass leaves independent.
+PICK, INDEPENDENT_HZ = 5, 2.0
 
 
 def check_pose_point(
@@ -286,13 +288,13 @@ def _low(motions, vehicle):
 
 
 def _regression(matrix, values, noise):
-    """Least squares with standard errors; half of the points count as independent."""
+    """Least squares with standard errors, for which two points of a second are independent."""
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-9)
     solution = np.linalg.lstsq(matrix / scale, values, rcond=None)[0]
     residual = values - matrix / scale @ solution
     variance = max(float(residual @ residual) / max(values.size - matrix.shape[1], 1), noise**2)
     normal = (matrix / scale).T @ (matrix / scale)
-    covariance = np.linalg.pinv(normal) * variance * 10.0 / 2.0
+    covariance = np.linalg.pinv(normal) * variance * (RATE_HZ / PICK / INDEPENDENT_HZ)
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if np.linalg.cond(normal) > 1e10:
         error[:] = np.inf

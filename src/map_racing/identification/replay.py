@@ -231,7 +231,7 @@ def replay(
 
 def _replayed(vehicle, run, actuators, length, reached):
     """Replay of one run."""
-    notes, path = [], None
+    notes, motion, path = [], None, None
     try:
         motion = motion_of(run, vehicle, acceleration="yaw_rate")
     except IdentificationError as error:
@@ -248,7 +248,7 @@ def _replayed(vehicle, run, actuators, length, reached):
         raise IdentificationError(
             "; ".join([*notes, f"expected {length + BURN_IN_S:g} s of commanded driving at a time"])
         )
-    if not any(note.startswith("no drift") for note in notes):
+    if motion is not None:
         path = _path(run, drive.t, motion.clock_offset_s)
     if reached is not None:
         beyond = float(np.mean(np.abs(drive.v_x * drive.r)[drive.usable] > reached))

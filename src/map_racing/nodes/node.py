@@ -20,6 +20,7 @@ from ..errors import MapRacingError, ParameterError
 from ..printing import printable
 from ..validation import meaning
 from .launched import check_launch_arguments
+from .log import write_beside
 
 __all__ = [
     "SENDER_GONE_S",
@@ -125,6 +126,7 @@ def run(name: str, make: Callable[[], object]) -> None:
     node = None
     try:
         rospy.init_node(name, disable_signals=True)
+        write_beside()
         for watch in (_watch_master, _watch_clock):
             threading.Thread(target=watch, daemon=True).start()
         check_launch_arguments()
