@@ -155,6 +155,24 @@ def headings_only_later(bag, i, t):
     odometry(bag, t, (x, y, psi if i > 50 else math.nan))
 
 
+def stamps_set_back_by_little(bag, i, t):
+    set_back = 0.06 if t > 9.0 else 0.0
+    odometry(bag, t, place(t), T0 + t - set_back, received=T0 + t + 0.002)
+    bag.drive(T0 + t - set_back, steering(t), SPEED, received=T0 + t + 0.003)
+
+
+def commands_of_another_clock_in_the_last_lap(bag, i, t):
+    odometry(bag, t, place(t))
+    late = 0.9 if 15.0 < t < 16.0 else 0.0
+    bag.drive(T0 + t + late, steering(t), SPEED, received=T0 + t + 0.003)
+
+
+def each_transform_twice(bag, i, t):
+    for late in (0.001, 0.003):
+        link = {"parent": "map", "child": "base_link", "received": T0 + t + late}
+        bag.transform(T0 + t, *place(t), **link)
+
+
 def a_velocity_of_the_map(bag, i, t):
     x, y, psi = place(t)
     moving = SPEED * math.cos(psi), SPEED * math.sin(psi)
@@ -183,6 +201,9 @@ def a_velocity_of_the_map(bag, i, t):
         (a_few_poses_without_numbers, ""),
         (headings_only_later, ""),
         (a_velocity_of_the_map, ""),
+        (stamps_set_back_by_little, ""),
+        (commands_of_another_clock_in_the_last_lap, "for a part of the time"),
+        (each_transform_twice, ""),
     ],
 )
 def test_bags(tmp_path, fill, said):
