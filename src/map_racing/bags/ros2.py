@@ -179,13 +179,7 @@ class Ros2Bag(Bag):
         return True
 
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
-        """Complete messages in the order of the files.
-
-        Parameters
-        ----------
-        wanted : set of int, optional
-            Identifiers of the connections to yield; all by default.
-        """
+        """As `Bag.messages`."""
         layouts, found = self._layouts, 0
         for own, storage in zip(self._of_storage, self._storages):
             keys = {key for key, number in own.items() if wanted is None or number in wanted}

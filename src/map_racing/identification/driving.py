@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
+from .channels import SensorSetup
 from .data import Run, Signal
 from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
@@ -100,8 +101,8 @@ class Driving:
     measured : dict of str to Signal
         ``r`` [rad/s] and, where measured, ``a_y`` of the IMU [m/s^2], and ``v_y`` of the localized
         point [m/s]; ``v_x`` [m/s].
-    pose_x : float
-        Where ``v_y`` is measured, ahead of the rear axle [m].
+    setup : SensorSetup
+        Of which only the places of the sensors are not applied yet.
     usable : ndarray of bool, shape (n,)
         Where the car drives and all signals are there.
     notes : list of str
@@ -115,7 +116,7 @@ class Driving:
     a_long: np.ndarray
     r: np.ndarray
     measured: dict[str, Signal]
-    pose_x: float
+    setup: SensorSetup
     usable: np.ndarray
     notes: list[str]
 
@@ -172,7 +173,7 @@ def driving_of(run: Run) -> Driving:
         np.gradient(smooth[0], 1.0 / GRID_HZ),
         smooth[1],
         measured,
-        setup.pose_x_m,
+        setup,
         usable,
         notes,
     )
