@@ -43,7 +43,7 @@ class Settings:
         None where the text has none that this version knows.
     vehicle : Vehicle or None
         Likewise.
-    sectors : list of (float, float, float)
+    sectors : tuple of (float, float, float)
         Speed sectors: start and end [m], scale; empty without any.
     notes : tuple of str
         What could not be read, and with ``warning:`` what the controller doubted.

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from ..errors import ParameterError, RacelineError
 from .contour import zero_contour
+from .corners import runs_around
 from .findings import NOTE, WARNING, Finding
 from .map_image import MapImage
 from .normals import points_and_normals
@@ -187,8 +188,8 @@ def _widths(line, clear, half, farthest):
         return widths, []
     x, y, deep = max(openings, key=lambda opening: opening[2])
     text = (
-        f"{len(openings)} openings in the walls shorter than the track is wide closed, the "
-        f"deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
+        f"{len(openings)} opening{'s' * (len(openings) != 1)} in the walls shorter than the track "
+        f"is wide closed, the deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
     )
     return widths, [Finding("openings", NOTE, text)]
 
@@ -205,7 +206,8 @@ def _free_space(image, speckle):
     small[0] = False
     free, findings = image.free | small[labels], list(image.findings)
     if small.any():
-        text = f"{int(small.sum())} specks of walls removed as noise"
+        count = int(small.sum())
+        text = f"{count} speck{'s' * (count != 1)} of walls removed as noise"
         findings.append(Finding("speckle", NOTE, text))
     # Beyond the image all is wall. The surface of a wall is half a cell before its center.
     apart = np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5)
@@ -383,14 +385,11 @@ def _without_openings(widths, line):
     for side, width in zip((1.0, -1.0), widths):
         closed = ndimage.grey_opening(width, window, mode="wrap")
         deep = width > closed + 0.5 * float(np.median(width))
-        labels, _ = ndimage.label(deep)
-        for k in range(1, labels.max() + 1):
-            i = int(np.flatnonzero(labels == k)[np.argmax(width[labels == k])])
-            beside = ndimage.binary_dilation(labels == k, iterations=2)
-            if np.max(np.abs(np.diff(width))[beside[1:] & beside[:-1]]) < _JUMP * float(
-                np.median(width)
-            ):
-                deep[labels == k] = False
+        for cells in runs_around(deep):
+            i = int(cells[np.argmax(width[cells])])
+            around = np.arange(cells[0] - 2, cells[0] + cells.size + 2) % width.size
+            if np.max(np.abs(np.diff(width[around]))) < _JUMP * float(np.median(width)):
+                deep[cells] = False
                 continue
             x, y = line.to_cartesian(line.s[i], side * closed[i])
             openings.append((float(x), float(y), float(width[i] - closed[i])))

@@ -1,4 +1,4 @@
-"""Can a car have the values of its file? Another unit is told by the size of the car.
+"""Whether a car of its size can have the values of its file, or they are in another unit.
 
 Cars of all sizes are built alike: the mass grows as the third power of the wheelbase, the other
 lengths grow with it, and speeds and times with its root (see `map_racing.vehicle.size`). A 1:43

@@ -249,6 +249,17 @@ def test_a_wide_gap_in_the_inner_wall_is_closed_and_told(tmp_path):
     assert track.d_left.max() < HALF + 0.5
 
 
+def test_a_gap_at_the_start_line_is_one_gap(tmp_path):
+    gray = drawn(outside=FREE)
+    x, y = bean().to_cartesian(10.0, HALF + CELL)
+    cells(gray, float(x), float(y), 0.8)[:] = FREE
+    for s in (9.5, 10.0, 10.1):
+        track = track_of(tmp_path, gray, bean().position(s), float(bean().pose(s).psi))
+        (text,) = [str(found) for found in track.findings if found.code == "openings"]
+        assert text.startswith("1 opening in the walls shorter")
+        assert track.d_left.max() < HALF + 0.5
+
+
 def test_an_obstacle_is_closed_toward_the_nearer_wall(tmp_path):
     gray = drawn()
     x, y = bean().to_cartesian(10.0, 0.1)

@@ -21,6 +21,11 @@ def is_arc_length(s: np.ndarray, x: np.ndarray, y: np.ndarray) -> bool:
     return bool(way[-1] > 0.0 and np.max(np.abs(s - s[0] - way)) < 0.02 * way[-1])
 
 
+def _is_even(column):
+    """Whether a column varies so little that it is a constant, or the curvature of a circle."""
+    return bool(np.std(column) <= 0.1 * np.abs(np.mean(column)))
+
+
 class Shape:
     """Points of a track, to recognize what follows from them."""
 
@@ -77,7 +82,7 @@ class Shape:
     def follows_bends(self, column):
         """Whether a column is what the bends make of it: radius, size of curvature, steering."""
         column = column[self.keep]
-        if not self.usable:
+        if not self.usable or _is_even(column):
             return False
         with np.errstate(divide="ignore"):
             inverse = np.where(column == 0.0, 0.0, 1.0 / column)
@@ -97,7 +102,9 @@ class Shape:
             return False
         smooth = self._smooth(column)
         off = min(np.sqrt(np.mean((sign * smooth - own) ** 2)) for sign in (1.0, -1.0))
-        return bool(off < 0.35 * scale)
+        # A constant is no curvature because it has the size of one.
+        close = 0.05 if _is_even(smooth) else 0.35
+        return bool(off < close * scale)
 
     def _smooth(self, column):
         shifts = range(-self.reach, self.reach + 1)

@@ -210,13 +210,8 @@ def _name_the_rest(names, values, left, curve, known, reasons):
     constant = [k for k in left if np.ptp(values[:, k]) <= 1e-9]
     speed = False
     if len(left) == 3 and len(constant) == 1:
-        names[constant[0]] = "-"
-        reasons.append(f"column {constant[0] + 1}, constant, is taken as the height")
-        # What a car can drive may be one speed for the whole lap.
-        speed = values[0, constant[0]] >= _SLOWEST_MPS
-        if speed:
-            reasons[-1] += ", though it may be the speed"
         left = [k for k in left if k not in constant]
+        speed = _name_constant(names, values, constant[0], left, reasons)
         if _are_walls(*values.T[left]):
             return _name_walls(names, values, left, reasons) or speed
     if _name_falling(names, values, left, curve, reasons):
@@ -226,6 +221,24 @@ def _name_the_rest(names, values, left, curve, known, reasons):
     if len(left) == 3:
         _name_three(names, values, left, reasons)
     return True
+
+
+def _name_constant(names, values, k, others, reasons):
+    """Name a constant column beside two others; whether it may be a speed.
+
+    What a car can drive may be one speed for the whole lap.
+    """
+    value = values[0, k]
+    speed = value >= _SLOWEST_MPS
+    if value > 1.5 * np.max(np.median(values[:, others], axis=0)):
+        names[k] = "speed"
+        reasons.append(f"column {k + 1}, constant, is taken as speed, though it may be the height")
+        return speed
+    names[k] = "-"
+    reasons.append(f"column {k + 1}, constant, is taken as the height")
+    if speed:
+        reasons[-1] += ", though it may be the speed"
+    return speed
 
 
 def _name_first_speed(names, left, reasons):

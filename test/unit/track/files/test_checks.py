@@ -447,6 +447,14 @@ def test_a_track_wider_than_any_is_doubted(scale, said):
     assert ("size" in found) == said
 
 
+def test_a_long_track_too_narrow_for_full_size_cars_is_doubted():
+    """A centerline in centimeters whose widths are in meters."""
+    points = {key: 100.0 * GOOD[key] for key in ("x", "y")}
+    walls = {key: GOOD[key] for key in ("d_left", "d_right")}
+    assert "size" in codes(RacelineTable({**points, **walls}))
+    assert codes(RacelineTable({**points, **{key: 5.0 * walls[key] for key in walls}})) == {}
+
+
 def test_a_track_smaller_than_a_car_is_refused():
     tiny = codes(RacelineTable({key: 0.001 * GOOD[key] for key in ("x", "y")}))["unit"]
     assert tiny.severity == ERROR and "shorter than a car" in tiny.text

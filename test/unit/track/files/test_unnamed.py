@@ -102,8 +102,6 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y d_right d_left speed", "x y d_right d_left speed", WARNING),
         ("x y d_right d_left z", "x y d_right d_left", NOTE),
         ("x y high d_right d_left", "x y d_right d_left", NOTE),
-        # May as well be a speed.
-        ("x y constant d_right d_left", "x y d_right d_left", WARNING),
         ("index x y psi speed", "x y psi speed", WARNING),
         ("time x y psi speed", "x y psi speed", WARNING),
         ("x y speed slower", "x y speed", WARNING),
@@ -375,3 +373,23 @@ def test_names_of_the_fields_of_messages(tmp_path, prefix):
     names = [f"{prefix}pose.position.{axis}" for axis in "xy"] + [f"{prefix}twist.linear.x"]
     path = write(tmp_path / "c.csv", "x", "y", "speed", header=",".join(names))
     assert set(read_raceline(path).columns) == {"x", "y", "speed"}
+
+
+@pytest.mark.parametrize("value, speed", [(3.0, True), (0.7, False)])
+def test_a_constant_beside_walls_is_a_guess(tmp_path, value, speed):
+    path = write(tmp_path / "c.csv", "x", "y", value + 0.0 * T, "d_right", "d_left")
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", "d_right", "d_left"} | ({"speed"} if speed else set())
+    (finding,) = read.findings
+    other = "height" if speed else "speed"
+    assert finding.severity == WARNING and f"though it may be the {other}" in str(finding)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.01])
+@pytest.mark.parametrize("value", [0.2, 1.0, 4.8])
+def test_a_constant_on_a_circle_is_neither_curvature_nor_radius(tmp_path, jitter, value):
+    noise = np.random.RandomState(3).normal(0.0, jitter, (2, T.size))
+    x, y, psi = 6.0 * np.cos(T) + noise[0], 6.0 * np.sin(T) + noise[1], T + 0.5 * math.pi
+    read = read_raceline(write(tmp_path / "c.csv", x, y, psi, value + 0.0 * T))
+    assert set(read.columns) == {"x", "y", "psi", "speed"}
+    assert codes(read.findings)["unnamed-columns"] == WARNING
