@@ -53,8 +53,7 @@ def run(arguments):
     if arguments.faults:
         faults = load_faults(arguments.faults, raceline.length)
         limits = load_safety_limits(arguments.controller, plant_parameters.vehicle)
-    output = Path(arguments.output)
-    with progress_bar(output.name, arguments.laps + 1, "laps") as show:
+    with progress_bar(Path(arguments.output).name, arguments.laps + 1, "laps") as show:
         log = race(
             plant,
             controller,
@@ -72,14 +71,8 @@ def run(arguments):
         table=arguments.lookup_table or "",
         sectors=arguments.speed_sectors or "",
     )
-    write_race_bag(output, log, raceline, settings=settings)
-    if raceline.d_left is None:
-        print(f"{arguments.track}: no walls are known, so crashes are not detected")
-    print(
-        f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
-        f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
-        f"{log.duration:.1f} s{place_of_end(log, raceline)}"
-    )
+    write_race_bag(arguments.output, log, raceline, settings=settings)
+    print_end(arguments, log, raceline, parameters.speed_scale)
     if log.outcome is Outcome.COMPLETED:
         return 0
     print(f"map-racing: not completed (N.C.), {log.outcome.value}", file=sys.stderr)
@@ -94,6 +87,22 @@ def print_stops(log, faults):
     for fault in faults:
         if fault.at_s > log.duration:
             print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+
+
+def print_end(arguments, log, raceline, scale):
+    """How the race ended and, of one that was not completed, where."""
+    if raceline.d_left is None:
+        print(f"{arguments.track}: no walls are known, so crashes are not detected")
+    where = ""
+    if log.outcome is not Outcome.COMPLETED and log.samples:
+        place = raceline.project(*log.samples[-1].true[1:3])
+        side = "left" if place.d > 0.0 else "right"
+        where = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
+    print(
+        f"{Path(arguments.output)}: {arguments.controller} on {raceline.name or arguments.track} "
+        f"at {scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
+        f"{log.duration:.1f} s{where}"
+    )
 
 
 def load_track(source, longest):
@@ -148,15 +157,6 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     if controller.plan is not None:
         print(f"grip_use {parameters.grip_use:g}: {controller.plan}")
     return controller
-
-
-def place_of_end(log, raceline):
-    """The place where a race ended that was not completed, in words."""
-    if log.outcome is Outcome.COMPLETED or not log.samples:
-        return ""
-    place = raceline.project(*log.samples[-1].true[1:3])
-    side = "left" if place.d > 0.0 else "right"
-    return f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
 
 
 def given_table(path, parameters, vehicle, own):

@@ -60,7 +60,8 @@ class History:
         columns = [np.array(column) for column in self._poses]
         if columns[0].size < 2:
             return []
-        t, (x, y, psi, v) = in_order(columns[0], columns[1:], [], "")
+        notes = []
+        t, (x, y, psi, v) = in_order(columns[0], columns[1:], notes, self._pose_topic, required=2)
         nothing = np.full(t.size, math.nan)
         stamps = np.array(self._stamps, dtype=np.int64)
         at, told = in_order(stamps, [np.array(column) for column in self._commands], [], "")
@@ -68,7 +69,9 @@ class History:
         driven = Recording(
             *(t, x, y, psi, v, nothing, nothing), topic=self._pose_topic, commands=commands
         )
-        return doubts_of(driven, self._laps)
+        mark = "warning: "
+        said = [note[len(mark) :] for note in notes if note.startswith(mark)]
+        return [*said, *doubts_of(driven, self._laps)]
 
 
 def _append(columns, values):

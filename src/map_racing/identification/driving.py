@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
+from .channels import SensorSetup
 from .data import Run, Signal
 from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
@@ -25,12 +26,12 @@ GRID_HZ, SMOOTH_HZ = 100.0, 6.0
 SLOWEST_MPS = 1.0
 # Longest dead time and lag together that are looked for [s].
 LONGEST_DELAY_S = 0.3
-# So late an estimate is at that bound, and other parameters make up for the rest [s].
+# An estimate from here on is at that bound, and other parameters make up for the rest [s].
 AT_LONGEST_S = 0.285
-# An acceleration of the IMU counts as lateral if it follows speed times yaw rate with such a slope.
+# An acceleration of the IMU is lateral if its slope over speed times yaw rate is within these.
 SLOPES = (0.7, 1.4)
-# An outlier is farther from the median of so many samples around it than so many usual distances,
-# and than this [m/s, rad/s].
+# Window of the median [samples]; an outlier is farther from it than this many median distances, and
+# than the last [m/s, rad/s].
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
 # Shorter pieces [s] are of no use.
 SHORTEST_S = 3.0
@@ -100,8 +101,8 @@ class Driving:
     measured : dict of str to Signal
         ``r`` [rad/s] and, where measured, ``a_y`` of the IMU [m/s^2], and ``v_y`` of the localized
         point [m/s]; ``v_x`` [m/s].
-    pose_x : float
-        Where ``v_y`` is measured, ahead of the rear axle [m].
+    setup : SensorSetup
+        Of which only the places of the sensors are not applied yet.
     usable : ndarray of bool, shape (n,)
         Where the car drives and all signals are there.
     notes : list of str
@@ -115,7 +116,7 @@ class Driving:
     a_long: np.ndarray
     r: np.ndarray
     measured: dict[str, Signal]
-    pose_x: float
+    setup: SensorSetup
     usable: np.ndarray
     notes: list[str]
 
@@ -172,7 +173,7 @@ def driving_of(run: Run) -> Driving:
         np.gradient(smooth[0], 1.0 / GRID_HZ),
         smooth[1],
         measured,
-        setup.pose_x_m,
+        setup,
         usable,
         notes,
     )

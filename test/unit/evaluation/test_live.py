@@ -422,6 +422,15 @@ def test_what_driving_tells_is_doubted_live_as_offline(track, line, fault, said)
     assert set(taken.laps[-1].warnings) == set(offline.warnings)
 
 
+def test_a_clock_that_is_set_back_by_little_is_told(line, drive):
+    _, poses, commands = drive
+    taken = Taken(line)
+    late = [(stamp - 110_000_000 * (i > 150), *rest) for i, (stamp, *rest) in enumerate(poses)]
+    play(taken, late, commands)
+    taken.evaluation.finish()
+    assert any("poses: time falls back by 0.11 s" in said for said in taken.laps[1].warnings)
+
+
 def test_what_is_kept_of_a_long_run_is_bounded(line, monkeypatch):
     monkeypatch.setattr("map_racing.evaluation.live_history._KEPT", 500)
     history = History("/odom", "/drive")
