@@ -20,6 +20,7 @@ __all__ = [
     "Commands",
     "Recording",
     "Waypoints",
+    "child_warning",
     "date_of",
     "in_order",
     "is_map_frame",
@@ -40,6 +41,7 @@ SIMULATED = "simulated"
 # that were never set, and of simulated time.
 _BEGIN, _DATED = 600 * 10**9, 10**17
 _MAPS = ("", "map", "world")
+_SENSORS = ("laser", "lidar", "scan", "imu", "camera")
 # Samples to both sides of a step back in time that tell whether a clock was set, which does not
 # happen more often; and speed of a car that drives [m/s].
 _AROUND, _MOST_SET, _DRIVES = 25, 5, 0.5
@@ -195,6 +197,16 @@ def is_map_frame(frame: str) -> bool:
 def is_odometry_frame(frame: str) -> bool:
     """Whether a frame is one of wheel odometry, which drifts against the map."""
     return "odom" in frame.rpartition("/")[2].lower()
+
+
+def child_warning(topic: str, child: str) -> str:
+    """Doubt about poses that are those of a sensor, not of the car; empty without."""
+    if not any(name in child.rpartition("/")[2].lower() for name in _SENSORS):
+        return ""
+    return (
+        f"{topic} has the pose of {child}, not of base_link: the lateral errors are those of that "
+        "place"
+    )
 
 
 def usable(times: np.ndarray, columns: Sequence[np.ndarray]) -> np.ndarray:

@@ -197,7 +197,7 @@ def run_of(
 
 
 def is_age(lag: float) -> bool:
-    """Whether from stamp to receipt so much time [s] may pass on one clock."""
+    """Whether `lag` [s] from stamp to receipt is possible on one clock."""
     return -FUTURE_S <= lag <= OLDEST_S
 
 

@@ -54,8 +54,8 @@ WINDOW_S = 1.5
 # Relative errors of, and tires from, smaller lateral accelerations mean nothing [m/s^2].
 SMALLEST_MPS2 = 1.0
 AT_LIMIT = 0.9
-# Runs are not of one car on one floor where the common curve leaves so many times what one of the
-# run's own does, and so much of the load.
+# Runs are not of one car on one floor where the common curve leaves this many times what a curve of
+# one run alone does, and this share of the load.
 MIXED, MIXED_SHARE = 2.0, 0.01
 
 

@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from map_racing.msg import Belief, LapResult
 
 from ..bags.messages import BELIEF_FIELDS
+from ..bags.samples import child_warning
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
@@ -195,7 +196,10 @@ class LapEvaluatorNode:
         self._put(lambda *_: self._laps.doubt(text), None)
 
     def _add_odometry(self, message, received_ns, received):
-        velocity = message.twist.twist.linear
+        velocity, topic = message.twist.twist.linear, self._pose_topic[0]
+        doubt = child_warning(topic, frame(message.child_frame_id))
+        if doubt:
+            self._laps.doubt(doubt)
         self._add(message, message.pose.pose, (velocity.x, velocity.y), received_ns, received)
 
     def _add_pose(self, message, received_ns, received):

@@ -6,12 +6,8 @@ import pytest
 
 from map_racing.bags.reader import read_recording
 from map_racing.errors import BagError, FileFormatError, ParameterError
-from map_racing.evaluation.recordings import (
-    load_recording,
-    parse_columns,
-    read_csv_recording,
-    recorded_raceline,
-)
+from map_racing.evaluation.csv_recordings import parse_columns, read_csv_recording
+from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.track.files.load import load_raceline, save_raceline
 
 ROWS = "t,x,y,yaw,v\n0.0,1.0,2.0,0.1,3.0\n0.5,1.5,2.5,0.2,4.0\n1.0,2.0,3.0,0.3,5.0\n"
