@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from map_racing.cli import main
 from map_racing.resources import find_config
@@ -91,3 +92,16 @@ def test_doubts_about_the_raceline_stand_above_its_corners(tmp_path, capsys):
     assert main(["lookup", "check", table, "--raceline", str(tmp_path / "line.csv")]) == 0
     printed = capsys.readouterr().out
     assert printed.index("line.csv: 4 unnamed columns") < printed.index("corners of line")
+
+
+@pytest.mark.parametrize(
+    "option, expected",
+    [
+        (["--linear"], "--linear: expected --vehicle"),
+        (["--controller", "map_paper"], "--controller: expected --raceline"),
+        (["--channels", "circles_log"], "--channels: expected --bag"),
+        (["--steering-delay", "0.02"], "--steering-delay: expected --bag"),
+    ],
+)
+def test_check_refuses_options_that_it_would_ignore(refused, option, expected):
+    assert expected in refused("lookup", "check", "t.csv", *option)
