@@ -3,7 +3,6 @@
 import math
 import re
 import sys
-import threading
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from geometry_msgs.msg import PoseStamped
 from harness import Car, Rig, wait_for, waypoints
 from map_racing.msg import Belief, Guidance, Tracking
 from nav_msgs.msg import Odometry
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64, String
 
 from map_racing.bags.topics import SETTINGS_TOPIC
@@ -595,35 +593,6 @@ controller.main()
         rig.driving()
     finally:
         car.stop()
-
-
-def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
-    """As when a bag is played in a loop."""
-    ros.set_param("/use_sim_time", True)
-    clock = advertise("/clock", Clock, subscribers=0)
-    begin = [1000.0 - time.monotonic()]
-    end = threading.Event()
-
-    def tick():
-        while not end.wait(0.005):
-            clock.publish(ros.Time.from_sec(begin[0] + time.monotonic()))
-
-    thread = threading.Thread(target=tick, daemon=True)
-    thread.start()
-    try:
-        rig = rig()
-        rig.car.now = lambda: ros.Time.from_sec(begin[0] + time.monotonic())
-        rig.driving()
-        begin[0] -= 500.0
-        rig.car.s += 15.0
-        wait_for(lambda: "time was set back" in rig.node.output, what="the new beginning")
-        rig.driving()
-        # The watchdog has outlived it.
-        rig.car.silent = True
-        rig.wait_mode("stopped", "pose too old")
-    finally:
-        end.set()
-        thread.join()
 
 
 @pytest.mark.parametrize(

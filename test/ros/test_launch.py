@@ -133,9 +133,13 @@ def test_an_argument_that_does_not_count_is_refused(file, word):
 
 
 def test_values_of_the_options_of_roslaunch_hide_no_misspelled_argument():
-    words = ["roslaunch", "-p", "11312", "map_racing", "race.launch", "speedscale:=0.3"]
-    with pytest.raises(ParameterError, match="speedscale"):
-        check_launch_arguments(words)
+    for words in (
+        ["-p", "11312", "map_racing", "race.launch", "speedscale:=0.3"],
+        ["map_racing", "race.launch", "-p", "11312", "speedscale:=0.3"],
+        ["map_racing", "-p", "11312", "race.launch", "speedscale:=0.3"],
+    ):
+        with pytest.raises(ParameterError, match="speedscale"):
+            check_launch_arguments(["roslaunch", *words])
     check_launch_arguments(["roslaunch", "--help"])
     check_launch_arguments(["roslaunch"])
 

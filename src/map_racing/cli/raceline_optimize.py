@@ -15,7 +15,6 @@ from ..printing import printable
 from ..track.centerline import track_from_map, widest_place
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
-from ..track.files.readers import split_source
 from ..track.findings import NOTE
 from ..track.map_image import read_map_image
 from ..track.optimization import (
@@ -45,8 +44,8 @@ MOST_POINTS, WIDEST_M = 20000, 100.0
 def run_optimize(arguments):
     """Optimize, compare, write."""
     outputs = [arguments.output, arguments.middle, arguments.sectors]
-    tracks = [split_source(track)[0] for track in (arguments.source, *arguments.compare)]
-    check_outputs(outputs, [*tracks, arguments.vehicle, arguments.lookup_table])
+    inputs = [arguments.source, *arguments.compare, arguments.vehicle, arguments.lookup_table]
+    check_outputs(outputs, inputs)
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = read_vehicle(arguments.vehicle)

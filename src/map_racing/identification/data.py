@@ -109,6 +109,11 @@ def load_run(source: Source, channels: ChannelMap | None = None) -> Run:
     path = find_config("recordings", source, (".bag",))
     if is_bag(path):
         return _load_bag(path, channels)
+    if path.suffix in (".yaml", ".yml"):
+        raise ParameterError(
+            f"{path}: expected a bag or a CSV file, got a YAML file: vehicles go to --vehicle, "
+            "channel maps to --channels"
+        )
     if not channels.channels:
         raise ParameterError(
             f"{path}: expected a channel map (--channels) for a CSV file, got none"
@@ -192,7 +197,7 @@ def run_of(
 
 
 def is_age(lag: float) -> bool:
-    """Whether from stamp to receipt so much time [s] may pass on one clock."""
+    """Whether `lag` [s] from stamp to receipt is possible on one clock."""
     return -FUTURE_S <= lag <= OLDEST_S
 
 

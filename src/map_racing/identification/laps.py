@@ -58,20 +58,20 @@ PRIOR = {
     "inertia": 0.15,
     "gain": 0.02,
 }
-# A gain so many of its standard deviations off is then looked for within this one.
+# A gain this many prior standard deviations off is fitted again, with the second as the prior's.
 DOUBT, ANY_GAIN = 2.0, 0.2
 # A factor is determined with a smaller standard deviation.
 DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 0.0}
 # Friction is never taken from a drive that used less than this share of it, whatever the fit says:
 # at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
-# Runs are not of one car on one floor where the common fit leaves so many times what a fit of one
-# run's own does.
+# Runs are not of one car on one floor where the common fit leaves this many times what a fit of one
+# run alone does.
 MIXED = 1.5
 # Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
-# The shape of the curves is the file's unless that moves the friction (its logarithm) by so much.
-# Then the friction must be known better to count.
+# The shape of the curves is the file's unless that moves the logarithm of the friction by more than
+# the first; then the friction counts only with a standard deviation below the second.
 SHAPE_MATTERS, SURE = 0.04, 0.05
 # The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
 SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
@@ -252,7 +252,7 @@ def tires_from_laps(
         used=used,
         notes=notes,
         windows=windows.count,
-        parameters=_parameters(vehicle, base, fitted, free, unknown),
+        parameters=_parameters(vehicle, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
         widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
@@ -269,7 +269,7 @@ def _drives_of(runs):
         try:
             drive = driving_of(run)
         except IdentificationError as error:
-            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            notes.append(f"{run.label}: left out: {error}")
             continue
         used.append(run)
         drives.append(drive)
@@ -369,7 +369,7 @@ def _explained(windows: Windows, fitted: Fitted) -> float:
     return 1.0 - (fitted.noise["r"] / float(np.std(value))) ** 2
 
 
-def _parameters(vehicle, base, fitted, free, unknown):
+def _parameters(vehicle, fitted, free, unknown):
     """Values of the fit that counts, with the intervals of the one with all that is uncertain."""
     parameters = {}
 

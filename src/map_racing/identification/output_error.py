@@ -18,7 +18,7 @@ from ..vehicle.tires import PacejkaTire
 from .driving import LONGEST_DELAY_S, Windows
 from .robust_fit import Believed, Fitted, fit
 
-__all__ = ["NAMES", "believed", "fit_car", "simulate"]
+__all__ = ["NAMES", "at_sensors", "believed", "fit_car", "simulate"]
 
 NAMES = (
     "front",
@@ -152,6 +152,33 @@ def _loads(vehicle, windows, theta):
     return vehicle.mu * np.exp(theta[:, 2])[:, None] * (vehicle.m / vehicle.l_wb) * loads
 
 
+def at_sensors(
+    vehicle: Vehicle, windows: Windows, simulated: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """What `simulate` returns, as it is measured where the sensors are.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    windows : Windows
+    simulated : dict of str to ndarray, shape (K + 1, p, n)
+
+    Returns
+    -------
+    dict of str to ndarray, shape (K + 1, p, n)
+        ``r``, ``v_y`` of the localized point, and ``a_y`` of the IMU.
+    """
+    places = []
+    for setup in (drive.setup for drive in windows.drives):
+        imu_x = vehicle.l_r if setup.imu_x_m is None else setup.imu_x_m
+        places.append((setup.pose_x_m - vehicle.l_r, imu_x - vehicle.l_r, setup.imu_y_m))
+    ahead, imu_ahead, imu_left = np.array(places).T[:, windows.drive]
+    r, a_y = simulated["r"], simulated["a_y"]
+    if imu_ahead.any() or imu_left.any():
+        a_y = a_y + np.gradient(r, windows.step, axis=0) * imu_ahead - r * r * imu_left
+    return {"r": r, "v_y": simulated["v_y"] + r * ahead, "a_y": a_y}
+
+
 def _wheels(vehicle, windows, theta):
     """Angle of the wheels at each step, and its mean over the step less that."""
     total, share, gain, offset = theta[:, 3], theta[:, 4], np.exp(theta[:, 5]), theta[:, 6]
@@ -236,12 +263,9 @@ def fit_car(
     Fitted
         Parameters are `NAMES`.
     """
-    pose_x = np.array([drive.pose_x for drive in windows.drives])
-    behind = vehicle.l_r - pose_x[windows.drive]
 
     def predict(lanes):
-        found = simulate(vehicle, windows, lanes)
-        found["v_y"] -= found["r"] * behind
+        found = at_sensors(vehicle, windows, simulate(vehicle, windows, lanes))
         return {name: windows.at(name, found[name]) for name in windows.observed}
 
     starts = [{"delay": delay} for delay in START_DELAYS]

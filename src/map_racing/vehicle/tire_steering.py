@@ -160,7 +160,7 @@ class TireSteering:
         return self._levels[max(bisect_right(self._speeds, v) - 1, 0)]
 
     def limit(self, v: float) -> float:
-        """`max_lateral_acceleration` of one speed that is not negative, faster."""
+        """`max_lateral_acceleration` for one speed of at least 0, in less time."""
         k = bisect_right(self._speeds, v)
         inverse, ws = self._inverse_limits, self._w
         if k == 0:

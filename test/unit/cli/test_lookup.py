@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from map_racing.cli import main
 from map_racing.resources import find_config
@@ -80,3 +81,16 @@ def test_lookup_refuses(tmp_path, refused):
     assert "--v-max" in line
     (tmp_path / "bad.csv").write_text("0,1,2\n0,0,x\n")
     assert "bad.csv:2" in refused("lookup", "check", tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize(
+    "option, expected",
+    [
+        (["--linear"], "--linear: expected --vehicle"),
+        (["--controller", "map_paper"], "--controller: expected --raceline"),
+        (["--channels", "circles_log"], "--channels: expected --bag"),
+        (["--steering-delay", "0.02"], "--steering-delay: expected --bag"),
+    ],
+)
+def test_check_refuses_options_that_it_would_ignore(refused, option, expected):
+    assert expected in refused("lookup", "check", "t.csv", *option)

@@ -9,7 +9,7 @@ from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, FileFormatError, ParameterError
 from map_racing.identification.channels import Channel, ChannelMap, SensorSetup, load_channel_map
 from map_racing.identification.data import load_run
-from map_racing.resources import list_config
+from map_racing.resources import find_config, list_config
 
 T0 = 1600000000.0
 COLUMNS = {"time": "t", "x": "px", "y": "py", "psi": "yaw", "steering": "servo"}
@@ -122,6 +122,8 @@ def test_csv_refusals(tmp_path):
     path = csv(tmp_path / "a.csv", rows())
     with pytest.raises(ParameterError, match="expected a channel map.*--channels"):
         load_run(path)
+    with pytest.raises(ParameterError, match="got a YAML file: vehicles go to --vehicle"):
+        load_run(find_config("vehicles", "nuc4", (".yaml",)))
     with pytest.raises(FileFormatError, match="no column 'nothing'; it has t, px"):
         load_run(path, channels(tmp_path, NAMES + "v_x: nothing\n"))
     with pytest.raises(ParameterError, match="steering: missing"):

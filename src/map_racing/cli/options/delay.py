@@ -17,12 +17,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "data",
         nargs="+",
-        metavar="RUN",
-        help="bags of ROS 1 or 2 (folder, .db3, .mcap), or CSV files with --channels",
+        metavar="RECORDING",
+        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file with --channels",
     )
     add_join_option(parser)
     parser.add_argument(
         "--vehicle",
+        metavar="NAME",
         help="model of the car, which makes the estimate more certain: shipped vehicle or YAML "
         "file (default: any car of this size)",
     )
