@@ -13,6 +13,7 @@ from ..identification.data import load_run
 from ..identification.replay import actuators_of, replay, replay_lines
 from ..track.corners import corners
 from ..track.files.load import load_raceline
+from ..track.findings import raceline_warnings
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
 from ..vehicle.grids import default_grid, published_grid
 from ..vehicle.lookup import load_table
@@ -51,6 +52,8 @@ def run_check(arguments):
     _describe(arguments.table, table)
     if arguments.raceline:
         raceline = load_raceline(arguments.raceline)
+        for doubt in raceline_warnings(raceline, arguments.raceline):
+            print(f"  warning: {doubt}")
         _describe_corners(raceline, table)
         _describe_speeds(raceline, table, arguments.controller, vehicle)
     _draw(arguments.plots, table)

@@ -149,7 +149,7 @@ class Identification:
 
     @property
     def friction(self) -> float:
-        """Friction coefficient that this acceleration takes [-]."""
+        """Friction coefficient that this acceleration takes [-], a lower bound of the floor's."""
         return self.largest_a_y / GRAVITY
 
     @property

@@ -83,6 +83,17 @@ def test_lookup_refuses(tmp_path, refused):
     assert "bad.csv:2" in refused("lookup", "check", tmp_path / "bad.csv")
 
 
+def test_doubts_about_the_raceline_stand_above_its_corners(tmp_path, capsys):
+    angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    rows = np.column_stack((9.0 * np.cos(angle), 5.0 * np.sin(angle), 3.0 + 0.0 * angle, angle))
+    np.savetxt(str(tmp_path / "line.csv"), rows, delimiter=",")
+    table = str(tmp_path / "t.csv")
+    assert main(["lookup", "generate", "--vehicle", "nuc4", "--output", table]) == 0
+    assert main(["lookup", "check", table, "--raceline", str(tmp_path / "line.csv")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.index("line.csv: 4 unnamed columns") < printed.index("corners of line")
+
+
 @pytest.mark.parametrize(
     "option, expected",
     [
