@@ -144,7 +144,7 @@ class TransformTree:
         link = self._links.get(name)
         if link is None or (link.static and not static):
             link = self._links[name] = _Link(static)
-            # Perception may name each thing that it sees anew: a new frame is on no way but its own.
+            # Perception may name all that it sees anew: a new frame is on no way but its own.
             new = [frame for frame in name if frame not in self._frames]
             if not new or any(frame in ends for frame in new for ends in self._paths):
                 self._paths.clear()
