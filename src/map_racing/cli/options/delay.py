@@ -2,8 +2,7 @@
 
 import argparse
 
-from .recording import add_signal_options
-from .shared import add_join_option
+from .recording import add_runs, add_signal_options
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -14,13 +13,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "follow, each with its 95 % interval. Where the driving was too straight to show a delay, "
         "it says so."
     )
-    parser.add_argument(
-        "data",
-        nargs="+",
-        metavar="RECORDING",
-        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file with --channels",
-    )
-    add_join_option(parser)
+    add_runs(parser)
     parser.add_argument(
         "--vehicle",
         metavar="NAME",

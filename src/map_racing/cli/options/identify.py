@@ -3,8 +3,8 @@
 import argparse
 
 from ...identification.limits import SteadyLimits
-from .recording import add_replay_window, add_signal_options
-from .shared import add_join_option, add_number
+from .recording import add_replay_window, add_runs, add_signal_options
+from .shared import add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -15,13 +15,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "and, beside it, its lookup table (.csv). Data that cannot identify tires are refused with "
         "the reason."
     )
-    parser.add_argument(
-        "data",
-        nargs="+",
-        metavar="RECORDING",
-        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file with --channels",
-    )
-    add_join_option(parser)
+    add_runs(parser)
     parser.add_argument(
         "--vehicle",
         required=True,

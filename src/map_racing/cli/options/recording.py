@@ -4,12 +4,23 @@ import argparse
 
 from ...identification.limits import REPLAY_WINDOW_S
 from ...resources import list_config
-from .shared import add_number
+from .shared import add_join_option, add_number
 
-__all__ = ["SERVO", "add_signal_options", "add_replay_window"]
+__all__ = ["SERVO", "add_replay_window", "add_runs", "add_signal_options"]
 
 SERVO = (-1.2135, 0.5304)
 """Gain and offset of the servo position, unless given."""
+
+
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings of a car."""
+    parser.add_argument(
+        "data",
+        nargs="+",
+        metavar="RECORDING",
+        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file with --channels",
+    )
+    add_join_option(parser)
 
 
 def add_signal_options(parser: argparse.ArgumentParser) -> None:
