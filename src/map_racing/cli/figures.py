@@ -78,10 +78,9 @@ def draw_table(folder: str, table) -> None:
 def _table_figures(table):
     from ..plots.lookup import plot_lookup_curves, plot_lookup_surface
 
-    grid = table.speeds, table.angles, table.a_lat
     return [
-        ("lookup_surface.png", plot_lookup_surface, grid),
-        ("lookup_curves.png", plot_lookup_curves, grid),
+        ("lookup_surface.png", plot_lookup_surface, (table,)),
+        ("lookup_curves.png", plot_lookup_curves, (table,)),
     ]
 
 
@@ -103,47 +102,23 @@ def draw_identification(folder: str, found, left_out, table) -> None:
     if found is None:
         _save(folder, _table_figures(table))
         return
-    axles = []
-    for name, (points, fit, linear) in found.axles.items():
-        axles.append(
-            plots.AxleFigure(
-                name=name,
-                slip=-points.slip,
-                force=points.force,
-                inlier=fit.inlier,
-                curve=_force(fit.tire, points.load),
-                linear=_force(linear.tire, points.load),
-                covered=fit.covered_slip,
-                load=points.load,
-            )
-        )
     v, delta, a_y = (
         np.concatenate([getattr(m, key)[cut][::5] for m in found.motions for cut in m.segments()])
         for key in ("v_x", "delta", "a_y")
     )
     predicted = left_out if left_out is not None else found.predictions()
     title = "each run, from the others" if left_out is not None else "the fitted data"
-    prediction = (
-        [p.run for p in predicted],
-        [(p.r, p.a_y) for p in predicted],
-        [(p.r_predicted, p.a_y_predicted) for p in predicted],
-        f"Steady cornering, predicted: {title}",
-    )
+    prediction = predicted, f"Steady cornering, predicted: {title}"
     figures = [
-        ("tires.png", plots.plot_tires, (axles,)),
+        ("tires.png", plots.plot_tires, (found.axles,)),
         ("coverage.png", plots.plot_coverage, (v, delta, a_y, found.largest_a_y)),
         ("prediction.png", plots.plot_prediction, prediction),
         *_table_figures(table),
     ]
-    for number, m in enumerate(found.motions, 1):
-        drive = plots.DriveFigure(m.run.label, m.t, m.v_x, m.delta, m.r, m.a_y, m.segments())
-        figures.append((f"run_{number}.png", plots.plot_drive, (drive,)))
+    for number, motion in enumerate(found.motions, 1):
+        figures.append((f"run_{number}.png", plots.plot_drive, (motion,)))
     _save(folder, figures)
     remove_stale(folder, r"run_\d+\.png", [file_name for file_name, *_ in figures])
-
-
-def _force(tire, load):
-    return lambda slip: load * tire.normalized_force(slip)
 
 
 def draw_check(folder: str, key: str, table, raceline, findings) -> Path:
