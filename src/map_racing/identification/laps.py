@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Mapping
 
 import numpy as np
@@ -84,8 +85,8 @@ class LapTires:
     ----------
     vehicle, base : Vehicle
         The identified car, and the one whose parameters were believed before.
-    runs : list of str
-        Labels of the runs used.
+    used : list of Run
+        The runs used.
     notes : list of str
     windows : int
         Windows of 1 s that were used.
@@ -99,32 +100,42 @@ class LapTires:
         Largest sustained lateral acceleration [m/s^2].
     explained : float
         Share of the variance of the yaw rate.
-    setup : SensorSetup
     widest : float
         Largest angle asked of the wheels [rad]: 99th percentile.
     noise : dict of str to float
         Standard deviation of what the model leaves, by quantity [SI].
     fitted : Fitted
-    delays : Delays
-        Of the same runs.
     runs_finding : SensorFinding or None
         That the runs are not of one car on one floor.
     """
 
     vehicle: Vehicle
     base: Vehicle
-    runs: list[str]
+    used: list[Run]
     notes: list[str]
     windows: int
     parameters: dict[str, Parameter]
     largest_a_y: float
     explained: float
-    setup: SensorSetup
     widest: float
     noise: dict[str, float]
     fitted: Fitted
-    delays: Delays
     runs_finding: SensorFinding | None = None
+
+    @property
+    def runs(self) -> list[str]:
+        """Labels of the runs used."""
+        return [run.label for run in self.used]
+
+    @property
+    def setup(self) -> SensorSetup:
+        """Of the sensors of these runs."""
+        return self.used[0].setup
+
+    @cached_property
+    def delays(self) -> Delays:
+        """Of the same runs, with the identified tires."""
+        return estimate_delays(self.used, self.vehicle)
 
     @property
     def least_friction(self) -> float | None:
@@ -238,17 +249,15 @@ def tires_from_laps(
     return LapTires(
         vehicle=vehicle,
         base=base,
-        runs=labels,
+        used=used,
         notes=notes,
         windows=windows.count,
         parameters=_parameters(vehicle, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
-        setup=used[0].setup,
         widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
         noise=fitted.noise,
         fitted=fitted,
-        delays=estimate_delays(used, vehicle),
         runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,
     )
 
