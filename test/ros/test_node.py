@@ -1,5 +1,7 @@
 """What all nodes have in common."""
 
+import sys
+
 import pytest
 from geometry_msgs.msg import PoseStamped
 from harness import wait_for
@@ -25,7 +27,8 @@ def simulated_time(ros):
 
 def test_simulated_time_that_does_not_run_is_named(simulated_time, start):
     """Left on the parameter server by a simulation, it makes everything wait."""
-    nodes = {name: start(name) for name in NODES}
+    # Interpreters of their own, in which each has to import all that it needs.
+    nodes = {name: start(name, python=sys.executable) for name in NODES}
     text = "/use_sim_time is true, but there is no time on /clock (nobody publishes it)"
     for name, node in nodes.items():
         wait_for(lambda: text in node.output, 30.0, name)  # noqa: B023

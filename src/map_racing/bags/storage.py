@@ -166,7 +166,7 @@ class McapFile:
         if not self.closed or op != _FOOTER_OP or not 0 < start < at:
             return
         for op, begin, end in _records(self._data, start, at):
-            self._read_topic(self._data, op, begin, end)
+            self._read_topic(self._data, op, begin)
             if op == _CHUNK_INDEX_OP:
                 self._chunks.append(_CHUNK_INDEX.unpack_from(self._data, begin)[2])
             elif op == _STATISTICS_OP:
@@ -177,7 +177,7 @@ class McapFile:
         if not self.topics:
             self.counts = None
 
-    def _read_topic(self, data, op, begin, end):
+    def _read_topic(self, data, op, begin):
         """Take a schema or a channel."""
         if op == _SCHEMA_OP:
             (number,) = _U16.unpack_from(data, begin)
@@ -210,7 +210,7 @@ class McapFile:
                     elif op in (_FOOTER_OP, _LAST_OP):
                         return
                     else:
-                        self._read_topic(self._data, op, begin, end)
+                        self._read_topic(self._data, op, begin)
                     at = end
                 return
             except (_Damage, struct.error):
@@ -271,7 +271,7 @@ class McapFile:
                     if wanted is None or number in wanted:
                         yield number, time_ns, data[begin - _RECORD.size + head : stop]
                 else:
-                    self._read_topic(data, op, begin, stop)
+                    self._read_topic(data, op, begin)
         except (_Damage, struct.error):
             self.damage.append(f"a chunk at byte {at}")
 

@@ -245,8 +245,8 @@ def not_completed(row: tuple) -> str:
 
 def robustness_lines(races: pd.DataFrame) -> list[str]:
     """A row for each controller and track: how many cars completed it, and how close."""
-    titles = ["controller", "track", "completed", "lap [s]", "RMS error [m]", "worst", "max error"]
-    rows = [titles]
+    titles = ["controller", "track", "completed", "median lap [s]", "mean RMS error [m]"]
+    rows = [[*titles, "worst RMS error [m]", "max error [m]"]]
     for (label, track), group in races.groupby(["controller", "track"], sort=False):
         done = group[group.outcome == "completed"]
         rows.append([label, track, f"{len(done)} of {len(group)}"])
@@ -267,7 +267,9 @@ def not_completed_lines(races: pd.DataFrame) -> list[str]:
     rows = [
         [
             f"N.C. {row.controller} on {row.track}, {row.car}:",
-            f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
+            row.cause
+            if math.isnan(row.end_s_m)
+            else f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
         ]
         for row in races[races.outcome != "completed"].itertuples()
     ]
@@ -276,11 +278,13 @@ def not_completed_lines(races: pd.DataFrame) -> list[str]:
 
 def grid_lines(table: pd.DataFrame) -> list[str]:
     """How many races each controller completed, and how close."""
-    return [
-        f"{row.controller}: {row.races_completed} of {row.races} completed, RMS error "
-        f"{row.mean_rms_lateral_error_m:.4f} m, worst race {row.worst_rms_lateral_error_m:.4f} m"
-        for row in table.itertuples()
-    ]
+    lines = []
+    for row in table.itertuples():
+        lines.append(f"{row.controller}: {row.races_completed} of {row.races} completed")
+        if row.races_completed:
+            lines[-1] += f", RMS error {row.mean_rms_lateral_error_m:.4f} m, "
+            lines[-1] += f"worst race {row.worst_rms_lateral_error_m:.4f} m"
+    return lines
 
 
 def highest_lines(highest: pd.DataFrame) -> list[str]:
@@ -292,7 +296,7 @@ def highest_lines(highest: pd.DataFrame) -> list[str]:
         cells = [f"{value:.3f}" if math.isfinite(value) else "none" for value in values]
         # A day without any counts as the lowest.
         middle = float(np.median(np.where(np.isfinite(values), values, 0.0)))
-        rows.append([label, *cells, f"{middle:.4g}"])
+        rows.append([label, *cells, f"{middle:.4g}" if middle else "none"])
     return aligned(rows)
 
 

@@ -173,6 +173,6 @@ def given_table(path, parameters, vehicle, own):
         f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
         f"the table of {vehicle.name} has {angles[1]:.4f} rad"
     )
-    for doubt in doubts_of_table(table, vehicle):
+    for doubt in doubts_of_table(table, vehicle, parameters.steering_map == "linear_table"):
         print(f"warning: {doubt}")
     return table

@@ -12,7 +12,7 @@ from ..track.centerline import walls_from_map
 from ..track.files.checks import raceline_of
 from ..track.files.load import load_raceline, save_raceline
 from ..track.files.report import facts_text, findings_count, raceline_facts
-from ..track.findings import Finding
+from ..track.findings import Finding, raceline_warnings
 from ..track.map_image import read_map_image
 from ..vehicle.size import size_of
 from .inputs import joined, read_vehicle
@@ -38,6 +38,8 @@ def run_record(arguments):
     raceline = None
     if arguments.raceline:
         raceline = load_raceline(arguments.raceline)
+        for doubt in raceline_warnings(raceline, arguments.raceline):
+            print(f"  warning: {doubt}")
     elif recording.waypoints is not None:
         raceline = recorded_raceline(recording)
     laps = driven_laps(recording, raceline, size)

@@ -105,7 +105,7 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     frame = _keep_first_frame(table)
     for name, unit in table.units.items():
         table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
-    _bring_to_seconds(path, table)
+    _bring_to_seconds(table)
     _check_times(path, table)
     _add_heading(table)
     if "psi" in table.names:
@@ -142,7 +142,7 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     )
 
 
-def _bring_to_seconds(path, table):
+def _bring_to_seconds(table):
     """Nanoseconds to seconds; times of receipt where stamps are 0."""
     t, name = table.values["t"], table.names["t"]
     received = table.values.get("received")

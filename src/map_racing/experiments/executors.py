@@ -180,7 +180,8 @@ def _dask(address):
     except (OSError, ValueError) as error:  # a timeout is an OSError there
         raise MapRacingError(f"{address}: no Dask scheduler answers: {error}") from None
     with client:
-        threads = sum(worker["nthreads"] for worker in client.scheduler_info()["workers"].values())
+        # Not of `scheduler_info`, which some versions cut off after five workers.
+        threads = sum(client.nthreads().values())
         if not threads:
             raise MapRacingError(f"{address}: the Dask scheduler has no workers")
         yield client.get_executor(), 4 * threads

@@ -78,6 +78,11 @@ def axle_points(
     -------
     front, rear : AxlePoints
         Without noise levels.
+
+    Raises
+    ------
+    ParameterError
+        For another `front_force`.
     """
     if front_force not in ("model", "paper"):
         raise ParameterError(f"front_force: expected model or paper, got {front_force!r}")

@@ -197,7 +197,7 @@ def run_of(
 
 
 def is_age(lag: float) -> bool:
-    """Whether from stamp to receipt so much time [s] may pass on one clock."""
+    """Whether `lag` [s] from stamp to receipt is possible on one clock."""
     return -FUTURE_S <= lag <= OLDEST_S
 
 
@@ -235,7 +235,7 @@ def _load_csv(path, channel_map):
     signals = {name: (t, value) for name, value in values.items()}
     if clocks["pose_time"] is not None:
         pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
-        known = np.isfinite(pose_t + values["x"])
+        known = np.isfinite(t + pose_t + values["x"])
         if known.any():
             # Roughly: the yaw rates align both clocks later.
             pose_t = pose_t + float(np.median((t - pose_t)[known]))

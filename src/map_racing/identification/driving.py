@@ -26,12 +26,12 @@ GRID_HZ, SMOOTH_HZ = 100.0, 6.0
 SLOWEST_MPS = 1.0
 # Longest dead time and lag together that are looked for [s].
 LONGEST_DELAY_S = 0.3
-# So late an estimate is at that bound, and other parameters make up for the rest [s].
+# An estimate from here on is at that bound, and other parameters make up for the rest [s].
 AT_LONGEST_S = 0.285
-# An acceleration of the IMU counts as lateral if it follows speed times yaw rate with such a slope.
+# An acceleration of the IMU is lateral if its slope over speed times yaw rate is within these.
 SLOPES = (0.7, 1.4)
-# An outlier is farther from the median of so many samples around it than so many usual distances,
-# and than this [m/s, rad/s].
+# Window of the median [samples]; an outlier is farther from it than this many median distances, and
+# than the last [m/s, rad/s].
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
 # Shorter pieces [s] are of no use.
 SHORTEST_S = 3.0

@@ -338,7 +338,7 @@ def _smooth(drive, name):
 
 
 def _noise(drive, name, smooth):
-    """Standard deviation of the noise that the low-pass left, told by what it took."""
+    """Standard deviation of the noise that the low-pass left, from what it removed."""
     t, value = without_outliers(*drive.measured[name])
     passes = min(2.0 * SMOOTH_HZ * float(np.median(np.diff(t))), 0.8)
     taken = float(np.std(value - np.interp(t, drive.t, smooth)))

@@ -254,7 +254,7 @@ def _summary(found):
         f"whose model has no such cosine, promises up to {share:.1%} more than was measured"
     )
     return [
-        f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction "
+        f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction at least "
         f"{found.friction:.3f}",
         f"understeer gradient: {_understeer(found.understeer_gradient)}",
         f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, zero-phase",

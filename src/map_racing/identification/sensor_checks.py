@@ -36,10 +36,10 @@ LEAST_STANDING_S = 0.4
 # An IMU axis measures lateral acceleration if it follows speed times yaw rate with at least this
 # slope (its unit may be g) and this share of its variance explained.
 LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
-# A scale or offset of the accelerometer counts if it is so many standard errors off; the low-pass
-# leaves one independent sample in so many.
+# Standard errors by which a scale or offset of the accelerometer must be off to count; samples per
+# independent one after the low-pass.
 SURE, INDEPENDENT = 3.0, RATE_HZ / 2.0
-# A setup with contradictions left after so many corrections is beyond repair.
+# A setup with contradictions after this many corrections is beyond repair.
 MOST_CORRECTIONS = 16
 
 

@@ -45,10 +45,10 @@ UPPER = np.array([150.0, 1.5, 4.0, 1.1])
 PRIOR_SPREAD = np.array([0.15, 0.3, 0.5])
 # A parameter is determined if the data bring its spread below this share of the prior's.
 UNDETERMINED = 0.5
-# The peak is reached if the measured forces end at this share of it or beyond, and its interval not
-# farther above the largest of them than this.
+# The peak is reached if the measured forces end at this share of it or beyond, the upper end of its
+# interval is at most this many times the largest of them,
 AT_PEAK, ABOVE = 0.95, 1.1
-# They must also have risen to it: the smallest of them are below this share of the largest.
+# and the smallest of them are below this share of the largest: they rose to it.
 RISEN = 0.75
 FEWEST_POINTS = 20
 NEAREST_STEPS = 5  # to the nearest place of a curve

@@ -55,6 +55,12 @@ class SteeringRampNode:
         )
         if not 0.0 < self._radius < math.inf:
             raise ParameterError(f"~radius: expected a positive number, got {self._radius}")
+        if self._button < 0:
+            raise ParameterError(f"~button: expected 0 or more, got {self._button}")
+        if not 0.0 < self._patience < math.inf:
+            raise ParameterError(
+                f"~dead_man_timeout: expected a positive number, got {self._patience}"
+            )
         if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
             raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
         area = Box(*map(float, box)) if box else None

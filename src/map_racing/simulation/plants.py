@@ -57,7 +57,14 @@ def build_plant(
     """A car to drive and its localization with noise from a seed.
 
     The public simulator has no localization: its poses are true.
+
+    Raises
+    ------
+    ParameterError
+        If the seed is negative.
     """
+    if seed < 0:  # `random` would take it for the positive one
+        raise ParameterError(f"seed: expected 0 or more, got {seed}")
     if isinstance(parameters, PublicSimulatorParameters):
         return PublicSimulator(parameters), None
     kind = CommonRoadCar if isinstance(parameters, CommonRoadParameters) else Plant

@@ -18,7 +18,7 @@ from ..errors import ParameterError, RacelineError
 from .contour import zero_contour
 from .corners import runs_around
 from .findings import NOTE, WARNING, Finding
-from .map_image import MapImage
+from .map_image import MapImage, edge_finding
 from .normals import points_and_normals
 from .raceline import Raceline
 from .walls import march, smooth_between
@@ -84,6 +84,7 @@ def track_from_map(
     ring = labels == labels[row, column]
 
     _check_not_cut(image, ring, distance, (row, column), passage)
+    findings += edge_finding(image, ring[1:-1, 1:-1], passage)
     inner, outer, more = _two_sides(image, ring, passage)
     findings += more
     # On the centerline the distances to both sides are equal.

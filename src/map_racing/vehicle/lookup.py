@@ -55,7 +55,7 @@ class _Column(NamedTuple):
     slopes: list[float]  # [rad] per share, of the interval that begins at each node
 
 
-# A cell with more than so many times the acceleration of a rolling car is suspect; in published
+# A cell with more than this many times the acceleration of a rolling car is suspect; in published
 # tables and those of shipped cars it is at most 1.1 times.
 _SPIKE = 3.0
 

@@ -124,8 +124,11 @@ def friction_doubt(vehicle: Vehicle) -> list[str]:
     ]
 
 
-def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
-    """Doubts that a lookup table is of a car: as of other units, or cut off."""
+def doubts_of_table(table: LookupTable, vehicle: Vehicle, linear: bool = False) -> list[str]:
+    """Doubts that a lookup table is of a car: as of other units, or cut off.
+
+    With `linear` it is meant to be of linear tires, and may reach more than the car's.
+    """
     doubts = []
     if abs(table.l_wb / vehicle.l_wb - 1.0) > ANOTHER:
         doubts.append(
@@ -140,7 +143,7 @@ def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
     most = vehicle.mu * GRAVITY * min(vehicle.front.peak, vehicle.rear.peak)
     reached = float(table.max_lateral_acceleration(table.speeds[-1]))
     peak = [] if friction_doubt(vehicle) else doubts_of_peak(table)
-    if reached > BEYOND * min(most, vehicle.a_lat_max) and not peak:
+    if reached > BEYOND * min(most, vehicle.a_lat_max) and not (peak or linear):
         doubts.append(
             f"lookup table: reaches {reached:.3g} m/s^2, the tires of {vehicle.name} "
             f"{min(most, vehicle.a_lat_max):.3g} m/s^2: of other tires, or of linear ones?"

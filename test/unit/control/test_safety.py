@@ -226,6 +226,17 @@ def test_grip_exceeded_for_long_stops_until_resumed():
     assert car.step().mode is Mode.DRIVING
 
 
+@pytest.mark.parametrize(("psi", "trusted"), [(0.8, True), (-0.8, True), (0.81, False)])
+def test_a_pose_whose_heading_is_not_the_motion_is_not_trusted(psi, trusted):
+    """Nor does the controller step on it."""
+    car = Car(max_turn_rad=0.8)
+    for _ in range(40):
+        found = car.supervisor.observe(car.now, car.pose(psi=psi))
+        car.now, car.x = car.now + PERIOD, car.x + car.speed * PERIOD
+    assert found is trusted
+    assert (car.supervisor.trouble(car.now) is Reason.NONE) is trusted
+
+
 def test_a_crawling_car_at_its_lock_has_grip():
     car = Car(speed=0.5)
     assert car.drive(5.0, status=Status.SATURATED)[-1].mode is Mode.DRIVING
@@ -405,6 +416,12 @@ def test_a_clock_set_back_stops_a_car_that_stands_and_none_that_never_drove():
     assert car.supervisor.mode is Mode.WAITING
 
 
+def test_a_clock_set_back_stops_a_car_from_the_speed_that_it_had():
+    car = Car(speed=2.0)
+    car.drive(speed=8.0, seconds=0.4)
+    assert car.supervisor.watch(10.0).speed == 2.0 - 4.0 * FIRST_STEP
+
+
 def test_a_clock_set_back_and_a_raceline_before_the_next_pose():
     """Where the car is and which way it moves is not known any more."""
     car = Car()
@@ -449,5 +466,6 @@ def test_what_is_absurdly_fast_depends_on_the_fastest_speed_of_the_car():
     small, large = Car(speed=60.0), Car(speed=60.0, max_speed=50.0)
     assert small.drive(0.2)[-1].reason is Reason.INVALID_POSE
     assert large.drive(0.2)[-1].mode is Mode.DRIVING
+    assert Car(speed=99.0, max_speed=50.0).drive(0.2)[-1].mode is Mode.DRIVING
     large.speed = 101.0
     assert large.step().reason is Reason.INVALID_POSE

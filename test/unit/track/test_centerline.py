@@ -313,6 +313,15 @@ def test_a_track_that_the_passage_itself_closes_is_told(tmp_path, narrow):
     assert track_of(tmp_path, room(narrow), start=(0.0, -2.3), passage=passage).length > 15.0
 
 
+@pytest.mark.parametrize("walls, told", [(1, False), (0, True), (-4, True)])
+def test_a_track_that_reaches_the_edge_of_the_map_is_told(tmp_path, walls, told):
+    """Cropped to its walls, between them and the track, and within the track."""
+    gray = drawn()
+    free = np.flatnonzero(np.any(gray == FREE, axis=0))[-1]
+    track = track_of(tmp_path, gray[:, : free + 1 + walls])
+    assert ("edge" in codes(track)) == told
+
+
 def test_no_loop_is_refused(tmp_path):
     gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
     gray[100:220, 80:240] = FREE

@@ -24,7 +24,7 @@ from ..findings import NOTE, WARNING, Finding
 from ..raceline import Raceline
 from .checks import raceline_of
 from .columns import ALIASES, REFERENCE, Meaning, from_reference_line, is_unit, meaning_of
-from .table import RacelineTable
+from .table import RacelineTable, without_signs
 from .unnamed import LAYOUTS, name_by_numbers
 
 __all__ = [
@@ -131,7 +131,7 @@ def raceline_from_columns(
         If the points do not form a closed track.
     """
     columns = {key: np.asarray(column, dtype=float) for key, column in columns.items()}
-    return raceline_of(RacelineTable(columns, name=name, source=source))
+    return raceline_of(without_signs(RacelineTable(columns, name=name, source=source)))
 
 
 # -- CSV -------------------------------------------------------------------------------------
