@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..evaluation.report import aligned
 from ..experiments.results import compare, read_results
-from .figures import draw_comparison
+from .figures import draw
 
 DIGITS = {"days_completed": 0, "m_m": 3, "q_s": 3, "rms_lateral_error_m": 4}
 
@@ -26,7 +26,8 @@ def run(arguments):
     else:
         print("No difference in provenance.")
     if arguments.plots:
-        path = draw_comparison(arguments.plots, comparison, run_names(folders))
+        drawn = comparison.table, comparison.values, run_names(folders), comparison.kind
+        path = draw(arguments.plots, "comparison.png", "experiments.plot_comparison", *drawn)
         print(f"figure written to {path}")
 
 

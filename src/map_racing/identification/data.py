@@ -235,7 +235,7 @@ def _load_csv(path, channel_map):
     signals = {name: (t, value) for name, value in values.items()}
     if clocks["pose_time"] is not None:
         pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
-        known = np.isfinite(pose_t + values["x"])
+        known = np.isfinite(t + pose_t + values["x"])
         if known.any():
             # Roughly: the yaw rates align both clocks later.
             pose_t = pose_t + float(np.median((t - pose_t)[known]))

@@ -70,6 +70,12 @@ def test_a_clock_of_its_own_for_the_pose(tmp_path):
     assert np.diff(run.signals["x"].t) == pytest.approx(0.02)
 
 
+def test_a_row_without_time_does_not_lose_the_clock_of_the_pose(tmp_path):
+    table = [("", *row[1:]) if i == 7 else row for i, row in enumerate(rows())]
+    run = load_run(csv(tmp_path / "a.csv", table), channels(tmp_path, NAMES + "pose_time: pt\n"))
+    assert run.signals["x"].t[0] == pytest.approx(run.signals["steering"].t[0], abs=0.05)
+
+
 def test_rows_before_the_first_message_are_left_out(tmp_path):
     table = [(t, 0, 0, 0, 0.1, 0, 0) if t < 0.2 else (t, *rest) for t, *rest in rows()]
     run = load_run(csv(tmp_path / "a.csv", table), channels(tmp_path, NAMES))
