@@ -87,6 +87,20 @@ def test_a_second_sender_for_a_while():
     assert alternation("/pose", T, x, y) == ""
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_a_single_pose_that_is_wrong(noise):
+    rng = np.random.default_rng(1)
+    x, y = (v + noise * rng.normal(size=T.size) for v in circling())
+    assert alternation("/pose", T, x, y) == ""
+    x[1000] += 0.2
+    y[1000] += 0.2
+    assert "1 pose lies beside those before and after: is it wrong?" in alternation("/p", T, x, y)
+    # A correction of the localization stays.
+    x[1000:] += 0.2
+    y[1001:] += 0.2
+    assert alternation("/pose", T, x, y) == ""
+
+
 @pytest.mark.parametrize("ahead", [0.0, 0.07, 0.15, 0.5])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_clock_that_is_set_while_the_car_drives(ahead, noise):
