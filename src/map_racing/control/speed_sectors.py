@@ -279,9 +279,8 @@ def _gaps(path, covered):
     end = -1
     for start, last in sorted(covered):
         if start > end + 1:
-            return [
-                f"{path}: points {end + 1} to {start - 1} are in no sector: driven at the global limit"
-            ]
+            missing = f"points {end + 1} to {start - 1}"
+            return [f"{path}: {missing} are in no sector: driven at the global limit"]
         end = max(end, last)
     return []
 
