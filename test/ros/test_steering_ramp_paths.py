@@ -385,6 +385,11 @@ def test_a_failure_of_the_watch_stops_at_once(car, monkeypatch):
     assert any("the watchdog failed: ZeroDivisionError" in said for said in car.said)
 
 
+def test_the_smallest_numbers_that_are_taken(make):
+    node = make(radius=0.1, button=0, dead_man_timeout=0.01).node
+    assert (node._radius, node._button, node._patience) == (0.1, 0, 0.01)
+
+
 def test_a_failure_before_the_first_command_leaves_the_wheels_straight(make, monkeypatch):
     car = make()
     monkeypatch.setattr(car.node._supervisor, "decide", failing)
