@@ -207,6 +207,13 @@ def test_outside_of_the_area_the_car_stops_and_says_where(make):
     assert "%s outside of the area" in car.said
 
 
+@pytest.mark.parametrize(("area", "fits"), [({}, False), ({"box": [-30, 30, -30, 30]}, True)])
+def test_the_room_that_is_told_is_that_of_the_area(make, area, fits):
+    said = make(**area).said
+    assert any("the first circle" in text for text in said)
+    assert any("The area reaches 8 m" in text for text in said) is not fits
+
+
 def test_a_box_is_where_it_is(make):
     car = make(dead_man=False, box=[-1.0, 5.0, -1.0, 5.0])
     assert car.drive(0.5)[1] > 0.0
