@@ -1,12 +1,16 @@
-"""The data files shipped with the package: vehicles, tracks, controllers, plants."""
+"""What the package has on disk: data files (vehicles, tracks, controllers, ...) and code."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+from functools import lru_cache
 from pathlib import Path
 
+from . import __version__
 from .errors import ParameterError
 
-__all__ = ["config_directory", "find_config", "list_config"]
+__all__ = ["config_directory", "find_config", "fingerprint_of_code", "list_config"]
 
 
 def config_directory() -> Path:
@@ -59,6 +63,8 @@ def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Pat
     ParameterError
         If there is neither such a file nor such a name; the message lists the shipped names.
     """
+    if not isinstance(source, (str, Path)):
+        raise ParameterError(f"expected a name of the shipped {kind} or a path, got {source!r}")
     path = Path(source)
     if path.is_file():
         return path
@@ -69,3 +75,21 @@ def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Pat
                 return candidate
     known = ", ".join(list_config(kind))
     raise ParameterError(f"{source}: no such file, nor one of the shipped {kind} ({known})")
+
+
+@lru_cache(maxsize=None)
+def fingerprint_of_code(parts: tuple[str, ...]) -> str:
+    """Sixteen hexadecimal digits of the version and the sources of rooms and modules.
+
+    Parameters
+    ----------
+    parts : tuple of str
+        Their paths in the package; of a folder the modules in it, not those further below.
+    """
+    package = Path(__file__).resolve().parent
+    digest = hashlib.sha256(__version__.encode())
+    for part in parts:
+        place = package / part
+        for source in sorted(place.glob("*.py")) if place.is_dir() else [place]:
+            digest.update(os.path.relpath(source, package).encode() + source.read_bytes())
+    return digest.hexdigest()[:16]

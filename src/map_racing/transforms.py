@@ -102,6 +102,7 @@ class TransformTree:
     def __init__(self, kept_ns: int | None = None):
         self._kept_ns = kept_ns
         self._links: dict[tuple[str, str], _Link] = {}
+        self._frames: set[str] = set()
         self._paths: dict[tuple[str, str], list[list[_Step]]] = {}
 
     def add(
@@ -139,10 +140,15 @@ class TransformTree:
             link.poses = list(poses[-1:] if static else poses)
 
     def _link(self, parent, child, static):
-        link = self._links.get((parent, child))
+        name = parent, child
+        link = self._links.get(name)
         if link is None or (link.static and not static):
-            link = self._links[parent, child] = _Link(static)
-            self._paths.clear()
+            link = self._links[name] = _Link(static)
+            # Perception may name all that it sees anew: a new frame is on no way but its own.
+            new = [frame for frame in name if frame not in self._frames]
+            if not new or any(frame in ends for frame in new for ends in self._paths):
+                self._paths.clear()
+            self._frames.update(new)
         return link
 
     def lookup(
@@ -236,7 +242,8 @@ class TransformTree:
                 yield path
                 continue
             for nearer, step in steps.get(frame, ()):
-                if nearer not in passed:
+                ends = nearer != parent and len(steps[nearer]) == 1
+                if nearer not in passed and not ends:
                     waiting.append((nearer, [*path, step], passed | {nearer}))
 
 

@@ -211,10 +211,14 @@ def read_parameters(path, kind: type, values: dict | None = None):
         raise ParameterError(
             f"{path}: unknown parameter {', '.join(unknown)} (known: {', '.join(sorted(known))})"
         )
+    missing = [
+        repr(field.name)
+        for field in fields(kind)
+        if field.default is dataclasses.MISSING and field.name not in values
+    ]
+    if missing:
+        raise ParameterError(f"{path}: missing parameter {', '.join(missing)}")
     try:
         return kind(**values)
-    except TypeError as error:  # a required argument is missing
-        missing = str(error).split(": ")[-1]
-        raise ParameterError(f"{path}: missing parameter {missing}") from error
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error

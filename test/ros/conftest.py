@@ -18,6 +18,7 @@ import pytest
 if "map_racing" not in os.environ.get("ROS_PACKAGE_PATH", ""):
     pytest.exit("run these tests with ./scripts/test_ros, which builds their workspace", 4)
 
+from forked import Forked
 from harness import ROOT, Car, Rig, wait_for
 from nav_msgs.msg import Odometry
 
@@ -41,13 +42,21 @@ class Process:
     command : list of str
     log : pathlib.Path
         Takes its standard output and error.
+    environment : dict of str to str, optional
+    forked : bool, optional
+        The command is a node's script, which is run in a fork instead of a new interpreter.
     """
 
-    def __init__(self, command, log, environment=None):
+    def __init__(self, command, log, environment=None, forked=False):
         self.log = log
         self.command = [str(part) for part in command]
-        with open(log, "wb") as file:
-            self._process = subprocess.Popen(
+        log.touch()
+        self._process = Forked(self.command, log) if forked else self._started(environment)
+        self.pid = self._process.pid
+
+    def _started(self, environment):
+        with open(self.log, "wb") as file:
+            return subprocess.Popen(
                 self.command,
                 stdout=file,
                 stderr=subprocess.STDOUT,
@@ -56,7 +65,6 @@ class Process:
                 start_new_session=True,
                 preexec_fn=default_signals,
             )
-        self.pid = self._process.pid
 
     @property
     def output(self):
@@ -158,9 +166,9 @@ def processes(tmp_path):
     """A function that starts a command as a `Process`; all of them end with the test."""
     started = []
 
-    def run(command, environment=None):
+    def run(command, environment=None, forked=False):
         log = tmp_path / f"{len(started):02d}_{Path(str(command[0])).name}.log"
-        process = Process(command, log, environment)
+        process = Process(command, log, environment, forked)
         started.append(process)
         return process
 
@@ -186,7 +194,7 @@ def start(roscore, processes):
     name : str, optional
         Name of the node; by default that of its script.
     python : path, optional
-        Interpreter; by default that of the tests.
+        Interpreter; by default the node is a fork, see `forked`.
     wait : bool, optional
         Wait until the node is registered and has subscribed to the clock or the like, that is,
         until the master knows it.
@@ -204,9 +212,12 @@ def start(roscore, processes):
         # On the server rather than the command line: all types arrive as they are.
         for key, value in (params or {}).items():
             master.setParam(f"/{name}/{key}", value)
-        command = [python or sys.executable, ROOT / "scripts" / node, f"__name:={name}"]
+        command = [ROOT / "scripts" / node, f"__name:={name}"]
         command += [f"{old}:={new}" for old, new in (remaps or {}).items()]
-        process = processes(command, environment)
+        if python is None:
+            process = processes(command, forked=True)
+        else:
+            process = processes([python, *command], environment)
         if wait:
 
             def up():

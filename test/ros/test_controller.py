@@ -3,7 +3,6 @@
 import math
 import re
 import sys
-import threading
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from geometry_msgs.msg import PoseStamped
 from harness import Car, Rig, wait_for, waypoints
 from map_racing.msg import Belief, Guidance, Tracking
 from nav_msgs.msg import Odometry
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64, String
 
 from map_racing.bags.topics import SETTINGS_TOPIC
@@ -597,35 +595,6 @@ controller.main()
         car.stop()
 
 
-def test_simulated_time_that_is_set_back_begins_anew(ros, rig, advertise):
-    """As when a bag is played in a loop."""
-    ros.set_param("/use_sim_time", True)
-    clock = advertise("/clock", Clock, subscribers=0)
-    begin = [1000.0 - time.monotonic()]
-    end = threading.Event()
-
-    def tick():
-        while not end.wait(0.005):
-            clock.publish(ros.Time.from_sec(begin[0] + time.monotonic()))
-
-    thread = threading.Thread(target=tick, daemon=True)
-    thread.start()
-    try:
-        rig = rig()
-        rig.car.now = lambda: ros.Time.from_sec(begin[0] + time.monotonic())
-        rig.driving()
-        begin[0] -= 500.0
-        rig.car.s += 15.0
-        wait_for(lambda: "time was set back" in rig.node.output, what="the new beginning")
-        rig.driving()
-        # The watchdog has outlived it.
-        rig.car.silent = True
-        rig.wait_mode("stopped", "pose too old")
-    finally:
-        end.set()
-        thread.join()
-
-
 @pytest.mark.parametrize(
     "params, text",
     [
@@ -764,8 +733,8 @@ def test_the_latency_script(roscore, processes, request):
 def test_the_soak_script(roscore, processes, request):
     """Only that it measures; what grows takes an hour to show."""
     script = request.config.rootpath / "scripts" / "soak"
-    run = processes([sys.executable, script, "--minutes", "0.2", "--samples", "2"])
+    run = processes([sys.executable, script, "--minutes", "0.1", "--samples", "2"])
     assert run.wait(120.0) in (0, 1)
     assert "largest growth: " in run.output
     minutes = re.findall(r"^ +([\d.]+) +\d+ +\d+ ", run.output, re.MULTILINE)
-    assert len(minutes) == 2 and float(minutes[-1]) >= 0.2
+    assert len(minutes) == 2 and float(minutes[-1]) >= 0.1

@@ -27,6 +27,8 @@ from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.vehicle.parameters import load_vehicle
 
 REMAPS = {"odom": "/car_state/odom", "pose": "/car_state/pose", "drive": DRIVE_TOPIC}
+# The evaluator without the node that draws.
+ALONE = {"visualize": "false"}
 SAME = 1e-6
 T0 = 1600000000.0
 
@@ -151,7 +153,7 @@ def test_live_is_replay_is_offline(launch, listen, tmp_path):
     rosgraph.Master("/test").setParam("/lap_evaluator/patience", 30.0)
     record = {"record": "true", "record_to": tmp_path / "race"}
     paced = {"clock_rate": 2, "lockstep": "true"}
-    race = launch("simulate.launch", speed_scale=0.8, csv=table, **record, **paced)
+    race = launch("simulate.launch", speed_scale=0.8, csv=table, **record, **paced, **ALONE)
     listen("/lap_result", LapResult).wait(lambda result: result.laps_completed == 1, 90.0)
     time.sleep(1.0)
     # Longer than roslaunch waits before it uses force, so that it can name the node.
@@ -166,7 +168,7 @@ def test_live_is_replay_is_offline(launch, listen, tmp_path):
     assert_same([relative(rows(table)[1])], [relative(expected[1])])
 
     table = tmp_path / "replay.csv"
-    replay = launch("replay.launch", bag=bag, rate=10, csv=table)
+    replay = launch("replay.launch", bag=bag, rate=10, csv=table, **ALONE)
     replay.wait(90.0)
     assert_same(rows(table), expected)
 
@@ -182,7 +184,7 @@ def test_a_replay_without_stamps_is_offline(log, launch, tmp_path):
             command = sample.result.steering_angle, sample.result.speed
             writer.odometry(0, x, y, psi, v, 0.0, 0.0, received=at)
             writer.drive(0, *command, received=at + 0.004)
-    replay = launch("replay.launch", bag=bag, rate=20, csv=table)
+    replay = launch("replay.launch", bag=bag, rate=20, csv=table, **ALONE)
     replay.wait(90.0)
     expected = offline(bag)
     assert [row["valid"] for row in expected] == [False, True, True, False]
@@ -211,7 +213,7 @@ def test_recorded_laps_of_the_public_stack(shared_data, evaluator, processes, tm
 def test_a_bag_in_a_loop_is_run_after_run(race_bag, launch, listen, tmp_path):
     table = tmp_path / "laps.csv"
     results = listen("/lap_result", LapResult)
-    replay = launch("replay.launch", bag=race_bag, rate=10, loop="true", csv=table)
+    replay = launch("replay.launch", bag=race_bag, rate=10, loop="true", csv=table, **ALONE)
     results.wait(lambda result: result.run == 3 and result.lap == 1, 60.0)
     expected = offline(race_bag)
     for run in (1, 2):

@@ -31,6 +31,9 @@ STACKS = {
     "f1tenth_simulator": ("/odom", "/drive"),
 }
 NEEDED = {"replay": ["bag:=run.bag"], "identify": []}
+# Launches start what they are about: each node takes most of a second to start.
+BARE = {"evaluate": "false", "visualize": "false"}
+EVALUATED = {"visualize": "false"}
 MAIN_NODE = {
     "simulate": "simulator",
     "race": "controller",
@@ -130,9 +133,13 @@ def test_an_argument_that_does_not_count_is_refused(file, word):
 
 
 def test_values_of_the_options_of_roslaunch_hide_no_misspelled_argument():
-    words = ["roslaunch", "-p", "11312", "map_racing", "race.launch", "speedscale:=0.3"]
-    with pytest.raises(ParameterError, match="speedscale"):
-        check_launch_arguments(words)
+    for words in (
+        ["-p", "11312", "map_racing", "race.launch", "speedscale:=0.3"],
+        ["map_racing", "race.launch", "-p", "11312", "speedscale:=0.3"],
+        ["map_racing", "-p", "11312", "race.launch", "speedscale:=0.3"],
+    ):
+        with pytest.raises(ParameterError, match="speedscale"):
+            check_launch_arguments(["roslaunch", *words])
     check_launch_arguments(["roslaunch", "--help"])
     check_launch_arguments(["roslaunch"])
 
@@ -149,13 +156,14 @@ def test_topics_of_a_stack(launch, stack, listen):
 
     odom, drive = STACKS[stack]
     odometry, commands = listen(odom, Odometry), listen(drive, AckermannDriveStamped)
-    launch("simulate.launch", stack=stack, clock_rate=3, plant="public_simulator", vehicle="sim")
+    car = {"plant": "public_simulator", "vehicle": "sim"}
+    launch("simulate.launch", stack=stack, clock_rate=3, **car, **BARE)
     odometry.wait(timeout=30.0)
     commands.wait(lambda m: m.drive.speed > 2.0, timeout=30.0)
 
 
 def test_a_topic_of_ones_own(launch):
-    race = launch("race.launch", track="reference", odom="/my/odom")
+    race = launch("race.launch", track="reference", odom="/my/odom", **BARE)
     wait_for(lambda: "no pose yet on /my/odom (nobody publishes it)" in race.output, 30.0)
 
 
@@ -167,7 +175,7 @@ def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
 
     def run(track):
         command = ["roslaunch", "--wait", "map_racing", "race.launch", f"track:={track}"]
-        options = ["record:=true", "record_to:=run", "csv:=laps.csv"]
+        options = ["record:=true", "record_to:=run", "csv:=laps.csv", "visualize:=false"]
         return processes(["env", "-C", tmp_path, *command, *options], environment)
 
     race = run("mine.csv")
@@ -181,13 +189,13 @@ def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
 
 
 def test_a_missing_bag_is_one_line(launch, tmp_path):
-    replay = launch("replay.launch", bag=tmp_path / "none.bag")
+    replay = launch("replay.launch", bag=tmp_path / "none.bag", **BARE)
     replay.wait(60.0)
     assert f"play: bag: {tmp_path / 'none.bag'}: no such file" in replay.output
     assert "Traceback" not in replay.output
     empty = tmp_path / "empty.bag"
     empty.touch()
-    replay = launch("replay.launch", bag=empty)
+    replay = launch("replay.launch", bag=empty, **BARE)
     replay.wait(60.0)
     assert f"play: {empty}: expected a ROS 1 bag (format 2.0), got an empty file" in replay.output
     assert "Error reading" not in replay.output
@@ -197,7 +205,7 @@ def test_a_replay_of_other_topics_says_so(launch, tmp_path):
     """The bag of one stack on the topics of another."""
     bag = tmp_path / "run.bag"
     assert main(["race", "--laps", "1", "--output", str(bag)]) == 0
-    replay = launch("replay.launch", bag=bag, rate=20, stack="f1tenth_system")
+    replay = launch("replay.launch", bag=bag, rate=20, stack="f1tenth_system", **EVALUATED)
     replay.wait(60.0)
     assert "no poses on /pf/pose/odom: nothing was evaluated" in replay.output
     assert "run.bag: no pose on /pf/pose/odom: expected one of /car_state/odom" in replay.output
@@ -207,7 +215,7 @@ def test_a_saved_controller_keeps_its_speed(launch, tmp_path):
     """What a file says holds where the launch says nothing."""
     path = tmp_path / "tuned.yaml"
     save_controller_parameters(load_controller_parameters("map").with_(speed_scale=0.55), path)
-    process = launch("simulate.launch", controller=path, clock_rate=3)
+    process = launch("simulate.launch", controller=path, clock_rate=3, **BARE)
     wait_for(lambda: "~speed_scale = 0.55" in process.output, 30.0)
 
 
@@ -237,9 +245,8 @@ def test_three_laps_as_in_the_core(launch, listen, tmp_path):
 
 def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path, capsys):
     inbox = listen("/lap_result", LapResult)
-    process = launch(
-        "simulate.launch", clock_rate=4, lockstep="true", record="true", record_to=tmp_path / "run"
-    )
+    record = {"record": "true", "record_to": tmp_path / "run"}
+    process = launch("simulate.launch", clock_rate=4, lockstep="true", **record, **EVALUATED)
     # The recorder may begin late and end early: of three laps it has one at least.
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
     process.stop(30.0)

@@ -1,7 +1,13 @@
 """What all nodes have in common."""
 
+import sys
+
 import pytest
+from geometry_msgs.msg import PoseStamped
 from harness import wait_for
+from nav_msgs.msg import Odometry
+
+from map_racing.nodes.node import why_silent
 
 NODES = (
     "controller",
@@ -21,7 +27,31 @@ def simulated_time(ros):
 
 def test_simulated_time_that_does_not_run_is_named(simulated_time, start):
     """Left on the parameter server by a simulation, it makes everything wait."""
-    nodes = {name: start(name) for name in NODES}
+    # Interpreters of their own, in which each has to import all that it needs.
+    nodes = {name: start(name, python=sys.executable) for name in NODES}
     text = "/use_sim_time is true, but there is no time on /clock (nobody publishes it)"
     for name, node in nodes.items():
         wait_for(lambda: text in node.output, 30.0, name)  # noqa: B023
+
+
+def test_where_there_are_poses_is_told_if_they_do_not_come(advertise):
+    """As the topics of a bag are when it is evaluated."""
+    assert why_silent("/odom", "nav_msgs/Odometry") == "nobody publishes it"
+    for name in ("/pf/pose/odom", "/car_state/odom"):
+        advertise(name, Odometry, subscribers=0)
+    advertise("/car_state/pose", PoseStamped, subscribers=0)
+    found = (
+        "/car_state/odom (nav_msgs/Odometry), /car_state/pose (geometry_msgs/PoseStamped), "
+        "/pf/pose/odom (nav_msgs/Odometry)"
+    )
+    for kind in ("nav_msgs/Odometry", "geometry_msgs/PoseStamped"):
+        assert why_silent("/odom", kind) == f"nobody publishes it; there is {found}"
+    assert why_silent("/clock", "rosgraph_msgs/Clock") == "nobody publishes it"
+    assert why_silent("/pf/pose/odom", "nav_msgs/Odometry").endswith("it, but none came")
+    odom = "/car_state/odom (nav_msgs/Odometry), "
+    wrong = why_silent("/car_state/odom", "geometry_msgs/PoseStamped")
+    assert wrong.startswith("/test") and wrong.endswith(f"; there is {found.replace(odom, '')}")
+    for k in range(12):
+        advertise(f"/p{k:02d}", Odometry, subscribers=0)
+    last = ", /p09 (nav_msgs/Odometry), ..."
+    assert why_silent("/odom", "nav_msgs/Odometry").endswith(last)

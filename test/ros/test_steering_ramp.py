@@ -238,6 +238,9 @@ def test_poses_are_refused_as_by_the_controller(poses, listen):
         ({"limit_rad": 0.6}, "limit_rad: expected at most what NUC4 can, 0.4189, got 0.6"),
         ({"speed_mps": 50.0}, "speed_mps: expected at most what NUC4 can, 15, got 50"),
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
+        ({"button": -1}, "~button: expected 0 or more, got -1"),
+        ({"dead_man_timeout": 0.0}, "~dead_man_timeout: expected a positive number, got 0.0"),
+        ({"dead_man_timeout": math.inf}, "~dead_man_timeout: expected a positive number, got inf"),
     ],
 )
 def test_what_it_refuses_it_says_in_a_line(refused, parameters, words):

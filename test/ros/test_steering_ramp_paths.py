@@ -13,8 +13,9 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import Mode, Reason
+from map_racing.control.safety import LONGEST_STEP
 from map_racing.control.steering_ramp import Phase
 from map_racing.nodes import steering_ramp
 from map_racing.nodes.conversions import set_plane_pose
@@ -139,6 +140,7 @@ def joy(*buttons):
 def test_without_the_button_nothing_is_driven(make):
     car = make()
     assert car.drive(1.0)[1] == 0.0 and car.state[0] is Mode.WAITING
+    assert not any("failed" in said or "without a dead-man" in said for said in car.said)
 
 
 @pytest.mark.parametrize("held", [joy(0, 0, 0, 0, 0, 1), joy(0, 0, 0, 0, 0, 1, 0)])
@@ -233,8 +235,9 @@ def test_done_ends_the_node_with_the_number_of_ramps(make, monkeypatch):
     rounds = iter([True, False])
     car.node.run()
     assert ends == ["done"] and "done: %d ramps 1" in car.said
-    phases = [phase.value for phase in Phase]
-    assert [text.split(" ", 1)[1] for text in car.said if text[:3] == "%s " and text[3:] in phases]
+    phases = [Phase.STARTING, Phase.RAMPING, Phase.STOPPING, Phase.DONE]
+    texts = [f"%s {phase.value}" for phase in Phase]
+    assert [said for said in car.said if said in texts] == [f"%s {p.value}" for p in phases]
 
 
 def test_a_rear_that_breaks_away_ends_the_ramp(make):
@@ -319,11 +322,29 @@ def test_time_that_is_set_back_begins_the_ramp_anew(car, by):
     elif by != "pose":
         car.pose(frame="map")
         car.clock.time += 1.0
-    (command,) = car.pose()
-    assert command.drive.speed == 0.0 and car.node._phase is Phase.WAITING
-    # From standstill, not with a step to where it was.
-    speeds = [car.pose()[0].drive.speed for _ in range(30)]
+    # A stop as any other, and from standstill on no step to where it was.
+    speeds = [car.speed] + [car.pose()[0].drive.speed for _ in range(20)]
+    assert car.node._phase is Phase.STARTING and min(speeds) == 0.0
+    hardest = load_controller_parameters("map").a_brake_max_mps2
+    steps = [before - after for before, after in zip(speeds, speeds[1:])]
+    assert max(steps) <= LONGEST_STEP * hardest + 1e-9
+    speeds += [car.pose()[0].drive.speed for _ in range(30)]
+    assert speeds[-1] == 2.0
     assert max(after - before for before, after in zip(speeds, speeds[1:])) <= 8.0 * PERIOD + 1e-9
+
+
+def test_time_that_is_set_back_stops_the_car_where_no_more_poses_come(car, monkeypatch):
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    angle, count = car.angle, len(car.sent)
+    for k in range(60):
+        car.node._watch(50.0 + 0.02 * k)
+    commands = [(m.drive.steering_angle, m.drive.speed) for m in car.sent[count:]]
+    assert commands[0] == (angle, 2.0 - 4.0 * 0.05) and commands[-1] == (angle, 0.0)
+    assert car.state == (Mode.STOPPED, Reason.NO_POSE)
+    assert "%s: %s stopping no pose yet" in car.said
+    count = len(car.sent)
+    car.node._end()
+    assert [m.drive.speed for m in car.sent[count:]] == [0.0] * 10
 
 
 # -- the watch, failures, the end ------------------------------------------------------------------
@@ -364,6 +385,22 @@ def test_a_failure_of_the_watch_stops_at_once(car, monkeypatch):
     assert any("the watchdog failed: ZeroDivisionError" in said for said in car.said)
 
 
+def test_a_failure_before_the_first_command_leaves_the_wheels_straight(make, monkeypatch):
+    car = make()
+    monkeypatch.setattr(car.node._supervisor, "decide", failing)
+    (command,) = car.pose()
+    assert (command.drive.steering_angle, command.drive.speed) == (0.0, 0.0)
+
+
+def test_time_that_is_set_back_before_there_is_an_area(make):
+    car = make()
+    car.pose(stamp=50.0)
+    car.clock.time -= 50.0
+    car.node._watch(car.clock.time)
+    assert car.node._ramp is None and "time was set back: starting over" in car.said
+    assert not any("failed" in said for said in car.said)
+
+
 def test_it_stops_at_once_where_not_even_the_supervisor_works(car, monkeypatch):
     angle = car.angle
     monkeypatch.setattr(car.node._ramp, "update", failing)
@@ -401,10 +438,14 @@ def test_a_node_that_never_drove_says_nothing_at_its_end(make):
 @pytest.mark.parametrize("dead_man", [True, False])
 def test_what_it_listens_to(make, monkeypatch, dead_man):
     heard = {}
-    monkeypatch.setattr(rospy, "Subscriber", lambda topic, _, to, **__: heard.update({topic: to}))
+    monkeypatch.setattr(
+        rospy, "Subscriber", lambda topic, _, to, **how: heard.update({topic: (to, how)})
+    )
     node = make(dead_man=dead_man).node
-    button = {"joy": node._on_joy, "enable": node._on_enable} if dead_man else {}
-    assert heard == {"odom": node._on_odometry, **button}
+    latest = {"queue_size": 1}
+    button = {"joy": (node._on_joy, latest), "enable": (node._on_enable, latest)}
+    odometry = {"odom": (node._on_odometry, {**latest, "tcp_nodelay": True})}
+    assert heard == {**odometry, **(button if dead_man else {})}
 
 
 def test_each_reason_is_logged_once_and_what_is_normal_is_not(car):

@@ -15,7 +15,7 @@ from harness import HandClock
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool
 
-from map_racing.control.safety import Mode, Reason
+from map_racing.control.decision import Mode, Reason
 from map_racing.errors import RacelineError
 from map_racing.nodes import controller, watchdog
 from map_racing.nodes.conversions import set_plane_pose
@@ -115,11 +115,14 @@ def car(make):
 def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
     steps = Spy(monkeypatch, car.node._diagnosis, "add")
     reports = Spy(monkeypatch, car.node._diagnosis, "report")
+    learns = Spy(monkeypatch, car.node._controller, "learn")
     (command,) = car.pose()
     assert len(reports.calls) == 1
     ((latency, result),) = steps.calls
     assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._guidance.sent
     assert command.header.stamp.to_sec() == START and command.header.frame_id == "map"
+    # The step itself, for what was left; then the node, once the command is out.
+    assert len(learns.calls) == 2
     assert car.state == (Mode.DRIVING, Reason.NONE) and command.drive.speed > 1.0
 
 
@@ -135,11 +138,13 @@ def test_commands_are_stamped_in_order(car, monkeypatch):
     (command,) = car.pose(stamp=late)
     stamps = [message.header.stamp.to_nsec() for message in car.sent]
     assert stamps == sorted(set(stamps)) and len(stamps) > 10
+    assert stamps[-1] == stamps[-2] + 1
     assert command.header.stamp.to_sec() == pytest.approx(late + 0.02)
     # Nor is the header of the pose another one; and a clock that was set back is followed.
     assert car.node._guidance.sent[-1]["header"].stamp.to_sec() == pytest.approx(late)
-    (command,) = car.pose(stamp=START - 50.0)
-    assert command.header.stamp.to_sec() == START - 50.0
+    for stamp in (START - 50.0, START - 51.0, START - 51.0):
+        (command,) = car.pose(stamp=stamp)
+        assert command.header.stamp.to_sec() == stamp
 
 
 def test_poses_of_a_second_node_make_none(car):
@@ -195,6 +200,28 @@ def test_simulated_time_may_arrive_after_the_pose_of_that_time(car, monkeypatch)
     car.drive(0.25)
     assert car.state == (Mode.STOPPING, Reason.STALE_POSE)
     assert car.node._supervisor.pose_age == -0.25 and len(waits) <= 16
+
+
+def test_stamps_in_the_future_hold_up_one_pose_until_time_follows_again(car, monkeypatch):
+    wall, waits, at = [0.0], [], [START]
+
+    def sleep(seconds):
+        waits.append(seconds)
+        wall[0] += 0.25
+
+    monkeypatch.setattr(controller.time, "sleep", sleep)
+    monkeypatch.setattr(controller.time, "monotonic", lambda: wall[0])
+    monkeypatch.setattr(
+        rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(at[0] + 0.01 * len(waits)))
+    )
+    car.pose(stamp=START + 50.0)
+    assert waits == []  # real time does not wait for anybody
+    monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: False)
+    counts = []
+    for stamp in (START + 50.0, START + 50.0, START - 1.0, START + 50.0):
+        car.pose(stamp=stamp)
+        counts.append(len(waits))
+    assert counts == [5, 5, 5, 10]
 
 
 # -- failures ------------------------------------------------------------------------------------
@@ -281,6 +308,22 @@ def test_a_clock_that_is_set_back_begins_anew(car, monkeypatch, by):
         car.pose(frame="map" if by == "pose" else "odom")
     assert all(len(spy.calls) == 1 for spy in spies)
     assert "time was set back: starting over" in car.said
+
+
+def test_a_clock_that_is_set_back_stops_the_car_where_no_more_poses_come(car, monkeypatch):
+    monkeypatch.setattr(controller.time, "sleep", lambda _: None)
+    car.drive()
+    angle, count = car.last[0], len(car.sent)
+    for k in range(100):
+        car.node._watch(50.0 + 0.02 * k)
+    speeds = [message.drive.speed for message in car.sent[count:]]
+    assert speeds[0] == SPEED - 4.0 * 0.05 and speeds[-1] == 0.0
+    assert car.state == (Mode.STOPPED, Reason.NO_POSE)
+    assert car.last[0] == pytest.approx(angle, abs=0.1)
+    # Nor is it forgotten at the end that it drove.
+    count = len(car.sent)
+    car.node._end()
+    assert [message.drive.speed for message in car.sent[count:]] == [0.0] * 5
 
 
 def test_a_jump_restarts_the_estimate_of_velocities(car, monkeypatch):

@@ -55,6 +55,29 @@ def test_unknown_frames_and_circles_have_no_pose():
     assert circle.lookup("map", "a") is None
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_frames_without_end_hide_no_way_and_cost_no_search(monkeypatch, first):
+    """Perception that names each thing anew, beside the car's way to the map."""
+    tree, searches = car() if first else TransformTree(), []
+    if first:
+        assert tree.lookup("map", "base_link")
+    search = TransformTree._search
+    monkeypatch.setattr(
+        TransformTree, "_search", lambda *ends: searches.append(ends) or search(*ends)
+    )
+    for k in range(3000):
+        tree.add("base_link", f"seen_{k}", 0, (1.0, 0.0, 0.0))
+    if first:
+        assert tree.lookup("map", "base_link")[0] == 300 * MS
+    else:
+        for parent, child in (("odom", "base_link"), ("map", "odom")):
+            assert tree.lookup("map", "base_link") is None
+            tree.add(parent, child, 0, (1.0, 0.0, 0.0))
+        assert tree.lookup("map", "base_link") == (0, 2.0, 0.0, 0.0)
+    assert len(searches) == (0 if first else 2)
+    assert tree.lookup("map", "seen_2999")[0] == 0
+
+
 def test_static_frames_alone():
     static = TransformTree()
     static.add("base_link", "laser", 7, (0.3, 0.0, 0.0), static=True)

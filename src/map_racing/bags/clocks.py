@@ -51,6 +51,8 @@ _FUTURE = 2 * 10**7
 _STEADY = 5 * 10**7
 # So many [share] are farther from the median than any latency only if the clock was set meanwhile.
 _STRAYED = 0.1
+# Or such a number of messages in a row, for longer than this [ns], while the poses' lag is usual.
+_IN_A_ROW, _STRAYED_NS = 10, 5 * 10**8
 # Clocks of computers do not differ in rate by so much; drift shows in runs of such a length [ns].
 # A recorder that stalls makes no even drift over so many parts.
 _RATE, _LONG_RUN, _PARTS = 0.003, 10 * 10**9, 20
@@ -63,6 +65,11 @@ _MOST_STEPS = 200
 _COARSE, _FINE = 0.5, 0.9
 # Steps shorter than this share of the mean are none.
 _SAME = 0.05
+# Messages with the same stamp are spread over this share of its time; those sent twice are not.
+_SPREAD = 0.5
+# Stamps never step back so far [ns] and stay behind but where a clock was set; nor is that noise of
+# the lag, if that is a smaller share.
+_STEP_BACK, _LAG_NOISE, _SEVERAL = 2 * 10**7, 0.5, 10
 
 
 class Clock(NamedTuple):
@@ -129,10 +136,13 @@ class Clock(NamedTuple):
         # What a recorder that stalled received all at once tells nothing.
         past = np.diff(received)
         alone = np.append(True, past > _SAME * np.sum(past) / received.size)
-        strayed = np.mean(np.abs(apart - offset)[alone] > LATENCY_NS) > _STRAYED
+        far = np.abs(apart - offset) > LATENCY_NS
+        usual = np.abs(expected - np.median(theirs)) < LATENCY_NS // 2
+        strayed = np.mean(far[alone]) > _STRAYED
+        strayed = strayed or _for_long(received[alone], (far & usual)[alone])
         if -LATENCY_NS <= offset <= delay_ns and not impossible and not strayed:
             return stamps
-        steady = np.percentile(np.abs(apart - offset), 90) < _STEADY
+        steady = not strayed and np.percentile(np.abs(apart - offset), 90) < _STEADY
         where = f", {_seconds(offset)} than the poses'"
         if strayed and abs(offset) < LATENCY_NS:
             where = " than the poses' for a part of the time"
@@ -141,6 +151,14 @@ class Clock(NamedTuple):
             + (": shifted" if steady else ", and not steadily: times of receipt used")
         )
         return stamps + offset if steady else received - expected
+
+
+def _for_long(times, far):
+    """Whether many in a row are far, for long."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], far.astype(int), [0]))))
+    begins, ends = edges[::2], edges[1::2] - 1
+    long = (ends - begins >= _IN_A_ROW) & (times[ends] - times[begins] > _STRAYED_NS)
+    return bool(long.any())
 
 
 def _seconds(offset):
@@ -167,25 +185,53 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
     # Messages that came in another order than they were stamped in have fine stamps.
     sizes = (past, np.diff(np.sort(stamps)))
     fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in sizes)
-    if fine > _FINE * past.size and coarse < _COARSE * ahead.size:
+    if fine > _FINE * past.size and coarse < _COARSE * ahead.size and _shared(stamps, received):
         return "header stamps are too coarse, with several messages on each"
     # Time was set forward, or back by so little that it might pass for transport.
     forward = (ahead > _STEP) & (past < _STEP)
-    backward = (ahead < 0) & (past - ahead > _STEP)
+    backward = (ahead < 0) & (past - ahead > _STEP_BACK)
     steps = np.flatnonzero(forward | backward) + 1
     if not steps.size:
         return None
     # A bag that was played at another rate and recorded again has lags that change steadily.
-    lag = received - stamps - (np.median(past - ahead) * np.arange(stamps.size)).astype(np.int64)
+    lag = received - stamps
+    # Over several messages, since those that overtake each other come in pairs.
+    several = min(_SEVERAL, stamps.size - 1)
+    slope = float(np.median(lag[several:] - lag[:-several])) / several
+    lag = lag - (slope * np.arange(stamps.size)).astype(np.int64)
     for index in steps[:_MOST_STEPS]:
         before, after = lag[max(index - _AROUND, 0) : index], lag[index : index + _AROUND]
         if min(before.size, after.size) < 5:
             continue
         step = float(np.median(before) - np.median(after))
-        if abs(step) > _STEP and abs(step) > 0.5 * abs(ahead[index - 1] - past[index - 1]):
+        least, share = _STEP, 0.5
+        if step < 0.0 and ahead[index - 1] < 0:
+            noise = max(
+                float(np.subtract(*np.percentile(part, (90, 10)))) for part in (before, after)
+            )
+            least, share = max(_STEP_BACK, noise / _LAG_NOISE), 0.8
+        if abs(step) > least and abs(step) > share * abs(ahead[index - 1] - past[index - 1]):
             way = "ahead" if step > 0.0 else "back"
-            return f"header stamps jump {way} by {abs(step) / _SECOND:.1f} s"
+            by = abs(step) / _SECOND
+            return f"header stamps jump {way} by {by:.{1 if by >= 0.2 else 2}f} s"
     return None
+
+
+def _shared(stamps, received):
+    """Whether messages that have the same stamp were received all over the time until the next."""
+    order = np.argsort(stamps, kind="mergesort")
+    stamps, received = stamps[order], received[order]
+    steps = np.diff(stamps)
+    begins = np.flatnonzero(np.append(True, steps > _SAME * np.mean(steps)))
+    if begins.size < 2:
+        return True
+    counts = np.diff(np.append(begins, stamps.size))
+    first, last = (f.reduceat(received, begins) for f in (np.minimum, np.maximum))
+    until = np.diff(first) * (counts[:-1] - 1) / counts[:-1]
+    several = counts[:-1] > 1
+    if not several.any():
+        return True
+    return bool(np.median((last - first)[:-1][several]) > _SPREAD * np.median(until[several]))
 
 
 def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import lz4.frame
 
-__all__ = ["ZSTD_MAGIC", "decompress", "decompress_message", "zstd_decompressor"]
+__all__ = ["COMPRESSIONS", "ZSTD_MAGIC", "decompress", "decompress_message", "zstd_decompressor"]
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -70,6 +70,8 @@ _DECOMPRESSORS = {
     "lz4": lz4.frame.LZ4FrameDecompressor,
     "zstd": zstd_decompressor,
 }
+COMPRESSIONS = ("", "none", *_DECOMPRESSORS)
+"""Names of what `decompress` reads."""
 
 
 def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:

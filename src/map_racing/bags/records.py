@@ -192,13 +192,7 @@ class BagFile(Bag):
         self._file.close()
 
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
-        """Complete messages in the order of the file.
-
-        Parameters
-        ----------
-        wanted : set of int, optional
-            Identifiers of the connections to yield; all by default.
-        """
+        """As `Bag.messages`."""
         self._read = 0
         for buffer, position, index in self._chunks():
             picked = self._pick(buffer, index, wanted) if wanted and index else None

@@ -179,13 +179,7 @@ class Ros2Bag(Bag):
         return True
 
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
-        """Complete messages in the order of the files.
-
-        Parameters
-        ----------
-        wanted : set of int, optional
-            Identifiers of the connections to yield; all by default.
-        """
+        """As `Bag.messages`."""
         layouts, found = self._layouts, 0
         for own, storage in zip(self._of_storage, self._storages):
             keys = {key for key, number in own.items() if wanted is None or number in wanted}
@@ -209,9 +203,14 @@ class Ros2Bag(Bag):
             notes.append(f"damaged bag: all intact messages read; damage: {where}")
         elif not all(storage.closed for storage in self._storages):
             notes.append("the bag was not closed (no index): all messages until its end read")
+        unread = sorted(set().union(*(storage.unread for storage in self._storages)))
+        if unread:
+            notes.append(
+                f"chunks left out, compressed by {', '.join(unread)}: expected bz2, lz4 or zstd"
+            )
         for wanted, found in (self._found or {}).items():
             expected = sum(self.counts.get(number, 0) for number in wanted)
-            if found != expected and not damage:
+            if found != expected and not damage and not unread:
                 notes.append(f"{found} messages read, but the index of the bag lists {expected}")
         return notes
 

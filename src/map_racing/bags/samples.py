@@ -20,6 +20,7 @@ __all__ = [
     "Commands",
     "Recording",
     "Waypoints",
+    "child_warning",
     "date_of",
     "in_order",
     "is_map_frame",
@@ -40,6 +41,10 @@ SIMULATED = "simulated"
 # that were never set, and of simulated time.
 _BEGIN, _DATED = 600 * 10**9, 10**17
 _MAPS = ("", "map", "world")
+_SENSORS = ("laser", "lidar", "scan", "imu", "camera")
+# Samples to both sides of a step back in time that tell whether a clock was set, which does not
+# happen more often; and speed of a car that drives [m/s].
+_AROUND, _MOST_SET, _DRIVES = 25, 5, 0.5
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
 _JITTER = 1.0
@@ -194,6 +199,16 @@ def is_odometry_frame(frame: str) -> bool:
     return "odom" in frame.rpartition("/")[2].lower()
 
 
+def child_warning(topic: str, child: str) -> str:
+    """Doubt about poses that are those of a sensor, not of the car; empty without."""
+    if not any(name in child.rpartition("/")[2].lower() for name in _SENSORS):
+        return ""
+    return (
+        f"{topic} has the pose of {child}, not of base_link: the lateral errors are those of that "
+        "place"
+    )
+
+
 def usable(times: np.ndarray, columns: Sequence[np.ndarray]) -> np.ndarray:
     """Mask of samples with a finite time and values within `FARTHEST`.
 
@@ -266,6 +281,7 @@ def in_order(
         times, columns = times[keep], [column[keep] for column in columns]
     backwards = np.count_nonzero(np.diff(times) < 0)
     if backwards:
+        notes += _set_back(times, columns, what) if required else []
         notes.append(f"{what}: {backwards} steps back in time: sorted")
         order = np.argsort(times, kind="mergesort")
         times, columns = times[order], [column[order] for column in columns]
@@ -274,6 +290,35 @@ def in_order(
         notes.append(f"{what}: {np.count_nonzero(~first)} repeated time stamps left out")
         times, columns = times[first], [column[first] for column in columns]
     return times, list(columns)
+
+
+def _set_back(times, columns, what):
+    """Warnings of a clock that was set back while the car drove.
+
+    In the order in which they were recorded poses are one way; in the order of time they are two
+    that alternate. Poses in a wrong order are not.
+    """
+    second = 1e9 if times.dtype.kind == "i" else 1.0
+    back, warnings = np.flatnonzero(np.diff(times) < 0), []
+    if back.size > _MOST_SET:
+        return []
+    for k in back:
+        near = slice(max(k + 1 - _AROUND, 0), k + 1 + _AROUND)
+        t, (x, y) = times[near], (column[near] for column in columns[:2])
+        order = np.argsort(t, kind="mergesort")
+        steps = np.hypot(np.diff(x), np.diff(y))
+        way = float(np.sum(steps))
+        sorted_way = float(np.sum(np.hypot(np.diff(x[order]), np.diff(y[order]))))
+        usual = float(np.median(np.diff(t)))
+        ago = float(times[k] - times[k + 1])
+        pace = float(np.median(steps)) / usual if usual > 0.0 else 0.0
+        if sorted_way - way > 0.3 * pace * ago and pace * second > _DRIVES:
+            warnings.append(
+                f"warning: {what}: time falls back by {(ago + usual) / second:.2f} s at "
+                f"{float(times[k] - times[0]) / second:.1f} s, while the car drives on: that lap "
+                "is so much too short"
+            )
+    return warnings
 
 
 def date_of(time_ns: int) -> str:

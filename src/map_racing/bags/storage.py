@@ -15,7 +15,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 from .bag import time_span
-from .compression import decompress
+from .compression import COMPRESSIONS, decompress
 
 __all__ = ["MCAP_MAGIC", "SQLITE_ERRORS", "SQLITE_MAGIC", "McapFile", "SqliteFile", "Topic"]
 
@@ -66,10 +66,13 @@ class SqliteFile:
         Whether the recorder closed the file, as far as it can be known.
     damage : list of str
         Places that cannot be read.
+    unread : set of str
+        Compressions of chunks that are left out.
     """
 
     def __init__(self, path):
         self.counts, self.span, self.damage, self.closed = None, (0, 0), [], True
+        self.unread = set()
         uri = path.resolve().as_uri()
         # A recorder that was killed leaves a journal, which can be read only where it can be
         # written; a bag without one may lie where nothing can.
@@ -138,7 +141,8 @@ class McapFile:
     """A file of MCAP, with the attributes of `SqliteFile`."""
 
     def __init__(self, path):
-        self.topics, self.counts, self.span, self.damage = {}, None, (0, 0), []
+        self.topics, self.counts, self.span = {}, None, (0, 0)
+        self.damage, self.unread = [], set()
         self._schemas, self._chunks = {}, []
         self._file = path.open("rb")
         try:
@@ -162,7 +166,7 @@ class McapFile:
         if not self.closed or op != _FOOTER_OP or not 0 < start < at:
             return
         for op, begin, end in _records(self._data, start, at):
-            self._read_topic(self._data, op, begin, end)
+            self._read_topic(self._data, op, begin)
             if op == _CHUNK_INDEX_OP:
                 self._chunks.append(_CHUNK_INDEX.unpack_from(self._data, begin)[2])
             elif op == _STATISTICS_OP:
@@ -173,7 +177,7 @@ class McapFile:
         if not self.topics:
             self.counts = None
 
-    def _read_topic(self, data, op, begin, end):
+    def _read_topic(self, data, op, begin):
         """Take a schema or a channel."""
         if op == _SCHEMA_OP:
             (number,) = _U16.unpack_from(data, begin)
@@ -206,7 +210,7 @@ class McapFile:
                     elif op in (_FOOTER_OP, _LAST_OP):
                         return
                     else:
-                        self._read_topic(self._data, op, begin, end)
+                        self._read_topic(self._data, op, begin)
                     at = end
                 return
             except (_Damage, struct.error):
@@ -221,6 +225,9 @@ class McapFile:
         """Messages of a chunk."""
         _, _, size, crc = _CHUNK.unpack_from(self._data, begin)
         (compression,), at = _texts(self._data, begin + _CHUNK.size, 1)
+        if compression not in COMPRESSIONS and compression.isidentifier():  # else damaged
+            self.unread.add(compression)
+            return
         contents, sound = decompress(compression, self._data[at + 8 : end])
         sound = sound and len(contents) == size and (not crc or crc32(contents) == crc)
         if not sound:
@@ -264,7 +271,7 @@ class McapFile:
                     if wanted is None or number in wanted:
                         yield number, time_ns, data[begin - _RECORD.size + head : stop]
                 else:
-                    self._read_topic(data, op, begin, stop)
+                    self._read_topic(data, op, begin)
         except (_Damage, struct.error):
             self.damage.append(f"a chunk at byte {at}")
 

@@ -9,9 +9,9 @@ from typing import Iterator, NamedTuple
 from ..errors import BagError
 from . import messages as msg
 from .bag import Bag
-from .samples import is_odometry_frame
+from .samples import child_warning, is_odometry_frame
 from .series import PoseSeries
-from .transforms import ComposedPoses, FramePoses, RecordedTransforms
+from .transforms import ComposedPoses, FramePoses, MountedPoses, RecordedTransforms
 
 __all__ = [
     "BELIEF_TOPIC",
@@ -58,7 +58,8 @@ class PoseSource(NamedTuple):
     ``rank`` orders sources, the best first: (doubt, frame, kind, name, -count, topic), where doubt
     is 0 for none, 1 for a source that is chosen only if there is no better one, 2 for a source
     that is used only on demand. ``poses`` is for tf; ``transforms`` bring poses of another frame
-    into the map, of the car's frame ``child``.
+    into the map, of the car's frame ``child``; where that is a sensor, ``mount`` is its place in
+    the car.
     """
 
     topic: str
@@ -71,16 +72,17 @@ class PoseSource(NamedTuple):
     transforms: RecordedTransforms | None = None
     own_frame: str = ""
     child: str = ""
+    mount: tuple = ()
 
-    def series(self, bag: Bag) -> PoseSeries | FramePoses | ComposedPoses:
+    def series(self, bag: Bag) -> PoseSeries | FramePoses | ComposedPoses | MountedPoses:
         """What collects the poses."""
         if self.poses is not None:
             return self.poses
         lines = {number: bag.connections[number] for number in self.connections}
         series = PoseSeries(POSE_DECODERS[self.md5sum], lines)
-        if self.transforms is None:
-            return series
-        return ComposedPoses(series, self.own_frame, self.child, self.transforms)
+        if self.transforms is not None:
+            series = ComposedPoses(series, self.own_frame, self.child, self.transforms)
+        return MountedPoses(series, self.mount) if self.mount else series
 
 
 def pose_sources(bag: Bag, pose_topic: str | None) -> Iterator[tuple[PoseSource, list[str]]]:
@@ -96,6 +98,7 @@ def pose_sources(bag: Bag, pose_topic: str | None) -> Iterator[tuple[PoseSource,
     matching = [source for source in sources if source.topic == wanted]
     first = matching if wanted else sources
     certain = [s for s in first[:1] if s.frame == "map" and (wanted or s.rank[0] == 0)]
+    certain = [s for s in certain if not child_warning(s.topic, s.child)]
     if wanted and certain:
         yield certain[0], []
         return
@@ -135,9 +138,14 @@ def _described(source, sources):
 
 
 def _origin(source):
-    if source.transforms is None:
-        return []
-    return [f"{source.topic}: from {source.own_frame} into map by the transforms of tf"]
+    notes = []
+    if source.transforms is not None:
+        notes.append(f"{source.topic}: from {source.own_frame} into map by the transforms of tf")
+    if source.mount:
+        notes.append(f"{source.topic}: from {source.child} to base_link by its static mount")
+    elif child_warning(source.topic, source.child):
+        notes.append(f"warning: {child_warning(source.topic, source.child)}")
+    return notes
 
 
 def _canonical(topic):
@@ -204,6 +212,8 @@ def _with_transforms(bag, sources):
 def _composed(source, transforms):
     """A source in another frame than the map, brought there where tf has the way."""
     child = source.child or "base_link"
+    if child_warning(source.topic, child):
+        source = source._replace(mount=transforms.mount(child))
     if source.frame in ("map", "") or child == source.frame:
         return source
     if not (transforms.connected("map", source.frame) or transforms.connected("map", child)):

@@ -17,12 +17,15 @@ from .messages import MD5, TF, decode_transforms
 from .samples import in_order, jump_back, usable
 from .series import PoseSeries, quaternion_note
 
-__all__ = ["ComposedPoses", "FramePoses", "RecordedTransforms"]
+__all__ = ["ComposedPoses", "FramePoses", "MountedPoses", "RecordedTransforms"]
 
 # Localization may stamp its transforms up to a second ahead, so that they hold until the next.
 _EARLIEST_NS, _LATEST_NS = 3 * 10**8, -15 * 10**8
 # A link that ends before the others by more [ns] is said.
 _ENDED_NS = 5 * 10**8
+# A localization that corrects so many times, and then sends the same for so long [ns], and so many
+# times longer than ever, while the car drives so far [m], is dead.
+_CORRECTED, _SAME_NS, _LONGER, _DRIVEN = 20, 3 * 10**9, 10, 5.0
 
 
 class _Samples:
@@ -106,6 +109,43 @@ class RecordedTransforms:
             passed.add(frame)
         return frame
 
+    def mount(self, child: str) -> tuple[float, float, float] | tuple[()]:
+        """Static pose ``(x, y, psi)`` of a frame in the car's; empty where there is none."""
+        for base in self.frames:
+            if not _is_base(base) or not self.connected(base, child):
+                continue
+            if (base, child, True) not in self._samples and self.links(base, child):
+                continue
+            found = self.tree(base, child, [], "", False).lookup(base, child)
+            if found is not None:
+                return found[1:]
+        return ()
+
+    def frozen(self, parent: str, child: str, received: bool) -> list[tuple[tuple, int, int]]:
+        """Links between two frames that stay the same, though they were corrected before.
+
+        Returns
+        -------
+        list of ((str, str), int, int)
+            Parent and child; time of the last correction and of the last pose like it [ns].
+        """
+        links = self.links(parent, child)
+        offsets = {} if received else _offsets(links)
+        found = []
+        for name in links:
+            stamps, times, columns = self._samples[(*name, False)].columns()
+            own = times if received else stamps + offsets.get(name, 0)
+            changed = np.flatnonzero(np.any(np.diff(columns[:3], axis=1) != 0.0, axis=0)) + 1
+            if changed.size < _CORRECTED:
+                continue
+            bounds = np.append(own[changed], own[-1])
+            spans = np.diff(bounds)
+            longest = int(np.argmax(spans))
+            usual = np.max(np.delete(spans, longest))
+            if spans[longest] > max(_SAME_NS, _LONGER * usual):
+                found.append((name, int(bounds[longest]), int(bounds[longest + 1])))
+        return found
+
     def connected(self, parent: str, child: str) -> bool:
         """Whether transforms lead from one frame to another."""
         return parent != child and bool(self._frames.paths(parent, child))
@@ -176,6 +216,8 @@ class RecordedTransforms:
                 )
             if static and (above, below, False) in self._samples:
                 notes.append(f"{what}: static, and sent by a localization, which counts")
+            if static and any(np.ptp(column) > 1e-6 for column in columns[:3]):
+                notes.append(f"warning: {what}: static, and sent with other values: the last count")
             own = times if received else stamps + offset
             stamps = np.arange(stamps.size) if static else own
             stamps, columns = in_order(stamps, columns, notes, what, required=3)
@@ -253,6 +295,8 @@ class FramePoses(NamedTuple):
         times = np.array(times, dtype=np.int64)
         _say_ends(self.transforms, self.root, self.frame, times, notes, topic, clock)
         x, y, psi = np.array(poses, dtype=float).reshape(-1, 3).T
+        found = self.transforms.frozen(self.root, self.frame, clock.use_receipt)
+        _say_frozen(found, times, x, y, notes, topic)
         nan = np.full(times.size, np.nan)
         return in_order(times, [x, y, wrap(psi), nan, nan, nan], notes, topic, required=2)
 
@@ -283,6 +327,53 @@ def _say_ends(transforms, root, frame, times, notes, topic, clock):
                 f"warning: {topic}: {name[0]} to {name[1]} ends {over * 1e-9:.1f} s before the "
                 "others: no pose after it"
             )
+
+
+def _say_frozen(frozen, times, x, y, notes, topic):
+    """Say where a localization sends the same while the car drives."""
+    for name, begin, end in frozen:
+        inside = (times >= begin) & (times <= end)
+        way = float(np.sum(np.hypot(np.diff(x[inside]), np.diff(y[inside]))))
+        if way > _DRIVEN:
+            at, until = ((bound - times[0]) * 1e-9 for bound in (begin, end))
+            notes.append(
+                f"warning: {topic}: {name[0]} to {name[1]} stays the same from {at:.1f} to "
+                f"{until:.1f} s, in which the car drove {way:.0f} m: without localization?"
+            )
+
+
+class MountedPoses:
+    """Poses of a sensor, brought to the car by its mount, as a `PoseSeries`.
+
+    Parameters
+    ----------
+    poses : PoseSeries or ComposedPoses
+    mount : (float, float, float)
+        Pose of the sensor in the car [m, rad].
+    """
+
+    def __init__(self, poses: PoseSeries | ComposedPoses, mount: tuple[float, float, float]):
+        self._poses, self._mount = poses, mount
+        self.add, self.jump_back = poses.add, poses.jump_back
+        self.stamps, self.clock = poses.stamps, poses.clock
+
+    @property
+    def size(self) -> int:
+        """Number of poses."""
+        return self._poses.size
+
+    def columns(
+        self, notes: list[str], topic: str, clock: Clock
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """As `map_racing.bags.series.Series.columns`: ``x y psi v_x v_y yaw_rate``."""
+        times, (x, y, psi, *rest) = self._poses.columns(notes, topic, clock)
+        ahead, left, turn = self._mount
+        psi = wrap(psi - turn)
+        cos, sin = np.cos(psi), np.sin(psi)
+        known = np.isfinite(psi)
+        x = np.where(known, x - cos * ahead + sin * left, x)
+        y = np.where(known, y - sin * ahead - cos * left, y)
+        return times, [x, y, psi, *rest]
 
 
 class ComposedPoses:
@@ -332,6 +423,8 @@ class ComposedPoses:
                 f"transform from {self._frame} to map is known"
             )
         placed = np.array([pose[1:] for pose in found if pose is not None]).reshape(-1, 3).T
+        found = self._transforms.frozen("map", start, clock.use_receipt)
+        _say_frozen(found, times[keep] + shift, *placed[:2], notes, topic)
         rest = [column[keep] for column in columns[3:]]
         return times[keep], [placed[0], placed[1], wrap(placed[2]), *rest]
 

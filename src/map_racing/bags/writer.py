@@ -173,9 +173,9 @@ class BagWriter:
         """A text as ``std_msgs/String``; it has no stamp of its own."""
         self._write(topic, msg.STRING, stamp, received, msg.encode_string, (text,), latched=latched)
 
-    def state(self, stamp, text, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
-        """State of the controller in the words of its node: level 0 where it drives, else 2."""
-        values = (0 if text == "driving" else 2, f"controller{STATE}", text, hardware)
+    def state(self, stamp, text, level, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
+        """State of the controller in the words of its node, and its level in diagnostics."""
+        values = (level, f"controller{STATE}", text, hardware)
         self._write(topic, msg.DIAGNOSTICS, stamp, received, msg.encode_status, values)
 
     def _write(self, topic, kind, stamp, received, encode, values, latched=False):

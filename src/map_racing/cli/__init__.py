@@ -19,9 +19,9 @@ __all__ = ["main"]
 COMMANDS = {
     "race": "race a simulated car, write a ROS 1 bag",
     "evaluate": "lap times and lateral errors from bags of ROS 1 or 2, or CSV files",
-    "report": "one HTML page on runs: where the time goes, and why",
+    "report": "one HTML page on runs: where the time was lost, and why",
     "advise": "speed sectors for the next heat, from the last one",
-    "season": "evaluate all bags below folders: table of heats, page of trends",
+    "season": "all bags below folders: table of heats, page of trends",
     "lookup": "make or check a steering lookup table",
     "raceline": "check, convert, optimize and record racelines",
     "ramp": "drive steering ramps with a simulated car, write a ROS 1 bag",
@@ -29,7 +29,7 @@ COMMANDS = {
     "delay": "delays of steering, drive and localization from recorded laps",
     "faults": "rehearse faults: what stops the car, how soon, and what lets it drive again",
     "tune": "find the lookahead with which a controller follows a track closest",
-    "experiment": "repeat an experiment of the paper",
+    "experiment": "repeat the paper's experiments, race a grid of tracks and cars, or against MPC",
     "compare": "compare two result directories of experiments or of tuning",
 }
 

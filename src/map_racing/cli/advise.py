@@ -4,7 +4,6 @@ from ..control.speed_sectors import save_speed_sectors
 from ..errors import ParameterError
 from ..evaluation.advice import advice_notes, advice_table, advise
 from ..evaluation.report import aligned
-from ..track.files.readers import split_source
 from .evaluate import check_evaluation
 from .outputs import check_outputs
 from .report import analyses
@@ -20,8 +19,8 @@ def run(arguments):
         )
     if arguments.reverse:
         raise ParameterError("--reverse: speed sectors count the raceline's points as it is driven")
-    given = split_source(arguments.raceline or "")[0]
-    check_outputs([arguments.speed_sectors], [*arguments.recordings, given, arguments.vehicle])
+    inputs = [*arguments.recordings, arguments.raceline, arguments.vehicle]
+    check_outputs([arguments.speed_sectors], inputs)
     runs, failed = analyses(arguments)
     if not runs:
         return failed

@@ -16,7 +16,6 @@ from ..evaluation.runs import evaluate_runs
 from ..files import write_json
 from ..printing import printable
 from ..track.files.load import load_raceline
-from ..track.files.readers import split_source
 from .figures import draw_runs
 from .inputs import joined
 from .outputs import check_outputs
@@ -25,8 +24,7 @@ from .outputs import check_outputs
 def run(arguments):
     """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
     check_evaluation(arguments)
-    given = split_source(arguments.raceline or "")[0]
-    check_outputs([arguments.csv, arguments.json], [*arguments.recordings, given])
+    check_outputs([arguments.csv, arguments.json], [*arguments.recordings, arguments.raceline])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
     sources = joined(arguments.recordings, arguments.join)

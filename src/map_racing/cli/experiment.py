@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -57,18 +58,10 @@ def run_scaling(arguments: argparse.Namespace) -> None:
     session = open_session(arguments, "velocity-scaling")
     races = session.race(scaling_plan, arguments.laps, scales, bags=arguments.bags)
     per_race, laps = race_frame(races), lap_frame(races)
-    table = scaling_table(per_race, laps)
-    highest = highest_scales(per_race)
     against = pairs_frame(per_race)
-    frames = {"races": per_race, "laps": laps, "highest_scales": highest, "pairs": against}
-    session.write(table, arguments.laps, **frames)
-    print("\n".join(scaling_lines(table)), end="\n\n")
-    print("\n".join(highest_lines(highest)), end="\n\n")
+    table = _write_scaling(session, arguments, per_race, laps, pairs=against)
     print("\n".join(pairs_lines(against)))
-
-    labels = [c.label for c in CONTENDERS]
-    title = f"Velocity scaling: {session.where}, {_laps(arguments)} on each of {session.days}"
-    _draw(session, table, laps, labels, title)
+    _draw(session, arguments, table, laps, "Velocity scaling", CONTENDERS)
     session.report()
 
 
@@ -121,9 +114,10 @@ def run_robustness(arguments):
     title = f"Robustness: {scale:.0%} speed, {laps} timed lap{'s' if laps > 1 else ''}"
     drawn = []
     for label in controllers:
-        own, stem = races[races.controller == label], Path(label).stem
-        drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", stem).name)
-    remove_stale(session.figures, r"robustness_.*\.png", drawn)
+        own = races[races.controller == label]
+        drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", label).name)
+    for label in session.earlier.provenance.get("controllers", ()) if session.earlier else ():
+        remove_stale(session.figures, re.escape(f"robustness_{label}.png"), drawn)
     session.report()
 
 
@@ -131,35 +125,41 @@ def run_mpc(arguments):
     """MAP against model predictive control, on several plants."""
     check_laps(arguments.laps)
     solver_library()  # an error now, not after tuning MAP
-    labels = [c.label for c in RIVALS]
     for plant, session in rival_sessions(arguments, RIVALS):
         print(f"\n== plant {plant}")
         races = session.race(scaling_plan, arguments.laps, RIVAL_SCALES)
         per_race, laps = race_frame(races), lap_frame(races)
-        table, highest = scaling_table(per_race, laps), highest_scales(per_race)
         beliefs = sensitivity_frame(
             session.race(sensitivity_plan, arguments.laps, (RIVAL_SCALES[-2],))
         )
         memory = session.memory(arguments.laps, RIVAL_SCALES[0])
         work = work_frame(races, session.controllers, session.tuned, memory)
-        frames = {"races": per_race, "laps": laps, "highest_scales": highest}
-        session.write(table, arguments.laps, **frames, beliefs=beliefs, work=work)
-        print("\n".join(scaling_lines(table)), end="\n\n")
-        print("\n".join(highest_lines(highest)), end="\n\n")
+        table = _write_scaling(session, arguments, per_race, laps, beliefs=beliefs, work=work)
         print("\n".join(aligned(frame_rows(beliefs), left=2)), end="\n\n")
         print("\n".join(aligned(frame_rows(work), left=1)))
-        title = f"MAP and MPC: {session.where}, {_laps(arguments)} on each of {session.days}"
-        _draw(session, table, laps, labels, title)
+        _draw(session, arguments, table, laps, "MAP and MPC", RIVALS)
         session.report()
 
 
-def _draw(session, table, laps, labels, title):
+def _write_scaling(session, arguments, races, laps, **frames):
+    """The table of races at rising scales; all tables are written, and the common ones printed."""
+    table, highest = scaling_table(races, laps), highest_scales(races)
+    common = {"races": races, "laps": laps, "highest_scales": highest}
+    session.write(table, arguments.laps, **common, **frames)
+    print("\n".join(scaling_lines(table)), end="\n\n")
+    print("\n".join(highest_lines(highest)), end="\n\n")
+    return table
+
+
+def _draw(session, arguments, table, laps, what, contenders):
     """Figure of errors and laps over the scale, and of the days not completed."""
     counted = laps[(laps.outcome == "completed") & laps.valid]
     ended = {
         (row.speed_scale, row.controller): row.days - row.days_completed
         for row in table.itertuples()
     }
+    title = f"{what}: {session.where}, {_laps(arguments)} on each of {session.days}"
+    labels = [contender.label for contender in contenders]
     draw_scaling(session.figures, counted, ended, labels, title)
 
 
@@ -245,8 +245,8 @@ def not_completed(row: tuple) -> str:
 
 def robustness_lines(races: pd.DataFrame) -> list[str]:
     """A row for each controller and track: how many cars completed it, and how close."""
-    titles = ["controller", "track", "completed", "lap [s]", "RMS error [m]", "worst", "max error"]
-    rows = [titles]
+    titles = ["controller", "track", "completed", "median lap [s]", "mean RMS error [m]"]
+    rows = [[*titles, "worst RMS error [m]", "max error [m]"]]
     for (label, track), group in races.groupby(["controller", "track"], sort=False):
         done = group[group.outcome == "completed"]
         rows.append([label, track, f"{len(done)} of {len(group)}"])
@@ -267,7 +267,9 @@ def not_completed_lines(races: pd.DataFrame) -> list[str]:
     rows = [
         [
             f"N.C. {row.controller} on {row.track}, {row.car}:",
-            f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
+            row.cause
+            if math.isnan(row.end_s_m)
+            else f"after {row.laps_completed} laps at s = {row.end_s_m:.1f} m: {row.cause}",
         ]
         for row in races[races.outcome != "completed"].itertuples()
     ]
@@ -276,11 +278,13 @@ def not_completed_lines(races: pd.DataFrame) -> list[str]:
 
 def grid_lines(table: pd.DataFrame) -> list[str]:
     """How many races each controller completed, and how close."""
-    return [
-        f"{row.controller}: {row.races_completed} of {row.races} completed, RMS error "
-        f"{row.mean_rms_lateral_error_m:.4f} m, worst race {row.worst_rms_lateral_error_m:.4f} m"
-        for row in table.itertuples()
-    ]
+    lines = []
+    for row in table.itertuples():
+        lines.append(f"{row.controller}: {row.races_completed} of {row.races} completed")
+        if row.races_completed:
+            lines[-1] += f", RMS error {row.mean_rms_lateral_error_m:.4f} m, "
+            lines[-1] += f"worst race {row.worst_rms_lateral_error_m:.4f} m"
+    return lines
 
 
 def highest_lines(highest: pd.DataFrame) -> list[str]:
@@ -292,7 +296,7 @@ def highest_lines(highest: pd.DataFrame) -> list[str]:
         cells = [f"{value:.3f}" if math.isfinite(value) else "none" for value in values]
         # A day without any counts as the lowest.
         middle = float(np.median(np.where(np.isfinite(values), values, 0.0)))
-        rows.append([label, *cells, f"{middle:.4g}"])
+        rows.append([label, *cells, f"{middle:.4g}" if middle else "none"])
     return aligned(rows)
 
 

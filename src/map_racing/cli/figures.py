@@ -178,11 +178,11 @@ def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) 
     _save(folder, [("velocity_scaling.png", plot_scaling, (laps, ended, labels, title))])
 
 
-def draw_robustness(folder: str, races, title: str, stem: str) -> Path:
+def draw_robustness(folder: str, races, title: str, label: str) -> Path:
     """Draw the races of one controller over tracks and cars; arguments as in `plot_robustness`."""
     from ..plots.experiments import plot_robustness
 
-    return _save(folder, [(f"robustness_{stem}.png", plot_robustness, (races, title))])
+    return _save(folder, [(f"robustness_{label}.png", plot_robustness, (races, title))])
 
 
 def draw_trajectories(folder: str, raceline, rows: list, title: str, seed: int) -> Path:

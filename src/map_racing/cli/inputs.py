@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..errors import ParameterError
 from ..identification.channels import Channel, ChannelMap, load_channel_map
 from ..vehicle.parameters import Vehicle, load_vehicle
+from .options.recording import SERVO
 
 if TYPE_CHECKING:
     from ..simulation.plant import PlantParameters
@@ -72,8 +73,10 @@ def channel_map(arguments: argparse.Namespace) -> ChannelMap:
     channels = load_channel_map(arguments.channels) if arguments.channels else ChannelMap()
     if arguments.pose_topic:
         channels = dataclasses.replace(channels, pose_topic=arguments.pose_topic)
+    gain, offset = arguments.servo_gain, arguments.servo_offset
+    if not arguments.servo_topic and (gain, offset) != SERVO:
+        raise ParameterError("--servo-gain, --servo-offset: expected --servo-topic, too")
     if arguments.servo_topic:
-        gain, offset = arguments.servo_gain, arguments.servo_offset
         if not gain:
             raise ParameterError("--servo-gain: expected a number other than 0, got 0")
         steering = Channel(arguments.servo_topic, scale=1.0 / gain, offset=-offset / gain)

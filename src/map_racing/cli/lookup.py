@@ -13,14 +13,16 @@ from ..identification.data import load_run
 from ..identification.replay import actuators_of, replay, replay_lines
 from ..track.corners import corners
 from ..track.files.load import load_raceline
+from ..track.findings import raceline_warnings
 from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_tables
 from ..vehicle.grids import default_grid, published_grid
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import linearized, parameter_hash
-from ..vehicle.plausibility import doubts_of_peak
+from ..vehicle.plausibility import doubts_of_cells, doubts_of_peak
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table
 from .inputs import channel_map, read_vehicle
+from .options.lookup import CONTROLLER
 from .outputs import check_outputs
 
 
@@ -44,13 +46,14 @@ def run_generate(arguments):
 
 def run_check(arguments):
     """Report on a table; compare it with a vehicle."""
-    if arguments.bag and not arguments.vehicle:
-        raise ParameterError("--bag: expected --vehicle, the car to drive by its commands")
+    _check_options(arguments)
     table = load_table(arguments.table)
     vehicle = _vehicle(arguments) if arguments.vehicle else None
     _describe(arguments.table, table)
     if arguments.raceline:
         raceline = load_raceline(arguments.raceline)
+        for doubt in raceline_warnings(raceline, arguments.raceline):
+            print(f"  warning: {doubt}")
         _describe_corners(raceline, table)
         _describe_speeds(raceline, table, arguments.controller, vehicle)
     _draw(arguments.plots, table)
@@ -78,6 +81,19 @@ def run_check(arguments):
         )
     if arguments.bag:
         _replay(arguments, vehicle)
+
+
+def _check_options(arguments):
+    """Refuse options that would be ignored."""
+    if arguments.bag and not arguments.vehicle:
+        raise ParameterError("--bag: expected --vehicle, the car to drive by its commands")
+    if arguments.linear and not arguments.vehicle:
+        raise ParameterError("--linear: expected --vehicle, the car to compare with")
+    if arguments.controller != CONTROLLER and not arguments.raceline:
+        raise ParameterError("--controller: expected --raceline, the line that it would drive")
+    for name in ("channels", "pose_topic", "servo_topic", "steering_delay"):
+        if getattr(arguments, name) is not None and not arguments.bag:
+            raise ParameterError(f"--{name.replace('_', '-')}: expected --bag, what it is for")
 
 
 def _replay(arguments, vehicle):
@@ -132,7 +148,7 @@ def _describe(path, table):
         for i in picked
     )
     print(f"  largest lateral acceleration [m/s^2]: {limits}")
-    for doubt in doubts_of_peak(table):
+    for doubt in doubts_of_peak(table) + doubts_of_cells(table):
         print(f"  warning: {doubt}")
 
 

@@ -7,11 +7,12 @@ from typing import Iterable
 
 from ..bags.opening import is_bag
 from ..errors import ParameterError
+from ..track.files.readers import split_source
 
 __all__ = ["check_outputs"]
 
 
-def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = ()) -> None:
+def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None]) -> None:
     """Refuse outputs that are mistakes.
 
     Parameters
@@ -19,7 +20,7 @@ def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = 
     outputs : iterable of str or None
         Files that the command would write; None if not wanted.
     inputs : iterable of str or None
-        Files that it reads.
+        Files that it reads, maybe ``FILE#KEY``.
 
     Raises
     ------
@@ -28,7 +29,8 @@ def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None] = 
         replace a bag by another kind of file.
     """
     # Inputs may be names of shipped files as well.
-    taken = {_identity(path): "an input" for path in inputs if path and Path(path).is_file()}
+    files = [split_source(source)[0] for source in inputs if source]
+    taken = {_identity(path): "an input" for path in files if Path(path).is_file()}
     for path in outputs:
         if path is None:
             continue

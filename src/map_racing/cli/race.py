@@ -16,7 +16,6 @@ from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
 from ..simulation.recorded import write_race_bag
 from ..track.files.load import load_raceline
-from ..track.files.readers import split_source
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import parameter_hash
 from ..vehicle.plausibility import doubts_of_table
@@ -36,15 +35,8 @@ def run(arguments):
     """Race and record; exit code."""
     if not 1 <= arguments.laps <= MOST_LAPS:
         raise ParameterError(f"--laps: expected 1 to {MOST_LAPS}, got {arguments.laps}")
-    inputs = [
-        split_source(arguments.track)[0],
-        arguments.controller,
-        arguments.plant,
-        arguments.vehicle,
-        arguments.lookup_table,
-        arguments.speed_sectors,
-        arguments.faults,
-    ]
+    inputs = [arguments.track, arguments.controller, arguments.plant, arguments.vehicle]
+    inputs += [arguments.lookup_table, arguments.speed_sectors, arguments.faults]
     check_outputs([arguments.output], inputs)
     parameters = load_law(arguments.controller)
     if arguments.faults and isinstance(parameters, MpcParameters):
@@ -57,12 +49,11 @@ def run(arguments):
     parameters = law_for(arguments, plant_parameters, size)
     plant, localization = build_plant(plant_parameters, arguments.seed)
     controller = controller_of(arguments, parameters, plant_parameters.vehicle, raceline)
-    supervision = {}
+    faults, limits = (), None
     if arguments.faults:
-        supervision["faults"] = load_faults(arguments.faults, raceline.length)
-        supervision["limits"] = load_safety_limits(arguments.controller, plant_parameters.vehicle)
-    output = Path(arguments.output)
-    with progress_bar(output.name, arguments.laps + 1, "laps") as show:
+        faults = load_faults(arguments.faults, raceline.length)
+        limits = load_safety_limits(arguments.controller, plant_parameters.vehicle)
+    with progress_bar(Path(arguments.output).name, arguments.laps + 1, "laps") as show:
         log = race(
             plant,
             controller,
@@ -70,23 +61,18 @@ def run(arguments):
             localization,
             laps=arguments.laps,
             progress=show,
-            **supervision,
+            limits=limits,
+            faults=faults,
         )
-    print_stops(log, supervision.get("faults", ()))
+    print_stops(log, faults)
     settings = settings_text(
         controller,
         name=arguments.controller,
         table=arguments.lookup_table or "",
         sectors=arguments.speed_sectors or "",
     )
-    write_race_bag(output, log, raceline, settings=settings)
-    if raceline.d_left is None:
-        print(f"{arguments.track}: no walls are known, so crashes are not detected")
-    print(
-        f"{output}: {arguments.controller} on {raceline.name or arguments.track} at "
-        f"{parameters.speed_scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
-        f"{log.duration:.1f} s{place_of_end(log, raceline)}"
-    )
+    write_race_bag(arguments.output, log, raceline, settings=settings)
+    print_end(arguments, log, raceline, parameters.speed_scale)
     if log.outcome is Outcome.COMPLETED:
         return 0
     print(f"map-racing: not completed (N.C.), {log.outcome.value}", file=sys.stderr)
@@ -101,6 +87,22 @@ def print_stops(log, faults):
     for fault in faults:
         if fault.at_s > log.duration:
             print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+
+
+def print_end(arguments, log, raceline, scale):
+    """How the race ended and, of one that was not completed, where."""
+    if raceline.d_left is None:
+        print(f"{arguments.track}: no walls are known, so crashes are not detected")
+    where = ""
+    if log.outcome is not Outcome.COMPLETED and log.samples:
+        place = raceline.project(*log.samples[-1].true[1:3])
+        side = "left" if place.d > 0.0 else "right"
+        where = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
+    print(
+        f"{Path(arguments.output)}: {arguments.controller} on {raceline.name or arguments.track} "
+        f"at {scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
+        f"{log.duration:.1f} s{where}"
+    )
 
 
 def load_track(source, longest):
@@ -157,15 +159,6 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
     return controller
 
 
-def place_of_end(log, raceline):
-    """The place where a race ended that was not completed, in words."""
-    if log.outcome is Outcome.COMPLETED or not log.samples:
-        return ""
-    place = raceline.project(*log.samples[-1].true[1:3])
-    side = "left" if place.d > 0.0 else "right"
-    return f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
-
-
 def given_table(path, parameters, vehicle, own):
     """The table of a file, with a printed comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
@@ -180,6 +173,6 @@ def given_table(path, parameters, vehicle, own):
         f"{path}: table{made_for}: {angles[0]:.4f} rad for {a_lat:.1f} m/s^2 at {v:g} m/s, where "
         f"the table of {vehicle.name} has {angles[1]:.4f} rad"
     )
-    for doubt in doubts_of_table(table, vehicle):
+    for doubt in doubts_of_table(table, vehicle, parameters.steering_map == "linear_table"):
         print(f"warning: {doubt}")
     return table

@@ -28,7 +28,7 @@ WITHOUT = {
 def run_check(arguments):
     """Report on a raceline."""
     alone = arguments.json == "-"
-    check_outputs([None if alone else arguments.json], [split_source(arguments.source)[0]])
+    check_outputs([None if alone else arguments.json], [arguments.source])
     table = raceline = None
     try:
         table = read_raceline(arguments.source)
@@ -69,7 +69,7 @@ def run_check(arguments):
 def run_convert(arguments):
     """Read, repair, write."""
     form = choose_format(arguments.output, arguments.format)
-    check_outputs([arguments.output], [split_source(arguments.source)[0]])
+    check_outputs([arguments.output], [arguments.source])
     if arguments.spacing is not None and not 0.001 <= arguments.spacing <= 100.0:
         raise ParameterError(f"--spacing: expected 0.001 to 100 m, got {arguments.spacing:g}")
     table = read_raceline(arguments.source)

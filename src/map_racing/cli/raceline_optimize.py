@@ -15,8 +15,7 @@ from ..printing import printable
 from ..track.centerline import track_from_map, widest_place
 from ..track.files.formats import choose_format
 from ..track.files.load import load_raceline, save_raceline
-from ..track.files.readers import split_source
-from ..track.findings import NOTE
+from ..track.findings import NOTE, raceline_warnings
 from ..track.map_image import read_map_image
 from ..track.optimization import (
     fastest_line,
@@ -28,6 +27,7 @@ from ..track.speed_profile import raceline_speeds
 from ..track.walls import clearance_of
 from ..vehicle.limits import speed_limits
 from ..vehicle.lookup import load_table
+from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import size_of
 from .figures import draw_optimized
 from .inputs import read_vehicle
@@ -45,8 +45,8 @@ MOST_POINTS, WIDEST_M = 20000, 100.0
 def run_optimize(arguments):
     """Optimize, compare, write."""
     outputs = [arguments.output, arguments.middle, arguments.sectors]
-    tracks = [split_source(track)[0] for track in (arguments.source, *arguments.compare)]
-    check_outputs(outputs, [*tracks, arguments.vehicle, arguments.lookup_table])
+    inputs = [arguments.source, *arguments.compare, arguments.vehicle, arguments.lookup_table]
+    check_outputs(outputs, inputs)
     forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = read_vehicle(arguments.vehicle)
@@ -55,9 +55,12 @@ def run_optimize(arguments):
         arguments.margin = MARGIN_M * size.length
     if arguments.step is None:
         arguments.step = STEP_M * size.length
+    table = load_table(arguments.lookup_table) if arguments.lookup_table else None
+    for doubt in [] if table is None else doubts_of_table(table, vehicle):
+        print(f"warning: {doubt}")
     limits = speed_limits(
         vehicle,
-        load_table(arguments.lookup_table) if arguments.lookup_table else None,
+        table,
         lateral_scale=arguments.lateral_scale,
         longitudinal_scale=arguments.longitudinal_scale,
         v_max=arguments.v_max,
@@ -68,6 +71,8 @@ def run_optimize(arguments):
     clearance = 0.5 * vehicle.width + arguments.margin
     for source in arguments.compare:
         other = load_raceline(source)
+        for doubt in raceline_warnings(other, source):
+            print(f"  warning: {doubt}")
         lines.append((label(other.name, "compared", [name for name, _ in lines]), other))
     theirs = [clearance_of(other, track) for _, other in lines[1:]]
     clearance = compared_clearance(arguments.compare, theirs, clearance)

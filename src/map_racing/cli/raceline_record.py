@@ -11,9 +11,8 @@ from ..printing import printable
 from ..track.centerline import walls_from_map
 from ..track.files.checks import raceline_of
 from ..track.files.load import load_raceline, save_raceline
-from ..track.files.readers import split_source
 from ..track.files.report import facts_text, findings_count, raceline_facts
-from ..track.findings import Finding
+from ..track.findings import Finding, raceline_warnings
 from ..track.map_image import read_map_image
 from ..vehicle.size import size_of
 from .inputs import joined, read_vehicle
@@ -25,8 +24,7 @@ from .raceline_optimize import form_of
 def run_record(arguments):
     """Read, choose a lap, write its line and check it."""
     form = form_of(arguments.output, arguments.format)
-    given = split_source(arguments.raceline or "")[0]
-    inputs = [*arguments.recordings, given, arguments.map, arguments.vehicle]
+    inputs = [*arguments.recordings, arguments.raceline, arguments.map, arguments.vehicle]
     check_outputs([arguments.output], inputs)
     sources = joined(arguments.recordings, arguments.join)
     if len(sources) > 1:
@@ -40,6 +38,8 @@ def run_record(arguments):
     raceline = None
     if arguments.raceline:
         raceline = load_raceline(arguments.raceline)
+        for doubt in raceline_warnings(raceline, arguments.raceline):
+            print(f"  warning: {doubt}")
     elif recording.waypoints is not None:
         raceline = recorded_raceline(recording)
     laps = driven_laps(recording, raceline, size)

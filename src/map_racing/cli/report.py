@@ -19,7 +19,6 @@ from ..identification.delay import delay_data, estimate_delays
 from ..pages.html import plotly_script
 from ..pages.report import report_page
 from ..track.files.load import load_raceline
-from ..track.files.readers import split_source
 from ..vehicle.parameters import parameter_hash
 from .evaluate import check_evaluation, evaluate_one, run_names
 from .inputs import joined, read_vehicle
@@ -32,8 +31,8 @@ def run(arguments):
     """Evaluate, analyze, write the page; recordings that cannot be read are skipped."""
     plotly_script()  # without it nothing can be written
     check_evaluation(arguments)
-    given = split_source(arguments.raceline or "")[0]
-    check_outputs([arguments.output], [*arguments.recordings, given, arguments.vehicle])
+    inputs = [*arguments.recordings, arguments.raceline, arguments.vehicle]
+    check_outputs([arguments.output], inputs)
     runs, failed = analyses(arguments, delays=True)
     if not runs:
         return 1

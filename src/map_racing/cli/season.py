@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 
 from ..bags.opening import source_name
@@ -11,12 +12,13 @@ from ..errors import MapRacingError, ParameterError
 from ..evaluation.report import write_rows
 from ..experiments.executors import open_executor
 from ..experiments.season import COLUMNS, BagOptions, evaluate_season
-from ..experiments.season_bags import find_bags
+from ..experiments.season_bags import find_bags, first_part, parts_of
 from ..files import make_folder, replacing
 from ..pages.html import plotly_script
 from ..pages.season import season_page
 from ..printing import printable
 from ..track.files.load import load_raceline
+from ..track.files.readers import split_source
 from .evaluate import check_evaluation
 
 
@@ -63,22 +65,19 @@ def run(arguments):
 
 def _anywhere(source):
     """A source as other processes find it, which may have another working folder."""
-    path, mark, key = source.partition("#")
-    return os.path.abspath(path) + mark + key if Path(path).exists() else source
-
-
-def parts_of(bag):
-    """Files or folders of a bag, of which a run that was split has several."""
-    return list(bag) if isinstance(bag, tuple) else [bag]
+    path, key = split_source(source)
+    if not Path(path).exists():
+        return source
+    return os.path.abspath(path) + (f"#{key}" if key else "")
 
 
 def report_paths(bags, output):
     """Where the report of each bag is: in the folder ``reports``, in the folders of the bags."""
-    folders = [os.path.dirname(os.path.abspath(str(parts_of(bag)[0]))) for bag in bags]
+    folders = [os.path.dirname(os.path.abspath(str(first_part(bag)))) for bag in bags]
     base = os.path.commonpath(folders)
     paths = {}
     for bag in bags:
-        name = os.path.relpath(os.path.abspath(str(parts_of(bag)[0])), base)
+        name = os.path.relpath(os.path.abspath(str(first_part(bag))), base)
         name = re.sub(r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?)$", "", name)
         paths[source_name(bag)] = output / "reports" / f"{name}.html"
     return paths
@@ -96,14 +95,20 @@ def make_reports(heats, parts, reports, arguments):
     """Write the reports of the latest heats that can be read, where they are missing or older."""
     from . import build_parser, report
 
-    latest = list(dict.fromkeys(heat["bag"] for heat in heats[::-1] if not heat["reason"]))
-    for bag in latest[: arguments.reports]:
-        path = reports[bag]
-        files = list(map(str, parts[bag]))
-        changed = max(os.stat(file).st_mtime for file in files)
+    latest = {heat["bag"]: heat["given"] for heat in heats[::-1] if not heat["reason"]}
+    for bag, given in list(latest.items())[: arguments.reports]:
+        path, files = reports[bag], list(map(str, parts[bag]))
+        read = [Path(name) for name in [*files, *([split_source(given)[0]] if given else [])]]
+        changed = max((name.stat().st_mtime for name in read if name.exists()), default=0.0)
         if path.is_file() and path.stat().st_mtime >= changed:
             continue
         make_folder(path.parent)
         words = ["report", *files, "--output", str(path), "--car-width", str(arguments.car_width)]
         words += ["--join"] if len(files) > 1 else []
-        report.run(build_parser().parse_args(words))
+        words += ["--raceline", given] if given else []
+        if arguments.max_deviation is not None:
+            words += ["--max-deviation", str(arguments.max_deviation)]
+        try:
+            report.run(build_parser().parse_args(words))
+        except MapRacingError as error:  # the others, and the table, are as good without it
+            print(f"map-racing: no report of {printable(bag)}: {error}", file=sys.stderr)

@@ -15,17 +15,13 @@ from ..vehicle.size import size_of
 from .experiment import grid_lines, named_controllers
 from .session import open_grid, open_session
 
-DEFAULTS = ("pure_pursuit_paper", "map_linear_paper", "map_paper")
-
 
 def run(arguments):
     """Tune."""
     given = named_controllers(arguments.controller)
+    check_options(arguments)
     if arguments.robust:
         return run_robust(arguments, given)
-    for option in ("tracks", "generated", "grip_use"):
-        if getattr(arguments, option) is not None:
-            raise ParameterError(f"--{option.replace('_', '-')} belongs to --robust")
     stems = list(given)
     session = open_session(arguments, "tune")
     given = named_controllers(arguments.controller, session.setting.vehicle)
@@ -46,6 +42,20 @@ def run(arguments):
     session.report()
     for stem in stems:
         print(f"  map-racing race --controller {session.folder / 'controllers' / stem}.yaml ...")
+
+
+def check_options(arguments):
+    """Refuse options that the kind of tuning asked for would ignore."""
+    of_grid = {"grid": "robustness", "tracks": None, "generated": None, "grip_use": None}
+    of_days = {"conditions": "paper", "track": None, "plant": None, "vehicle": None}
+    of_days.update(practice_seeds=None, tuning_scale=None)
+    names = {"practice_seeds": "seeds", "tuning_scale": "speed_scale"}
+    for name, default in (of_days if arguments.robust else of_grid).items():
+        if getattr(arguments, name) != default:
+            option = "--" + names.get(name, name).replace("_", "-")
+            if arguments.robust:
+                raise ParameterError(f"{option}: not with --robust, which races on a --grid")
+            raise ParameterError(f"{option} belongs to --robust")
 
 
 def run_robust(arguments, controllers):

@@ -124,7 +124,7 @@ class Controller:
         self._estimate_v_y = SideslipEstimate(vehicle, ahead)
         self._behind = vehicle.l_r - ahead
         self._learned = self._setup = self._guard = self._adaptation = self._untaught = None
-        self.apply(self._planned(Setup(parameters, steering_map, grip, raceline, sectors)))
+        self.apply(self._completed(Setup(parameters, steering_map, grip, raceline, sectors)))
         self.reset()
 
     # -- what it drives with -------------------------------------------------------------------
@@ -150,7 +150,7 @@ class Controller:
         ParameterError
             If the raceline would have no speeds and ``grip_use`` is 0.
         """
-        return self._planned(self._setup._replace(**changes))
+        return self._completed(self._setup._replace(**changes))
 
     def apply(self, setup):
         """Drive with what `prepare` returned from the next step on.
@@ -174,10 +174,10 @@ class Controller:
                 self._adaptation.slowest = setup.plan.slowest
             self._follow_belief()
 
-    def _planned(self, setup):
+    def _completed(self, setup):
         """A setup with all that goes with what is given."""
         adaptation = self._adaptation_of(setup.parameters)
-        return setup._replace(adaptation=adaptation).planned(self._setup)
+        return setup._replace(adaptation=adaptation).with_plan(self._setup)
 
     def _adaptation_of(self, parameters):
         """What learns the tires, which survives being switched off; None while it is."""

@@ -55,21 +55,21 @@ class MotionEstimate:
         """
         poses = self._poses
         if not math.isfinite(t + x + y + psi):
-            return self._motion(psi)
+            return self._motion()
         if poses:
             if t < poses[-1][0]:
                 poses.clear()
             elif t == poses[-1][0]:
-                return self._motion(psi)
+                return self._motion()
             else:  # unwrap the heading
                 last = poses[-1][3]
                 psi = last + math.remainder(psi - last, math.tau)
         poses.append((t, x, y, psi))
         while len(poses) > 2 and t - poses[0][0] > self.window + 1e-9:
             poses.popleft()
-        return self._motion(psi)
+        return self._motion()
 
-    def _motion(self, psi):
+    def _motion(self):
         poses = self._poses
         count = len(poses)
         if count < 2:

@@ -11,10 +11,11 @@ controller's `SpeedPlan`; states are relative to the raceline::
     r'   = (l_f F_yf - l_r F_yr) / I_z
     delta' = u                         the input, up to the servo's rate
 
-The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost
-of a stage is ``d^2 + (w_h d' / v)^2 + (w_u (u - u_r))^2``, all in meters: lateral error, direction
-of motion, and steering rate beside that of a car on the raceline. The program has the rates alone
-as its variables and is solved by OSQP.
+The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost of a
+stage is ``d^2 + (w_h d' / v)^2 + (w_u (u - u_r))^2``, all in meters: lateral error, direction of
+motion, and steering rate beside that of a car on the raceline. The program has the rates alone as
+its variables and is solved by OSQP. (Of a reference point at the center of gravity the kinematic
+model's ``d' / v`` is that of a linear tangent, which costs 2 mm of error in a bend of 0.8 m.)
 """
 
 from __future__ import annotations

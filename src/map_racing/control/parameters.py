@@ -321,7 +321,7 @@ def parameters_of(source: str | Path, values: dict) -> ControllerParameters | Mp
     """
     values = dict(values)
     law = values.pop("law", "l1")
-    if law not in LAWS:
+    if not isinstance(law, str) or law not in LAWS:
         raise ParameterError(f"{source}: law: expected {' or '.join(LAWS)}, got {law!r}")
     return read_parameters(source, LAWS[law], values)
 

@@ -11,10 +11,10 @@ controller wait for `Supervisor.resume`.
 from __future__ import annotations
 
 import math
-from enum import Enum
-from typing import TYPE_CHECKING, Callable, NamedTuple
+from typing import TYPE_CHECKING, Callable
 
 from .controller import ControlResult, Status
+from .decision import Decision, Mode, Reason
 from .obedience import MOVING, ROLLING, SETTLING, Course, Obedience, PoseMotion
 from .safety_limits import SafetyLimits
 from .slowing import Slowing
@@ -24,7 +24,7 @@ from .state import CarState
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["Decision", "Mode", "Reason", "Supervisor", "state_text"]
+__all__ = ["Supervisor"]
 
 # A car that did not move as commanded, or not to where its pose points, rests for this long [s]
 # before it tries again.
@@ -49,52 +49,6 @@ RISING, QUICKEST = 0.1, 5.0
 
 # A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
 BACKWARDS = 0.5
-
-
-class Mode(Enum):
-    """What the car does."""
-
-    WAITING = "waiting"  # it has not driven yet
-    DRIVING = "driving"
-    STOPPING = "stopping"  # the commanded speed ramps down
-    STOPPED = "stopped"
-
-
-class Reason(Enum):
-    """Why the car may not drive, by descending priority."""
-
-    NONE = ""
-    STOP_REQUESTED = "stop requested"
-    FAILURE = "controller failed"
-    NO_POSE = "no pose yet"
-    FRAME = "pose in another frame"
-    INVALID_POSE = "pose not finite or absurd"
-    STALE_POSE = "pose too old"
-    FROZEN_POSE = "pose frozen while moving"
-    JUMP = "pose jumped"
-    HEADING = "heading against the motion"
-    BACKWARDS = "rolling backwards"
-    BLOCKED = "no motion although commanded"
-    INVALID_RACELINE = "raceline not drivable"
-    OPPOSED_RACELINE = "raceline against the motion"
-    NO_RACELINE = "no raceline"
-    DEVIATION = "too far from the raceline"
-    OVERSPEED = "faster than commanded for long"
-    GRIP = "grip exceeded for long"
-
-
-class Decision(NamedTuple):
-    """Command to the car, and why."""
-
-    mode: Mode
-    reason: Reason
-    steering_angle: float
-    speed: float
-
-
-def state_text(mode: Mode, reason: Reason) -> str:
-    """Mode and reason as diagnostics and bags have them."""
-    return f"{mode.value}: {reason.value}" if reason.value else mode.value
 
 
 class Supervisor:
@@ -134,21 +88,25 @@ class Supervisor:
         self._failed = self._lost_grip = self._overspeed = False
         self._raceline_valid, self._opposed = True, False
         self.on_restart: Callable[[], None] = lambda: None
+        self.mode = Mode.WAITING
+        self._command, self._commanded = (0.0, 0.0), None  # steering angle and speed; when
+        self._speed = 0.0
         self._forget()
 
     def _forget(self):
-        self.mode, self.reason = Mode.WAITING, Reason.NO_POSE
+        if self.mode is not Mode.WAITING:
+            # The last command holds until another one is sent: stop, as at the end of any gap.
+            self.mode, self._commanded = Mode.STOPPING, -math.inf
+        self.reason = Reason.NO_POSE
         self.jumped = False
         self.pose_age = math.nan
         self._seen = {}  # when each temporary cause was last seen
         self._pose = None
-        self._speed = self._measured = self._rise = 0.0
+        self._measured = self._rise = 0.0
         self._now = self._arrival = None
         self._motion, self._course, self._obedience = PoseMotion(), Course(), Obedience()
         self._blocked = self._slows = False
         self._saturated_since = self._stopped_since = None
-        self._command = (0.0, 0.0)  # steering angle, speed
-        self._commanded = None
 
     # -- requests and events -----------------------------------------------------------------
 
@@ -178,7 +136,7 @@ class Supervisor:
 
     def opposes(self, raceline: Raceline) -> bool:
         """Whether a raceline runs against the motion of the car, which then has to stand first."""
-        if self.stands:  # as one without a pose
+        if self.stands or self._pose is None:
             return False
         beside = raceline.project(self._pose.x, self._pose.y)
         along = math.cos(raceline.pose(beside.s).psi - self._pose.psi)
@@ -308,12 +266,11 @@ class Supervisor:
         self._advance(now)
         if self._arrival is None:
             self._seen[Reason.NO_POSE] = now
-            self.reason = self._cause(now)
+        elif now - self._arrival < self.limits.max_pose_age_s:
             return None
-        if now - self._arrival < self.limits.max_pose_age_s:
-            return None
-        self._seen[Reason.STALE_POSE] = now
-        self.pose_age = now - (self._arrival if self._pose is None else self._pose.t)
+        else:
+            self._seen[Reason.STALE_POSE] = now
+            self.pose_age = now - (self._arrival if self._pose is None else self._pose.t)
         decision = self.decide(now, None)
         if self.mode is Mode.WAITING:
             return None
@@ -330,11 +287,9 @@ class Supervisor:
     @property
     def deadline(self) -> float | None:
         """Time at which `watch` has to be called unless another pose comes [s]; None: none."""
-        if self._arrival is None:
-            return None
-        if self._now - self._arrival < self.limits.max_pose_age_s:
+        if self._arrival is not None and self._now - self._arrival < self.limits.max_pose_age_s:
             return self._arrival + self.limits.max_pose_age_s
-        return self._now + PERIOD
+        return None if self.mode is Mode.WAITING else self._now + PERIOD
 
     def _measure(self, now, v_x):
         """Take a speed, and how it rises."""

@@ -43,7 +43,7 @@ class Settings:
         None where the text has none that this version knows.
     vehicle : Vehicle or None
         Likewise.
-    sectors : list of (float, float, float)
+    sectors : tuple of (float, float, float)
         Speed sectors: start and end [m], scale; empty without any.
     notes : tuple of str
         What could not be read, and with ``warning:`` what the controller doubted.
@@ -107,7 +107,8 @@ def doubts_of(controller: Controller) -> list[str]:
     doubts = [f"vehicle {vehicle.name}: {doubt}" for doubt in doubts]
     table = getattr(controller, "steering_map", None)
     if isinstance(table, LookupTable):
-        doubts += doubts_of_table(table, vehicle)
+        linear = controller.parameters.steering_map == "linear_table"
+        doubts += doubts_of_table(table, vehicle, linear)
     if raceline is not None:
         doubts += raceline_warnings(raceline)
     return doubts + list(sectors.doubts if sectors is not None else ())

@@ -1,4 +1,4 @@
-"""What a controller drives with, all that may change while it drives."""
+"""What a controller drives with and may be given anew while it drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Setup"]
 
 
 class Setup(NamedTuple):
-    """What is given, as for `map_racing.control.controller.Controller`, and what is worked out.
+    """Arguments of `map_racing.control.controller.Controller`, and what follows from them.
 
     Parameters
     ----------
@@ -47,14 +47,14 @@ class Setup(NamedTuple):
     adaptation: Adaptation | None = None
 
     @property
-    def limit(self) -> Any:
-        """What knows the grip."""
+    def grip_map(self) -> Any:
+        """The steering map whose ``max_lateral_acceleration`` limits the speeds."""
         if self.adaptation is not None:
             return self.adaptation.file_steering
         return self.steering_map if self.grip is None else self.grip
 
-    def planned(self, old: Setup | None) -> Setup:
-        """With the tracker and the speed plan that go with the rest.
+    def with_plan(self, old: Setup | None) -> Setup:
+        """This setup with its tracker and speed plan.
 
         Parameters
         ----------
@@ -78,14 +78,14 @@ class Setup(NamedTuple):
         if old is None or setup.plan is None or setup._plan_key() != old._plan_key():
             kind = SpeedPlan if setup.adaptation is None else AdaptiveSpeedPlan
             setup = setup._replace(
-                plan=kind(raceline, parameters, setup.limit, setup.sectors),
-                guard=GripGuard(setup.limit, parameters.v_max_mps),
+                plan=kind(raceline, parameters, setup.grip_map, setup.sectors),
+                guard=GripGuard(setup.grip_map, parameters.v_max_mps),
             )
         return setup
 
     def _plan_key(self):
         """What a speed plan depends on; equal for equal plans."""
         return (
-            *(id(self.raceline), id(self.sectors), id(self.limit)),
+            *(id(self.raceline), id(self.sectors), id(self.grip_map)),
             *(getattr(self.parameters, name) for name in SpeedPlan.DEPENDS_ON),
         )

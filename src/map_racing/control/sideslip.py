@@ -11,6 +11,10 @@ from ..vehicle.single_track import GRAVITY
 __all__ = ["SideslipEstimate"]
 
 
+# The slip of tires without a peak grows without bound [rad].
+LARGEST_SLIP = 1.0
+
+
 class SideslipEstimate:
     """Steady-state lateral velocity of a point of the car from speed and yaw rate.
 
@@ -25,7 +29,8 @@ class SideslipEstimate:
         # The linear tire has no peak; no car of this size corners with 5 g.
         self._a_end = GRAVITY * min(0.999 * vehicle.mu * vehicle.rear.peak, 5.0)
         forces = np.linspace(0.0, self._a_end, self.CELLS + 1) / (GRAVITY * vehicle.mu)
-        self._tangents = np.tan(vehicle.rear.slip(forces)).tolist()
+        slip = np.minimum(vehicle.rear.slip(forces), LARGEST_SLIP)
+        self._tangents = np.tan(slip).tolist()
 
     def __call__(self, v_x, r):
         a_lat = v_x * r

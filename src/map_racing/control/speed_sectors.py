@@ -37,8 +37,7 @@ LARGEST_SCALE = 2.0
 _CORNER, _SHORTEST = 0.4, 0.03
 # A sector that begins farther [m] from where its file says is of another raceline.
 _ELSEWHERE = 1.0
-_PLACES = "start_points"
-_KIND = "a speed_scaling.yaml"
+_PLACES = "start_points"  # key of the places where sectors begin
 # Range of the curvature, as a share of the largest, from which a bend all along is an oval.
 _OVAL = 0.1
 
@@ -176,10 +175,10 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     ParameterError
         If the file is missing or malformed; the message names file and field.
     """
-    content = read_yaml_mapping(path, _KIND)
+    content = read_yaml_mapping(path, "a speed_scaling.yaml")
     points = raceline.s_points
     if "n_sectors" not in content:
-        raise ParameterError(f"{path}: not {_KIND}: n_sectors is missing")
+        raise ParameterError(f"{path}: not a speed_scaling.yaml: n_sectors is missing")
     limit = _scale(path, content, "global_limit", "global_limit", 1.0)
     sectors, count, last = [], _index(path, content, "n_sectors"), -1
     for index in range(count):
@@ -209,18 +208,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     if sectors and min(sectors)[0] == 0.0 and max(sectors)[1] == points[-1]:
         start, _, scale = sectors.pop(sectors.index(max(sectors)))
         sectors.append((start, raceline.length, scale))
-    own = [re.fullmatch(r"Sector(0|[1-9]\d*)", str(key)) for key in content]
-    general = ("global_limit", "n_sectors", _PLACES)
-    unknown = [
-        str(key)
-        for key, sector in zip(content, own)
-        if key not in general and not (sector and int(sector[1]) < count)
-    ]
-    if unknown:
-        raise ParameterError(
-            f"{path}: {unknown[0]}: unknown; known are global_limit, n_sectors and Sector0 to "
-            f"Sector{count - 1}"
-        )
+    _refuse_unknown(path, content, count)
     doubts = []
     if count and last < len(points) - 2:
         doubts.append(
@@ -233,6 +221,18 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
         return SpeedSectors(sectors, raceline.length, min(1.0, limit), doubts)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error
+
+
+def _refuse_unknown(path, content, count):
+    """Refuse keys that are none of a file with so many sectors."""
+    for key in content:
+        sector = re.fullmatch(r"Sector(0|[1-9]\d*)", str(key))
+        known = key in ("global_limit", "n_sectors", _PLACES) or (sector and int(sector[1]) < count)
+        if not known:
+            raise ParameterError(
+                f"{path}: {key}: unknown; known are global_limit, n_sectors and Sector0 to "
+                f"Sector{count - 1}"
+            )
 
 
 def corners_and_straights(raceline: Raceline) -> list:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Callable, NamedTuple
 from ..errors import MapRacingError
 from ..vehicle.size import size_of
 from .controller import Controller, ControlResult
-from .safety import Decision, Supervisor
+from .decision import Decision
+from .safety import Supervisor
 from .safety_limits import SafetyLimits
 from .slowing import Slowing
 from .steering import build_steering_maps

@@ -10,13 +10,14 @@ from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
 from .results import Lap
-from .speed import speed_of
+from .speed import CHORD_S, beyond_for_a_while, chords, speed_of
 
 __all__ = [
     "alternation",
     "bunches",
     "command_clock",
     "command_units",
+    "doubts_of",
     "frame_warning",
     "speed_warning",
     "time_jump",
@@ -28,6 +29,9 @@ __all__ = [
 # Poses that alternate between two places do so after an odd and an even number of samples. One
 # that moved by less than this share of the usual step repeats the one before.
 _ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
+# They may do so for a while only: in a block of so many samples, by at least so much [m]. Or some
+# lie so far beside the way [m], and so many times as far as most do, for one sample.
+_BLOCK, _APART_IN_BLOCK, _BESIDE, _MANY, _FEW = 200, 0.05, 0.05, 8.0, 4
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
 # A step in time that is so many times the usual one, and longer by more [s], may be of a clock that
@@ -39,10 +43,49 @@ _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
 # laps have 0.8 and more. Fewer samples, and commands that vary less [m/s], do not tell; more than
 # so many are not needed.
 _FOLLOWS, _LAGS = 0.6, np.arange(0.0, 0.61, 0.05)
-_TELLING, _VARIED, _ENOUGH = 200, 0.2, 10000
+_TELLING, _VARIED, _EVENLY, _ENOUGH = 200, 0.2, 1e-9, 10000
 # Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
 # the motion of the poses, and nothing shortens it.
 _MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.1
+# For a while, over so many chords, a measured speed may be off by more where the wheels slip, and a
+# commanded one while the car brakes; both are compared above a speed [m/s].
+_WHILE, _SLIP, _DRIVES = 12, (0.65, 1.4), 1.0
+_LONG_WHILE, _BRAKES = 16, 1.5
+# A single speed this much above that of the poses around it, in times and m/s, is none.
+_TOP_TIMES, _TOP_MORE = 2.0, 2.0
+
+
+def doubts_of(recording: Recording, laps: list[Lap]) -> list[str]:
+    """All doubts about a recording, or about what was driven so far.
+
+    Parameters
+    ----------
+    recording : Recording
+    laps : list of Lap
+        Only within those that are complete do speeds count that are wrong for a while.
+
+    Returns
+    -------
+    list of str
+    """
+    topic, t, x, y = recording.topic, recording.t, recording.x, recording.y
+    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
+    begin = min((lap.start_time_s for lap in complete), default=math.inf)
+    end = max((lap.end_time_s for lap in complete), default=-math.inf)
+    of_commands = [*command_units(recording), unfollowed(recording)]
+    if not any(of_commands):
+        of_commands = [_command_for_a_while(recording, begin, end)]
+    doubts = [
+        frame_warning(topic, recording.frame),
+        alternation(topic, t, x, y),
+        bunches(topic, t),
+        time_jump(topic, t, x, y),
+        speed_warning(topic, t, x, y, v) or _speed_for_a_while(topic, t, x, y, v, begin, end),
+        command_clock(recording),
+        *of_commands,
+    ]
+    return [doubt for doubt in doubts if doubt]
 
 
 def frame_warning(topic: str, frame: str) -> str:
@@ -77,19 +120,48 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     t, x, y = (values[_new(x, y)] for values in (t, x, y))
     if t.size < 10 * _EVEN + 2:
         return ""
+    apart = _alternates(t, x, y, _APART)
+    blocks = np.array_split(np.arange(t.size), max(t.size // _BLOCK, 1))
+    apart = apart or max(_alternates(t[b], x[b], y[b], _APART_IN_BLOCK) for b in blocks)
+    if apart:
+        return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
+    few = sum(count for count in (_beside(x[b], y[b]) for b in blocks) if count >= _FEW)
+    if few:
+        return f"{topic}: {few} poses lie beside those before and after: of two nodes?"
+    return ""
+
+
+def _alternates(t, x, y, least):
+    """How far apart [m] the two places are between which poses alternate; 0 if they do not."""
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
     apart = float(np.median(np.hypot(*bends)))
     size = float(np.median(np.sum(bends**2, axis=0)))
-    if apart < _APART:
-        return ""
+    if apart < least:
+        return 0.0
     odd, even = (
         float(np.median(np.sum(bends[:, lag:] * bends[:, :-lag], axis=0))) / size
         for lag in (_ODD, _EVEN)
     )
-    if not (odd < -_ALIKE and even > _ALIKE):
-        return ""
-    return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
+    return apart if odd < -_ALIKE and even > _ALIKE else 0.0
+
+
+def _beside(x, y):
+    """Number of poses beside the way, from which those before and after do not differ.
+
+    Across the way only: along it a pose that is stamped late is as far off.
+    """
+    along = np.stack([x[2:] - x[:-2], y[2:] - y[:-2]])
+    off = np.stack([x[1:-1] - x[:-2], y[1:-1] - y[:-2]])
+    way = np.hypot(*along)
+    usual = float(np.median(way))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beside = np.abs(along[0] * off[1] - along[1] * off[0]) / way
+    beside = np.where((way > 0.2 * usual) & (way < 1.5 * usual), beside, 0.0)
+    far = beside > max(_BESIDE, _MANY * float(np.median(beside)))
+    # The neighbors of such a pose seem to lie on the other side, half as far.
+    around = np.maximum(np.append(beside[1:], 0.0), np.append(0.0, beside[:-1]))
+    return int(np.count_nonzero(far & (beside >= around)))
 
 
 def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
@@ -104,16 +176,44 @@ def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np
     """
     if not (np.isfinite(v).all() and v.any()):
         return ""
-    moved = speed_of(t, x, y, np.full(v.size, math.nan))
-    moving = (moved > _MOVING) | (v > _MOVING)
+    _, moved, measured = chords(t, x, y, v)
+    moving = (moved > _MOVING) | (measured > _MOVING)
     if np.count_nonzero(moving) < 10:
         return ""
     with np.errstate(divide="ignore"):
-        ratio = float(np.median(v[moving] / moved[moving]))
+        ratio = float(np.median(measured[moving] / moved[moving]))
     if _SLOWEST < ratio < _FASTEST:
         return ""
     hint = ": in km/h?" if abs(ratio / 3.6 - 1.0) < 0.1 else ""
     return f"{topic}: the measured speed is {ratio:.2f} times the motion of the poses{hint}"
+
+
+def _speed_for_a_while(topic, t, x, y, v, begin, end):
+    """Doubt about a measured speed that is for a while, or once, not the motion of the poses."""
+    if not (np.isfinite(v).all() and v.any()):
+        return ""
+    at, moved, measured = chords(t, x, y, v)
+    within = (at > begin) & (at < end) & (np.maximum(moved, measured) > _DRIVES)
+    with np.errstate(divide="ignore"):
+        found = beyond_for_a_while(at[within], measured[within] / moved[within], _WHILE, *_SLIP)
+    if found:
+        return (
+            f"{topic}: from {found[0]:.1f} to {found[1]:.1f} s the measured speed is "
+            f"{found[2]:.2f} times the motion of the poses"
+        )
+    if at.size < _WHILE:
+        return ""
+    around = np.max([np.roll(moved, k) for k in range(-3, 4)], axis=0)
+    around = np.interp(t, at, around)
+    near = np.abs(at[np.clip(np.searchsorted(at, t), 0, at.size - 1)] - t) < 2.0 * CHORD_S
+    over = np.where((t > begin) & (t < end) & near, v - _TOP_TIMES * around - _TOP_MORE, 0.0)
+    k = int(np.argmax(over))
+    if over[k] <= 0.0:
+        return ""
+    return (
+        f"{topic}: the measured speed reaches {v[k]:.1f} m/s at {t[k]:.1f} s, where the poses move "
+        f"at {around[k]:.1f} m/s"
+    )
 
 
 def bunches(topic: str, t: np.ndarray) -> str:
@@ -180,12 +280,14 @@ def command_clock(recording: Recording) -> str:
         return ""
     if commands_of_two(commands.topic, commands.steering_angle, commands.speed):
         return ""  # which is said, and makes any lag
-    t, moved = recording.t, (np.gradient(v, recording.t) for v in (recording.x, recording.y))
-    speed = np.hypot(*moved)
-    turning = np.gradient(np.unwrap(np.where(np.isfinite(recording.psi), recording.psi, 0.0)), t)
+    t, moved = recording.t, [np.gradient(v, recording.t) for v in (recording.x, recording.y)]
+    speed, psi = np.hypot(*moved), recording.psi
+    if np.isnan(psi).all():
+        psi = np.arctan2(*moved[::-1])
+    known = np.isfinite(psi)
+    turning = np.gradient(np.unwrap(np.where(known, psi, 0.0)), t)
     with np.errstate(divide="ignore", invalid="ignore"):
         curvature = np.where(speed > _MOVING, turning / speed, math.nan)
-    known = np.isfinite(recording.psi)
     lag = lag_of_effect(commands.t, commands.steering_angle, t[known], curvature[known])
     if lag is None:
         return ""
@@ -208,11 +310,10 @@ def command_units(recording: Recording) -> list[str]:
             f"{commands.topic}: steering angles of {widest:.3g} rad: in degrees? The steering rate "
             "is in the same unit"
         )
-    nothing = np.full(recording.t.size, math.nan)
-    driven = speed_of(recording.t, recording.x, recording.y, nothing)
-    told = commands.held(recording.t, commands.speed)
+    at, driven, _ = chords(recording.t, recording.x, recording.y)
+    told = commands.held(at, commands.speed)
     with np.errstate(invalid="ignore"):
-        moving = (driven > _MOVING) & (told > _MOVING)
+        moving = (driven > _MOVING) & (np.abs(told) > _MOVING)
     if np.count_nonzero(moving) < 10:
         return doubts
     ratio = float(np.median(told[moving] / driven[moving]))
@@ -223,6 +324,24 @@ def command_units(recording: Recording) -> list[str]:
             f"{hint}"
         )
     return doubts
+
+
+def _command_for_a_while(recording, begin, end):
+    """Doubt about commands that are for a while far from the speed, as while another drives."""
+    commands = recording.commands
+    if commands is None:
+        return ""
+    at, driven, _ = chords(recording.t, recording.x, recording.y)
+    told = commands.held(at, commands.speed)
+    within = (at > begin) & (at < end) & (driven > _BRAKES) & np.isfinite(told)
+    ratio = told[within] / driven[within]
+    found = beyond_for_a_while(at[within], ratio, _LONG_WHILE, 1.0 / _OBEYS, _OBEYS)
+    if not found:
+        return ""
+    return (
+        f"{commands.topic}: from {found[0]:.1f} to {found[1]:.1f} s the speed commanded is "
+        f"{found[2]:.2f} times the motion of the poses"
+    )
 
 
 def unfollowed(recording: Recording) -> str:
@@ -245,7 +364,7 @@ def unfollowed(recording: Recording) -> str:
         with np.errstate(invalid="ignore"):
             moving = (told > _MOVING) & (v > _MOVING)
         told, driven = told[moving], v[moving]
-        if told.size >= _TELLING and np.std(told) > _VARIED and np.std(driven) > 0.0:
+        if told.size >= _TELLING and np.std(told) > _VARIED and np.std(driven) > _EVENLY:
             ranks = _ranks(told), _ranks(driven)
             found += [float(np.corrcoef(*pair)[0, 1]) for pair in ((told, driven), ranks)]
     if not found or max(found) >= _FOLLOWS:

@@ -22,6 +22,7 @@ from ..validation import FARTHEST
 from .doubts import uncommanded
 from .laps import LapEvaluator, LapLimits, check_options
 from .live_commands import LONGEST_WAIT, CommandClock, Commands
+from .live_history import History
 from .recordings import same_raceline
 from .results import Lap, RunResult
 
@@ -48,6 +49,7 @@ class _Pose(NamedTuple):
     y: float
     v: float
     received: float
+    psi: float
 
 
 class LiveEvaluation:
@@ -71,6 +73,8 @@ class LiveEvaluation:
     limits : LapLimits, optional
     start_s, car_width, sectors : optional
         See `LapEvaluator`.
+    pose_topic, drive_topic : str, optional
+        Names of poses and commands in doubts.
 
     Raises
     ------
@@ -89,6 +93,8 @@ class LiveEvaluation:
         start_s: float = 0.0,
         car_width: float = 0.3,
         sectors: int = 3,
+        pose_topic: str = "poses",
+        drive_topic: str = "drive commands",
     ):
         if not patience >= 0.0:
             raise ParameterError(f"patience: expected at least 0 s, got {patience}")
@@ -111,9 +117,12 @@ class LiveEvaluation:
         self._commands, self._clock = Commands(self._gap_ns), CommandClock()
         self._believed_ns, self._beliefs = [], []
         self._reported = 0
-        # Doubts of the run by kind; times of the samples of the present lap, and their commands;
-        # times of its samples whose commands came too late.
-        self._doubts, self._driven, self._late = {}, ([], []), []
+        self._drive_topic, self._history = drive_topic, History(pose_topic, drive_topic)
+        # Doubts of the run by kind, and those that its driving tells; times of the samples of the
+        # present lap, and their commands; times of the first and last of its samples whose commands
+        # came too late.
+        self._doubts, self._told = {}, []
+        self._driven, self._late = ([], []), []
         if raceline is not None:
             self.set_raceline(raceline)
 
@@ -162,6 +171,7 @@ class LiveEvaluation:
         v_y: float,
         received: float,
         lag_ns: int = 0,
+        psi: float = math.nan,
     ) -> None:
         """Add a pose.
 
@@ -177,12 +187,14 @@ class LiveEvaluation:
             Time of arrival on any steady clock [s].
         lag_ns : int, optional
             Time of receipt minus stamp [ns].
+        psi : float, optional
+            Heading [rad].
         """
         self._clock.add_pose(stamp_ns, lag_ns)
         if abs(x) < FARTHEST and abs(y) < FARTHEST:
             # As for a recording; math.hypot differs in the last bit.
             v = float(np.hypot(v_x, 0.0 if math.isnan(v_y) else v_y))
-            self._poses.append(_Pose(stamp_ns, x, y, v, received))
+            self._poses.append(_Pose(stamp_ns, x, y, v, received, psi))
 
     def add_command(
         self, stamp_ns: int, speed: float, steering_angle: float, lag_ns: int = 0
@@ -194,13 +206,15 @@ class LiveEvaluation:
         """
         self._clock.add_command(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
+        self._history.add_command(stamp_ns, speed, steering_angle)
         if self._given_up_ns is not None and self._clock.compared:
             late_ns = self._given_up_ns - stamp_ns - self._clock.offset_ns
             # A command that is older still begins another run.
             if 0 <= late_ns <= self._gap_ns:
                 at = 1e-9 * (self._given_up_ns - self._t0_ns)
-                if at not in self._late[-1:]:
-                    self._late.append(at)
+                # One lap begins where the other ends: the first and the last say which laps have
+                # any, however long a lap lasts.
+                self._late = [min([*self._late, at]), max([*self._late, at])]
 
     def add_belief(self, stamp_ns: int, values: Sequence[float]) -> None:
         """Add what the controller believes: time stamp [ns] and `BELIEF_FIELDS`."""
@@ -246,6 +260,7 @@ class LiveEvaluation:
             # The same arithmetic as for a recording.
             t = (pose.stamp_ns - self._t0_ns) * 1e-9
             batch.append((t, *pose[1:4], *self._commands.at(pose.stamp_ns - behind)))
+            self._history.add_pose(t, pose.x, pose.y, pose.psi, pose.v)
         self._evaluate(batch)
 
     def finish(self) -> None:
@@ -266,7 +281,7 @@ class LiveEvaluation:
         offset = self.command_offset_s
         if offset:
             self._doubts["clock"] = (
-                f"drive commands: the stamps are from another clock, {abs(offset):.3f} s "
+                f"{self._drive_topic}: the stamps are from another clock, {abs(offset):.3f} s "
                 f"{'earlier' if offset > 0.0 else 'later'} than the poses': shifted"
             )
         t, command = map(np.array, self._driven)
@@ -276,9 +291,12 @@ class LiveEvaluation:
                 f"drive commands came more than {self._patience:g} s after their poses: "
                 "speed error and steering rate do without them"
             )
-        return *raceline_warnings(self._raceline), *self._doubts.values(), *missing
+        doubts = (*self._doubts.values(), *self._told)
+        return *raceline_warnings(self._raceline), *dict.fromkeys(doubts), *missing
 
     def _report(self, laps):
+        if any(not math.isnan(lap.lap_time_s) for lap in laps):
+            self._look_back(laps)
         times = [(stamp - self._t0_ns) * 1e-9 for stamp in self._believed_ns] if laps else []
         for lap in laps:
             end_ns = self._t0_ns + int(round(lap.end_time_s * 1e9))
@@ -294,12 +312,19 @@ class LiveEvaluation:
             self._late = [at for at in self._late if at > laps[-1].end_time_s]
         self._reported += len(laps)
 
+    def _look_back(self, laps):
+        """Find the doubts that the driving so far tells."""
+        self._history.add_laps(laps)
+        self._told = self._history.doubts(self._t0_ns - self._clock.offset_ns)
+
     def _end_run(self):
         result = self._evaluator.finish()
+        self._look_back([])
         self._report(result.laps[self._reported :])
         notes = tuple(f"warning: {doubt}" for doubt in self._warnings([]))
         self._on_run(self._run, replace(result, notes=notes))
         self._run += 1
         self._reported = 0
-        self._doubts, self._driven, self._late = {}, ([], []), []
+        self._doubts, self._told, self._driven, self._late = {}, [], ([], []), []
+        self._history.clear()
         self._t0_ns = self._last_ns = self._given_up_ns = None

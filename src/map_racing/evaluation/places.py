@@ -332,10 +332,8 @@ def against_run(other: RunProfile, name: str) -> Reference:
     return Reference(name, *(other.mean(channel) for channel in ("time", "v", "d")))
 
 
-def costliest(
-    run: RunProfile, reference: Reference, corners: list[Corner], most: int = 3
-) -> list[Place]:
-    """The places where the mean lap of a run loses most against a reference.
+def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> list[Place]:
+    """The three places where the mean lap of a run loses most against a reference.
 
     In each corner's stretch it is the part in which the loss adds up to most.
 
@@ -345,7 +343,6 @@ def costliest(
     reference : Reference
         At the same places as the run.
     corners : list of Corner
-    most : int, optional
 
     Returns
     -------
@@ -403,7 +400,7 @@ def costliest(
                 _earlier(v[approach], reference.v[:cells][approach], track.length / cells),
             )
         )
-    return sorted(places, key=lambda place: -place.loss_s)[:most]
+    return sorted(places, key=lambda place: -place.loss_s)[:3]
 
 
 def _earlier(own, reference, step):

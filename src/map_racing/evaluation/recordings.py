@@ -1,83 +1,29 @@
-"""Recorded driving from bags and CSV files."""
+"""Recorded driving from bags and CSV files, and the racelines in it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ..bags.messages import yaw_and_length
 from ..bags.opening import Source, is_bag
 from ..bags.reader import read_recording
-from ..bags.samples import Commands, Recording, in_order, jump_back, usable
-from ..bags.series import quaternion_note
-from ..errors import BagError, FileFormatError, MapRacingError, ParameterError
+from ..bags.samples import Recording
+from ..errors import BagError, MapRacingError, ParameterError
 from ..files import refuse_special
-from ..printing import printable
-from ..tables import UNITS, column_index, read_columns, some_names, without_unit
 from ..track.files.checks import raceline_of
 from ..track.files.load import table_of_waypoints
 from ..track.raceline import Raceline
+from .csv_recordings import read_csv_recording
 
 __all__ = [
     "load_recording",
-    "parse_columns",
-    "read_csv_recording",
     "recorded_raceline",
     "recorded_runs",
     "same_raceline",
 ]
-
-
-def _of_pose(name):
-    return tuple(f"{prefix}{name}" for prefix in ("pose.pose.", "pose.", ""))
-
-
-# Usual names of the columns of a CSV file; the first that is in the file is taken. Those of
-# messages are as `rostopic echo -p` has them, without its "field.".
-_ALIASES = {
-    "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp", "header.stamp", "%time"),
-    "x": ("x", "x_m", "tx", "pose_x", "pos_x", "position_x", *_of_pose("position.x")),
-    "y": ("y", "y_m", "ty", "pose_y", "pos_y", "position_y", *_of_pose("position.y")),
-    "psi": ("psi", "psi_rad", "yaw", "yaw_rad", "theta", "heading", "pose_theta"),
-    "v_x": (
-        *("v_x", "vx", "vx_mps", "linear_vel_x", "speed", "v", "v_mps"),
-        "twist.twist.linear.x",
-    ),
-    "v_y": ("v_y", "vy", "vy_mps", "linear_vel_y", "twist.twist.linear.y"),
-    "yaw_rate": (
-        *("yaw_rate", "r", "wz", "omega", "angular_vel_z", "yaw_rate_radps"),
-        "twist.twist.angular.z",
-    ),
-    "steering": (
-        *("steering", "steering_command", "steering_cmd", "delta", "delta_rad"),
-        *("angular_control", "drive.steering_angle", "steering_angle", "steer"),
-    ),
-    "speed_command": (
-        *("speed_command", "speed_cmd", "cmd_speed", "v_command", "v_cmd", "target_speed"),
-        *("desired_speed", "translational_control", "drive.speed"),
-    ),
-}
-# Read besides, where a file has them: the orientation, and the time of receipt of a message.
-_QUATERNION = {
-    f"q_{axis}": (f"q{axis}", f"q_{axis}", *_of_pose(f"orientation.{axis}")) for axis in "xyzw"
-}
-# Columns of a trajectory without names, as the TUM RGB-D benchmark and evo write it.
-_UNNAMED = {8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
-_RECEIVED = "%time"
-_FRAMES = ("header.frame_id", "frame_id")
-# Times under these names are in nanoseconds.
-_NANOSECONDS = ("%time", "header.stamp")
-_REQUIRED = ("t", "x", "y")
-# A larger time [s] is in another unit: nanoseconds since 1970 fill an int64 in the year 2262.
-_LATEST = 9.2e9
-# Nanoseconds since 1970, from 1973 on.
-_SINCE_1970 = 1e17
-# Longer times between most rows [s] are in another unit, or tell nothing.
-_SLOWEST = 6.0
 
 
 def load_recording(
@@ -92,7 +38,8 @@ def load_recording(
     pose_topic : str, optional
         Topic of the pose in a bag, see `map_racing.bags.reader.read_recording`.
     columns : str or dict, optional
-        Names of the columns of a CSV file, see `read_csv_recording`.
+        Names of the columns of a CSV file, see
+        `map_racing.evaluation.csv_recordings.read_csv_recording`.
 
     Returns
     -------
@@ -100,7 +47,7 @@ def load_recording(
 
     Raises
     ------
-    BagError, FileFormatError, ParameterError
+    BagError, ParameterError
         If the file cannot be read.
     """
     if not isinstance(source, (str, Path)):
@@ -218,236 +165,6 @@ def same_raceline(one: Raceline, other: Raceline) -> bool:
     )
 
 
-def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> Recording:
-    """Read the driving recorded in a CSV file.
-
-    The layout is described at `map_racing.tables.read_columns`; files of ``rostopic echo -p`` and
-    trajectories of the TUM benchmark (``timestamp tx ty tz qx qy qz qw``, names or not) are read as
-    they come. Time is in seconds, or in nanoseconds since 1970; rows without time or
-    position are left out.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-    columns : str or dict, optional
-        Columns of the fields, such as ``"t=time,x=pose_x,y=pose_y"``. Fields are ``t x y``
-        (required) and ``psi v_x v_y yaw_rate steering speed_command``, in SI units and radians.
-        Other fields are looked for under usual names.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    FileFormatError
-        With file, line and column, if there is no such column or a cell is not a number, or if
-        time falls back by 1 s or more (two runs in one file).
-    ParameterError
-        If `columns` names an unknown field.
-    """
-    columns = parse_columns(columns) if isinstance(columns, str) else dict(columns or {})
-    unknown = sorted(set(columns) - set(_ALIASES))
-    if unknown:
-        raise ParameterError(f"columns: unknown field {unknown[0]!r}, expected {_fields()}")
-    doubts = []
-    table = read_columns(path, partial(_locate, path, columns, doubts), _UNNAMED, _frame_column)
-    table.notes.extend(doubts)
-    frame = _keep_first_frame(table)
-    for name, unit in table.units.items():
-        table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
-    _bring_to_seconds(path, table)
-    _check_times(path, table)
-    _add_heading(path, table)
-    if "psi" in table.names:
-        _check_heading(table)
-    nan = np.full(len(table.lines), math.nan)
-    t, (x, y, psi, v_x, v_y, yaw_rate, steering, speed) = in_order(
-        table.values["t"],
-        [table.values.get(name, nan) for name in _ALIASES if name != "t"],
-        table.notes,
-        "rows",
-        required=2,
-    )
-    if t.size < 2:
-        why = f" ({'; '.join(table.notes)})" if table.notes else ""
-        raise FileFormatError(f"{path}: expected at least two rows with time and position{why}")
-    start = t[0]
-    t = t - start
-    given = [table.names[name] for name in ("steering", "speed_command") if name in table.names]
-    return Recording(
-        t,
-        x,
-        y,
-        psi,
-        v_x,
-        v_y,
-        yaw_rate,
-        t0_ns=int(round(start * 1e9)),
-        source=str(path),
-        topic="columns " + " ".join(table.names[name] for name in _REQUIRED),
-        type="CSV",
-        frame=frame,
-        commands=Commands(t, steering, speed, " ".join(given)) if given else None,
-        notes=table.notes,
-    )
-
-
-def _bring_to_seconds(path, table):
-    """Nanoseconds to seconds; times of receipt where stamps are 0."""
-    t, name = table.values["t"], table.names["t"]
-    received = table.values.get("received")
-    if received is not None and _plain(name) == "header.stamp":
-        unstamped = t == 0.0
-        if unstamped.any():
-            t = np.where(unstamped, received, t)
-            table.notes.append(
-                f"{np.count_nonzero(unstamped)} of {t.size} stamps are 0: receive time"
-            )
-    with np.errstate(invalid="ignore"):
-        known = np.abs(t[np.isfinite(t)])
-        since_1970 = known.size and np.all((known > _SINCE_1970) & (known < 1e9 * _LATEST))
-    if since_1970 or _plain(name) in _NANOSECONDS:
-        table.notes.append(f"column {name}: nanoseconds")
-        t = t * 1e-9
-    table.values["t"] = t
-
-
-def _add_heading(path, table):
-    """Headings of a file that has quaternions instead."""
-    values = table.values
-    if "psi" in values or not all(name in values for name in _QUATERNION):
-        return
-    q_x, q_y, q_z, q_w = (values[name] for name in _QUATERNION)
-    with np.errstate(all="ignore"):
-        values["psi"], length = yaw_and_length(q_x, q_y, q_z, q_w)
-    quaternion_note(table.notes, "orientation", length)
-
-
-def _check_heading(table):
-    """Bring headings in degrees to radians."""
-    x, y, psi = (table.values[name] for name in ("x", "y", "psi"))
-    way = np.hypot(np.diff(x), np.diff(y))
-    with np.errstate(all="ignore"):
-        moving = (way > 0.0) & np.isfinite(way + psi[1:])
-        course = np.arctan2(np.diff(y), np.diff(x))[moving]
-        off = [np.exp(1j * (angle[1:][moving] - course)) for angle in (psi, np.radians(psi))]
-    if not moving.any():
-        return
-    # A heading keeps its angle to the course, whatever it is measured from.
-    radians, degrees = (abs(np.average(turn, weights=way[moving])) for turn in off)
-    if degrees > 0.9 and radians < 0.5:
-        table.values["psi"] = np.radians(psi)
-        table.notes.append(f"warning: column {table.names['psi']} is in degrees: converted")
-
-
-def _check_times(path, table):
-    """Refuse times in another unit than seconds, and two runs in one file."""
-    t = table.values["t"]
-    with np.errstate(invalid="ignore"):  # numpy 1.17 warns of NaN
-        late = np.flatnonzero(np.isfinite(t) & (np.abs(t) > _LATEST))
-    if late.size:
-        raise FileFormatError(
-            f"{path}:{table.lines[late[0]]}: column {table.names['t']}: expected a time in "
-            f"seconds, got {t[late[0]]:g}"
-        )
-    kept = np.flatnonzero(usable(t, [table.values["x"], table.values["y"]]))
-    typical = float(np.median(np.diff(t[kept]))) if kept.size > 1 else 0.0
-    if typical > _SLOWEST:
-        raise FileFormatError(
-            f"{path}: column {table.names['t']}: expected a time in seconds, got one with "
-            f"{typical:g} between rows"
-        )
-    jump = jump_back(t[kept])
-    if jump:
-        raise FileFormatError(
-            f"{path}: time jumps back by {jump[1]:.1f} s at line {table.lines[kept[jump[0]]]}: "
-            "two runs in one file?"
-        )
-
-
-def parse_columns(text: str) -> dict[str, str]:
-    """Parse the text form of a column map, ``"t=time,x=pose_x"``.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    dict of str to str
-
-    Raises
-    ------
-    ParameterError
-        If a part is not ``field=column``, or a field is given twice.
-    """
-    columns = {}
-    for part in text.split(","):
-        name, equals, column = (piece.strip() for piece in part.partition("="))
-        if not (name and equals and column):
-            raise ParameterError(f"columns: expected field=column, got {part!r}")
-        if name in columns:
-            raise ParameterError(f"columns: field {name!r} is given twice")
-        columns[name] = column
-    return columns
-
-
-def _fields():
-    return ", ".join(_ALIASES)
-
-
 def _is_csv(path):
     names = Path(path).name.lower()
     return not is_bag(path) and names.endswith((".csv", ".txt", ".tsv", ".tum", ".gz"))
-
-
-def _plain(name):
-    """Name of a column without case, unit and what `rostopic echo -p` puts before it."""
-    name = without_unit(name).lower()
-    return name[len("field.") :] if name.startswith("field.") else name
-
-
-def _frame_column(names):
-    """Index of the column with the frame of the poses, None without."""
-    plain = [_plain(name) for name in names]
-    return next((plain.index(name) for name in _FRAMES if name in plain), None)
-
-
-def _keep_first_frame(table):
-    """The first frame of the poses; those in another are lost, as of a second sender in a bag."""
-    first = next((printable(word) for word in table.words if word), "")
-    other = np.array([word not in ("", first) for word in table.words], dtype=bool)
-    if other.any():
-        table.values["x"][other] = math.nan
-        table.notes.append(
-            f"warning: {np.count_nonzero(other)} rows in another frame left out: only the first, "
-            f"{first}, counts"
-        )
-    return first
-
-
-def _locate(path, columns, doubts, names):
-    """Index of the column of each field that the file has."""
-    where, missing = {}, []
-    plain = [_plain(name) for name in names]
-    for name, aliases in {**_ALIASES, **_QUATERNION}.items():
-        if name in columns:
-            where[name] = column_index(path, names, columns[name])
-            continue
-        found = next((alias for alias in aliases if alias in plain), None)
-        if found is not None:
-            where[name] = plain.index(found)
-            if plain.count(found) > 1:
-                doubts.append(f"warning: several columns are named {found}: the first is taken")
-        elif name in _REQUIRED:
-            missing.append(name)
-    if missing:
-        which = "columns are" if len(missing) > 1 else "column is"
-        raise FileFormatError(
-            f"{path}: which {which} {', '.join(missing)}? It has {some_names(names)}; "
-            f"say --columns {','.join(f'{name}=NAME' for name in missing)}"
-        )
-    if _RECEIVED in plain:
-        where["received"] = plain.index(_RECEIVED)
-    return where

@@ -11,17 +11,7 @@ from ..bags.samples import Recording
 from ..errors import EvaluationError
 from ..track.findings import WARNING, raceline_warnings
 from ..track.raceline import Raceline
-from .doubts import (
-    alternation,
-    bunches,
-    command_clock,
-    command_units,
-    frame_warning,
-    speed_warning,
-    time_jump,
-    uncommanded,
-    unfollowed,
-)
+from .doubts import doubts_of, uncommanded
 from .laps import NO_WALLS, LapEvaluator, LapLimits
 from .recordings import recorded_runs
 from .results import RunResult
@@ -144,19 +134,10 @@ def evaluate(
         result = replace(result, laps=laps)
     progress = sum(float(lap.trace.s[-1]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
-    doubts = [
-        frame_warning(recording.topic, recording.frame),
-        alternation(recording.topic, recording.t, recording.x, recording.y),
-        bunches(recording.topic, recording.t),
-        time_jump(recording.topic, recording.t, recording.x, recording.y),
-        speed_warning(recording.topic, recording.t, recording.x, recording.y, v),
-        command_clock(recording),
-        *command_units(recording),
-        unfollowed(recording),
-    ]
+    doubts = doubts_of(recording, result.laps)
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)
-    notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts if doubt)]
+    notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts)]
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
     return replace(result, source=recording.source, notes=tuple(notes))

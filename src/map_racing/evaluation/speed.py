@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["REPEATED_M", "speed_of"]
+__all__ = ["CHORD_S", "REPEATED_M", "beyond_for_a_while", "chords", "speed_of"]
 
 REPEATED_M = 1e-5
 """A pose that is no farther [m] from the one before, in x and y, is the same, but for rounding."""
 
+CHORD_S = 0.25
+"""Usual length of a chord [s]."""
+
+# There are so many chords at least, and none spans a longer time [s] without new poses.
+_FEWEST, _BARE = 40, 0.25
 # A pose that is repeated for longer [s] is of a car that stands.
 _REPEATED = 0.25
 # Times between samples vary if they are typically off by more than this share; then so many samples
 # to both sides count.
 _VARIED, _REACH = 0.15, 4
+# Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top
+# speed by 2 %; longer chords [s] would shorten both.
+_NOISY, _LITTLE, _LONGEST_CHORD = 0.03, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
 
@@ -41,11 +49,81 @@ def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.n
     return speed if kept.size == t.size else np.interp(t, t[kept], speed)
 
 
+def chords(
+    t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Speeds over pieces of time in which poses come; noise of the poses is little over them.
+
+    Parameters
+    ----------
+    t, x, y : ndarray, shape (n,)
+        Times [s] and positions [m].
+    v : ndarray, shape (n,), optional
+        Measured speeds [m/s].
+
+    Returns
+    -------
+    at, moved, measured : ndarray, shape (k,)
+        Middles of the pieces [s], speed of the poses as the crow flies, and mean of the measured
+        one [m/s].
+    """
+    usual = float(np.median(np.diff(t))) if t.size > 1 else CHORD_S
+    # Times in another unit are too close, or too far apart.
+    chord = max(min(CHORD_S, (t[-1] - t[0]) / _FEWEST), 2.0 * usual)
+    grid = np.arange(t[0], t[-1], chord)
+    if grid.size < 2:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    moved = np.hypot(*(np.diff(np.interp(grid, t, values)) for values in (x, y))) / chord
+    measured = np.zeros(moved.size)
+    if v is not None:
+        way = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
+        measured = np.diff(np.interp(grid, t, way)) / chord
+    new = t[_fresh(t, x, y)]
+    after = np.clip(np.searchsorted(new, grid), 1, new.size - 1)
+    bare = new[after] - new[after - 1] > max(_BARE, 3.0 * usual)
+    known = ~(bare[1:] | bare[:-1])
+    return (grid[:-1] + 0.5 * chord)[known], moved[known], measured[known]
+
+
+def beyond_for_a_while(
+    at: np.ndarray, ratio: np.ndarray, size: int, low: float, high: float
+) -> tuple[float, float, float] | None:
+    """Where a ratio is beyond limits for most of some time.
+
+    Parameters
+    ----------
+    at, ratio : ndarray, shape (k,)
+        Times [s] and ratios of `chords`.
+    size : int
+        Number of chords that count together.
+    low, high : float
+        Limits.
+
+    Returns
+    -------
+    (begin, end, ratio) or None
+        First and last time [s], and the median ratio.
+    """
+    bad = np.zeros(at.size, dtype=bool)
+    for first in (0, size // 2):
+        count = (at.size - first) // size
+        part = slice(first, first + count * size)
+        middle = np.median(ratio[part].reshape(count, size), axis=1) if count else np.zeros(0)
+        # Chords that are missing would make it longer.
+        together = np.ptp(at[part].reshape(count, size), axis=1) < 1.5 * size * CHORD_S
+        bad[part] |= np.repeat(~((middle > low) & (middle < high)) & together, size)
+    bad &= ~((ratio > low) & (ratio < high))
+    if not bad.any():
+        return None
+    return float(at[bad][0]), float(at[bad][-1]), float(np.median(ratio[bad]))
+
+
 def _differences(t, x, y):
     """Distance per time from the sample before to the one behind.
 
     The mean over time is then the distance per time of all. Where the times between samples vary,
-    as of stamps that are given on receipt, the difference is over more samples.
+    as of stamps that are given on receipt, the difference is over more samples; and noise of the
+    poses would lengthen the way, so that it is shortened to chords.
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
@@ -53,8 +131,29 @@ def _differences(t, x, y):
     reach = _REACH if varied else 1
     way = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
     index = np.arange(t.size)
+    noisy = _noisy_reach(x, y, usual)
+    if noisy:
+        chord = np.maximum(noisy, 2 * reach)
+        ends = np.arange(0, t.size, chord)
+        ends = np.append(ends[:-1], t.size - 1) if ends.size > 1 else np.array([0, t.size - 1])
+        line = np.hypot(np.diff(x[ends]), np.diff(y[ends]))
+        way, reach = np.interp(index, ends, np.append(0.0, np.cumsum(line))), chord
     before, behind = np.maximum(index - reach, 0), np.minimum(index + reach, t.size - 1)
     return (way[behind] - way[before]) / (t[behind] - t[before])
+
+
+def _noisy_reach(x, y, usual):
+    """Samples that a chord spans on which noise lengthens the way no more; 0 without noise."""
+    if x.size < 40:
+        return 0
+    # Of third differences driving leaves little, and noise the square root of twenty times as much,
+    # or 5.3 times its deviation in each direction in the median of the length.
+    noise = float(np.median(np.hypot(np.diff(x, 3), np.diff(y, 3)))) / 5.3
+    step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
+    if step <= 0.0 or noise < _NOISY * step:
+        return 0
+    most = max(int(_LONGEST_CHORD / usual), 1)
+    return min(int(np.ceil(noise / (_LITTLE * step))), most) if most > 1 else 0
 
 
 def _fresh(t, x, y):

@@ -37,7 +37,6 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
     notes = []
     for what, rate in _recorded(recording):
         turned, path = _turned(recording, rate)
-        # A figure eight adds up to nothing, so that a rate that was never filled in would, too.
         little = abs(path) < math.pi and (what == "heading" or rate.any())
         if little or abs(turned - path) < _SHARE * abs(path):
             return rate, [f"{note}: that of the {what} is used" for note in notes]
@@ -75,7 +74,11 @@ def _recorded(recording):
 
 
 def _turned(recording, rate):
-    """Angle by which a yaw rate and the path turn, added up [rad]."""
+    """Angle by which a yaw rate and the path turn, added up [rad].
+
+    Where that of the path is less than a half turn, as on a figure eight, over the stretch in which
+    it turns farthest.
+    """
     t, x, y = recording.t, recording.x, recording.y
     kept = _apart(x.tolist(), y.tolist())
     if kept.size < 3:
@@ -85,9 +88,14 @@ def _turned(recording, rate):
     angle = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps))
     known = np.diff(t[kept]) < 4.0 * _PAUSE
     known = known[1:] & known[:-1]
-    path = np.sum(np.angle(np.exp(1j * np.diff(course)))[known])
+    path = np.angle(np.exp(1j * np.diff(course)))[known]
     # A course is the mean heading between two places.
-    return float(np.sum(0.5 * (angle[kept[2:]] - angle[kept[:-2]])[known])), float(path)
+    turned = 0.5 * (angle[kept[2:]] - angle[kept[:-2]])[known]
+    if abs(np.sum(path)) < math.pi:
+        way = np.append(0.0, np.cumsum(path))
+        farthest = slice(*sorted((int(np.argmin(way)), int(np.argmax(way)))))
+        turned, path = turned[farthest], path[farthest]
+    return float(np.sum(turned)), float(np.sum(path))
 
 
 def _apart(x, y):

@@ -8,13 +8,13 @@ of the order and place in which their races are driven.
 from __future__ import annotations
 
 from collections import deque
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor
 from typing import Any, Generator, NamedTuple
 
 from tqdm import tqdm
 
 from ..errors import MapRacingError
+from .executors import carried_out
 from .jobs import code_fingerprint, execute
 from .store import Store
 
@@ -81,34 +81,19 @@ def carry_out(
         If a process died, or a worker of a cluster has other code.
     """
     campaign = _Campaign(plans, store, path, bags)
-    running = {}
+
+    def draw():
+        job = campaign.waiting.popleft() if campaign.waiting else None
+        return job and (job, execute, job, path, bags)
+
     with tqdm(total=campaign.expected, desc=title, unit="race", disable=None, leave=False) as bar:
-        try:
-            while True:
-                while campaign.waiting and len(running) < capacity:
-                    job = campaign.waiting.popleft()
-                    running[executor.submit(execute, job, path, bags)] = job
-                campaign.show(bar)
-                if not running:
-                    break
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    campaign.take(running.pop(future), _outcome(future))
-        finally:
-            for future in running:
-                future.cancel()
+        campaign.show(bar)
+        for job, executed in carried_out(executor, capacity, draw):
+            if executed.code != code_fingerprint():
+                raise MapRacingError("a worker of the cluster has another version of map_racing")
+            campaign.take(job, executed)
+            campaign.show(bar)
     return campaign.results, campaign.effort
-
-
-def _outcome(future):
-    try:
-        executed = future.result()
-    except (BrokenProcessPool, CancelledError):
-        raise MapRacingError(
-            "a process died while it drove a race; finished races are on disk"
-        ) from None
-    if executed.code != code_fingerprint():
-        raise MapRacingError("a worker of the cluster has another version of map_racing")
-    return executed
 
 
 class _Campaign:

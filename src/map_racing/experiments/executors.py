@@ -9,14 +9,22 @@ import os
 import signal
 import socket
 import threading
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection, get_context, parent_process
 from typing import Any, Callable, Iterator
 
 from ..errors import MapRacingError, ParameterError
 
-__all__ = ["SerialExecutor", "open_executor"]
+__all__ = ["SerialExecutor", "carried_out", "open_executor"]
 
 # One race uses one core. Without these, each process would start a thread per core for linear
 # algebra.
@@ -35,6 +43,56 @@ class SerialExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+def carried_out(
+    executor: Executor, capacity: int, draw: Callable[[], tuple | None]
+) -> Iterator[tuple[Any, Any]]:
+    """Carry out jobs, as many at a time as keep an executor busy.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor
+    capacity : int
+        Largest number of submitted jobs.
+    draw : callable
+        Gives the next job as ``(name, function, *arguments)``, or None where there is none until
+        a result has been taken.
+
+    Yields
+    ------
+    name, result
+        As they end.
+
+    Raises
+    ------
+    MapRacingError
+        If a process died.
+    """
+    running = {}
+    try:
+        while True:
+            while len(running) < capacity:
+                job = draw()
+                if job is None:
+                    break
+                running[executor.submit(*job[1:])] = job[0]
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), _result(future)
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _result(future):
+    try:
+        return future.result()
+    except (BrokenProcessPool, CancelledError):
+        raise MapRacingError(
+            "a process died; what was finished is on disk: run again to continue"
+        ) from None
 
 
 @contextmanager
@@ -122,7 +180,8 @@ def _dask(address):
     except (OSError, ValueError) as error:  # a timeout is an OSError there
         raise MapRacingError(f"{address}: no Dask scheduler answers: {error}") from None
     with client:
-        threads = sum(worker["nthreads"] for worker in client.scheduler_info()["workers"].values())
+        # Not of `scheduler_info`, which some versions cut off after five workers.
+        threads = sum(client.nthreads().values())
         if not threads:
             raise MapRacingError(f"{address}: the Dask scheduler has no workers")
         yield client.get_executor(), 4 * threads

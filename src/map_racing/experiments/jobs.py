@@ -10,22 +10,20 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import tempfile
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import lru_cache
 from pathlib import Path
 from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .. import __version__
 from ..control.laws import build_law
 from ..control.parameters import ControllerParameters, MpcParameters
 from ..errors import MapRacingError
 from ..evaluation.laps import LapEvaluator
 from ..evaluation.results import Lap
+from ..resources import fingerprint_of_code
 from ..simulation.plant import PlantParameters
 from ..simulation.plants import build_plant
 from ..simulation.public_simulator import PublicSimulatorParameters
@@ -257,13 +255,6 @@ def plain(value: Any) -> Any:
     raise MapRacingError(f"no fingerprint of {type(value).__name__}")
 
 
-@lru_cache(maxsize=None)
 def code_fingerprint() -> str:
     """Sixteen hexadecimal digits of the version and the sources that decide a race."""
-    package = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256(__version__.encode())
-    for part in _DECISIVE:
-        place = package / part
-        for source in sorted(place.glob("*.py")) if place.is_dir() else [place]:
-            digest.update(os.path.relpath(source, package).encode() + source.read_bytes())
-    return digest.hexdigest()[:16]
+    return fingerprint_of_code(_DECISIVE)

@@ -22,7 +22,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of
 from .campaign import Plan
 from .conditions import Conditions, Day, day_of
-from .jobs import RaceJob, RaceResult, lap_row
+from .jobs import LAP_COLUMNS, RaceJob, RaceResult, lap_row
 from .tuning import tune
 
 __all__ = [
@@ -201,21 +201,20 @@ def _over_time(values, time):
 
 def lap_frame(races: list[Race]) -> pd.DataFrame:
     """One row for each stretch of each race, with its `LAP_COLUMNS`."""
-    return _sorted(
-        pd.DataFrame(
-            [
-                {
-                    "speed_scale": race.scale,
-                    "controller": race.label,
-                    "seed": race.seed,
-                    "outcome": race.result.outcome,
-                    **lap_row(stretch),
-                }
-                for race in races
-                for stretch in race.result.stretches
-            ]
-        )
-    )
+    rows = [
+        {
+            "speed_scale": race.scale,
+            "controller": race.label,
+            "seed": race.seed,
+            "outcome": race.result.outcome,
+            **lap_row(stretch),
+        }
+        for race in races
+        for stretch in race.result.stretches
+    ]
+    columns = ["speed_scale", "controller", "seed", "outcome", *LAP_COLUMNS]
+    # Without any lap the column would hold no truth values.
+    return _sorted(pd.DataFrame(rows, columns=columns).astype({"valid": bool}))
 
 
 def _sorted(frame):

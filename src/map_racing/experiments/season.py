@@ -1,7 +1,7 @@
 """A season of bags: each evaluated once, in any number of processes, and kept on disk.
 
-What is kept of a bag holds as long as its files have the same sizes and times of change, the
-options are the same, and so is the version of this package.
+What is kept of a bag holds as long as its files and those of the tracks given have the same sizes
+and times of change, the options are the same, and so is the code that evaluates.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import hashlib
 import json
 import math
 import os
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Executor
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, Sequence
@@ -20,7 +19,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from .. import __version__
 from ..bags.opening import Source, source_name
 from ..bags.remarks import read_remarks
 from ..bags.ros2 import METADATA, SUFFIXES
@@ -31,10 +29,12 @@ from ..evaluation.laps import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.runs import evaluate_runs
 from ..files import make_folder, write_json
-from ..resources import list_config
+from ..resources import fingerprint_of_code, list_config
 from ..track.files.load import load_raceline
+from ..track.files.readers import split_source
 from ..track.raceline import Raceline
-from .season_bags import first_part
+from .executors import carried_out
+from .season_bags import first_part, parts_of
 
 __all__ = ["COLUMNS", "BagOptions", "Season", "evaluate_season"]
 
@@ -64,6 +64,11 @@ COLUMNS = (
 )
 """Columns of the table of heats."""
 
+# Rooms and modules that decide what is kept of a bag.
+_DECISIVE = (
+    *("", "bags", "vehicle", "track", "track/files", "control", "evaluation"),
+    "experiments/season.py",
+)
 # Two lines are of the same track if their lengths differ less, and no place of one is farther from
 # the other [m]; another raceline between the same walls is.
 _SAME_LENGTH, _SAME_MEAN, _SAME_PLACE = 0.1, 0.5, 2.0
@@ -133,7 +138,9 @@ def evaluate_season(
     Returns
     -------
     Season
-        With a row for each run of each bag; one that cannot be read has a ``reason``.
+        With a row for each run of each bag; one that cannot be read has a ``reason``. Beside
+        `COLUMNS` a row has ``given``, which of the tracks it was evaluated on; empty for the
+        raceline in the bag.
 
     Raises
     ------
@@ -141,37 +148,34 @@ def evaluate_season(
         If a process died, a worker of a cluster has another version, or nothing can be written.
     """
     folder = make_folder(Path(output) / "heats")
-    heats, waiting, running = {}, [], {}
+    heats, waiting = {}, []
+    asked = [*options, [_stamp_of_track(source) for source in options.tracks]]
     for path in bags:
-        rows = _kept(folder, path, options)
+        rows = _kept(folder, path, asked)
         if rows is None:
             waiting.append(path)
         else:
             heats[path] = rows
     kept, waiting = len(heats), waiting[::-1]
     bar = tqdm(total=len(bags), initial=kept, desc="season", unit="bag", disable=None, leave=False)
+
+    def draw():
+        if not waiting:
+            return None
+        size = max(1, min(_MOST_AT_ONCE, len(waiting) // (4 * capacity)))
+        batch = [waiting.pop() for _ in range(size) if waiting]
+        known = [(path, _stamp(path)) for path in batch]
+        return known, _evaluate_bags, [_absolute(path) for path in batch], options
+
     with bar:
-        try:
-            while waiting or running:
-                while waiting and len(running) < capacity:
-                    size = max(1, min(_MOST_AT_ONCE, len(waiting) // (4 * capacity)))
-                    batch = [waiting.pop() for _ in range(size) if waiting]
-                    stamps = [_stamp(path) for path in batch]
-                    names = [_absolute(path) for path in batch]
-                    running[executor.submit(_evaluate_bags, names, options)] = batch, stamps
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    batch, stamps = running.pop(future)
-                    version, results = _outcome(future)
-                    if version != __version__:
-                        raise MapRacingError(f"a worker of the cluster has map_racing {version}")
-                    for path, stamp, (rows, lasting) in zip(batch, stamps, results):
-                        if lasting:
-                            _keep(folder, path, stamp, options, rows)
-                        heats[path] = rows
-                        bar.update()
-        finally:
-            for future in running:
-                future.cancel()
+        for batch, (code, results) in carried_out(executor, capacity, draw):
+            if code != fingerprint_of_code(_DECISIVE):
+                raise MapRacingError("a worker of the cluster has another version of map_racing")
+            for (path, stamp), (rows, lasting) in zip(batch, results):
+                if lasting:
+                    _keep(folder, path, stamp, asked, rows)
+                heats[path] = rows
+                bar.update()
     rows = []
     for path in bags:
         for row in heats[path]:
@@ -200,21 +204,12 @@ def _without_name(reason, path):
     return reason.replace(os.path.dirname(_absolute(first_part(path))) + os.sep, "")
 
 
-def _outcome(future):
-    try:
-        return future.result()
-    except (BrokenProcessPool, CancelledError):
-        raise MapRacingError(
-            "a process died while it evaluated a bag; run again to continue from the others"
-        ) from None
-
-
 # -- one bag -------------------------------------------------------------------------------------
 
 
 def _evaluate_bags(paths, options):
-    """Version, and of each bag its rows and whether they will be the same again; in any process."""
-    return __version__, [_evaluate_bag(path, options) for path in paths]
+    """Code, and of each bag its rows and whether they will be the same again; in any process."""
+    return fingerprint_of_code(_DECISIVE), [_evaluate_bag(path, options) for path in paths]
 
 
 def _evaluate_bag(path, options):
@@ -230,7 +225,7 @@ def _rows(path, options):
     recording = load_recording(path)
     date = recording.date
     try:
-        runs = _runs(recording, options)
+        given, runs = _runs(recording, options)
     except MapRacingError as error:
         return [_row(path, date=date, reason=str(error))]
     remarks = read_remarks(path, recording)
@@ -252,6 +247,7 @@ def _rows(path, options):
                 stops=stops,
                 warnings="; ".join(result.warnings),
                 line=_places(result.raceline),
+                given=given,
                 **driven_with,
                 **summary,
             )
@@ -260,18 +256,18 @@ def _rows(path, options):
 
 
 def _runs(recording, options):
-    """Runs on the racelines in the recording or, without one, on the first track that fits."""
+    """The track that it was evaluated on, empty for racelines in the recording, and the runs."""
     more = {
         "car_width": options.car_width,
         "limits": LapLimits(max_deviation=options.max_deviation),
     }
     if recording.waypoints is not None:
-        return evaluate_runs(recording, **more)
+        return "", evaluate_runs(recording, **more)
     if not options.tracks:
         raise EvaluationError(f"{recording.source}: no raceline in it; give its track by --tracks")
     for source in options.tracks:
         try:
-            return evaluate_runs(recording, _track(source), source, **more)
+            return source, evaluate_runs(recording, _track(source), source, **more)
         except EvaluationError:
             continue
     raise EvaluationError(
@@ -279,8 +275,13 @@ def _runs(recording, options):
     )
 
 
-@lru_cache(maxsize=None)
 def _track(source):
+    # A worker of a cluster lives longer than a file stays as it is.
+    return _loaded(source, json.dumps(_stamp_of_track(source)))
+
+
+@lru_cache(maxsize=16)
+def _loaded(source, _):
     return load_raceline(source)
 
 
@@ -304,7 +305,7 @@ def _settings(text):
 def _row(path, **values):
     texts = ("date", "track", "vehicle", "controller", "settings", "warnings", "reason", "report")
     row = {name: "" if name in texts else math.nan for name in COLUMNS}
-    row.update(bag=path, run=1, laps=0, line=None)
+    row.update(bag=path, run=1, laps=0, line=None, given="")
     row.update(values)
     return row
 
@@ -320,8 +321,7 @@ def _places(raceline: Raceline):
 
 def _stamp(path):
     """Names, sizes and times of change of the files of a bag; none of one that was removed."""
-    files = list(path) if isinstance(path, tuple) else [path]
-    stamps = []
+    files, stamps = parts_of(path), []
     try:
         if not isinstance(path, tuple) and path.is_dir():
             files = sorted(file for file in path.iterdir() if file.is_file() and _of_bag(file))
@@ -331,6 +331,10 @@ def _stamp(path):
     except FileNotFoundError:
         return []
     return stamps
+
+
+def _stamp_of_track(source):
+    return _stamp(Path(split_source(source)[0]))
 
 
 def _written(path):
@@ -347,16 +351,16 @@ def _record(folder, path):
     return folder / f"{name}.json"
 
 
-def _state(stamp, options):
+def _state(stamp, asked):
     """What must be as it was for the rows to hold."""
-    return json.loads(json.dumps([__version__, COLUMNS, stamp, options]))
+    return json.loads(json.dumps([fingerprint_of_code(_DECISIVE), COLUMNS, stamp, asked]))
 
 
-def _kept(folder, path, options):
+def _kept(folder, path, asked):
     """Rows of a bag that has not changed; None for others."""
     try:
         record = json.loads(_record(folder, path).read_text(encoding="utf-8"))
-        if record["state"] != _state(_stamp(path), options):
+        if record["state"] != _state(_stamp(path), asked):
             return None
         return [
             {
@@ -369,8 +373,8 @@ def _kept(folder, path, options):
         return None
 
 
-def _keep(folder, path, stamp, options, rows):
-    content = {"bag": source_name(path), "state": _state(stamp, options), "rows": rows}
+def _keep(folder, path, stamp, asked, rows):
+    content = {"bag": source_name(path), "state": _state(stamp, asked), "rows": rows}
     write_json(_record(folder, path), content, indent=None)
 
 

@@ -11,7 +11,7 @@ from ..bags.opening import Source, open_bag
 from ..bags.ros2 import METADATA, SUFFIXES
 from ..errors import MapRacingError
 
-__all__ = ["find_bags", "first_part"]
+__all__ = ["find_bags", "first_part", "parts_of"]
 
 # Parts of a run as a recorder names them, maybe with the date of each, and the longest pause or
 # overlap between two [ns].
@@ -45,6 +45,8 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
     left_out = None if without is None else os.path.realpath(str(without))
     found = {}
     for folder in folders:
+        if not str(folder):  # such as an unset variable of the shell
+            raise MapRacingError("'': expected the name of a folder or a bag")
         if not Path(folder).exists():
             raise MapRacingError(f"{folder}: no such folder")
         if Path(folder).is_file() or _is_ros2_folder(Path(folder), os.listdir(str(folder))):
@@ -102,7 +104,12 @@ def _span(bag):
 
 def first_part(source: Source) -> Path:
     """The bag, or the first one of the parts of a run."""
-    return source[0] if isinstance(source, tuple) else source
+    return parts_of(source)[0]
+
+
+def parts_of(source: Source) -> list[Path]:
+    """Files or folders of a bag, of which a run that was split has several."""
+    return list(source) if isinstance(source, tuple) else [source]
 
 
 def _is_ros2_folder(path, names):

@@ -47,14 +47,20 @@ class Races:
         Address of a Dask scheduler.
     reuse : sequence of str
         Result directories whose races are taken over.
+
+    Attributes
+    ----------
+    earlier : Results or None
+        What the folder held before.
     """
 
     def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
         self.kind = kind
-        self.folder = make_folder(folder)
+        self.folder, self.earlier = make_folder(folder), None
         if (self.folder / "results.json").exists():
-            other = read_results(self.folder).kind
-            if other != kind:
+            self.earlier = read_results(self.folder)
+            if self.earlier.kind != kind:
+                other = self.earlier.kind
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
         self.figures = make_folder(self.folder / "figures")
         self.store = Store(self.folder, reuse)

@@ -23,7 +23,7 @@ from .report import (
 
 __all__ = ["car_data", "car_text", "provenance"]
 
-# Parameters of `LapTires` in words, with unit and format; the delays are told on their own.
+# Parameters of `LapTires` in words, with unit and format; the delays have lines of their own.
 SHOWN = (
     ("front_stiffness_n_per_rad", "cornering stiffness of the front axle", " N/rad", ".1f"),
     ("rear_stiffness_n_per_rad", "cornering stiffness of the rear axle", " N/rad", ".1f"),

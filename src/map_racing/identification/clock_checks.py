@@ -1,7 +1,7 @@
 """Are poses, sensors and commands of a recording of one clock?
 
-What times of receipt do not tell is told by what the car does: it turns after its steering commands
-and together with its poses, and its speed begins to change shortly after a step of its command.
+Where the times of receipt do not say, the driving does: a car turns after its steering commands and
+together with its poses, and its speed begins to change shortly after a step of its command.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from .sensor_findings import SensorFinding
 __all__ = ["check_clocks", "onsets_of_speed"]
 
 MOST_APART_S = 0.08  # between yaw rates and poses
-# Steering that is held has few turns, and yaw rates are averaged around each sample: of a real car
-# they came 0.16 s before their commands.
+# Few steps of the steering and averaged yaw rates leave an error: a real car seemed to turn 0.16 s
+# before its commands.
 EARLIEST_LAG_S = -0.25
-# The speed of real cars begins to change 0.04 to 0.06 s after a step [m/s] of its command, from
-# standstill 0.12 to 0.16 s; slower than the last [m/s] a car counts as standing.
+# The speed of real cars begins to change 0.04 to 0.06 s after a step of its command, from
+# standstill 0.12 to 0.16 s.
 EARLIEST_ONSET_S, USUAL_ONSET_S, LATEST_ONSET_S = -0.03, 0.06, 0.2
+# Steps needed, and the least of them; slower than the last a car counts as standing.
 FEWEST_STEPS, LEAST_STEP_MPS, SLOWEST_STEP_MPS = 3, 0.2, 0.5
 
 
@@ -100,7 +101,7 @@ def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
         begin, step = at[k], command[k] - command[k - 1]
         before = command[(at >= begin - time) & (at < begin)]
         held = command[(at >= begin) & (at < begin + 0.6 * time)]
-        if max(np.ptp(before), np.ptp(held)) > 0.05 * abs(step):
+        if not before.size or max(np.ptp(before), np.ptp(held)) > 0.05 * abs(step):
             continue
         calm = v[(t >= begin - time) & (t < begin - 0.6 * time)]
         if calm.size < 5 or np.median(calm) < SLOWEST_STEP_MPS * time:

@@ -178,7 +178,7 @@ def motion_of(
     middle, *velocities = _velocities(*poses, setup.heading_offset_rad)
     offset, apart = _clocks(run, signals, middle, velocities[2])
     middle, pose_t = middle + offset, pose_t + offset
-    t, known = _common_clock(run, signals, pose_t)
+    t, known = _common_clock(signals, pose_t)
     columns = dict(
         zip(("along", "sideways", "heading_rate"), (np.interp(t, middle, v) for v in velocities))
     )
@@ -187,7 +187,7 @@ def motion_of(
     columns.setdefault("r", columns["heading_rate"])
     smooth, known = _filtered(columns, known, limits.cutoff_hz)
     if not known.any():
-        raise IdentificationError(f"{run.name}: expected signals without gaps for a second")
+        raise IdentificationError("expected signals without gaps for a second")
 
     axes = {name[-1]: smooth[name] for name in ("a_x", "a_y", "a_z") if name in smooth}
     v_x, r, turning = smooth["v_x"], smooth["r"], smooth["heading_rate"]
@@ -200,7 +200,7 @@ def motion_of(
         r=r,
         beta=beta,
         delta=smooth["delta"],
-        a_y=_lateral_acceleration(run, vehicle, smooth, axes, acceleration),
+        a_y=_lateral_acceleration(setup, vehicle, smooth, axes, acceleration),
         acceleration=acceleration,
         axes=axes,
         path_speed=path_speed,
@@ -229,12 +229,12 @@ def _without_spikes(run, least):
     for name in (*POSE, "steering"):
         if name not in run.signals:
             what = "a drive command or a servo position" if name == "steering" else "poses"
-            raise IdentificationError(f"{run.name}: {name}: expected {what}, got none")
+            raise IdentificationError(f"{name}: expected {what}, got none")
     own = run.setup.time_scale * run.signals["x"].t
     apart = float(np.median(np.diff(own)))
     if apart > LONGEST_GAP_S or own[-1] - own[0] > LONGEST_DRIVE_S:
         raise IdentificationError(
-            f"{run.name}: expected poses at most {LONGEST_GAP_S:g} s apart over at most "
+            f"expected poses at most {LONGEST_GAP_S:g} s apart over at most "
             f"{LONGEST_DRIVE_S / 3600.0:g} h, got {apart:.3g} s and {own[-1] - own[0]:.3g} s: is "
             "the time in ms, or does it jump?"
         )
@@ -263,7 +263,7 @@ def _clocks(run, signals, middle, turning):
     return 0.0, found if sure else 0.0
 
 
-def _common_clock(run, signals, pose_t):
+def _common_clock(signals, pose_t):
     """Even times at which all signals exist, and whether each is between samples of all."""
     others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
     commands = signals["steering"].t
@@ -271,8 +271,7 @@ def _common_clock(run, signals, pose_t):
     end = min(own[-1] for own in others)
     if end - begin < 1.0:
         raise IdentificationError(
-            f"{run.name}: expected a second in which all signals exist, got "
-            f"{max(end - begin, 0.0):.1f} s"
+            f"expected a second in which all signals exist, got {max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
     known = near(t, commands, LONGEST_HOLD_S)
@@ -408,16 +407,15 @@ def _clock_offset(middle, turning, t, rate):
     return float(step * (most - best)), bool(plain)
 
 
-def _lateral_acceleration(run, vehicle, smooth, axes, acceleration):
+def _lateral_acceleration(setup, vehicle, smooth, axes, acceleration):
     """Lateral acceleration of the center of gravity."""
-    setup = run.setup
     if acceleration == "yaw_rate":
         return smooth["v_x"] * smooth["r"]
     if acceleration != "imu":
         raise ParameterError(f"acceleration: expected imu or yaw_rate, got {acceleration!r}")
     if setup.lateral_axis not in axes:
         raise IdentificationError(
-            f"{run.name}: a_{setup.lateral_axis}: expected a lateral acceleration, got none: "
+            f"a_{setup.lateral_axis}: expected a lateral acceleration, got none: "
             "without an IMU use speed times yaw rate (--acceleration yaw_rate)"
         )
     a_y = setup.lateral_scale * axes[setup.lateral_axis] + setup.lateral_offset_mps2

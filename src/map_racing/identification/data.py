@@ -109,6 +109,11 @@ def load_run(source: Source, channels: ChannelMap | None = None) -> Run:
     path = find_config("recordings", source, (".bag",))
     if is_bag(path):
         return _load_bag(path, channels)
+    if path.suffix in (".yaml", ".yml"):
+        raise ParameterError(
+            f"{path}: expected a bag or a CSV file, got a YAML file: vehicles go to --vehicle, "
+            "channel maps to --channels"
+        )
     if not channels.channels:
         raise ParameterError(
             f"{path}: expected a channel map (--channels) for a CSV file, got none"
@@ -192,7 +197,7 @@ def run_of(
 
 
 def is_age(lag: float) -> bool:
-    """Whether from stamp to receipt so much time [s] may pass on one clock."""
+    """Whether `lag` [s] from stamp to receipt is possible on one clock."""
     return -FUTURE_S <= lag <= OLDEST_S
 
 
@@ -230,7 +235,7 @@ def _load_csv(path, channel_map):
     signals = {name: (t, value) for name, value in values.items()}
     if clocks["pose_time"] is not None:
         pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
-        known = np.isfinite(pose_t + values["x"])
+        known = np.isfinite(t + pose_t + values["x"])
         if known.any():
             # Roughly: the yaw rates align both clocks later.
             pose_t = pose_t + float(np.median((t - pose_t)[known]))

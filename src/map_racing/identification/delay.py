@@ -13,7 +13,7 @@ from typing import Any, Iterable, NamedTuple
 
 import numpy as np
 
-from ..errors import IdentificationError
+from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from .data import Run, is_age
 from .drive import drive_windows, fit_drive
@@ -25,23 +25,23 @@ from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
 __all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
 
 ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
-# A window shows a delay of the steering where the yaw rate varies by so much, and so many windows
-# are needed.
+# A window shows a delay of the steering where the yaw rate has this standard deviation; windows
+# needed.
 LEAST_TURNING_RADPS, FEWEST_WINDOWS = 0.3, 5
 MOST_WINDOWS = 30
 # A wider interval to either side is no answer [s].
 WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
 # The model must explain this share of the variance.
 LEAST_SHARE = 0.8
-# A servo that steps, behind so many samples, must leave less than this share of the residuals that
-# one sample more or less leaves, and less than one with a lag.
+# A servo steps if its best number of samples leaves less than this share of the residuals of one
+# sample more or less, and less than a servo with a lag.
 STEPPING = 0.9
-# So many samples fewer than the fit with a lag has are tried, too.
+# Samples that are tried below the delay of the fit with a lag.
 STEPS_AROUND = 3
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
-# The delay is no better known than this [s]: half a step of the model, as servos have steps, too.
+# No delay is known better than half a step of the model [s]: servos have steps, too.
 COARSE_S = 0.5 * STEP_S
 
 
@@ -106,25 +106,33 @@ def estimate_delays(
     vehicle : Vehicle, optional
         This car's own file, where the model of it begins.
     others : iterable of Vehicle
-        Without such a file: cars of about this size from which the model may begin, whose
-        wheelbase, inertia and tires are free. The one that fits best counts.
+        Without such a file: cars of about this size from which the model may begin, whose tires,
+        inertia and steering gain, which makes up for the wheelbase, are free. The one that fits
+        best counts.
 
     Returns
     -------
     Delays
+
+    Raises
+    ------
+    ParameterError
+        If there is no car to begin from.
     """
+    models = [(vehicle, OWN)] if vehicle else [(other, ANY) for other in others]
+    if not models:
+        raise ParameterError("delays: expected the car's vehicle, or others of about its size")
     drives, notes = [], []
     for run in runs:
         notes += [f"{run.label}: {note}" for note in run.notes]
         try:
             drive = driving_of(run)
         except IdentificationError as error:
-            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            notes.append(f"{run.label}: left out: {error}")
             continue
         drives.append(drive)
         notes += [f"{run.label}: {note}" for note in drive.notes]
     age, shifted = _pose_age(runs)
-    models = [(vehicle, OWN)] if vehicle else [(other, ANY) for other in others]
     total, dead, lag = _steering(drives, models, notes)
     drive_dead, drive_lag = _drive(drives)
     delay = total

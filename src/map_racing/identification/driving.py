@@ -14,10 +14,11 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
-from .data import Run
+from .channels import SensorSetup
+from .data import Run, Signal
 from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
-__all__ = ["Driving", "Held", "Measured", "Windows", "driving_of", "windows_of", "without_outliers"]
+__all__ = ["Driving", "Held", "Windows", "driving_of", "windows_of", "without_outliers"]
 
 # Clock on which speed and yaw rate are smoothed [Hz], and their low-pass: a drive is no faster.
 GRID_HZ, SMOOTH_HZ = 100.0, 6.0
@@ -25,12 +26,12 @@ GRID_HZ, SMOOTH_HZ = 100.0, 6.0
 SLOWEST_MPS = 1.0
 # Longest dead time and lag together that are looked for [s].
 LONGEST_DELAY_S = 0.3
-# So late an estimate is at that bound, and other parameters make up for the rest [s].
+# An estimate from here on is at that bound, and other parameters make up for the rest [s].
 AT_LONGEST_S = 0.285
-# An acceleration of the IMU counts as lateral if it follows speed times yaw rate with such a slope.
+# An acceleration of the IMU is lateral if its slope over speed times yaw rate is within these.
 SLOPES = (0.7, 1.4)
-# An outlier is farther from the median of so many samples around it than so many usual distances,
-# and than this [m/s, rad/s].
+# Window of the median [samples]; an outlier is farther from it than this many median distances, and
+# than the last [m/s, rad/s].
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
 # Shorter pieces [s] are of no use.
 SHORTEST_S = 3.0
@@ -84,21 +85,6 @@ class Held(NamedTuple):
         return np.diff(total, axis=0) / step
 
 
-class Measured(NamedTuple):
-    """Measurements of one quantity.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        [s]
-    value : ndarray, shape (n,)
-        [SI]
-    """
-
-    t: np.ndarray
-    value: np.ndarray
-
-
 @dataclass(frozen=True)
 class Driving:
     """One drive on true time, in SI units, with the setup of its sensors applied.
@@ -112,11 +98,11 @@ class Driving:
         [m/s]
     t, v_x, a_long, r : ndarray, shape (n,)
         Even times [s], and speed, its rate and yaw rate there, smoothed without delay.
-    measured : dict of str to Measured
+    measured : dict of str to Signal
         ``r`` [rad/s] and, where measured, ``a_y`` of the IMU [m/s^2], and ``v_y`` of the localized
         point [m/s]; ``v_x`` [m/s].
-    pose_x : float
-        Where ``v_y`` is measured, ahead of the rear axle [m].
+    setup : SensorSetup
+        Of which only the places of the sensors are not applied yet.
     usable : ndarray of bool, shape (n,)
         Where the car drives and all signals are there.
     notes : list of str
@@ -129,8 +115,8 @@ class Driving:
     v_x: np.ndarray
     a_long: np.ndarray
     r: np.ndarray
-    measured: dict[str, Measured]
-    pose_x: float
+    measured: dict[str, Signal]
+    setup: SensorSetup
     usable: np.ndarray
     notes: list[str]
 
@@ -150,15 +136,15 @@ def driving_of(run: Run) -> Driving:
     """
     signals, setup, notes = run.signals, run.setup, []
     if "steering" not in signals:
-        raise IdentificationError(f"{run.name}: steering: expected drive commands, got none")
+        raise IdentificationError("steering: expected drive commands, got none")
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
-    r, v = _turn_and_speed(run, scaled, notes)
+    r, v = _turn_and_speed(setup, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
     commands_t, angle = scaled["steering"]
     begin = max(begin, float(commands_t[0]))
     if end - begin < SHORTEST_S:
         raise IdentificationError(
-            f"{run.name}: expected {SHORTEST_S:g} s in which commands, speed and yaw rate exist, "
+            f"expected {SHORTEST_S:g} s in which commands, speed and yaw rate exist, "
             f"got {max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / GRID_HZ)
@@ -167,12 +153,12 @@ def driving_of(run: Run) -> Driving:
         GRID_HZ,
         SMOOTH_HZ,
     )
-    measured = {"r": Measured(*r), "v_x": Measured(*v)}
-    a_y = _lateral_acceleration(run, scaled, t, smooth, notes)
+    measured = {"r": Signal(*r), "v_x": Signal(*v)}
+    a_y = _lateral_acceleration(setup, scaled, t, smooth, notes)
     if a_y is not None:
         measured["a_y"] = a_y
     if "v_y" in scaled:
-        measured["v_y"] = Measured(*scaled["v_y"])
+        measured["v_y"] = Signal(*scaled["v_y"])
     usable = (smooth[0] > SLOWEST_MPS) & near(t, commands_t, LONGEST_HOLD_S)
     for name in measured:
         usable &= near(t, measured[name].t, LONGEST_GAP_S)
@@ -187,25 +173,25 @@ def driving_of(run: Run) -> Driving:
         np.gradient(smooth[0], 1.0 / GRID_HZ),
         smooth[1],
         measured,
-        setup.pose_x_m,
+        setup,
         usable,
         notes,
     )
 
 
-def _turn_and_speed(run, scaled, notes):
+def _turn_and_speed(setup, scaled, notes):
     """Yaw rate and speed, each with its times: measured or, where nothing does, from the poses."""
     r, v = scaled.get("yaw_rate"), scaled.get("v_x")
     if r is None:
-        r = _rate_of_heading(run, scaled)
+        r = _rate_of_heading(scaled)
         notes.append("yaw rate from the heading of the poses")
     else:
-        r = r[0], run.setup.yaw_rate_scale * r[1]
+        r = r[0], setup.yaw_rate_scale * r[1]
     if v is None:
-        v = _speed_of_path(run, scaled)
+        v = _speed_of_path(scaled)
         notes.append("speed from the path of the poses")
     else:
-        v = v[0], run.setup.speed_scale * v[1]
+        v = v[0], setup.speed_scale * v[1]
     return r, v
 
 
@@ -381,9 +367,8 @@ def _most_excited(drives, need, skip, excited, least, most):
     return np.array(begins, dtype=float)[kept], np.array(owners, dtype=int)[kept]
 
 
-def _lateral_acceleration(run, scaled, t, smooth, notes):
+def _lateral_acceleration(setup, scaled, t, smooth, notes):
     """Lateral acceleration of the IMU, if it is one."""
-    setup = run.setup
     name = f"a_{setup.lateral_axis}"
     if name not in scaled:
         return None
@@ -396,19 +381,19 @@ def _lateral_acceleration(run, scaled, t, smooth, notes):
     if not SLOPES[0] < slope < SLOPES[1]:
         notes.append(f"lateral acceleration left out: {slope:.2f} times speed times yaw rate")
         return None
-    return Measured(at, value)
+    return Signal(at, value)
 
 
-def _rate_of_heading(run, scaled):
+def _rate_of_heading(scaled):
     if "psi" not in scaled:
-        raise IdentificationError(f"{run.name}: expected a yaw rate or a heading, got neither")
+        raise IdentificationError("expected a yaw rate or a heading, got neither")
     t, psi = scaled["psi"]
     return 0.5 * (t[1:] + t[:-1]), np.diff(np.unwrap(psi)) / np.diff(t)
 
 
-def _speed_of_path(run, scaled):
-    if "x" not in scaled:
-        raise IdentificationError(f"{run.name}: expected a speed or poses, got neither")
+def _speed_of_path(scaled):
+    if not {"x", "y"} <= set(scaled):
+        raise IdentificationError("expected a speed or poses, got neither")
     t, x = scaled["x"]
     y = np.interp(t, *scaled["y"])
     return 0.5 * (t[1:] + t[:-1]), np.hypot(np.diff(x), np.diff(y)) / np.diff(t)

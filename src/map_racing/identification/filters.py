@@ -26,9 +26,10 @@ __all__ = [
 LONGEST_GAP_S = 0.25
 """A signal is known between samples this far apart [s]."""
 LONGEST_HOLD_S = 0.6
-"""A command holds until the next one, for so long at most [s]."""
+"""A command holds until the next one, but no longer than this [s]."""
 
-# A spike is farther from the local median than this many usual distances, and than its threshold.
+# Window of the local median [s]; a spike is farther from it than this many median distances, and
+# than its threshold, for no longer than this [s].
 SPIKE_WINDOW_S, SPIKE_FACTOR, LONGEST_SPIKE_S = 1.2, 6.5, 0.2
 # Thresholds for 1:10 cars [SI].
 SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
@@ -48,7 +49,8 @@ def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarr
     -------
     ndarray, shape (..., n)
     """
-    # Twice through a filter of second order: each pass may take a quarter of the power.
+    # Forwards and backwards through a filter of second order: at the cutoff each pass leaves
+    # sqrt(1/2) of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
     padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
     return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)

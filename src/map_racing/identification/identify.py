@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Iterable, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..vehicle.parameters import Vehicle, holding
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.steady_state import steady_state_table
 from ..vehicle.tires import PacejkaTire
+from .axles import AxlePoints, axle_points
 from .channels import SensorSetup
 from .cornering import ProcessedRun, motion_of
 from .data import Run
@@ -26,10 +28,9 @@ from .limits import RATE_HZ, SteadyLimits
 from .sensor_findings import SensorFinding
 from .survey import Survey, survey
 from .tire_fit import (
-    AxlePoints,
     LinearFit,
     PacejkaFit,
-    axle_points,
+    Parameter,
     beside_rear,
     fit_linear,
     fit_pacejka,
@@ -54,8 +55,8 @@ WINDOW_S = 1.5
 # Relative errors of, and tires from, smaller lateral accelerations mean nothing [m/s^2].
 SMALLEST_MPS2 = 1.0
 AT_LIMIT = 0.9
-# Runs are not of one car on one floor where the common curve leaves so many times what one of the
-# run's own does, and so much of the load.
+# Runs are not of one car on one floor where the common curve leaves this many times what a curve of
+# one run alone does, and this share of the load.
 MIXED, MIXED_SHARE = 2.0, 0.01
 
 
@@ -112,10 +113,11 @@ class Identification:
         The runs used.
     refused : list of (str, str)
         Unusable runs, with the reason.
-    findings, corrections : list of SensorFinding
+    checked, corrections : list of SensorFinding
         Results of the sensor checks after corrections, and the corrections made.
     setup : SensorSetup
         As used, after corrections.
+    limits : SteadyLimits
     front_force, acceleration : str
         As given to `identify`.
     """
@@ -126,11 +128,19 @@ class Identification:
     axles: dict[str, Axle]
     motions: list[ProcessedRun]
     refused: list[tuple[str, str]]
-    findings: list[SensorFinding]
+    checked: list[SensorFinding]
     corrections: list[SensorFinding]
     setup: SensorSetup
+    limits: SteadyLimits
     front_force: str
     acceleration: str
+
+    @cached_property
+    def findings(self) -> list[SensorFinding]:
+        """Those of the sensor checks, and whether the runs are of one car on one floor."""
+        # Found when it is asked for: a curve for each run takes longer than the common one.
+        mixture = _mixture(self.motions, self.axles, self.base, self.limits, self.front_force)
+        return [*self.checked, *mixture]
 
     @property
     def largest_a_y(self) -> float:
@@ -139,17 +149,23 @@ class Identification:
 
     @property
     def friction(self) -> float:
-        """Friction coefficient that this acceleration takes [-]."""
+        """Friction coefficient that this acceleration takes [-], a lower bound of the floor's."""
         return self.largest_a_y / GRAVITY
 
     @property
-    def understeer_gradient(self) -> float:
+    def understeer_gradient(self) -> Parameter:
         """``m / l_wb (l_r / C_f - l_f / C_r)`` [rad s^2/m], with the stiffness at zero slip."""
-        car = self.vehicle
-        front, rear = (
-            axle.pacejka.parameters["stiffness_n_per_rad"].value for axle in self.axles.values()
+        car, shares, unsure = self.vehicle, [], []
+        for name, arm in (("front", car.l_r), ("rear", car.l_f)):
+            value, _, high, _ = self.axles[name].pacejka.parameters["stiffness_n_per_rad"]
+            shares.append(car.m / car.l_wb * arm / value)
+            unsure.append(shares[-1] * (high / value - 1.0))
+        value, half = shares[0] - shares[1], math.hypot(*unsure)
+        known = all(
+            axle.pacejka.parameters["stiffness_n_per_rad"].determined
+            for axle in self.axles.values()
         )
-        return car.m / car.l_wb * (car.l_r / front - car.l_f / rear)
+        return Parameter(value, value - half, value + half, known)
 
     def predictions(self) -> list[Prediction]:
         """The fitted data as the identified car predicts them."""
@@ -180,7 +196,7 @@ def identify(
     limits : SteadyLimits, optional
         What counts as steady.
     front_force : {"model", "paper"}
-        See `map_racing.identification.tire_fit.axle_points`.
+        See `map_racing.identification.axles.axle_points`.
     acceleration : {"imu", "yaw_rate"}
         Source of the lateral acceleration, see `map_racing.identification.cornering.motion_of`.
     name : str, optional
@@ -213,7 +229,6 @@ def steady_tires(
     used = surveyed.steady
     _require_evidence(used, surveyed)
     axles = _fit_axles(used, base_vehicle, limits, front_force)
-    mixture = _mixture(used, axles, base_vehicle, limits, front_force)
     name = name or base_vehicle.name + "_identified"
     tires = {key: axle.pacejka.tire for key, axle in axles.items()}
     linear = {key: axle.linear.tire for key, axle in axles.items()}
@@ -225,9 +240,10 @@ def steady_tires(
         axles=axles,
         motions=used,
         refused=surveyed.refused,
-        findings=[*surveyed.findings, *mixture],
+        checked=surveyed.findings,
         corrections=surveyed.corrections,
         setup=surveyed.setup,
+        limits=limits,
         front_force=front_force,
         acceleration=acceleration,
     )

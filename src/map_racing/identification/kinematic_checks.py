@@ -10,6 +10,7 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of
 from .channels import SensorSetup
 from .cornering import ProcessedRun
+from .limits import RATE_HZ
 from .sensor_findings import SensorFinding, turning_rate
 
 __all__ = [
@@ -24,7 +25,8 @@ __all__ = [
 LOW_SHARE = 0.45
 # Angles this much beyond the lock are refused: offset and play of a linkage.
 LOCK_MARGIN = 1.05
-PICK = 5  # samples per point: the low-pass leaves neighbors dependent
+# Samples per point; and how many points of a second the low-pass leaves independent.
+PICK, INDEPENDENT_HZ = 5, 2.0
 
 
 def check_pose_point(
@@ -94,6 +96,9 @@ def check_steering_gain(
         text = "steering: driven at one speed only, its gain cannot be separated from understeer"
         return [SensorFinding("steering", text)]
     gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
+    if math.isinf(gain):
+        text = "steering: slow cornering does not follow the signal: its gain cannot be told"
+        return [SensorFinding("steering", text)]
     text = (
         f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
         f"{offset:+.4f} +- {offset_error:.4f} rad"
@@ -187,6 +192,8 @@ def _contradiction(low, vehicle, text):
     gain, error, _, _ = _steering(low, vehicle, with_offset=True)
     if abs(gain - 1.0) > max(0.05, 3.0 * error):
         return []  # to be repaired first
+    if math.isinf(gain):
+        return [SensorFinding("front slip", text, critical=True)]
     text += (
         f", but slow cornering says {gain:.3f} +- {error:.3f} times as much: these contradict each "
         "other, and no gain and offset repair both"
@@ -281,13 +288,13 @@ def _low(motions, vehicle):
 
 
 def _regression(matrix, values, noise):
-    """Least squares with standard errors; half of the points count as independent."""
+    """Least squares with standard errors, for which two points of a second are independent."""
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-9)
     solution = np.linalg.lstsq(matrix / scale, values, rcond=None)[0]
     residual = values - matrix / scale @ solution
     variance = max(float(residual @ residual) / max(values.size - matrix.shape[1], 1), noise**2)
     normal = (matrix / scale).T @ (matrix / scale)
-    covariance = np.linalg.pinv(normal) * variance * 10.0 / 2.0
+    covariance = np.linalg.pinv(normal) * variance * (RATE_HZ / PICK / INDEPENDENT_HZ)
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if np.linalg.cond(normal) > 1e10:
         error[:] = np.inf

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Mapping
 
 import numpy as np
@@ -57,20 +58,20 @@ PRIOR = {
     "inertia": 0.15,
     "gain": 0.02,
 }
-# A gain so many of its standard deviations off is then looked for within this one.
+# A gain this many prior standard deviations off is fitted again, with the second as the prior's.
 DOUBT, ANY_GAIN = 2.0, 0.2
 # A factor is determined with a smaller standard deviation.
 DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 0.0}
 # Friction is never taken from a drive that used less than this share of it, whatever the fit says:
 # at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
-# Runs are not of one car on one floor where the common fit leaves so many times what a fit of one
-# run's own does.
+# Runs are not of one car on one floor where the common fit leaves this many times what a fit of one
+# run alone does.
 MIXED = 1.5
 # Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
-# The shape of the curves is the file's unless that moves the friction (its logarithm) by so much.
-# Then the friction must be known better to count.
+# The shape of the curves is the file's unless that moves the logarithm of the friction by more than
+# the first; then the friction counts only with a standard deviation below the second.
 SHAPE_MATTERS, SURE = 0.04, 0.05
 # The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
 SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
@@ -84,8 +85,8 @@ class LapTires:
     ----------
     vehicle, base : Vehicle
         The identified car, and the one whose parameters were believed before.
-    runs : list of str
-        Labels of the runs used.
+    used : list of Run
+        The runs used.
     notes : list of str
     windows : int
         Windows of 1 s that were used.
@@ -99,32 +100,42 @@ class LapTires:
         Largest sustained lateral acceleration [m/s^2].
     explained : float
         Share of the variance of the yaw rate.
-    setup : SensorSetup
     widest : float
         Largest angle asked of the wheels [rad]: 99th percentile.
     noise : dict of str to float
         Standard deviation of what the model leaves, by quantity [SI].
     fitted : Fitted
-    delays : Delays
-        Of the same runs.
     runs_finding : SensorFinding or None
         That the runs are not of one car on one floor.
     """
 
     vehicle: Vehicle
     base: Vehicle
-    runs: list[str]
+    used: list[Run]
     notes: list[str]
     windows: int
     parameters: dict[str, Parameter]
     largest_a_y: float
     explained: float
-    setup: SensorSetup
     widest: float
     noise: dict[str, float]
     fitted: Fitted
-    delays: Delays
     runs_finding: SensorFinding | None = None
+
+    @property
+    def runs(self) -> list[str]:
+        """Labels of the runs used."""
+        return [run.label for run in self.used]
+
+    @property
+    def setup(self) -> SensorSetup:
+        """Of the sensors of these runs."""
+        return self.used[0].setup
+
+    @cached_property
+    def delays(self) -> Delays:
+        """Of the same runs, with the identified tires."""
+        return estimate_delays(self.used, self.vehicle)
 
     @property
     def least_friction(self) -> float | None:
@@ -238,17 +249,15 @@ def tires_from_laps(
     return LapTires(
         vehicle=vehicle,
         base=base,
-        runs=labels,
+        used=used,
         notes=notes,
         windows=windows.count,
-        parameters=_parameters(vehicle, base, fitted, free, unknown),
+        parameters=_parameters(vehicle, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
-        setup=used[0].setup,
         widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
         noise=fitted.noise,
         fitted=fitted,
-        delays=estimate_delays(used, vehicle),
         runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,
     )
 
@@ -260,7 +269,7 @@ def _drives_of(runs):
         try:
             drive = driving_of(run)
         except IdentificationError as error:
-            notes.append(f"{run.label}: left out: {str(error).replace(f'{run.name}: ', '')}")
+            notes.append(f"{run.label}: left out: {error}")
             continue
         used.append(run)
         drives.append(drive)
@@ -360,7 +369,7 @@ def _explained(windows: Windows, fitted: Fitted) -> float:
     return 1.0 - (fitted.noise["r"] / float(np.std(value))) ** 2
 
 
-def _parameters(vehicle, base, fitted, free, unknown):
+def _parameters(vehicle, fitted, free, unknown):
     """Values of the fit that counts, with the intervals of the one with all that is uncertain."""
     parameters = {}
 

@@ -18,7 +18,7 @@ from ..vehicle.tires import PacejkaTire
 from .driving import LONGEST_DELAY_S, Windows
 from .robust_fit import Believed, Fitted, fit
 
-__all__ = ["NAMES", "believed", "fit_car", "simulate"]
+__all__ = ["NAMES", "at_sensors", "believed", "fit_car", "simulate"]
 
 NAMES = (
     "front",
@@ -93,58 +93,90 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
     h, steps = windows.step, windows.steps
     delta, ahead = _wheels(vehicle, windows, theta)
     shape = delta.shape[1:]
-    front, rear, grip, inertia, wide = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 7, 9))
-    added = theta[:, 10][:, None]
     m, l_f, l_r = vehicle.m, vehicle.l_f, vehicle.l_r
-    I_z = vehicle.I_z * inertia
-    mu = vehicle.mu * grip
-    # The axles side by side: half as many calls of NumPy, which is what the time goes into.
-    curve = _curves(vehicle, np.stack((front, rear)) / grip, wide, added)
-    arm = np.array([l_f, -l_r])[:, None, None]
-    load = m / vehicle.l_wb
-    a_long = windows.a_long
-    transfer = np.maximum(vehicle.h_cg + theta[:, 8], 0.0)[:, None] * a_long[:, None, :]
-    loads = np.stack((GRAVITY * l_r - transfer, GRAVITY * l_f + transfer), axis=1)
-    F = mu * load * loads
-    v = windows.v_x[:, None, :]
+    I_z = _spread(vehicle.I_z * np.exp(theta[:, 7])[:, None], shape)
+    # The axles side by side, in arrays of one shape: half as many calls of NumPy, each without the
+    # work of matching shapes, which is what the time goes into.
+    curve = _curves(vehicle, theta, shape)
+    arm = _spread(np.array([l_f, -l_r])[:, None, None], (2, *shape))
+    F = _loads(vehicle, windows, theta)
+    v = _spread(windows.v_x[:, None, :], delta.shape)
+    half = 0.5 * h
+    v_next = half * (v[1:] - v[:-1]) / h
     r = np.broadcast_to(windows.r_0, shape).copy()
     v_y = l_r * r
-    half = 0.5 * h
     out_r, out_vy, out_ay = (np.empty((steps + 1, *shape)) for _ in range(3))
     out_r[0], out_vy[0] = r, v_y
     for k in range(steps + 1):
-        v_k = v[k]
+        v_k, F_k, a_y = v[k], F[k], out_ay[k]
         tan = (v_y + arm * r) / v_k
         alpha = np.arctan(tan)
         alpha[0] -= delta[k]
         P, S = curve(alpha)
-        P = -F[k] * P
+        # Forces to the right, and their slopes over v_y.
+        P = F_k * P
         P_f, P_r = P
-        out_ay[k] = (P_f + P_r) / m
+        np.divide(P_f + P_r, -m, out=a_y)
         if k == steps:
             break
-        # Slopes of the forces over v_y.
         steep = v_k * (1.0 + tan * tan)
-        S = F[k] * S / steep
-        S_f, S_r = S
-        T_f, T_r = arm * S
-        # J = [[a, b], [c, d]] of (v_y', r')
-        moment = -(T_f + T_r)
-        a = -(S_f + S_r) / m
-        b = moment / m - v_k
-        c = moment / I_z
-        d = -(l_f * T_f - l_r * T_r) / I_z
+        S = F_k * S / steep
+        T = arm * S
+        U = arm * T
+        S_f, T_f = S[0], T[0]
+        moment = T_f + T[1]
         # The wheels turn on: the force at their mean angle of the step.
         turned = ahead[k] * S_f * steep[0]
-        f_1 = h * (out_ay[k] + turned / m - v_k * r - half * (v[k + 1] - v_k) / h * r)
-        f_2 = h * (l_f * (P_f + turned) - l_r * P_r) / I_z
-        p, q = 1.0 - half * a, 1.0 - half * d
-        s, u = -half * b, -half * c
+        f_1 = h * (a_y + turned / m - v_k * r - v_next[k] * r)
+        f_2 = h * (l_f * (turned - P_f) + l_r * P_r) / I_z
+        # I - h/2 J = [[p, s], [u, q]], with the Jacobian J of (v_y', r').
+        p, q = 1.0 + half * ((S_f + S[1]) / m), 1.0 + half * ((U[0] + U[1]) / I_z)
+        s, u = half * (moment / m + v_k), half * (moment / I_z)
         det = p * q - s * u
         v_y = v_y + (q * f_1 - s * f_2) / det
         r = r + (p * f_2 - u * f_1) / det
         out_r[k + 1], out_vy[k + 1] = r, v_y
     return {"r": out_r, "v_y": out_vy, "a_y": out_ay}
+
+
+def _spread(values, shape):
+    """Values repeated to a shape."""
+    return np.ascontiguousarray(np.broadcast_to(values, shape))
+
+
+def _loads(vehicle, windows, theta):
+    """Friction times load of both axles at each step, shape (K + 1, 2, p, n)."""
+    a_long = windows.a_long[:, None, :]
+    transfer = np.maximum(vehicle.h_cg + theta[:, 8], 0.0)[:, None] * a_long
+    loads = np.stack((GRAVITY * vehicle.l_r - transfer, GRAVITY * vehicle.l_f + transfer), axis=1)
+    return vehicle.mu * np.exp(theta[:, 2])[:, None] * (vehicle.m / vehicle.l_wb) * loads
+
+
+def at_sensors(
+    vehicle: Vehicle, windows: Windows, simulated: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """What `simulate` returns, as it is measured where the sensors are.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    windows : Windows
+    simulated : dict of str to ndarray, shape (K + 1, p, n)
+
+    Returns
+    -------
+    dict of str to ndarray, shape (K + 1, p, n)
+        ``r``, ``v_y`` of the localized point, and ``a_y`` of the IMU.
+    """
+    places = []
+    for setup in (drive.setup for drive in windows.drives):
+        imu_x = vehicle.l_r if setup.imu_x_m is None else setup.imu_x_m
+        places.append((setup.pose_x_m - vehicle.l_r, imu_x - vehicle.l_r, setup.imu_y_m))
+    ahead, imu_ahead, imu_left = np.array(places).T[:, windows.drive]
+    r, a_y = simulated["r"], simulated["a_y"]
+    if imu_ahead.any() or imu_left.any():
+        a_y = a_y + np.gradient(r, windows.step, axis=0) * imu_ahead - r * r * imu_left
+    return {"r": r, "v_y": simulated["v_y"] + r * ahead, "a_y": a_y}
 
 
 def _wheels(vehicle, windows, theta):
@@ -158,36 +190,43 @@ def _wheels(vehicle, windows, theta):
     # Of an exponential approach; a turn at full rate is halfway on average.
     mean = 1.0 / follow - lag / windows.step
     slew = vehicle.delta_rate_max * windows.step
+    follow = _spread(follow, command.shape[1:])
     delta = np.empty((windows.steps + 1, *command.shape[1:]))
-    ahead = np.empty_like(command)
+    wanted, moves = np.empty_like(command), np.empty_like(command)
     delta[0] = command[0]
     for k in range(windows.steps):
-        wanted = (command[k] - delta[k]) * follow
-        move = np.minimum(np.maximum(wanted, -slew), slew)
-        ahead[k] = np.where(move == wanted, mean, 0.5) * move
-        delta[k + 1] = delta[k] + move
+        np.multiply(command[k] - delta[k], follow, out=wanted[k])
+        np.minimum(np.maximum(wanted[k], -slew), slew, out=moves[k])
+        np.add(delta[k], moves[k], out=delta[k + 1])
+    ahead = np.where(moves == wanted, mean, 0.5) * moves
     return delta, ahead
 
 
-def _curves(vehicle, factors, wide, added):
+def _curves(vehicle, theta, shape):
     """Forces and slopes of both tires, normalized, over slip angles of shape (2, p, n).
 
     Slopes at zero slip and C are scaled by factors, and E is moved.
     """
     tires = vehicle.front, vehicle.rear
+    front, rear, grip, wide = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 9))
+    factors, added = np.stack((front, rear)) / grip, theta[:, 10][:, None]
 
     def each(name):
         return np.array([getattr(tire, name) for tire in tires])[:, None, None]
 
+    def full(values):
+        return _spread(values, (2, *shape))
+
     if not isinstance(vehicle.front, PacejkaTire):
-        slope = each("C_S") * factors
+        slope = full(each("C_S") * factors)
 
         def linear(alpha):
             return slope * alpha, slope
 
         return linear
-    B, C, D = each("B") * factors / wide, each("C") * wide, each("D")
-    E = np.minimum(each("E") + added, np.maximum(each("E"), 1.0))
+    B, C, D = (full(each(name)) for name in "BCD")
+    B, C = B * factors / wide, C * wide
+    E = full(np.minimum(each("E") + added, np.maximum(each("E"), 1.0)))
     stiffness, unbent = B * C * D, 1.0 - E
 
     def pacejka(alpha):
@@ -224,12 +263,9 @@ def fit_car(
     Fitted
         Parameters are `NAMES`.
     """
-    pose_x = np.array([drive.pose_x for drive in windows.drives])
-    behind = vehicle.l_r - pose_x[windows.drive]
 
     def predict(lanes):
-        found = simulate(vehicle, windows, lanes)
-        found["v_y"] -= found["r"] * behind
+        found = at_sensors(vehicle, windows, simulate(vehicle, windows, lanes))
         return {name: windows.at(name, found[name]) for name in windows.observed}
 
     starts = [{"delay": delay} for delay in START_DELAYS]

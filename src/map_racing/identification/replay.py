@@ -22,7 +22,7 @@ from .drive import drive_windows, driven_speed, fit_drive
 from .driving import GRID_HZ, SMOOTH_HZ, Driving, driving_of, windows_of, without_outliers
 from .filters import low_passed
 from .limits import REPLAY_WINDOW_S
-from .output_error import NAMES, believed, fit_car, simulate
+from .output_error import NAMES, at_sensors, believed, fit_car, simulate
 from .usable_runs import reason_to_refuse
 
 __all__ = [
@@ -222,7 +222,7 @@ def replay(
         try:
             found.append(_replayed(vehicle, run, actuators, length, reached))
         except IdentificationError as error:
-            refused.append((run.label, str(error).replace(f"{run.name}: ", "")))
+            refused.append((run.label, str(error)))
     if not found:
         reasons = "; ".join(f"{label}: {reason}" for label, reason in refused)
         raise IdentificationError(f"no run to replay: {reasons}")
@@ -231,11 +231,11 @@ def replay(
 
 def _replayed(vehicle, run, actuators, length, reached):
     """Replay of one run."""
-    notes, path = [], None
+    notes, motion, path = [], None, None
     try:
         motion = motion_of(run, vehicle, acceleration="yaw_rate")
     except IdentificationError as error:
-        notes.append(f"no drift: {str(error).replace(f'{run.name}: ', '')}")
+        notes.append(f"no drift: {error}")
     else:
         reason = reason_to_refuse(motion)
         if reason:
@@ -248,7 +248,7 @@ def _replayed(vehicle, run, actuators, length, reached):
         raise IdentificationError(
             "; ".join([*notes, f"expected {length + BURN_IN_S:g} s of commanded driving at a time"])
         )
-    if not any(note.startswith("no drift") for note in notes):
+    if motion is not None:
         path = _path(run, drive.t, motion.clock_offset_s)
     if reached is not None:
         beyond = float(np.mean(np.abs(drive.v_x * drive.r)[drive.usable] > reached))
@@ -268,11 +268,12 @@ def _replayed(vehicle, run, actuators, length, reached):
     theta = np.zeros((1, len(NAMES)))
     theta[0, NAMES.index("delay")] = actuators.delay
     theta[0, NAMES.index("share")] = actuators.share
-    simulated = {name: value[:, 0, :] for name, value in simulate(vehicle, windows, theta).items()}
+    simulated = at_sensors(vehicle, windows, simulate(vehicle, windows, theta))
+    simulated = {name: value[:, 0, :] for name, value in simulated.items()}
     return RunReplay(
         run.label,
         windows.count,
-        _errors(vehicle, drive, windows, simulated, path, driven),
+        _errors(drive, windows, simulated, path, driven),
         notes,
     )
 
@@ -289,7 +290,7 @@ def _commanded(drive, notes):
     return replace(drive, usable=drive.usable & ~stopping)
 
 
-def _errors(vehicle, drive: Driving, windows, simulated, path, with_speed):
+def _errors(drive: Driving, windows, simulated, path, with_speed):
     """Errors of all channels, on the clock of the smoothed signals."""
     each = round(1.0 / GRID_HZ / windows.step)
     skip = windows.burn_in // each
@@ -315,7 +316,7 @@ def _errors(vehicle, drive: Driving, windows, simulated, path, with_speed):
     if with_speed:
         put("speed", v - drive.v_x[rows], drive.v_x[rows], _noise(drive, "v_x", drive.v_x))
     if path is not None:
-        v_y = simulated["v_y"][::each] - r * (vehicle.l_r - drive.pose_x)
+        v_y = simulated["v_y"][::each]
         drift = _drift(path[:, rows[skip:]], v[skip:], v_y[skip:], r[skip:])
         driven = np.mean(np.sum(drive.v_x[rows[skip:]], axis=0)) / GRID_HZ
         at = int(np.argmax(np.abs(drift)))
@@ -337,7 +338,7 @@ def _smooth(drive, name):
 
 
 def _noise(drive, name, smooth):
-    """Standard deviation of the noise that the low-pass left, told by what it took."""
+    """Standard deviation of the noise that the low-pass left, from what it removed."""
     t, value = without_outliers(*drive.measured[name])
     passes = min(2.0 * SMOOTH_HZ * float(np.median(np.diff(t))), 0.8)
     taken = float(np.std(value - np.interp(t, drive.t, smooth)))

@@ -86,7 +86,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
     left_out : list of Prediction, optional
         From `map_racing.identification.identify.leave_one_out`.
     """
-    axles = {}
+    axles, understeer = {}, found.understeer_gradient
     for name, (points, fit, linear) in found.axles.items():
         axles[name] = {
             "points": int(fit.inlier.size),
@@ -116,7 +116,9 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
         "axles": axles,
         "largest_lateral_acceleration_mps2": found.largest_a_y,
         "friction": found.friction,
-        "understeer_gradient_rad_s2_per_m": found.understeer_gradient,
+        "understeer_gradient_rad_s2_per_m": understeer.value,
+        "understeer_gradient_interval_rad_s2_per_m": [understeer.low, understeer.high],
+        "understeer_gradient_determined": understeer.determined,
         "fit_errors": prediction_errors(found.predictions()),
         "leave_one_out": prediction_errors(left_out) if left_out is not None else None,
         "leave_one_out_yaw_rate": worst_prediction(left_out) if left_out is not None else None,
@@ -232,9 +234,10 @@ def _axle(name, axle, base):
             f"  Pacejka, not determined alone (kept near {base}'s, and within the "
             f"bounds): {', '.join(unknown)}"
         )
+    _, low, high, _ = (value / points.load for value in linear.stiffness_n_per_rad)
     lines.append(
-        f"  linear tire: C_S = {linear.tire.C_S:.2f} 1/rad, mean residual "
-        f"{linear.mean_residual_n:.2f} N"
+        f"  linear tire: C_S = {linear.tire.C_S:.2f} 1/rad (95 %: {low:.2f} to {high:.2f}), mean "
+        f"residual {linear.mean_residual_n:.2f} N"
     )
     return lines
 
@@ -250,17 +253,25 @@ def _summary(found):
         else "front force divided by the cosine of the steering angle, as in the paper: the table, "
         f"whose model has no such cosine, promises up to {share:.1%} more than was measured"
     )
-    understeer = found.understeer_gradient
-    kind = "understeers" if understeer > 0.0 else "oversteers"
     return [
-        f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction "
+        f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction at least "
         f"{found.friction:.3f}",
-        f"understeer gradient: {understeer:+.5f} rad per m/s^2 ({kind})",
+        f"understeer gradient: {_understeer(found.understeer_gradient)}",
         f"low-pass at {found.motions[0].limits.cutoff_hz:g} Hz, zero-phase",
         f"steering, as used: wheel angle = {found.setup.steering_gain:.3f} times the signal "
         f"{found.setup.steering_offset_rad:+.4f} rad; up to {widest:.3f} rad in the data",
         force,
     ]
+
+
+def _understeer(gradient):
+    """The understeer gradient with its interval, and what that says of the car."""
+    value, low, high, determined = gradient
+    interval = f"{value:+.5f} rad per m/s^2 (95 %: {low:+.5f} to {high:+.5f})"
+    if not determined:
+        return f"not determined by these data, {interval}"
+    kind = "understeers" if low > 0.0 else "oversteers" if high < 0.0 else "is about neutral"
+    return f"{interval}: the car {kind}"
 
 
 def _predictions(what, predictions):

@@ -16,7 +16,7 @@ import numpy as np
 __all__ = ["CONFIDENCE", "Believed", "Fitted", "fit"]
 
 CONFIDENCE = 1.96  # of a normal distribution: 95 %
-HUBER = 2.5  # residuals beyond so many standard deviations pull no harder
+HUBER = 2.5  # residuals beyond this many standard deviations pull no harder
 MOST_STEPS = 25
 ROUGH, FINE = 1e-3, 1e-6  # relative gain of a step that ends the search
 LEAST_NOISE = 1e-4

@@ -36,10 +36,10 @@ LEAST_STANDING_S = 0.4
 # An IMU axis measures lateral acceleration if it follows speed times yaw rate with at least this
 # slope (its unit may be g) and this share of its variance explained.
 LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
-# A scale or offset of the accelerometer counts if it is so many standard errors off; the low-pass
-# leaves one independent sample in so many.
+# Standard errors by which a scale or offset of the accelerometer must be off to count; samples per
+# independent one after the low-pass.
 SURE, INDEPENDENT = 3.0, RATE_HZ / 2.0
-# A setup with contradictions left after so many corrections is beyond repair.
+# A setup with contradictions after this many corrections is beyond repair.
 MOST_CORRECTIONS = 16
 
 
@@ -196,7 +196,7 @@ def _lateral_axis(motions, setup, vehicle):
     if expected.size < RATE_HZ or np.percentile(np.abs(expected), 90) < 1.0:
         return []
     fits = {}
-    for axis in motions[0].axes:
+    for axis in sorted(set.intersection(*(set(motion.axes) for motion in motions))):
         values = np.concatenate([motion.axes[axis][motion.steady] for motion in motions])
         fits[axis] = _line(expected, values)
 

@@ -91,7 +91,7 @@ def _motions(runs, setup, vehicle, limits, acceleration):
         try:
             motion = motion_of(changed, vehicle, limits, acceleration)
         except IdentificationError as error:
-            refused.append((run.label, str(error).replace(f"{run.name}: ", "")))
+            refused.append((run.label, str(error)))
             if f"a_{setup.lateral_axis}" not in run.signals and acceleration == "imu":
                 # Ordinary driving tells of tires without an IMU, too.
                 ordinary += _motions([run], setup, vehicle, limits, "yaw_rate")[2]

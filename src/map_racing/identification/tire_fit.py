@@ -1,16 +1,8 @@
-"""Tires from steady-state cornering: axle forces, slip angles and the curves through them.
+"""The curve through the points of an axle (`axles`): its tire.
 
-At constant speed and yaw rate the forces of both axles follow from the lateral acceleration alone,
-the slip angles from the velocity of the center of gravity, the yaw rate and the steering angle
-(Becker et al., ICRA 2023, section on the identification of the tires; Voser et al., 2010). A curve
-through these points is the tire of the axle.
+Two things differ from the paper (Becker et al., ICRA 2023, section on the identification of the
+tires); tests show why:
 
-Three things differ from the paper; tests show why:
-
-- The paper divides the front force by the cosine of the steering angle, which neither its equations
-  of motion nor ours (`single_track`) have. A tire identified with it and used without it promises
-  ``1 / cos(delta)`` more acceleration than was measured, 8 % at 0.4 rad. So the default is the
-  force in the equations of motion; ``front_force="paper"`` divides it.
 - Localization's errors are in the slip of both axles alike. So the points of the stiffer rear axle
   are moved to its curve, and those of the front axle as far: what they differ by, yaw rate and
   steering tell without localization.
@@ -29,18 +21,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..errors import IdentificationError, ParameterError
-from ..vehicle.parameters import Tire, Vehicle
-from ..vehicle.single_track import GRAVITY, axle_loads, slip_angles
+from ..errors import IdentificationError
+from ..vehicle.parameters import Tire
 from ..vehicle.tires import LinearTire, PacejkaTire
+from .axles import AxlePoints
+from .robust_fit import CONFIDENCE
 
 __all__ = [
     "AT_PEAK",
-    "AxlePoints",
     "LinearFit",
     "Parameter",
     "PacejkaFit",
-    "axle_points",
     "beside_rear",
     "fit_linear",
     "fit_pacejka",
@@ -54,40 +45,14 @@ UPPER = np.array([150.0, 1.5, 4.0, 1.1])
 PRIOR_SPREAD = np.array([0.15, 0.3, 0.5])
 # A parameter is determined if the data bring its spread below this share of the prior's.
 UNDETERMINED = 0.5
-# The peak is reached if the measured forces end at this share of it or beyond, and its interval not
-# farther above the largest of them than this.
+# The peak is reached if the measured forces end at this share of it or beyond, the upper end of its
+# interval is at most this many times the largest of them,
 AT_PEAK, ABOVE = 0.95, 1.1
-# They must also have risen to it: the smallest of them are below this share of the largest.
+# and the smallest of them are below this share of the largest: they rose to it.
 RISEN = 0.75
 FEWEST_POINTS = 20
 NEAREST_STEPS = 5  # to the nearest place of a curve
 FEW_POINTS = 300  # are enough for the first fit
-CONFIDENCE = 1.96  # of a normal distribution: 95 %
-
-
-class AxlePoints(NamedTuple):
-    """Measured points of one axle.
-
-    Parameters
-    ----------
-    slip : ndarray, shape (n,)
-        Slip angle [rad], signs as in `single_track`: negative in a left turn.
-    force : ndarray, shape (n,)
-        Lateral force [N], positive to the left.
-    load : float
-        Static vertical load [N].
-    slip_noise, force_noise : float
-        Standard deviations of their errors [rad], [N], of which only the ratio matters.
-    difference_noise : float
-        Standard deviation of the error of the difference between the slips of both axles [rad].
-    """
-
-    slip: np.ndarray
-    force: np.ndarray
-    load: float
-    slip_noise: float = 0.0
-    force_noise: float = 0.0
-    difference_noise: float = 0.0
 
 
 class Parameter(NamedTuple):
@@ -162,47 +127,6 @@ class LinearFit:
     tire: LinearTire
     stiffness_n_per_rad: Parameter
     mean_residual_n: float
-
-
-def axle_points(
-    vehicle: Vehicle,
-    v_x: np.ndarray,
-    v_y: np.ndarray,
-    r: np.ndarray,
-    delta: np.ndarray,
-    a_y: np.ndarray,
-    front_force: str = "model",
-) -> tuple[AxlePoints, AxlePoints]:
-    """Slip angles and forces of both axles from steady-state cornering.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Mass and geometry; its tires do not matter.
-    v_x, v_y : ndarray, shape (n,)
-        Velocity of the center of gravity along the car's axes [m/s].
-    r : ndarray, shape (n,)
-        Yaw rate [rad/s].
-    delta : ndarray, shape (n,)
-        Steering angle of the front wheels [rad].
-    a_y : ndarray, shape (n,)
-        Lateral acceleration of the center of gravity [m/s^2].
-    front_force : {"model", "paper"}
-        ``F_yf = m l_r a_y / (l_r + l_f)`` as in `single_track`, or divided by ``cos(delta)``.
-
-    Returns
-    -------
-    front, rear : AxlePoints
-        Without noise levels.
-    """
-    if front_force not in ("model", "paper"):
-        raise ParameterError(f"front_force: expected model or paper, got {front_force!r}")
-    alpha_f, alpha_r = slip_angles(vehicle, v_x, v_y, r, delta, v_eps=1e-3)
-    load_f, load_r = axle_loads(vehicle, 0.0)
-    F_yf, F_yr = load_f / GRAVITY * a_y, load_r / GRAVITY * a_y
-    if front_force == "paper":
-        F_yf = F_yf / np.cos(delta)
-    return AxlePoints(alpha_f, F_yf, load_f), AxlePoints(alpha_r, F_yr, load_r)
 
 
 def beside_rear(front: AxlePoints, rear: AxlePoints, tire: PacejkaTire) -> AxlePoints:

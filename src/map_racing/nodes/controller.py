@@ -21,8 +21,8 @@ from map_racing.msg import Belief, Guidance, Tracking
 
 from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
 from ..control.controller import Controller, Status
+from ..control.decision import Mode
 from ..control.parameters import load_controller_parameters, load_safety_limits
-from ..control.safety import Mode
 from ..control.settings import doubts_of, settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..control.steering import build_steering_maps

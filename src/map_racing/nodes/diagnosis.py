@@ -12,7 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ..bags import messages
 from ..bags.topics import STATE
 from ..control.controller import Controller, ControlResult, Status
-from ..control.safety import Mode, Reason, Supervisor, state_text
+from ..control.decision import Mode, Reason, state_level, state_text
+from ..control.safety import Supervisor
 from ..control.settings import doubts_of
 from .node import why_silent
 from .priority import present_priority
@@ -93,13 +94,8 @@ class Diagnosis:
         with self._lock:
             mode, reason = self._supervisor.mode, self._supervisor.reason
             values = self._values()
-        level = DiagnosticStatus.ERROR
-        if mode is Mode.DRIVING:
-            level = DiagnosticStatus.OK
-        elif mode is Mode.WAITING or reason is Reason.STOP_REQUESTED:
-            level = DiagnosticStatus.WARN
         status = DiagnosticStatus(
-            level=level,
+            level=state_level(mode, reason),
             name=rospy.get_name().lstrip("/") + STATE,
             hardware_id=self._controller.vehicle.name,
             message=state_text(mode, reason),

@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from map_racing.msg import Belief, LapResult
 
 from ..bags.messages import BELIEF_FIELDS
+from ..bags.samples import child_warning
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
@@ -22,7 +23,7 @@ from ..evaluation.laps import LapLimits
 from ..evaluation.live import LiveEvaluation
 from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline
-from .conversions import frame, stamp_ns, to_time
+from .conversions import frame, heading, stamp_ns, to_time
 from .markers import delete_all, lap_text_place, make_marker
 from .node import SENDER_GONE_S, FirstSender, get_parameter, run, why_silent
 from .waypoints import RacelineSubscriber
@@ -85,6 +86,8 @@ class LapEvaluatorNode:
             start_s=start_s,
             car_width=car_width,
             sectors=sectors,
+            pose_topic=rospy.resolve_name(pose),
+            drive_topic=rospy.resolve_name("drive"),
         )
         self._log = LapLog(csv, sectors) if csv else None
         self._results = rospy.Publisher("lap_result", LapResult, queue_size=100, latch=True)
@@ -193,19 +196,22 @@ class LapEvaluatorNode:
         self._put(lambda *_: self._laps.doubt(text), None)
 
     def _add_odometry(self, message, received_ns, received):
-        at, velocity = message.pose.pose.position, message.twist.twist.linear
-        self._add(message.header, (at.x, at.y, velocity.x, velocity.y), received_ns, received)
+        velocity, topic = message.twist.twist.linear, self._pose_topic[0]
+        doubt = child_warning(topic, frame(message.child_frame_id))
+        if doubt:
+            self._laps.doubt(doubt)
+        self._add(message, message.pose.pose, (velocity.x, velocity.y), received_ns, received)
 
     def _add_pose(self, message, received_ns, received):
-        at = message.pose.position
-        self._add(message.header, (at.x, at.y, _NAN, _NAN), received_ns, received)
+        self._add(message, message.pose, (_NAN, _NAN), received_ns, received)
 
     def _add_belief(self, message, received_ns, _received):
         values = [getattr(message, name) for name in BELIEF_FIELDS]
         self._laps.add_belief(stamp_ns(message.header, received_ns), values)
 
-    def _add(self, header, sample, received_ns, received):
+    def _add(self, message, pose, velocity, received_ns, received):
         self._no_poses = ""
+        header, at = message.header, pose.position
         stamp = stamp_ns(header, received_ns)
         if not stamp:  # before the first time on /clock, and without a stamp
             return
@@ -213,7 +219,8 @@ class LapEvaluatorNode:
             return
         if self._laps.raceline is None:
             rospy.logwarn_throttle(10.0, "poses wait for a raceline")
-        self._laps.add_pose(stamp, *sample, received, received_ns - stamp)
+        psi = heading(pose.orientation)
+        self._laps.add_pose(stamp, at.x, at.y, *velocity, received, received_ns - stamp, psi)
 
     def _in_frame(self, name, received):
         """Whether a pose is in the first frame; another counts once the first is gone."""

@@ -38,10 +38,11 @@ def check_launch_arguments(words: list[str] | None = None) -> None:
         return
     words = [word for word in words[programs[0] + 1 :] if not word.startswith("-")]
     given = [word.partition(":=")[0] for word in words if ":=" in word]
-    # Before package and file may stand the values of options, as in -p 11312.
-    package, file = ["", "", *(word for word in words if ":=" not in word)][-2:]
     folder = config_directory().parent / "launch"
-    if package != "map_racing" or not (folder / file).is_file():
+    # Anywhere between and beside them may stand the values of options, as in -p 11312.
+    after = words[words.index("map_racing") :] if "map_racing" in words else []
+    file = next((word for word in after if (folder / word).is_file()), None)
+    if file is None:
         return
     known = _arguments(folder, file)
     for name in given:

@@ -20,6 +20,7 @@ from ..errors import MapRacingError, ParameterError
 from ..printing import printable
 from ..validation import meaning
 from .launched import check_launch_arguments
+from .log import write_beside
 
 __all__ = [
     "SENDER_GONE_S",
@@ -41,6 +42,10 @@ MASTER_PERIOD_S = 10.0
 # Simulated time must run after this time [s].
 CLOCK_S = 5.0
 Value = TypeVar("Value", bool, int, float, str, list)
+# Types of messages with a pose, of which a node takes one.
+_POSES = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped")
+# A line of the log names so many topics.
+_MOST_TOPICS = 12
 SENDER_GONE_S = 1.0
 """A node that has published nothing for this long [s] is gone."""
 
@@ -121,6 +126,7 @@ def run(name: str, make: Callable[[], object]) -> None:
     node = None
     try:
         rospy.init_node(name, disable_signals=True)
+        write_beside()
         for watch in (_watch_master, _watch_clock):
             threading.Thread(target=watch, daemon=True).start()
         check_launch_arguments()
@@ -198,7 +204,7 @@ def _watch_clock():
 
 
 def why_silent(topic: str, kind: str) -> str:
-    """Why no messages come on a topic, as far as the master knows.
+    """Why no messages come on a topic, as far as the master knows, and where there are some.
 
     Parameters
     ----------
@@ -209,15 +215,19 @@ def why_silent(topic: str, kind: str) -> str:
     """
     try:
         master = rosgraph.Master(rospy.get_name())
-        nodes = dict(master.getSystemState()[0]).get(topic)
-        found = dict(master.getTopicTypes()).get(topic, kind)
+        published = dict(master.getSystemState()[0])
+        types = dict(master.getTopicTypes())
     except Exception:
         return "the ROS master does not answer"
-    if not nodes:
-        return "nobody publishes it"
-    if found != kind:
-        return f"{nodes[0]} publishes {found} there, expected {kind}"
-    return f"{nodes[0]} publishes it, but none came"
+    nodes, found = published.get(topic), types.get(topic, kind)
+    if nodes and found == kind:
+        return f"{nodes[0]} publishes it, but none came"
+    why = f"{nodes[0]} publishes {found} there, expected {kind}" if nodes else "nobody publishes it"
+    alike = _POSES if kind in _POSES else (kind,)
+    others = [f"{name} ({types[name]})" for name in sorted(published) if types.get(name) in alike]
+    others = [name for name in others if not name.startswith(f"{topic} ")]
+    listed = ", ".join(others[:_MOST_TOPICS]) + (", ..." if len(others) > _MOST_TOPICS else "")
+    return f"{why}; there is {listed}" if others else why
 
 
 def _shut_down(number, _):

@@ -11,8 +11,8 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Header
 
 from ..control.controller import ControlResult, Status, build_controller
+from ..control.decision import Mode, Reason
 from ..control.parameters import load_controller_parameters, load_safety_limits
-from ..control.safety import Mode, Reason
 from ..control.state import CarState
 from ..control.steering_ramp import (
     Box,
@@ -33,7 +33,7 @@ from .watchdog import Watchdog
 __all__ = ["SteeringRampNode", "main"]
 
 # What the supervisor may say while nothing is wrong.
-READY = (Reason.NONE, Reason.NO_POSE, Reason.STOP_REQUESTED)
+READY = (Reason.NONE, Reason.STOP_REQUESTED)
 LOOK_S = 0.05
 QUIET_S = 1.0
 LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
@@ -55,6 +55,12 @@ class SteeringRampNode:
         )
         if not 0.0 < self._radius < math.inf:
             raise ParameterError(f"~radius: expected a positive number, got {self._radius}")
+        if self._button < 0:
+            raise ParameterError(f"~button: expected 0 or more, got {self._button}")
+        if not 0.0 < self._patience < math.inf:
+            raise ParameterError(
+                f"~dead_man_timeout: expected a positive number, got {self._patience}"
+            )
         if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
             raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
         area = Box(*map(float, box)) if box else None
@@ -151,6 +157,7 @@ class SteeringRampNode:
 
     def _restart(self):
         """Time was set back, as in a simulation that begins anew: so does the ramp."""
+        rospy.loginfo("time was set back: starting over")
         if self._ramp is not None:
             self._ramp.interrupt()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..evaluation.analysis import RunAnalysis
-from .html import escape, table
+from .html import heading_of, table
 
 __all__ = ["driven_with"]
 
@@ -16,7 +16,7 @@ def driven_with(runs: list[RunAnalysis]) -> str:
     parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
     settled = [run for run in runs if run.settings is not None]
     for run in runs:
-        parts.append(_name(run, runs))
+        parts.append(heading_of(run.name, runs))
         rows = [["file", run.result.source], *_notes(run)]
         if run.settings is None:
             rows.append(["settings", "none in the recording"])
@@ -65,7 +65,3 @@ def _plain(value):
     if isinstance(value, list):
         return ", ".join(map(_plain, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _name(run, runs):
-    return f"<h3>{escape(run.name)}</h3>\n" if len(runs) > 1 else ""

@@ -20,7 +20,7 @@ from ..files import for_json
 from ..printing import printable
 from ..resources import config_directory
 
-__all__ = ["Markup", "document", "escape", "pack", "plotly_script", "table"]
+__all__ = ["Markup", "document", "escape", "heading_of", "pack", "plotly_script", "table"]
 
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
@@ -42,6 +42,11 @@ def escape(text: object) -> str:
     readable = str(text).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     # Marks that turn the direction of writing would turn what stands beside them, too.
     return html.escape(printable(readable, lines=True), quote=True)
+
+
+def heading_of(name: str, among: Sequence) -> str:
+    """The name of a run above what is said of it, if there are several."""
+    return f"<h3>{escape(name)}</h3>\n" if len(among) > 1 else ""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence], kind: str = "") -> str:

@@ -8,7 +8,7 @@ from ..errors import EvaluationError
 from ..evaluation.advice import Advice, advice_notes, advice_table, advise
 from ..evaluation.analysis import RunAnalysis
 from ..evaluation.table_check import table_check
-from .html import escape, table
+from .html import escape, heading_of, table
 
 __all__ = ["advice_of", "car_section", "speeds_section"]
 
@@ -30,7 +30,7 @@ def speeds_section(runs: list[RunAnalysis], advices: list) -> str:
     """Scales of the speeds for the next heat after each run."""
     parts = ['<section id="next-heat"><h2>For the next heat</h2>\n']
     for run, advice in zip(runs, advices):
-        parts.append(_name(run, runs))
+        parts.append(heading_of(run.name, runs))
         if isinstance(advice, str):
             parts.append(f'<p class="hint">No advice: {escape(advice)}.</p>\n')
             continue
@@ -51,7 +51,7 @@ def car_section(runs: list[RunAnalysis], advices: list) -> str:
     parts = ['<section id="car"><h2>The car, as it drove</h2>\n']
     for run, advice in zip(runs, advices):
         rows = [*_delay_rows(run), *_grip_rows(advice), *_table_rows(run)]
-        parts.append(_name(run, runs))
+        parts.append(heading_of(run.name, runs))
         if rows:
             parts.append(table(["what", "found", "95 %", "driven with", "advice"], rows, "car"))
         else:
@@ -138,7 +138,3 @@ def _table_rows(run):
             ]
         )
     return rows
-
-
-def _name(run, runs):
-    return f"<h3>{escape(run.name)}</h3>\n" if len(runs) > 1 else ""

@@ -11,7 +11,7 @@ from .. import __version__
 from ..evaluation.analysis import RunAnalysis, corner_rows, references, same_track
 from ..evaluation.places import costliest
 from .driven_with import driven_with
-from .html import Markup, document, escape, plotly_script, table
+from .html import Markup, document, escape, heading_of, plotly_script, table
 from .next_heat import advice_of, car_section, speeds_section
 from .report_data import chart_data, charted_laps
 
@@ -308,7 +308,7 @@ def _corners(runs):
             ]
             for row in corner_rows(run)
         ]
-        parts += [_run_name(run, runs), table(head, rows)]
+        parts += [heading_of(run.name, runs), table(head, rows)]
     parts.append('<p class="hint">Mean and standard deviation of the laps that count.</p>')
     return "".join([*parts, "</section>\n"])
 
@@ -327,7 +327,7 @@ def _laps(runs):
         saturated = {id(profile.lap): profile.saturated for profile in run.profile.laps}
         rows = [[*_lap_cells(lap), _share([saturated.get(id(lap), math.nan)])] for lap in laps]
         rows = [[*row, "yes" if lap.valid else lap.reason] for row, lap in zip(rows, laps)]
-        parts += [_run_name(run, runs), table(head, rows)]
+        parts += [heading_of(run.name, runs), table(head, rows)]
     said = "Saturated: share of the time in which the steering was at its largest useful angle."
     if left_out:
         said += f" {left_out} laps are not listed; map-racing evaluate --csv has all."
@@ -384,16 +384,12 @@ def _poses(runs):
     for run in runs:
         if run.remarks.states:
             rows = [[f"{t:.1f} s", text] for t, text in run.remarks.states[:_MOST_ROWS]]
-            parts += [_run_name(run, runs), table(["time", "state and reason"], rows)]
+            parts += [heading_of(run.name, runs), table(["time", "state and reason"], rows)]
         stopped = [lap for lap in run.result.laps if "sto" in lap.reason]
         if stopped:
             rows = [[lap.lap, lap.reason] for lap in stopped[:_MOST_ROWS]]
-            parts += [_run_name(run, runs), table(["lap", "stop"], rows)]
+            parts += [heading_of(run.name, runs), table(["lap", "stop"], rows)]
     return "".join([*parts, "</section>\n"])
-
-
-def _run_name(run, runs):
-    return f"<h3>{escape(run.name)}</h3>\n" if len(runs) > 1 else ""
 
 
 def _number(value, form):

@@ -246,7 +246,7 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
             axes.margins(0.15, 0.17)
             driven = {"color": COLORS[0], "lw": 1.2, "zorder": 3, "label": "driven"}
             axes.plot(path[:, 0], path[:, 1], **driven)
-            if crashed:
+            if crashed and len(path):  # without a path it ended before the first pose
                 end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
                 axes.plot(*path[-1], "x", label="crash", **end)
             axes.set_title(name, fontsize="medium")

@@ -58,6 +58,11 @@ class Sample(NamedTuple):
     result: tuple
     belief: tuple | None = None
 
+    @classmethod
+    def of(cls, seen: Observation, steering_angle: float, result: tuple, belief=None) -> Sample:
+        """The step in which an observation was answered."""
+        return cls(*seen[:4], steering_angle, result, belief)
+
 
 class SimulatedCar:
     """A plant, its localization and its clock.

@@ -76,7 +76,8 @@ class CommonRoadParameters(PlantParameters):
     def __post_init__(self):
         super().__post_init__()
         given = self.parameters
-        if not isinstance(given, dict) and given not in PARAMETER_SETS:
+        named = isinstance(given, str) and given in PARAMETER_SETS
+        if not named and not isinstance(given, dict):
             raise ParameterError(
                 f"parameters: expected {', '.join(PARAMETER_SETS)} or a mapping, got {given!r}"
             )

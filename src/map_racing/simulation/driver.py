@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..control.controller import ControlResult, Status
-from ..control.safety import Decision
+from ..control.decision import Decision
 from ..control.safety_limits import SafetyLimits
 from ..control.supervised import SupervisedController, build_supervisor
 from ..track.raceline import Raceline

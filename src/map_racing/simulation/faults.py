@@ -16,6 +16,7 @@ from typing import NamedTuple
 from ..errors import FileFormatError, ParameterError
 from ..files import read_yaml_mapping
 from ..validation import POSITIVE, check, documented, finite, parameter
+from .grip import is_between
 
 __all__ = ["KINDS", "Fault", "Faults", "check_name", "kinds_table", "load_faults"]
 
@@ -172,10 +173,8 @@ class Fault:
 
     def holds(self, t: float, s: float) -> bool:
         """Whether it is there at a time [s] and arc length [m]."""
-        if not self.at_s <= t < self.at_s + self.for_s:
-            return False
-        begin, end = self.from_m, self.to_m
-        return begin == end or (begin <= s < end if begin < end else s >= begin or s < end)
+        on_time = self.at_s <= t < self.at_s + self.for_s
+        return on_time and is_between(self.from_m, self.to_m, s)
 
 
 def load_faults(path: str | Path, lap: float = math.inf) -> list[Fault]:

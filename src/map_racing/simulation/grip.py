@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ..errors import ParameterError
 from ..validation import POSITIVE, check, documented, parameter
 
-__all__ = ["Grip", "GripChange", "read_grip_changes"]
+__all__ = ["Grip", "GripChange", "is_between", "read_grip_changes"]
 
 
 @documented
@@ -46,12 +46,14 @@ class GripChange:
 
     def holds(self, t: float, s: float) -> bool:
         """Whether it counts at a time [s] and arc length [m]."""
-        if not self.after_s <= t < self.until_s:
-            return False
-        begin, end = self.from_m, self.to_m
-        if begin <= end:
-            return begin <= s < end or begin == end
-        return s >= begin or s < end
+        return self.after_s <= t < self.until_s and is_between(self.from_m, self.to_m, s)
+
+
+def is_between(begin: float, end: float, s: float) -> bool:
+    """Whether an arc length is at a place, maybe across the start line; no place is everywhere."""
+    if begin <= end:
+        return begin <= s < end or begin == end
+    return s >= begin or s < end
 
 
 class Grip:

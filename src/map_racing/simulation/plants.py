@@ -40,7 +40,7 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
     path = find_config("plants", source, (".yaml",))
     values = read_yaml_mapping(path, "a plant file")
     model = values.pop("model", "single_track")
-    if model not in MODELS:
+    if not isinstance(model, str) or model not in MODELS:
         raise ParameterError(f"{path}: model: expected {', '.join(MODELS)}, got {model!r}")
     parameters = read_parameters(path, MODELS[model], values)
     beside = path.parent / parameters.vehicle
@@ -57,7 +57,14 @@ def build_plant(
     """A car to drive and its localization with noise from a seed.
 
     The public simulator has no localization: its poses are true.
+
+    Raises
+    ------
+    ParameterError
+        If the seed is negative.
     """
+    if seed < 0:  # `random` would take it for the positive one
+        raise ParameterError(f"seed: expected 0 or more, got {seed}")
     if isinstance(parameters, PublicSimulatorParameters):
         return PublicSimulator(parameters), None
     kind = CommonRoadCar if isinstance(parameters, CommonRoadParameters) else Plant

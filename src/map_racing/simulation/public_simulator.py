@@ -127,15 +127,7 @@ class PublicSimulator:
 
     def measured_state(self):
         """What the simulator publishes: speed along the heading and no lateral velocity."""
-        return CarState(
-            self._steps * self.time_step,
-            self.x,
-            self.y,
-            self.psi,
-            self.speed,
-            math.nan,
-            self.yaw_rate,
-        )
+        return self.reference_state()._replace(v_x=self.speed, v_y=math.nan)
 
     def advance(self, steering_command, speed_command):
         """One Euler step of 10 ms under the given commands."""

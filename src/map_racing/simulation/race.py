@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.safety import Mode
+from ..control.decision import Mode
 from ..errors import ParameterError
 from ..track.tracker import RacelineTracker
 from ..vehicle.size import size_of
@@ -215,7 +215,8 @@ def race(
             steering, speed = result.steering_angle, result.speed
             if learning is not None:
                 controller.learn()
-            samples.append(_sample(seen, plant, result, learning))
+            belief = None if learning is None else learning.belief
+            samples.append(Sample.of(seen, plant.steering_angle, result, belief))
         if driver.deadline is not None and car.now >= driver.deadline - 1e-9:
             decision = driver.watch(car.now)
             if decision is not None:
@@ -226,12 +227,6 @@ def race(
     work = None if slowdown is None else processor.work(controller)
     commands = list(driver.commands)
     return RaceLog(outcome, laps_driven, car.now, samples, commands, truth, work)
-
-
-def _sample(seen, plant, result, learning):
-    belief = None if learning is None else learning.belief
-    angle = plant.steering_angle
-    return Sample(seen.true, seen.measured, seen.arrival, seen.acceleration, angle, result, belief)
 
 
 def _stride(car, driver, processor):

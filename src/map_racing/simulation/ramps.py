@@ -63,16 +63,7 @@ def drive_ramps(
             for seen in car.observe()[1]:
                 t, x, y, _, v_x, _, r = seen.measured
                 command = ramp.update(t, x, y, v_x, True, r)
-                samples.append(
-                    Sample(
-                        seen.true,
-                        seen.measured,
-                        seen.arrival,
-                        seen.acceleration,
-                        plant.steering_angle,
-                        command,
-                    )
-                )
+                samples.append(Sample.of(seen, plant.steering_angle, command))
                 done = command.phase is Phase.DONE
                 if command.phase is Phase.OUTSIDE or car.now > until:
                     raise ParameterError(

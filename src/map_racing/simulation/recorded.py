@@ -7,7 +7,7 @@ from typing import Iterable
 
 from ..bags.samples import SIMULATED_NS
 from ..bags.writer import BagWriter
-from ..control.safety import state_text
+from ..control.decision import state_level, state_text
 from ..track.files.waypoints import waypoint_rows
 from ..track.raceline import Raceline
 from .car import Sample
@@ -62,9 +62,10 @@ def write_race_bag(
         said = ""
         for t, decision in log.commands:
             _command(bag, t, decision)
-            state = state_text(decision.mode, decision.reason)
+            now = decision.mode, decision.reason
+            state = state_text(*now)
             if state != said:
-                bag.state(_time(t), state)
+                bag.state(_time(t), state, state_level(*now))
             said = state
 
 

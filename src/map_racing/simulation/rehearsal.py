@@ -13,12 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..control.controller import build_controller
+from ..control.decision import Reason
 from ..control.parameters import (
     ControllerParameters,
     load_controller_parameters,
     load_safety_limits,
 )
-from ..control.safety import FASTEST, Reason
+from ..control.safety import FASTEST
 from ..control.safety_limits import SafetyLimits
 from ..control.supervised import build_slowing
 from ..track.raceline import Raceline

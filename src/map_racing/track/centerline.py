@@ -15,8 +15,10 @@ import numpy as np
 from scipy import ndimage
 
 from ..errors import ParameterError, RacelineError
+from .contour import zero_contour
+from .corners import runs_around
 from .findings import NOTE, WARNING, Finding
-from .map_image import MapImage
+from .map_image import MapImage, edge_finding
 from .normals import points_and_normals
 from .raceline import Raceline
 from .walls import march, smooth_between
@@ -29,6 +31,7 @@ _OBSTACLE = 1.0 / 3.0
 _JUMP = 1.0
 # The centerline is smoothed over this share of the width of the track.
 _SMOOTHED = 0.15
+_SPACING = 0.1  # of the points of the centerline [m]
 
 
 def track_from_map(
@@ -38,7 +41,6 @@ def track_from_map(
     *,
     passage: float,
     speckle: float | None = None,
-    spacing: float = 0.1,
 ) -> Raceline:
     """Find the centerline of the free space around a start, with distances to the walls.
 
@@ -55,8 +57,6 @@ def track_from_map(
     speckle : float, optional
         Remove walls of less area than this as lidar noise [m^2]; by default walls of one or two
         cells.
-    spacing : float, optional
-        Distance between the points [m].
 
     Returns
     -------
@@ -69,19 +69,12 @@ def track_from_map(
     RacelineError
         If the free space forms no loop, or several.
     """
-    for key, value in (("passage", passage), ("spacing", spacing)):
-        if not 0.0 < value < math.inf:
-            raise ParameterError(f"{key}: expected more than 0 m, got {value}")
+    if not 0.0 < passage < math.inf:
+        raise ParameterError(f"passage: expected more than 0 m, got {passage}")
     if not all(math.isfinite(value) for value in (*start, psi or 0.0)):
         raise ParameterError(f"start: expected finite numbers, got {start}, {psi}")
-    name, resolution = image.source, image.resolution
-    findings = list(image.findings)
-    free, removed = _without_speckle(image, speckle)
-    if removed:
-        text = f"{removed} specks of walls removed as noise"
-        findings.append(Finding("speckle", NOTE, text))
-
-    distance = _distances(free, resolution)
+    name = image.source
+    _, distance, findings = _free_space(image, speckle)
     room = distance >= 0.5 * passage
     labels, _ = ndimage.label(room)
     column, row = (int(round(value)) + 1 for value in image.to_cells(start))
@@ -91,16 +84,17 @@ def track_from_map(
     ring = labels == labels[row, column]
 
     _check_not_cut(image, ring, distance, (row, column), passage)
+    findings += edge_finding(image, ring[1:-1, 1:-1], passage)
     inner, outer, more = _two_sides(image, ring, passage)
     findings += more
     # On the centerline the distances to both sides are equal.
     level = ndimage.distance_transform_edt(~inner) - ndimage.distance_transform_edt(~outer)
-    cells = _zero_contour(level) - 1.0
+    cells = zero_contour(level) - 1.0
     points = image.to_world(cells)
 
     clear = _clearance(image, distance)
     half = 0.5 * passage
-    line, kept = _as_driven(_smooth(points, clear, half, spacing), start, psi)
+    line, kept = _as_driven(_smooth(points, clear, half), start, psi)
     findings += kept
     widths, more = _widths(line, clear, half, 4.0 * float(distance.max()))
     findings += more
@@ -130,22 +124,19 @@ def widest_place(image: MapImage, speckle: float | None = None) -> tuple[float, 
     tuple of float or None
         x and y [m]; None for a map without free space.
     """
-    free = _without_speckle(image, speckle)[0]
+    free, distance, _ = _free_space(image, speckle)
     labels, count = ndimage.label(free)
     if not count:
         return None
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    distance = _distances(free, image.resolution)[1:-1, 1:-1]
-    inside = np.where(labels == np.argmax(sizes), distance, -1.0)
+    inside = np.where(labels == np.argmax(sizes), distance[1:-1, 1:-1], -1.0)
     row, column = np.unravel_index(np.argmax(inside), inside.shape)
     x, y = image.to_world([[column, row]])[0]
     return float(x), float(y)
 
 
-def walls_from_map(
-    image: MapImage, line: Raceline
-) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
+def walls_from_map(image: MapImage, line: Raceline) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
     """Distances from a line to the walls of a map, across the line.
 
     Parameters
@@ -164,11 +155,7 @@ def walls_from_map(
     RacelineError
         If the line leaves the free space.
     """
-    free, removed = _without_speckle(image, None)
-    findings = list(image.findings)
-    if removed:
-        findings.append(Finding("speckle", NOTE, f"{removed} specks of walls removed as noise"))
-    distance = _distances(free, image.resolution)
+    _, distance, findings = _free_space(image, None)
     clear = _clearance(image, distance)
     inside = clear(np.stack((line.x, line.y), axis=1))
     if np.min(inside) <= 0.0:
@@ -180,12 +167,6 @@ def walls_from_map(
     half = min(0.5 * float(np.min(inside)), image.resolution)
     (left, right), more = _widths(line, clear, half, 4.0 * float(distance.max()))
     return left, right, findings + more
-
-
-def _distances(free, resolution):
-    """Distance of each cell, and of a margin of one, to the nearest wall [m]."""
-    # Beyond the image all is wall. The surface of a wall is half a cell before its center.
-    return np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5) * resolution
 
 
 def _clearance(image, distance):
@@ -208,20 +189,30 @@ def _widths(line, clear, half, farthest):
         return widths, []
     x, y, deep = max(openings, key=lambda opening: opening[2])
     text = (
-        f"{len(openings)} openings in the walls shorter than the track is wide closed, the "
-        f"deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
+        f"{len(openings)} opening{'s' * (len(openings) != 1)} in the walls shorter than the track "
+        f"is wide closed, the deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
     )
     return widths, [Finding("openings", NOTE, text)]
 
 
-def _without_speckle(image, speckle):
-    """Free space with the smallest walls removed, and their number."""
+def _free_space(image, speckle):
+    """Free cells, with the smallest walls removed, and findings.
+
+    Between them the distance of each cell, and of a margin of one, to the nearest wall [m].
+    """
     limit = 2.5 * image.resolution**2 if speckle is None else speckle
     labels, count = ndimage.label(~image.free, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * image.resolution**2
     small = sizes < limit
     small[0] = False
-    return image.free | small[labels], int(small.sum())
+    free, findings = image.free | small[labels], list(image.findings)
+    if small.any():
+        count = int(small.sum())
+        text = f"{count} speck{'s' * (count != 1)} of walls removed as noise"
+        findings.append(Finding("speckle", NOTE, text))
+    # Beyond the image all is wall. The surface of a wall is half a cell before its center.
+    apart = np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5)
+    return free, apart * image.resolution, findings
 
 
 def _bad_start(image, start, labels, distance, passage, row, column):
@@ -348,57 +339,7 @@ def _center(image, box):
     return image.to_world(middle)[0]
 
 
-def _zero_contour(level):
-    """Closed curve around the negative values, as columns and rows, shape (n, 2).
-
-    Marching squares: the curve crosses each edge between a negative and another value where linear
-    interpolation is 0, with the negative values to its left.
-    """
-    negative = level < 0.0
-    following, place = {}, {}
-
-    def crossing(row, column, vertical):
-        key = (row, column, vertical)
-        if key not in place:
-            a = level[row, column]
-            b = level[row + 1, column] if vertical else level[row, column + 1]
-            part = a / (a - b)
-            place[key] = (column, row + part) if vertical else (column + part, row)
-        return key
-
-    low, high = negative[:-1], negative[1:]
-    corners = low[:, :-1] + 2 * low[:, 1:] + 4 * high[:, 1:] + 8 * high[:, :-1]
-    for row, column in np.argwhere((corners > 0) & (corners < 15)).tolist():
-        # Edges counter-clockwise from the lower one; signs: whether the first end is negative.
-        case = int(corners[row, column])
-        edges = (
-            (row, column, False),
-            (row, column + 1, True),
-            (row + 1, column, False),
-            (row, column, True),
-        )
-        signs = [bool(case >> k & 1) for k in range(4)]
-        # Around the cell, the curve leaves where the sign changes from negative.
-        leaves = [k for k in range(4) if signs[k] and not signs[(k + 1) % 4]]
-        enters = [k for k in range(4) if not signs[k] and signs[(k + 1) % 4]]
-        for k in leaves:
-            # With two pairs, each curve separates its negative corner.
-            end = enters[0] if len(enters) == 1 else (k - 1) % 4
-            following[crossing(*edges[k])] = crossing(*edges[end])
-    longest = []
-    left = set(following)
-    while left:
-        first = left.pop()
-        curve, key = [first], following[first]
-        while key != first:
-            left.discard(key)
-            curve.append(key)
-            key = following[key]
-        longest = max(longest, curve, key=len)
-    return np.array([place[key] for key in longest], dtype=float)
-
-
-def _smooth(points, clear, half, spacing):
+def _smooth(points, clear, half):
     """Closed curve without the steps of the cells and kinks, as even points."""
     closed = np.concatenate((points, points[:1]))
     s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))))
@@ -409,7 +350,7 @@ def _smooth(points, clear, half, spacing):
     deviation = _SMOOTHED * 2.0 * float(np.median(clear(even)))
     even, _ = smooth_between(even, s[-1], deviation, clear, half)
     line = Raceline(*even.T)
-    at = line.sample(np.linspace(0.0, line.length, max(8, round(line.length / spacing)), False))
+    at = line.sample(np.linspace(0.0, line.length, max(8, round(line.length / _SPACING)), False))
     return Raceline(at.x, at.y)
 
 
@@ -445,14 +386,11 @@ def _without_openings(widths, line):
     for side, width in zip((1.0, -1.0), widths):
         closed = ndimage.grey_opening(width, window, mode="wrap")
         deep = width > closed + 0.5 * float(np.median(width))
-        labels, _ = ndimage.label(deep)
-        for k in range(1, labels.max() + 1):
-            i = int(np.flatnonzero(labels == k)[np.argmax(width[labels == k])])
-            beside = ndimage.binary_dilation(labels == k, iterations=2)
-            if np.max(np.abs(np.diff(width))[beside[1:] & beside[:-1]]) < _JUMP * float(
-                np.median(width)
-            ):
-                deep[labels == k] = False
+        for cells in runs_around(deep):
+            i = int(cells[np.argmax(width[cells])])
+            around = np.arange(cells[0] - 2, cells[0] + cells.size + 2) % width.size
+            if np.max(np.abs(np.diff(width[around]))) < _JUMP * float(np.median(width)):
+                deep[cells] = False
                 continue
             x, y = line.to_cartesian(line.s[i], side * closed[i])
             openings.append((float(x), float(y), float(width[i] - closed[i])))

@@ -111,7 +111,7 @@ def runs_around(kind: np.ndarray) -> list[np.ndarray]:
     """
     changes = np.flatnonzero(kind != np.roll(kind, 1))
     if not changes.size:
-        return [np.arange(kind.size)]
+        return [np.arange(kind.size)] if kind.any() else []
     ends = np.append(changes[1:], changes[0] + kind.size)
     bends = [np.arange(begin, end) % kind.size for begin, end in zip(changes, ends)]
     return [cells for cells in bends if kind[cells[0]] != 0.0]

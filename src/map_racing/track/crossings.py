@@ -49,7 +49,9 @@ def crossings(a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
     area = _cross(way_a[i], way_b[j])
     with np.errstate(divide="ignore", invalid="ignore"):
         along_a, along_b = _cross(between, way_b[j]) / area, _cross(between, way_a[i]) / area
-        cross = (along_a >= 0.0) & (along_a < 1.0) & (along_b >= 0.0) & (along_b < 1.0)
+        # A polyline that crosses itself in a vertex does so but for rounding.
+        low, high = (-1e-9, 1.0 + 1e-9) if b is None else (0.0, 1.0)
+        cross = (along_a >= low) & (along_a < high) & (along_b >= low) & (along_b < high)
     pairs = np.stack((number_a[i[cross]], number_b[j[cross]]), axis=1)
     if b is None:
         pairs.sort(axis=1)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import ParameterError
-from ..validation import finite, positive
+from ..validation import positive
 from .crossings import crossings
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
@@ -32,13 +32,12 @@ SPACING = 0.1  # of the points of a raceline [m]
 # Corners beside the ends of the straights, how much wider than the tightest one they may be, and
 # the least length of the lap for each of them, over the tightest radius.
 CORNERS, WIDEST, ROOM = (3, 7), 3.5, 5.0
-# Laps so long, over the tightest radius, bend both ways; in shorter ones there is no room for it.
+# Laps longer than this, over the tightest radius, bend both ways; shorter ones have no room for it.
 # Opposite bends have at least this share of the tightest curvature.
 BOTH_WAYS, SOME_BEND = 25.0, 0.15
 # Smoothing of the centerline and of the raceline, as shares of the tightest radius.
 CENTERLINE, RACELINE = 0.25, 0.55
-# Drawings thrown away, at most, before a shape is called impossible.
-# Bends to both sides are insisted on for a part of them.
+# Most drawings before a shape is called impossible; only the first of them must bend both ways.
 MOST_TRIES, INSISTENT_TRIES = 2000, 400
 # Between the walls of two stretches that run side by side [m].
 WALL = 0.1
@@ -89,7 +88,7 @@ class TrackShape:
             *("length", "tightest_radius", "width", "v_max_mps", "beyond"),
             *("a_lat_max_mps2", "a_drive_max_mps2", "a_brake_max_mps2"),
         ):
-            positive(name, finite(name, getattr(self, name)))
+            positive(name, getattr(self, name))
         if not isinstance(self.straights, int) or not 0 <= self.straights <= 4:
             raise ParameterError(f"straights: expected 0 to 4, got {self.straights!r}")
         if self.length < 12.0 * self.tightest_radius:

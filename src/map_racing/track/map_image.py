@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from ..errors import FileFormatError
 from ..files import read_yaml_mapping
+from ..validation import FARTHEST
 from .findings import NOTE, WARNING, Finding
 
-__all__ = ["MapImage", "read_map_image"]
+__all__ = ["MapImage", "edge_finding", "read_map_image"]
 
 # What map_saver writes for unknown cells, and the threshold that it writes beside.
 _UNSEEN, _SAVERS_FREE = 205, 0.196
@@ -112,6 +114,32 @@ def read_map_image(path: str | Path) -> MapImage:
     return MapImage(free[::-1], header.resolution, header.origin, str(path), tuple(findings))
 
 
+def edge_finding(image: MapImage, ring: np.ndarray, passage: float) -> list[Finding]:
+    """Doubt about a track that ends where its map does; empty without.
+
+    Parameters
+    ----------
+    image : MapImage
+    ring : ndarray of bool, shape (rows, columns)
+        Cells that are half a passage away from walls, and from the edge.
+    passage : float
+        Its width [m].
+
+    Returns
+    -------
+    list of Finding
+    """
+    edge = image.free.copy()
+    edge[1:-1, 1:-1] = False
+    away = ndimage.distance_transform_edt(~ring) * image.resolution
+    reached = np.argwhere(edge & (away < 0.5 * passage + 0.6 * image.resolution))
+    if not len(reached):
+        return []
+    x, y = image.to_world(reached[:1, ::-1])[0]
+    text = f"the track reaches the edge of the map, at ({x:.2f}, {y:.2f}): taken as a wall"
+    return [Finding("edge", WARNING, text)]
+
+
 class _Header(NamedTuple):
     """What the YAML file says; `missing` are thresholds that it does not state."""
 
@@ -187,7 +215,8 @@ def _free_cells(gray, header):
 
 def _number(path, content, key, default=None):
     value = content.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not -FARTHEST <= value <= FARTHEST:
         raise FileFormatError(f"{path}: {key}: expected a number, got {value!r}")
     return float(value)
 

@@ -8,8 +8,8 @@ from ..errors import ParameterError
 
 __all__ = ["accelerations", "lap_time", "raceline_speeds", "speed_profile"]
 
-# Cells of a raceline's profile are at most so long [m]: four times shorter ones change the lap time
-# of the shipped tracks by less than 0.1 %.
+# Longest cell of a raceline's profile [m]: four times shorter ones change the lap time of the
+# shipped tracks by less than 0.1 %.
 _CELL = 0.025
 
 
@@ -126,7 +126,7 @@ class _Limits:
     """Limits of the car as lists over the squared speed, straight in between.
 
     ``radius`` is the tightest one that can be held, ``v^2 / a_lat_max``, proportional to the
-    squared speed for a constant limit. Of functions so many entries are kept: eight times more
+    squared speed for a constant limit. Functions are kept as `_ENTRIES` values: eight times as many
     change lap times of ``nuc4`` by less than 0.1 ms, and take ten times longer.
     """
 
@@ -227,6 +227,8 @@ class _Limits:
                         end = square[i]
                     if end < begin:
                         end = begin
+                    if end <= 0.0:  # from rest, with no drive at such a speed
+                        end = 0.5 * reached
                     if abs(end - reached) <= 1e-13 * reached:
                         break
                     reached = end

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,7 @@ def speed_limits(
     dict
         ``a_lat_max``, ``a_drive_max``, ``a_brake_max`` [m/s^2] and ``v_max`` [m/s].
     """
-    fastest = min(vehicle.v_max, v_max or math.inf)
+    fastest = vehicle.v_max if v_max is None else min(vehicle.v_max, v_max)
     if table is None:
         column = min(max(fastest, 0.5), GRID_SPEEDS[1])
         table = steady_state_table(vehicle, *default_grid(vehicle, column))

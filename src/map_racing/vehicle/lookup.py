@@ -55,7 +55,8 @@ class _Column(NamedTuple):
     slopes: list[float]  # [rad] per share, of the interval that begins at each node
 
 
-# Lateral acceleration by that of a rolling car: up to 1.1 in published tables and shipped cars'.
+# A cell with more than this many times the acceleration of a rolling car is suspect; in published
+# tables and those of shipped cars it is at most 1.1 times.
 _SPIKE = 3.0
 
 

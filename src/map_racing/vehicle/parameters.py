@@ -23,6 +23,7 @@ from .tires import LinearTire, PacejkaTire
 __all__ = [
     "Tire",
     "Vehicle",
+    "holding",
     "linearized",
     "load_vehicle",
     "parameter_hash",

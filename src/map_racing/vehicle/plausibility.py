@@ -1,4 +1,4 @@
-"""Can a car have the values of its file? Another unit is told by the size of the car.
+"""Whether a car of its size can have the values of its file, or they are in another unit.
 
 Cars of all sizes are built alike: the mass grows as the third power of the wheelbase, the other
 lengths grow with it, and speeds and times with its root (see `map_racing.vehicle.size`). A 1:43
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HIGHEST_FRICTION",
+    "doubts_of_cells",
     "doubts_of_peak",
     "doubts_of_table",
     "doubts_of_vehicle",
@@ -34,6 +35,12 @@ HIGHEST_FRICTION = 1.3
 # A table is of another car if it shows a wheelbase that differs by more than this share; and its
 # angles may end at this share of the largest.
 ANOTHER, NARROW = 0.1, 0.5
+# Cells are read from tables of any grid: across speeds and angles they follow the cells beside them
+# to 13 % even where these are 2 m/s and 0.1 rad apart; what is farther off was mistyped. Neither
+# smaller cells [m/s^2], which are rounded, nor cells farther apart than this factor tell.
+APART, SMALLEST, FARTHEST_BESIDE = 0.2, 0.1, 4.001
+# A table reaches more than the car's tires by this factor: it is of other tires.
+BEYOND = 1.3
 # Beyond the range by this factor, a value is certainly wrong.
 CERTAIN = 10.0
 
@@ -117,8 +124,11 @@ def friction_doubt(vehicle: Vehicle) -> list[str]:
     ]
 
 
-def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
-    """Doubts that a lookup table is of a car: as of other units, or cut off."""
+def doubts_of_table(table: LookupTable, vehicle: Vehicle, linear: bool = False) -> list[str]:
+    """Doubts that a lookup table is of a car: as of other units, or cut off.
+
+    With `linear` it is meant to be of linear tires, and may reach more than the car's.
+    """
     doubts = []
     if abs(table.l_wb / vehicle.l_wb - 1.0) > ANOTHER:
         doubts.append(
@@ -130,7 +140,71 @@ def doubts_of_table(table: LookupTable, vehicle: Vehicle) -> list[str]:
             f"lookup table: ends at an angle of {table.angles[-1]:.3g} rad, the wheels of "
             f"{vehicle.name} turn to {vehicle.delta_max:.3g} rad"
         )
-    return doubts + ([] if friction_doubt(vehicle) else doubts_of_peak(table))
+    most = vehicle.mu * GRAVITY * min(vehicle.front.peak, vehicle.rear.peak)
+    reached = float(table.max_lateral_acceleration(table.speeds[-1]))
+    peak = [] if friction_doubt(vehicle) else doubts_of_peak(table)
+    if reached > BEYOND * min(most, vehicle.a_lat_max) and not (peak or linear):
+        doubts.append(
+            f"lookup table: reaches {reached:.3g} m/s^2, the tires of {vehicle.name} "
+            f"{min(most, vehicle.a_lat_max):.3g} m/s^2: of other tires, or of linear ones?"
+        )
+    return doubts + peak + doubts_of_cells(table)
+
+
+def doubts_of_cells(table: LookupTable) -> list[str]:
+    """Doubt about cells of a lookup table that do not fit those beside them; empty without.
+
+    The speed, the angle or the cell that is farthest off is named.
+    """
+    with np.errstate(invalid="ignore"):
+        a = np.log(np.where(table.a_lat > SMALLEST, table.a_lat, np.nan))
+    by_angle = _off_the_cells_beside(a, table.angles)
+    by_speed = _off_the_cells_beside(a.T, table.speeds).T
+    for off, axis, where in (
+        (_medians(by_speed), table.speeds, "at {:g} m/s"),
+        (_medians(by_angle.T), table.angles, "at {:g} rad"),
+    ):
+        k = int(np.argmax(np.abs(off)))
+        if abs(off[k]) > APART:
+            return [_cells_text("cells " + where.format(axis[k]), off[k])]
+    both = np.where(by_angle * by_speed > 0.0, np.fmin(np.abs(by_angle), np.abs(by_speed)), 0.0)
+    i, j = np.unravel_index(np.argmax(both), both.shape)
+    if both[i, j] > APART:
+        return [_cells_text(f"cell at {_place(table, i, j)}", by_speed[i, j])]
+    before, here, after = table.a_lat[:-2], table.a_lat[1:-1], table.a_lat[2:]
+    with np.errstate(invalid="ignore"):
+        holes = np.argwhere((before > SMALLEST) & (after > 1.1 * before) & ~(here > 0.0))
+    if len(holes):
+        i, j = holes[0]
+        return [f"lookup table: cell at {_place(table, i + 1, j)}: {here[i, j]:g} between others"]
+    return []
+
+
+def _off_the_cells_beside(a, axis):
+    """Logarithms of cells less those of the cells before and after, 0 where that tells nothing."""
+    off = np.zeros(a.shape)
+    with np.errstate(all="ignore"):
+        x = np.log(axis)
+        wide = x[2:] - x[:-2]
+        way = ((x[1:-1] - x[:-2]) / wide)[:, None]
+        inner = a[1:-1] - (1.0 - way) * a[:-2] - way * a[2:]
+        told = np.isfinite(inner) & ((wide > 0.0) & (wide < math.log(FARTHEST_BESIDE)))[:, None]
+    off[1:-1] = np.where(told, inner, 0.0)
+    return off
+
+
+def _medians(off):
+    """Of each column the median of what tells something; 0 of fewer than five cells."""
+    told = [column[column != 0.0] for column in off.T]
+    return np.array([np.median(column) if column.size >= 5 else 0.0 for column in told])
+
+
+def _place(table, i, j):
+    return f"{table.speeds[j]:g} m/s and {table.angles[i]:g} rad"
+
+
+def _cells_text(what, off):
+    return f"lookup table: {what}: {math.exp(off):.2g} times what is beside, mistyped?"
 
 
 def doubts_of_peak(table: LookupTable) -> list[str]:
@@ -168,6 +242,7 @@ def _ranges(vehicle: Vehicle) -> Iterator[_Range]:
         field = f"{name} tire: cornering stiffness over load"
         others = {"1/deg": 1.0 / _DEGREE}
         yield _Range(field, vehicle.mu * tire.stiffness, 1.0, 100.0, "1/rad", others)
+        yield _Range(f"{name} tire: C", getattr(tire, "C", 1.0), 0.3, 3.0, "", {}, 1e9)
         yield _Range(f"{name} tire: friction", vehicle.mu * getattr(tire, "D", 1.0), 0.1, 2.5, "")
     softer = vehicle.mu * min(vehicle.front.stiffness, vehicle.rear.stiffness)
     yield _Range("softer axle: cornering stiffness over load", softer, 1.0, 40.0, "1/rad")

@@ -66,7 +66,9 @@ def axle_loads(vehicle, a_long):
 
 
 def fastest_mode(vehicle):
-    """Decay rate of the faster mode of straight running, times the speed: no mode is faster.
+    """Decay rate of the faster mode of straight running at walking pace, times the speed.
+
+    There an oversteering car's is at most a few percent faster, and that of others slower.
 
     Parameters
     ----------

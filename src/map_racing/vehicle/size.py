@@ -1,4 +1,4 @@
-"""Size of a car: what is a distance, a speed or a time worth that was given for 1:10 race cars?
+"""Size of a car: factors on distances, speeds and times that were given for 1:10 race cars.
 
 Cars of all sizes have about the same friction, so about the same accelerations. Where these are the
 same and lengths are `length` times as large, speeds and times are ``sqrt(length)`` times as large
@@ -21,7 +21,7 @@ LONGEST = 2.0 * WHEELBASE
 
 
 class Size(NamedTuple):
-    """Factors on what was given for 1:10 race cars.
+    """Factors on values for 1:10 race cars.
 
     Parameters
     ----------

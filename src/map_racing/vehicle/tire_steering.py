@@ -177,7 +177,7 @@ class TireSteering:
         return levels[k] + (place - k) * (levels[k + 1] - levels[k])
 
     def limit(self, v: float) -> float:
-        """`max_lateral_acceleration` of one speed that is not negative, faster."""
+        """`max_lateral_acceleration` for one speed of at least 0, in less time."""
         k = bisect_right(self.speeds, v)
         inverse, ws = self._inverse_limits, self._w
         if k == 0:

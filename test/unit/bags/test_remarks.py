@@ -3,7 +3,7 @@
 import struct
 
 import pytest
-from rosbags.rosbag1 import Writer
+from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from map_racing.bags import messages as msg
@@ -11,7 +11,7 @@ from map_racing.bags.cdr import connection_of, layout_of_ros1
 from map_racing.bags.reader import read_recording
 from map_racing.bags.remarks import read_remarks
 from map_racing.bags.writer import BagWriter
-from map_racing.control.safety import Decision, Mode, Reason, state_text
+from map_racing.control.decision import Decision, Mode, Reason, state_level, state_text
 from map_racing.control.state import CarState
 from map_racing.simulation.car import Sample
 from map_racing.simulation.race import Outcome, RaceLog
@@ -122,13 +122,40 @@ def test_stops_are_those_of_the_race(tmp_path, track):
     assert stops == pytest.approx([t for t, _, _ in log.stops()][1:])
 
 
+def test_levels_of_a_supervised_race(tmp_path, track):
+    """Those of the node: driving is well, waiting and what somebody asked for are warnings."""
+    told = {
+        (Mode.WAITING, Reason.NO_POSE): 1,
+        (Mode.DRIVING, Reason.NONE): 0,
+        (Mode.STOPPING, Reason.STOP_REQUESTED): 1,
+        (Mode.STOPPED, Reason.STOP_REQUESTED): 1,
+        (Mode.STOPPING, Reason.FAILURE): 2,
+        (Mode.STOPPED, Reason.FAILURE): 2,
+    }
+    assert [state_level(*each) for each in told] == list(told.values())
+    states = [CarState(0.1 * i, 0.4 * i, 0.0, 0.0, 4.0, 0.0, 0.0) for i in range(len(told))]
+    commands = [(0.1 * i, Decision(*each, 0.0, 0.0)) for i, each in enumerate(told)]
+    samples = [Sample(s, s, s.t, (0.0, 0.0), 0.0, commands[0][1]) for s in states]
+    path = tmp_path / "race.bag"
+    write_race_bag(path, RaceLog(Outcome.STALLED, 0, 0.5, samples, commands), track.raceline())
+    with Reader(path) as bag:
+        lines = [line for line in bag.connections if line.topic == "/diagnostics"]
+        found = [
+            TYPES.deserialize_ros1(data, "diagnostic_msgs/msg/DiagnosticArray").status[0]
+            for _, _, data in bag.messages(lines)
+        ]
+    assert [(status.message, status.level) for status in found] == [
+        (state_text(*each), level) for each, level in told.items()
+    ]
+
+
 def test_every_mode_of_the_supervisor_is_a_state(tmp_path):
     texts = [state_text(mode, Reason.GRIP) for mode in Mode]
     with BagWriter(tmp_path / "run.bag") as bag:
         for i in range(100):
             bag.odometry(100.0 + 0.025 * i, 0.1 * i, 0.0, 0.0, 4.0, 0.0, 0.0)
         for i, text in enumerate(texts):
-            bag.state(100.5 + i, text)
+            bag.state(100.5 + i, text, 2)
     found = read_remarks(tmp_path / "run.bag", read_recording(tmp_path / "run.bag")).states
     assert [text for _, text in found] == texts
 

@@ -255,6 +255,13 @@ def test_damage_is_never_an_error_of_the_program(kind, small, data, tmp_path):
             assert "\n" not in str(error)
 
 
+def test_chunks_of_an_unknown_compression_are_called_that(race_bag, tmp_path):
+    messages = messages_of(race_bag())
+    write_mcap(tmp_path / "a.mcap", messages, compress=lambda data: data[::-1], name="xz")
+    with pytest.raises(BagError, match="chunks left out, compressed by xz: expected bz2, lz4"):
+        read_recording(tmp_path / "a.mcap")
+
+
 def test_damage_in_the_middle_costs_one_chunk(made, tmp_path):
     path = write_mcap(tmp_path / "a.mcap", made)
     data = bytearray(path.read_bytes())

@@ -2,10 +2,15 @@
 
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
-from map_racing.cli import COMMANDS, main
+from map_racing.cli import COMMANDS, build_parser, main
+from map_racing.cli.options.shared import GRIDS
+from map_racing.experiments.conditions import load_conditions
+from map_racing.experiments.robustness import load_robustness
+from map_racing.resources import list_config
 
 ACTIONS = {
     "lookup": ("generate", "check"),
@@ -36,6 +41,34 @@ def test_help_of_a_command_shows_its_arguments(capsys, command):
         assert action in text
         own = printed_help(capsys, command, action)
         assert f"usage: map-racing {command} {action}" in own and "--" in own
+
+
+def parsers(parser):
+    """A parser and those of its commands and actions, with their options."""
+    if getattr(parser, "command", None):
+        import_module(f"map_racing.cli.options.{parser.command}").add_options(parser)
+    yield parser
+    for action in parser._subparsers._group_actions if parser._subparsers else ():
+        for inner in action.choices.values():
+            yield from parsers(inner)
+
+
+def test_what_an_option_takes_has_one_name_in_all_commands():
+    found = {}
+    for parser in parsers(build_parser()):
+        for option in parser._actions:
+            if option.option_strings and option.nargs != 0:
+                name = option.option_strings[-1]
+                assert option.help and (option.metavar or option.choices), name
+                found.setdefault(name, set()).add(option.metavar)
+    alike = "--vehicle --plant --controller --track --seed --seeds --speed-scale --raceline --jobs"
+    for name in (*alike.split(), "--pose-topic", "--plots", "--channels"):
+        assert len(found[name]) == 1, (name, found[name])
+
+
+def test_shipped_files_that_help_names_are_of_that_kind():
+    for name in list_config("experiments"):
+        (load_robustness if name in GRIDS else load_conditions)(name)
 
 
 @pytest.mark.once

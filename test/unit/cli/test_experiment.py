@@ -16,6 +16,8 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.evaluation.runs import evaluate
 from map_racing.simulation.recorded import GROUND_TRUTH_TOPIC
+from map_racing.track.files.load import save_raceline
+from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
 LABELS = ["pure pursuit", "MAP linear", "MAP Pacejka", "MAP default", "MAP adaptive"]
@@ -41,6 +43,31 @@ def test_tables_of_tire_models(tires):
         "trajectories_seed2.png",
         *(f"tuning_{name}_paper.png" for name in ("map_linear", "map", "pure_pursuit")),
     ]
+
+
+@pytest.mark.parametrize(
+    "kind, options, said",
+    [
+        ("tire-models", ["--vehicle", "nuc4", "--seeds", "1"], "N.C. after 0 laps"),
+        ("velocity-scaling", ["--vehicle", "nuc4", "--seeds", "1"], r"MAP default +none +none"),
+        ("robustness", ["--generated"], r"(?ms): +did not start$.*^map: 0 of \d+ completed$"),
+    ],
+)
+def test_races_that_are_over_before_the_first_pose_are_results(
+    tmp_path, capsys, kind, options, said
+):
+    """On a track that is narrower than the car."""
+    angle = 2.0 * np.pi * np.arange(60) / 60
+    wall = np.full(60, 0.05)
+    x, y = 4.0 * np.cos(angle), 4.0 * np.sin(angle)
+    line = Raceline(x, y, vx_mps=3.0 + wall, d_left_m=wall, d_right_m=wall)
+    save_raceline(line, tmp_path / "narrow.csv")
+    track = ["--tracks" if kind == "robustness" else "--track", str(tmp_path / "narrow.csv")]
+    options = [*options, *track, "--laps", "1", "--output", str(tmp_path / "out"), "--jobs", "1"]
+    options += [] if kind == "robustness" else ["--no-tuning"]
+    assert main(["experiment", kind, *options]) == 0
+    assert re.search(said, capsys.readouterr().out)
+    assert main(["compare", str(tmp_path / "out"), str(tmp_path / "out")]) == 0
 
 
 def test_the_bags_hold_the_races_of_the_table(tires):

@@ -206,6 +206,7 @@ def test_refusals(tmp_path, refused, capsys):
         ),
         ((bag, "--vehicle", "nowhere", "--output", tmp_path / "a.yaml"), "nowhere"),
         ((bag, *good, "--servo-topic", "/servo"), "/servo: expected messages"),
+        ((bag, *good, "--servo-offset", "0.5"), "--servo-offset: expected --servo-topic"),
         ((bag, *good, "--servo-topic", "/servo", "--servo-gain", "0"), "--servo-gain"),
         ((bag, *good, "--steering-delay", "-1"), "steering_delay_s: expected"),
         ((bag, *good, "--cutoff", "-1"), "cutoff_hz: expected a positive number"),

@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from map_racing.cli import main
 from map_racing.resources import find_config
@@ -80,3 +81,27 @@ def test_lookup_refuses(tmp_path, refused):
     assert "--v-max" in line
     (tmp_path / "bad.csv").write_text("0,1,2\n0,0,x\n")
     assert "bad.csv:2" in refused("lookup", "check", tmp_path / "bad.csv")
+
+
+def test_doubts_about_the_raceline_stand_above_its_corners(tmp_path, capsys):
+    angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    rows = np.column_stack((9.0 * np.cos(angle), 5.0 * np.sin(angle), 3.0 + 0.0 * angle, angle))
+    np.savetxt(str(tmp_path / "line.csv"), rows, delimiter=",")
+    table = str(tmp_path / "t.csv")
+    assert main(["lookup", "generate", "--vehicle", "nuc4", "--output", table]) == 0
+    assert main(["lookup", "check", table, "--raceline", str(tmp_path / "line.csv")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.index("line.csv: 4 unnamed columns") < printed.index("corners of line")
+
+
+@pytest.mark.parametrize(
+    "option, expected",
+    [
+        (["--linear"], "--linear: expected --vehicle"),
+        (["--controller", "map_paper"], "--controller: expected --raceline"),
+        (["--channels", "circles_log"], "--channels: expected --bag"),
+        (["--steering-delay", "0.02"], "--steering-delay: expected --bag"),
+    ],
+)
+def test_check_refuses_options_that_it_would_ignore(refused, option, expected):
+    assert expected in refused("lookup", "check", "t.csv", *option)

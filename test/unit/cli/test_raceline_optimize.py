@@ -19,7 +19,8 @@ from map_racing.simulation.race import Outcome, race
 from map_racing.track import optimization
 from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
-from map_racing.vehicle.parameters import load_vehicle
+from map_racing.vehicle.parameters import linearized, load_vehicle
+from map_racing.vehicle.steady_state import steady_state_table
 
 
 def run(*arguments):
@@ -173,6 +174,22 @@ def test_compare_gives_the_same_room(tmp_path, capsys):
     assert "beyond.csv is 0.3" in printed and "m beyond a wall" in printed
     assert "  the optimized line keeps 0.2" in printed
     assert float(table_of(printed)["beyond"][3]) == pytest.approx(-0.3, abs=0.02)
+
+
+def test_doubts_about_lines_to_compare_with_and_about_the_table_are_told(tmp_path, capsys):
+    source = centerline(tmp_path / "hall.csv")
+    track = load_raceline(str(source))
+    inner = Raceline(*track.to_cartesian(track.s, np.full(track.s.size, 0.4)))
+    rows = np.column_stack((inner.x, inner.y, 3.0 + 0.0 * inner.x))
+    np.savetxt(str(tmp_path / "unnamed.csv"), rows, delimiter=",")
+    linear = linearized(load_vehicle("nuc4"))
+    own = steady_state_table(linear, np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.4, 41))
+    own.save(tmp_path / "table.csv")
+    options = ["--compare", tmp_path / "unnamed.csv", "--lookup-table", tmp_path / "table.csv"]
+    assert run(source, *options) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"warning: raceline \S+unnamed.csv: 3 unnamed columns", printed)
+    assert "warning: lookup table: reaches " in printed
 
 
 def test_several_lines_to_compare_with(tmp_path, capsys):

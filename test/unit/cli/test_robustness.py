@@ -107,8 +107,12 @@ def test_doubts_about_tracks_stand_in_the_provenance(results, tmp_path):
 
 def test_the_same_again_drives_nothing(folder, results, capsys):
     options = ("--controller", "map", "--speed-scale", 1.4, "--output", results)
+    (results / "figures" / "robustness_final.png").write_text("the user's own")
     assert run(folder, "experiment", "robustness", *options) == 0
+    own = {"robustness_map.png", "robustness_final.png"}
+    assert {path.name for path in (results / "figures").iterdir()} == own
     said = capsys.readouterr().out
+    assert "robustness_bold.png: removed: left over from an earlier call" in said
     assert "0 races driven, 3 found on disk" in said
     assert "RMS error" in said and "map: " in said
 
@@ -122,6 +126,8 @@ def test_the_same_again_drives_nothing(folder, results, capsys):
         (GRID.replace("laps: 1", "laps: 0"), "laps: expected at least 1"),
         (GRID.replace("plant: nuc4", "plant: nuc5"), "nuc5: no such file"),
         (GRID + "day: 1\n", "unknown parameter day"),
+        (GRID.replace("plant: nuc4", "plant: [a]"), "of the shipped plants or a path, got ['a']"),
+        (GRID.replace("as shipped: {}", "own: {vehicle: 5}"), "shipped vehicles or a path, got 5"),
     ],
 )
 def test_mistakes_in_the_grid_are_one_line(tmp_path, capsys, text, expected):
@@ -173,9 +179,17 @@ def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     assert found.grip_use == load_controller_parameters("map").grip_use
 
 
-def test_options_of_the_grid_belong_to_robust_tuning(folder, tmp_path, capsys):
-    assert run(folder, "tune", "--generated", 1, "--output", tmp_path / "x") == 1
-    assert "--generated belongs to --robust" in capsys.readouterr().err
+@pytest.mark.parametrize("option", ["--grid", "--tracks", "--generated", "--grip-use"])
+def test_options_of_the_grid_belong_to_robust_tuning(tmp_path, capsys, option):
+    assert main(["tune", option, "1", "--output", str(tmp_path / "x")]) == 1
+    assert f"{option} belongs to --robust" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--speed-scale", "--seeds", "--track", "--plant", "--vehicle"])
+def test_robust_tuning_refuses_what_it_would_ignore(tmp_path, capsys, option):
+    assert run(tmp_path, "tune", "--robust", option, 1, "--output", tmp_path / "x") == 1
+    assert f"{option}: not with --robust" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_bump_leaves_the_rest_of_the_line_where_it_is():

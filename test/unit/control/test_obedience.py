@@ -6,8 +6,9 @@ import random
 import pytest
 
 from map_racing.control.controller import ControlResult, Status
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.obedience import APART, MOVING, PATIENCE, Course, Obedience, PoseMotion
-from map_racing.control.safety import REST, Mode, Reason, Supervisor
+from map_racing.control.safety import REST, Supervisor
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 

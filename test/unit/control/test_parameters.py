@@ -178,6 +178,12 @@ def test_a_changed_copy_is_checked_too():
         parameters.with_(speed_scale=70.0)
 
 
+@pytest.mark.parametrize("law", ["l2", ["mpc"], {"a": 1}, 1])
+def test_an_unknown_law_is_refused_with_the_known_ones(tmp_path, law):
+    message = refusal(written(tmp_path, law=law))
+    assert message.endswith(f"law: expected l1 or mpc, got {law!r}")
+
+
 def test_unknown_files_and_broken_ones_are_refused(tmp_path):
     with pytest.raises(ParameterError, match=r"mpa: no such file.*controllers .*map_paper"):
         load_controller_parameters("mpa")

@@ -4,17 +4,17 @@ import pytest
 from supervised_car import PERIOD, Car
 
 from map_racing.control.controller import Status
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.safety import (
     FIRST_STEP,
     LONGEST_STEP,
     QUICKEST,
     RISING,
-    Mode,
-    Reason,
-    SafetyLimits,
     Supervisor,
 )
+from map_racing.control.safety_limits import SafetyLimits
 from map_racing.errors import ParameterError
+from map_racing.track.raceline import Raceline
 
 
 def test_good_poses_drive_at_once_with_the_controllers_command():
@@ -226,6 +226,17 @@ def test_grip_exceeded_for_long_stops_until_resumed():
     assert car.step().mode is Mode.DRIVING
 
 
+@pytest.mark.parametrize(("psi", "trusted"), [(0.8, True), (-0.8, True), (0.81, False)])
+def test_a_pose_whose_heading_is_not_the_motion_is_not_trusted(psi, trusted):
+    """Nor does the controller step on it."""
+    car = Car(max_turn_rad=0.8)
+    for _ in range(40):
+        found = car.supervisor.observe(car.now, car.pose(psi=psi))
+        car.now, car.x = car.now + PERIOD, car.x + car.speed * PERIOD
+    assert found is trusted
+    assert (car.supervisor.trouble(car.now) is Reason.NONE) is trusted
+
+
 def test_a_crawling_car_at_its_lock_has_grip():
     car = Car(speed=0.5)
     assert car.drive(5.0, status=Status.SATURATED)[-1].mode is Mode.DRIVING
@@ -356,6 +367,72 @@ def test_before_the_first_pose_nothing_is_commanded():
     assert car.step().mode is Mode.DRIVING
 
 
+@pytest.mark.parametrize("by", ["watch", "pose in another frame", "pose that is not finite"])
+def test_a_clock_set_back_stops_a_car_until_a_pose_can_be_trusted(by):
+    """Nobody knows where it is: it still does what it was told last."""
+    car = Car(hold_s=1.0, max_pose_age_s=0.2)
+    car.drive(2.0)
+    supervisor, begin = car.supervisor, 10.0
+    decisions = []
+    for k in range(100):
+        car.now = begin + k * PERIOD
+        if by == "watch":
+            decisions.append(supervisor.watch(car.now))
+            assert supervisor.deadline == pytest.approx(car.now + 0.02)
+        elif by == "pose in another frame":
+            decisions.append(supervisor.refuse(car.now))
+        else:
+            decisions.append(car.step(car.pose(x=math.nan)))
+    reason = {
+        "watch": Reason.NO_POSE,
+        "pose in another frame": Reason.FRAME,
+        "pose that is not finite": Reason.INVALID_POSE,
+    }[by]
+    first = 4.0 - 4.0 * FIRST_STEP
+    ramp = [max(first - 4.0 * PERIOD * k, 0.0) for k in range(len(decisions))]
+    held = [d for d in decisions if d is not None]
+    assert [d.speed for d in held] == pytest.approx(ramp[: len(held)])
+    assert {d[1:3] for d in held} == {(reason, 0.1)}
+    standing = [d.mode for d in held].index(Mode.STOPPED)
+    assert held[standing].speed == 0.0 < held[standing - 1].speed
+    # Where nothing comes at all, standing is commanded for a while only.
+    assert len(held) == (standing + 33 if by == "watch" else 100)
+    car.now, car.speed = begin + 100 * PERIOD, 0.0
+    decision = car.drive(0.6)[0 if by == "watch" else -1]
+    assert decision[:2] == (Mode.DRIVING, Reason.NONE)
+
+
+def test_a_clock_set_back_stops_a_car_that_stands_and_none_that_never_drove():
+    car = Car(hold_s=1.0)
+    car.drive()
+    car.supervisor.request_stop("service")
+    car.drive(2.0)
+    supervisor = car.supervisor
+    assert [supervisor.watch(10.0 + k)[::3] for k in (0.0, 1.0)] == [(Mode.STOPPED, 0.0)] * 2
+    assert supervisor.watch(11.01) is None
+    car = Car()
+    car.supervisor.refuse(100.0)
+    assert car.supervisor.watch(10.0) is None and car.supervisor.deadline is None
+    assert car.supervisor.mode is Mode.WAITING
+
+
+def test_a_clock_set_back_stops_a_car_from_the_speed_that_it_had():
+    car = Car(speed=2.0)
+    car.drive(speed=8.0, seconds=0.4)
+    assert car.supervisor.watch(10.0).speed == 2.0 - 4.0 * FIRST_STEP
+
+
+def test_a_clock_set_back_and_a_raceline_before_the_next_pose():
+    """Where the car is and which way it moves is not known any more."""
+    car = Car()
+    car.drive()
+    car.supervisor.watch(10.0)
+    assert not car.supervisor.stands
+    angle = [2.0 * math.pi * k / 50 for k in range(50)]
+    x, y = [10.0 * math.cos(a) for a in angle], [10.0 * math.sin(a) for a in angle]
+    assert not car.supervisor.opposes(Raceline(x, y))
+
+
 def test_a_clock_set_back_begins_anew_but_keeps_the_request():
     car = Car()
     car.drive(2.0)
@@ -363,8 +440,8 @@ def test_a_clock_set_back_begins_anew_but_keeps_the_request():
     car.now, car.x, restarts = 10.0, 50.0, []
     car.supervisor.on_restart = lambda: restarts.append(car.supervisor.mode)
     car.step()
-    assert restarts == [Mode.WAITING]
-    assert (car.supervisor.mode, car.supervisor.reason) == (Mode.WAITING, Reason.STOP_REQUESTED)
+    assert restarts == [Mode.STOPPING]
+    assert (car.supervisor.mode, car.supervisor.reason) == (Mode.STOPPING, Reason.STOP_REQUESTED)
     car.supervisor.resume()
     car.step()
     assert len(restarts) == 1 and car.supervisor.mode is Mode.DRIVING
@@ -389,5 +466,6 @@ def test_what_is_absurdly_fast_depends_on_the_fastest_speed_of_the_car():
     small, large = Car(speed=60.0), Car(speed=60.0, max_speed=50.0)
     assert small.drive(0.2)[-1].reason is Reason.INVALID_POSE
     assert large.drive(0.2)[-1].mode is Mode.DRIVING
+    assert Car(speed=99.0, max_speed=50.0).drive(0.2)[-1].mode is Mode.DRIVING
     large.speed = 101.0
     assert large.step().reason is Reason.INVALID_POSE

@@ -7,7 +7,8 @@ import pytest
 from supervised_car import PERIOD, Car
 
 from map_racing.control.controller import Status
-from map_racing.control.safety import Mode, Reason, Supervisor
+from map_racing.control.decision import Mode, Reason
+from map_racing.control.safety import Supervisor
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.track.raceline import Raceline
 

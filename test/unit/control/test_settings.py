@@ -5,11 +5,11 @@ import pytest
 import yaml
 
 from map_racing import __version__
-from map_racing.control.controller import build_controller
+from map_racing.control.controller import Controller, build_controller
 from map_racing.control.laws import build_law
 from map_racing.control.parameters import load_controller_parameters, load_law
 from map_racing.control.safety_limits import SafetyLimits
-from map_racing.control.settings import parse_settings, settings_text
+from map_racing.control.settings import doubts_of, parse_settings, settings_text
 from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors
 from map_racing.track.files.load import load_raceline
 from map_racing.vehicle.parameters import load_vehicle, vehicle_values
@@ -118,3 +118,15 @@ def test_doubts_of_vehicle_raceline_and_sectors_are_kept(line, tmp_path):
         ["warning", str(tmp_path / "s.yaml")],
     ]
     assert "closed over a gap" in notes[1]
+
+
+@pytest.mark.parametrize("name", ["map", "map_linear", "pure_pursuit", "map_linear_paper"])
+def test_nothing_is_doubted_of_what_is_shipped(line, name):
+    """A table of linear tires has no limit, and need not have the one of the car's tires."""
+    car = load_vehicle("nuc4")
+    assert doubts_of(build_law(load_law(name, car), car, line)) == []
+    # A table of other tires than the controller is for is doubted.
+    if name == "map":
+        other = build_controller(load_law("map_linear", car), car, line)
+        mixed = Controller(load_law("map", car), other.steering_map, car, line)
+        assert "of other tires, or of linear ones?" in doubts_of(mixed)[0]

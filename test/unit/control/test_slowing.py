@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.control.controller import ControlResult, Status
-from map_racing.control.safety import Mode, Reason, Supervisor
+from map_racing.control.decision import Mode, Reason
+from map_racing.control.safety import Supervisor
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.slowing import MOST_BRAKING, STEERING_RATE, Slowing
 from map_racing.control.state import CarState

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from map_racing.control.controller import ControlResult, Status, build_controller
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import Mode, Reason
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.state import CarState
 from map_racing.control.steering import build_steering_map

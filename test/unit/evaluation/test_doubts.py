@@ -1,5 +1,7 @@
 """What makes laps doubtful: frames, two nodes on one topic, bunches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,13 @@ from map_racing.evaluation.doubts import (
     bunches,
     command_clock,
     command_units,
+    doubts_of,
     frame_warning,
     speed_warning,
     time_jump,
     unfollowed,
 )
+from map_racing.evaluation.results import Lap
 from map_racing.evaluation.speed import speed_of
 from map_racing.evaluation.statistics import mean
 
@@ -67,6 +71,19 @@ def test_noise_and_driving_do_not_alternate(noise, omega):
     x, y = circling(omega=omega)
     rng = np.random.default_rng(1)
     x, y = x + noise * rng.normal(size=T.size), y + noise * rng.normal(size=T.size)
+    assert alternation("/pose", T, x, y) == ""
+
+
+def test_a_second_sender_for_a_while():
+    """In a part of the recording, or slower than the first; a late stamp is none."""
+    for part, apart in ((slice(800, 1200, 2), 0.3), (slice(800, 1200, 7), 0.3)):
+        x, y = circling()
+        x[part] += apart
+        y[part] += apart
+        assert "of two nodes?" in alternation("/pose", T, x, y)
+    late = T.copy()
+    late[800:1200:7] -= 0.012
+    x, y = 6.0 * np.cos(0.8 * late), 6.0 * np.sin(0.8 * late)
     assert alternation("/pose", T, x, y) == ""
 
 
@@ -124,6 +141,47 @@ def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
     assert speed_warning("/odom", T, still, still, still) == ""
 
 
+def lap(begin, end):
+    numbers = dict.fromkeys(("time", "rms", "mean", "max"), 1.0)
+    return Lap(1, *numbers.values(), True, "", start_time_s=begin, end_time_s=end)
+
+
+@pytest.mark.parametrize(
+    ("factor", "told", "said"),
+    [
+        (1.0, 1.0, ""),
+        (3.6, 1.0, "from 10.1 to 14.9 s the measured speed is 3.61 times the motion of the poses"),
+        (0.0, 1.0, "from 10.1 to 14.9 s the measured speed is 0.00 times"),
+        (1.3, 1.0, ""),
+        (1.0, 3.6, "from 10.1 to 14.9 s the speed commanded is 3.61 times"),
+        (1.0, 0.0, "from 10.1 to 14.9 s the speed commanded is 0.00 times"),
+        (1.0, -1.0, "from 10.1 to 14.9 s the speed commanded is -1.00 times"),
+    ],
+)
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_speeds_that_are_wrong_for_a_while(factor, told, said, noise):
+    """Within complete laps only: before and after them, wheels spin and somebody else drives."""
+    rng, part = np.random.default_rng(1), (T >= 10.0) & (T <= 15.0)
+    x, y = (v + noise * rng.normal(size=T.size) for v in circling())
+    v, unknown = 4.8 * np.where(part, factor, 1.0), np.full(T.size, np.nan)
+    commands = Commands(T, 0.0 * T, 4.8 * np.where(part, told, 1.0), "/drive")
+    driven = Recording(T, x, y, unknown, v, unknown, unknown, topic="/odom", commands=commands)
+    doubts = doubts_of(driven, [lap(5.0, 12.0), lap(12.0, 20.0)])
+    assert len(doubts) == bool(said)
+    if said and noise == 0.0:
+        assert said in doubts[0]
+    assert doubts_of(driven, []) == doubts_of(driven, [lap(20.0, 25.0)]) == []
+
+
+def test_a_single_speed_that_no_car_has():
+    v, unknown = np.full(T.size, 4.8), np.full(T.size, np.nan)
+    v[1000] = 25.0
+    driven = Recording(T, *circling(), unknown, v, unknown, unknown, topic="/odom")
+    (doubt,) = doubts_of(driven, [lap(5.0, 20.0)])
+    assert doubt.startswith("/odom: the measured speed reaches 25.0 m/s at 12.5 s, where the poses")
+    assert doubts_of(driven, [lap(5.0, 10.0)]) == []
+
+
 @pytest.mark.parametrize(
     ("shift", "said"),
     [(0.0, ""), (0.1, ""), (-0.3, ""), (0.5, " before "), (-1.0, " after ")],
@@ -137,8 +195,9 @@ def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, t
     unknown = np.full(T.size, np.nan)
     commands = Commands(T - 0.1 + shift, 0.32 * kappa, 5.0 + 0.0 * T, "/drive")
     driven = Recording(T, x, y, psi, unknown, unknown, unknown, commands=commands)
-    doubt = command_clock(driven)
-    assert said in doubt and bool(doubt) == bool(said)
+    for heading in (psi, unknown):
+        doubt = command_clock(replace(driven, psi=heading))
+        assert said in doubt and bool(doubt) == bool(said)
 
 
 @pytest.mark.parametrize(
@@ -147,9 +206,10 @@ def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, t
         (0.2, 4.8, []),
         (0.2, 6.0, []),
         (0.2, 0.0, []),
+        (0.2, -4.8, ["-1.00 times the motion of the poses"]),
         (11.5, 4.8, ["steering angles of 11.5 rad: in degrees?"]),
-        (0.2, 17.3, ["3.60 times the motion of the poses: in km/h?"]),
-        (0.2, 480.0, ["100.00 times the motion of the poses"]),
+        (0.2, 17.3, ["3.61 times the motion of the poses: in km/h?"]),
+        (0.2, 480.0, ["100.17 times the motion of the poses"]),
     ],
 )
 def test_commands_in_other_units(angle, speed, said):
@@ -203,6 +263,17 @@ def test_mean_and_top_speed_hold_where_stamps_jitter(jitter):
     # A uniform jitter of almost a period has a spread of 4.9 ms in differences over 0.1 s.
     assert mean(v, np.diff(t)) == pytest.approx(4.8, rel=1e-3 + 0.5 * (jitter / 0.1) ** 2)
     assert np.max(v) < 4.8 * (1.001 + 0.2 * (jitter > 0.0))
+
+
+@pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.01, 0.03])
+def test_mean_and_top_speed_hold_where_poses_are_noisy(noise, every):
+    """The way from pose to pose is longer than the car's; 1 cm at 80 Hz by 6 %."""
+    rng = np.random.default_rng(4)
+    x, y = (v[::every] + noise * rng.normal(size=T.size // every) for v in circling())
+    v = speed_of(T[::every], x, y, np.full(x.size, np.nan))
+    assert mean(v, np.diff(T[::every])) == pytest.approx(4.8, rel=0.002 + 0.2 * noise)
+    assert np.max(v) < 4.8 * 1.002 + (0.2 + 25.0 * noise) * (noise > 0.0)
 
 
 def test_half_a_period_of_the_steering_is_no_lag():

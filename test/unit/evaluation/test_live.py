@@ -12,6 +12,7 @@ from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.evaluation.lap_log import LapLog
 from map_racing.evaluation.live import LiveEvaluation
+from map_racing.evaluation.live_history import History
 from map_racing.evaluation.runs import evaluate
 from map_racing.track.findings import NOTE, WARNING, Finding
 
@@ -172,6 +173,32 @@ def test_commands_that_come_too_late_are_told(line, drive):
     assert said == [False, False, True, False]
 
 
+@pytest.mark.parametrize("lap", [1, 2])
+def test_late_commands_of_a_lap_that_lasts_are_kept_in_a_few_numbers(track, line, lap):
+    """The car stands in it for a while, and each command comes too late; other laps have none."""
+    per_lap, stands = int(track.length / V * RATE), 200
+    s = V / RATE * np.arange(4 * per_lap) - 1.0
+    at = (lap - 1) * per_lap + 40
+    s = np.concatenate((s[:at], np.full(stands, s[at]), s[at:]))
+    stamps = [T0_NS + int(round(i * 1e9 / RATE)) for i in range(s.size)]
+    x, y, _ = track.place(s, np.zeros(s.size))
+    poses = list(zip(stamps, x.tolist(), y.tolist(), [V] * s.size, [0.0] * s.size))
+    commands = [(stamp, 6.0, 0.1) for stamp in stamps]
+    taken = Taken(line)
+    play(taken, poses[:at], commands)
+    sizes = []
+    for pose, command in zip(poses[at : at + stands], commands[at : at + stands]):
+        taken.evaluation.add_pose(*pose, 0.0)
+        taken.evaluation.advance(2.0)
+        taken.evaluation.add_command(*command)
+        sizes.append(len(taken.evaluation._late))
+    assert max(sizes) == 2
+    play(taken, poses[at + stands :], commands)
+    taken.evaluation.finish()
+    said = [any("after their poses" in text for text in told.warnings) for told in taken.laps]
+    assert said == [number == lap for number in range(5)]
+
+
 def test_a_pose_that_answers_a_stop_is_not_late(line, drive):
     """Commands of a stop without poses have later stamps than the first that answers a pose."""
     _, poses, commands = drive
@@ -293,6 +320,125 @@ def test_doubts_stand_beside_the_laps(track, drive):
     }
     (_, result) = taken.runs[0]
     assert len(result.warnings) == 3
+
+
+def a_clock_that_is_set(columns):
+    columns["t"] += np.where(np.arange(columns["t"].size) > 700, 0.15, 0.0)
+
+
+def stamps_in_bunches(columns):
+    i = np.arange(columns["t"].size)
+    columns["t"] = columns["t"][i // 4 * 4] + 1e-5 * (i % 4)
+
+
+def poses_of_two_nodes(columns):
+    columns["x"][500:900:2] += 0.3
+
+
+def a_second_sender_now_and_then(columns):
+    columns["x"][500:900:9] += 0.3
+    columns["y"][500:900:9] += 0.3
+
+
+def a_speed_in_kmh_for_a_while(columns):
+    columns["v"][500:900] *= 3.6
+
+
+def a_single_speed(columns):
+    columns["v"][500] = 50.0
+
+
+def steering_in_degrees(columns):
+    columns["steering"] = np.degrees(columns["steering"])
+
+
+def commands_of_the_other_direction(columns):
+    columns["command"] *= -1.0
+
+
+def somebody_else_drives_for_a_while(columns):
+    columns["command"][500:900] = 0.0
+
+
+def a_throttle(columns):
+    columns["command"] = 4.0 + 2.0 * np.cos(3.1 * columns["t"])
+
+
+def commands_that_came_later(columns):
+    for name in ("steering", "command"):
+        columns[name] = np.roll(columns[name], 32)
+
+
+def nothing(columns):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (nothing, None),
+        (a_clock_that_is_set, "time jumps ahead by 0.15 s"),
+        (stamps_in_bunches, "poses come in bunches, 0.10 s apart"),
+        (poses_of_two_nodes, "poses alternate between two places 0.3"),
+        (a_second_sender_now_and_then, "poses lie beside those before and after"),
+        (a_speed_in_kmh_for_a_while, "the measured speed is 3.6"),
+        (a_single_speed, "the measured speed reaches 50.0 m/s at 12.5 s"),
+        (steering_in_degrees, "in degrees? The steering rate is in the same unit"),
+        (commands_of_the_other_direction, "the speed commanded is -1.0"),
+        (somebody_else_drives_for_a_while, "s the speed commanded is 0.00 times the motion"),
+        (a_throttle, "does not follow the speed commanded"),
+        (commands_that_came_later, " before its steering commands: they are of another clock"),
+    ],
+)
+def test_what_driving_tells_is_doubted_live_as_offline(track, line, fault, said):
+    """Each doubt of the recording beside the last lap, in the same words, and no other."""
+    t = np.arange(1700) / 40.0
+    s = 6.0 * t - 1.2 * np.cos(t) - 3.0
+    x, y, psi = track.place(s, 0.1 * np.sin(0.7 * s))
+    v = 6.0 + 1.2 * np.sin(t)
+    ahead = track.place(s + 0.6, 0.1 * np.sin(0.7 * (s + 0.6)))[2]
+    steering = 0.32 * np.arctan(np.sin(ahead - psi) / 0.6)
+    columns = dict(t=t.copy(), x=x, y=y, psi=psi, v=v, steering=steering, command=v.copy())
+    fault(columns)
+    t, x, y, psi, v, steering, command = columns.values()
+    stamps = [T0_NS + int(round(1e9 * at)) for at in t.tolist()]
+    at, unknown = (np.array(stamps) - T0_NS) * 1e-9, np.full(t.size, math.nan)
+    commands = Commands(at, steering, command, "/drive")
+    offline = evaluate(
+        Recording(*(at, x, y, psi, v, unknown, unknown), topic="/odom", commands=commands), line
+    )
+    taken = Taken(line, pose_topic="/odom", drive_topic="/drive")
+    for stamp, *pose, steer, speed in zip(*(stamps, x, y, v, psi, steering, command)):
+        *pose, angle = pose
+        taken.evaluation.add_pose(stamp, *pose, math.nan, 0.0, 0, angle)
+        taken.evaluation.add_command(stamp, speed, steer)
+        taken.evaluation.advance(0.0)
+    taken.evaluation.finish()
+    same(taken.rows(), [lap.row() for lap in offline.laps])
+    ((_, result),) = taken.runs
+    assert set(result.warnings) == set(offline.warnings)
+    assert len(offline.warnings) == (said is not None)
+    assert all(said in warning for warning in offline.warnings)
+    assert set(taken.laps[-1].warnings) == set(offline.warnings)
+
+
+def test_a_clock_that_is_set_back_by_little_is_told(line, drive):
+    _, poses, commands = drive
+    taken = Taken(line)
+    late = [(stamp - 110_000_000 * (i > 150), *rest) for i, (stamp, *rest) in enumerate(poses)]
+    play(taken, late, commands)
+    taken.evaluation.finish()
+    assert any("poses: time falls back by 0.11 s" in said for said in taken.laps[1].warnings)
+
+
+def test_what_is_kept_of_a_long_run_is_bounded(line, monkeypatch):
+    monkeypatch.setattr("map_racing.evaluation.live_history._KEPT", 500)
+    history = History("/odom", "/drive")
+    for i in range(5000):
+        history.add_pose(0.025 * i, 0.1 * i, 0.0, 0.0, 4.0)
+        history.add_command(T0_NS + 25_000_000 * i, 4.0, 0.0)
+    assert history.doubts(T0_NS) == []
+    assert all(len(column) <= 1000 for column in (*history._poses, *history._commands))
 
 
 def busy(poses, commands, behind, rng, rate=10.0, held_up=0.05):

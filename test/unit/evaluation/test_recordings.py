@@ -6,12 +6,8 @@ import pytest
 
 from map_racing.bags.reader import read_recording
 from map_racing.errors import BagError, FileFormatError, ParameterError
-from map_racing.evaluation.recordings import (
-    load_recording,
-    parse_columns,
-    read_csv_recording,
-    recorded_raceline,
-)
+from map_racing.evaluation.csv_recordings import parse_columns, read_csv_recording
+from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.track.files.load import load_raceline, save_raceline
 
 ROWS = "t,x,y,yaw,v\n0.0,1.0,2.0,0.1,3.0\n0.5,1.5,2.5,0.2,4.0\n1.0,2.0,3.0,0.3,5.0\n"
@@ -325,6 +321,24 @@ def test_two_runs_in_one_file_are_refused(csv):
     expected = r"run.csv: time jumps back by 12.3 s at line 6: two runs in one file\?"
     with pytest.raises(FileFormatError, match=expected):
         read_csv_recording(csv(text))
+
+
+def test_a_clock_that_is_set_back_while_the_car_drives(csv):
+    """Rows in a wrong order are none, nor are those of a car that stands."""
+    t, speed = 0.02 * np.arange(1000), 4.0
+
+    def said(t, x):
+        text = "t,x,y\n" + "".join(f"{a:.4f},{b:.4f},0\n" for a, b in zip(t, x))
+        notes = read_csv_recording(csv(text)).notes
+        return [note for note in notes if note.startswith("warning: ")]
+
+    (doubt,) = said(np.where(t > 10.0, t - 0.09, t), speed * t)
+    assert "time falls back by 0.09 s at 10.0 s, while the car drives on" in doubt
+    swapped = np.arange(1000)
+    swapped[300], swapped[301] = 301, 300
+    swapped[500], swapped[505] = 505, 500
+    assert said(t[swapped], speed * t[swapped]) == []
+    assert said(np.where(t > 10.0, t - 0.09, t), 0.0 * t) == []
 
 
 def test_damaged_gzip_is_one_line(tmp_path):

@@ -155,6 +155,55 @@ def headings_only_later(bag, i, t):
     odometry(bag, t, (x, y, psi if i > 50 else math.nan))
 
 
+def odometry_of_the_laser(bag, i, t):
+    mount = 0.27, 0.02, 0.1
+    if i == 0:
+        bag.transform(T0, *mount, parent="base_link", child="laser", static=True)
+    odometry(bag, t, joined(place(t), mount), topic="/pf/pose/odom", child_frame="laser")
+
+
+def odometry_of_the_laser_in_its_own_frame(bag, i, t):
+    origin, mount = (1.0, 2.0, 0.5), (0.27, 0.0, 0.0)
+    if i == 0:
+        bag.transform(T0, *mount, parent="base_link", child="laser", static=True)
+    own = joined(inverse(origin), joined(place(t), mount))
+    odometry(bag, t, own, topic="/odom", frame="odom", child_frame="laser")
+    if i % 5 == 0:
+        link(bag, t, origin, "map", "odom")
+
+
+def another_static_publisher(bag, i, t):
+    """The first was wrong, and stopped."""
+    if i in (0, 10):
+        bag.transform(T0 + t, 0.01 * i, 0.0, 0.0, parent="map", child="odom", static=True)
+    link(bag, t, joined(inverse((0.1, 0.0, 0.0)), place(t)), "odom", "base_link")
+
+
+def localization_that_repeats_itself(bag, i, t):
+    drift = 0.002 * min(t, 9.0), 0.0, 0.0
+    link(bag, t, joined(inverse(drift), place(t)), "odom", "base_link")
+    if i % 5 == 0:
+        link(bag, t, drift, "map", "odom")
+
+
+def stamps_set_back_by_little(bag, i, t):
+    set_back = 0.06 if t > 9.0 else 0.0
+    odometry(bag, t, place(t), T0 + t - set_back, received=T0 + t + 0.002)
+    bag.drive(T0 + t - set_back, steering(t), SPEED, received=T0 + t + 0.003)
+
+
+def commands_of_another_clock_in_the_last_lap(bag, i, t):
+    odometry(bag, t, place(t))
+    late = 0.9 if 15.0 < t < 16.0 else 0.0
+    bag.drive(T0 + t + late, steering(t), SPEED, received=T0 + t + 0.003)
+
+
+def each_transform_twice(bag, i, t):
+    for late in (0.001, 0.003):
+        link = {"parent": "map", "child": "base_link", "received": T0 + t + late}
+        bag.transform(T0 + t, *place(t), **link)
+
+
 def a_velocity_of_the_map(bag, i, t):
     x, y, psi = place(t)
     moving = SPEED * math.cos(psi), SPEED * math.sin(psi)
@@ -183,6 +232,13 @@ def a_velocity_of_the_map(bag, i, t):
         (a_few_poses_without_numbers, ""),
         (headings_only_later, ""),
         (a_velocity_of_the_map, ""),
+        (odometry_of_the_laser, ""),
+        (odometry_of_the_laser_in_its_own_frame, ""),
+        (another_static_publisher, "static, and sent with other values"),
+        (localization_that_repeats_itself, "stays the same from 9.0 to 1"),
+        (stamps_set_back_by_little, ""),
+        (commands_of_another_clock_in_the_last_lap, "for a part of the time"),
+        (each_transform_twice, ""),
     ],
 )
 def test_bags(tmp_path, fill, said):
@@ -199,6 +255,14 @@ def test_bags(tmp_path, fill, said):
         assert not lap.rms_speed_error_mps > 0.08
     warnings = found.warnings
     assert len(warnings) == bool(said) and all(said in warning for warning in warnings)
+
+
+def test_odometry_of_a_laser_without_a_mount_is_named(tmp_path):
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for t in TIMES:
+            odometry(bag, t, joined(place(t), (0.27, 0.0, 0.0)), child_frame="car/laser_frame")
+    (doubt,) = evaluate(load_recording(tmp_path / "run.bag"), LINE).warnings
+    assert "has the pose of car/laser_frame, not of base_link" in doubt
 
 
 # -- text ------------------------------------------------------------------------------------------

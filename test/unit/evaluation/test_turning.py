@@ -63,19 +63,41 @@ def test_less_than_half_a_turn_tells_nothing(reference, driving):
     assert rate is short.yaw_rate and notes == []
 
 
-def test_a_rate_that_was_never_filled_in_is_told_on_a_figure_eight_too():
+@pytest.mark.parametrize("factor", [180.0 / np.pi, -1.0])
+def test_a_wrong_rate_is_told_on_a_figure_eight_too(factor):
     """Its laps turn by nothing, all in all."""
+    recording = figure_eight()
+    rate, notes = turning_of(changed(recording, yaw_rate=factor))
+    assert np.array_equal(rate, recording.yaw_rate)
+    (note,) = notes
+    turned, path = (float(part.split(" rad")[0]) for part in note.split(" by ")[1:])
+    assert note.startswith("warning: ") and turned == pytest.approx(factor * path, rel=0.05)
+
+
+def test_a_heading_that_was_never_filled_in_is_told_on_a_figure_eight():
+    recording = changed(figure_eight(), yaw_rate=np.nan, psi=0.0)
+    rate, notes = turning_of(recording)
+    assert np.isnan(rate).all() and "heading recorded does not change" in notes[0]
+
+
+def test_a_rate_that_was_never_filled_in_is_told_on_a_figure_eight_too():
+    recording = figure_eight()
+    rate, notes = turning_of(changed(recording, yaw_rate=0.0))
+    assert np.array_equal(rate, recording.yaw_rate)
+    assert notes == ["the yaw rate recorded does not change: that of the heading is used"]
+    rate, notes = turning_of(recording)
+    assert rate is recording.yaw_rate and notes == []
+
+
+def figure_eight():
+    """Two laps of an eight."""
     t = np.arange(0.0, 20.0, 0.02)
     phase = 2.0 * np.pi * t / 10.0
     x, y = 5.0 * np.sin(phase), 2.5 * np.sin(2.0 * phase)
     psi = np.arctan2(np.gradient(y, t), np.gradient(x, t))
     turning = np.gradient(np.unwrap(psi), t)
     v = np.hypot(np.gradient(x, t), np.gradient(y, t))
-    rate, notes = turning_of(Recording(t, x, y, psi, v, 0.0 * v, 0.0 * v))
-    assert np.array_equal(rate, turning)
-    assert notes == ["the yaw rate recorded does not change: that of the heading is used"]
-    rate, notes = turning_of(Recording(t, x, y, psi, v, 0.0 * v, turning))
-    assert rate is turning and notes == []
+    return Recording(t, x, y, psi, v, 0.0 * v, turning)
 
 
 @pytest.mark.parametrize("factor", [0.0, 1.0, 1.12, 3.6])

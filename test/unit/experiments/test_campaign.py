@@ -135,9 +135,7 @@ def test_a_process_that_dies_is_one_line(job_of, tmp_path):
             future.set_exception(BrokenProcessPool("terminated abruptly"))
             return future
 
-    with pytest.raises(
-        MapRacingError, match="died while it drove a race; finished races are on disk"
-    ):
+    with pytest.raises(MapRacingError, match="a process died; what was finished is on disk"):
         carry_out([listed(job_of, [1])], Store(tmp_path), Dying(), 1)
 
 

@@ -125,6 +125,8 @@ def test_a_file_says_what_is_wrong_with_it(tmp_path):
     "text, expected",
     [
         ("model: rocket\nvehicle: sim\n", "model: expected single_track, public_simulator, co"),
+        ("model: [rocket]\nvehicle: sim\n", "model: expected single_track, public_simulator, co"),
+        ("model: commonroad\nvehicle: sim\nparameters: [a]\n", "parameters: expected ford_escort"),
         ("model: public_simulator\nvehicle: sim\nmu: 1\n", "unknown parameter mu "),
         ("model: public_simulator\nvehicle: sim\nh_cg_m: low\n", "h_cg_m: expected a finite"),
         ("model: public_simulator\nvehicle: sim\nsteering_delay_s: 50\n", "0 to 1 s"),

@@ -21,6 +21,7 @@ from map_racing.experiments.season_bags import find_bags
 from map_racing.pages.season import season_page
 from map_racing.track.files.load import save_raceline
 from map_racing.track.files.waypoints import waypoint_rows
+from map_racing.track.raceline import Raceline
 
 T0 = 1750000000.0
 
@@ -76,6 +77,8 @@ def test_bags_are_found_once_each(bags, tmp_path):
     assert find_bags([tmp_path], without=never_closed) == []
     with pytest.raises(MapRacingError, match="no such folder"):
         find_bags([tmp_path / "nowhere"])
+    with pytest.raises(MapRacingError, match="'': expected the name of a folder or a bag"):
+        find_bags([""])
 
 
 def test_heats_are_in_order_with_their_tracks_and_reasons(bags, tmp_path):
@@ -132,6 +135,9 @@ def test_what_has_not_changed_is_not_read_again(bags, tmp_path, monkeypatch, rin
     for record in (tmp_path / "out" / "heats").iterdir():
         record.write_text("{")
     assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 5
+    # Other code of the same version may evaluate otherwise.
+    monkeypatch.setattr(season_module, "fingerprint_of_code", lambda parts: "other")
+    assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 5
 
 
 def test_an_interrupted_season_continues(bags, tmp_path, monkeypatch):
@@ -177,6 +183,48 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     assert "driven on none of the tracks given" in row["reason"] and row["date"]
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out").heats
     assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
+
+
+def test_a_track_that_has_changed_is_raced_anew(tmp_path, ring, track):
+    """A raceline is optimized again under its old name; also a process that lives on sees it."""
+    line = tmp_path / "hall.csv"
+    save_raceline(ring, line)
+    heat(tmp_path / "bags" / "bare.bag", ring, raceline=False)
+    found = [evaluated(tmp_path / "bags", tmp_path / "out", tracks=(str(line),)) for _ in range(2)]
+    assert [season.read for season in found] == [1, 0]
+    s = ring.s_points
+    wider = Raceline(*ring.to_cartesian(s, 0.1 + 0.0 * s), vx_mps=ring.speed_at(0.0) + 0.0 * s)
+    save_raceline(wider, line)
+    season = evaluated(tmp_path / "bags", tmp_path / "out", tracks=(str(line),))
+    assert season.read == 1
+    assert found[1].heats[0]["rms_lateral_error_m"] < 0.01
+    assert season.heats[0]["rms_lateral_error_m"] == pytest.approx(0.1, abs=0.01)
+
+
+def test_reports_are_made_as_their_heats(tmp_path, ring, capsys, monkeypatch):
+    """On the track given, with the limit given, and one that fails costs nothing else."""
+    save_raceline(ring, tmp_path / "hall #1.csv")
+    heat(tmp_path / "bags" / "bare.bag", ring, raceline=False)
+    heat(tmp_path / "bags" / "own.bag", ring)
+    monkeypatch.chdir(tmp_path)
+    words = ["season", "bags", "--output", "out", "--tracks", "hall #1.csv", "--jobs", "1"]
+    assert main([*words, "--reports", "2", "--max-deviation", "0.5"]) == 0
+    assert capsys.readouterr().err == ""
+    pages = [tmp_path / "out" / "reports" / f"{name}.html" for name in ("bare", "own")]
+    assert all(page.is_file() for page in pages)
+    made = [page.stat().st_mtime_ns for page in pages]
+    later = made[0] / 1e9 + 10.0
+    os.utime(str(tmp_path / "hall #1.csv"), (later, later))
+    assert main([*words, "--reports", "2", "--max-deviation", "0.5"]) == 0
+    assert [page.stat().st_mtime_ns > at for page, at in zip(pages, made)] == [True, False]
+
+    def fails(arguments):
+        raise MapRacingError("no page today")
+
+    monkeypatch.setattr("map_racing.cli.report.run", fails)
+    pages[1].unlink()
+    assert main([*words, "--reports", "2"]) == 0
+    assert "no report of bags/own.bag: no page today" in capsys.readouterr().err
 
 
 @pytest.mark.once

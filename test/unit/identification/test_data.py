@@ -9,7 +9,7 @@ from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, FileFormatError, ParameterError
 from map_racing.identification.channels import Channel, ChannelMap, SensorSetup, load_channel_map
 from map_racing.identification.data import load_run
-from map_racing.resources import list_config
+from map_racing.resources import find_config, list_config
 
 T0 = 1600000000.0
 COLUMNS = {"time": "t", "x": "px", "y": "py", "psi": "yaw", "steering": "servo"}
@@ -70,6 +70,12 @@ def test_a_clock_of_its_own_for_the_pose(tmp_path):
     assert np.diff(run.signals["x"].t) == pytest.approx(0.02)
 
 
+def test_a_row_without_time_does_not_lose_the_clock_of_the_pose(tmp_path):
+    table = [("", *row[1:]) if i == 7 else row for i, row in enumerate(rows())]
+    run = load_run(csv(tmp_path / "a.csv", table), channels(tmp_path, NAMES + "pose_time: pt\n"))
+    assert run.signals["x"].t[0] == pytest.approx(run.signals["steering"].t[0], abs=0.05)
+
+
 def test_rows_before_the_first_message_are_left_out(tmp_path):
     table = [(t, 0, 0, 0, 0.1, 0, 0) if t < 0.2 else (t, *rest) for t, *rest in rows()]
     run = load_run(csv(tmp_path / "a.csv", table), channels(tmp_path, NAMES))
@@ -122,6 +128,8 @@ def test_csv_refusals(tmp_path):
     path = csv(tmp_path / "a.csv", rows())
     with pytest.raises(ParameterError, match="expected a channel map.*--channels"):
         load_run(path)
+    with pytest.raises(ParameterError, match="got a YAML file: vehicles go to --vehicle"):
+        load_run(find_config("vehicles", "nuc4", (".yaml",)))
     with pytest.raises(FileFormatError, match="no column 'nothing'; it has t, px"):
         load_run(path, channels(tmp_path, NAMES + "v_x: nothing\n"))
     with pytest.raises(ParameterError, match="steering: missing"):

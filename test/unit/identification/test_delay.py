@@ -15,6 +15,7 @@ from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.control.controller import build_controller
 from map_racing.control.parameters import load_controller_parameters
+from map_racing.errors import ParameterError
 from map_racing.identification import delay
 from map_racing.identification.data import Run, Signal, load_run
 from map_racing.identification.delay import delay_data, delay_text, estimate_delays
@@ -141,6 +142,11 @@ def test_commands_that_are_stamped_with_the_pose_they_answer(tmp_path):
 def test_without_a_file_of_the_car(shipped):
     delays = estimate_delays([shipped], others=(NUC4, SIM))
     assert delays.delay.value == pytest.approx(0.07, abs=0.005)
+
+
+def test_a_car_to_begin_from_is_needed(shipped):
+    with pytest.raises(ParameterError, match="expected the car's vehicle"):
+        estimate_delays([shipped])
 
 
 @pytest.mark.once

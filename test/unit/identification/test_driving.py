@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from map_racing.errors import IdentificationError
 from map_racing.identification.cornering import motion_of
 from map_racing.identification.data import Run, Signal
 from map_racing.identification.driving import driving_of, windows_of
@@ -40,6 +41,13 @@ def test_nor_is_its_rolling_steady_cornering(rolling):
     motion = motion_of(rolling, load_vehicle("nuc4"), acceleration="yaw_rate")
     assert motion.steady[(motion.t > 1.0) & (motion.t < LAST - 1.0)].all()
     assert not motion.steady[motion.t > LAST + LONGEST_HOLD_S + 0.02].any()
+
+
+def test_a_run_that_tells_no_speed_is_refused(rolling):
+    """Nor is a column of y that is empty, of which no signal is made, a traceback."""
+    signals = {name: rolling.signals[name] for name in ("x", "yaw_rate", "steering")}
+    with pytest.raises(IdentificationError, match="expected a speed or poses, got neither"):
+        driving_of(Run("no y", signals))
 
 
 def test_gaps_and_ends():

@@ -148,7 +148,32 @@ def test_understeer_gradient_is_the_slope_of_the_table(found):
     v, a_y = 4.0, 0.3
     table = steady_state_table(found.vehicle, [v], np.linspace(0.0, 0.1, 400))
     beyond = table.steering(v, a_y)[0] - math.atan(found.vehicle.l_wb * a_y / v**2)
-    assert found.understeer_gradient == pytest.approx(beyond / a_y, rel=0.03)
+    assert found.understeer_gradient.value == pytest.approx(beyond / a_y, rel=0.03)
+
+
+def test_understeer_gradient_has_the_doubt_about_the_stiffness_of_both_axles(found, ramps):
+    value, low, high, determined = found.understeer_gradient
+    car = ramps.true
+    # By the tires' own slopes, m g cancels: K = (1 / C_f - 1 / C_r) / (mu g).
+    true = (1.0 / car.front.stiffness - 1.0 / car.rear.stiffness) / (9.81 * car.mu)
+    assert determined and value == pytest.approx(true, rel=0.05)
+    each = [axle.pacejka.parameters["stiffness_n_per_rad"] for axle in found.axles.values()]
+    shares = (car.m * arm / (car.l_wb * k.value) for k, arm in zip(each, (car.l_r, car.l_f)))
+    parts = [share * (k.high / k.value - 1.0) for k, share in zip(each, shares)]
+    assert (high - low) / 2.0 == pytest.approx(math.hypot(*parts))
+    assert f"understeer gradient: {value:+.5f} rad per m/s^2 (95 %: " in report_text(found)
+    # A rear axle of any stiffness: not even the sign is known.
+    fit = found.axles["rear"].pacejka
+    known = fit.parameters["stiffness_n_per_rad"]
+    vague = known._replace(high=20.0 * known.value, low=0.0, determined=False)
+    fit = dataclasses.replace(fit, parameters={**fit.parameters, "stiffness_n_per_rad": vague})
+    axles = {**found.axles, "rear": found.axles["rear"]._replace(pacejka=fit)}
+    unsure = dataclasses.replace(found, axles=axles)
+    assert not unsure.understeer_gradient.determined
+    assert "understeer gradient: not determined by these data" in report_text(unsure)
+    data = report_data(unsure)
+    low, high = data["understeer_gradient_interval_rad_s2_per_m"]
+    assert low < 0.0 < high and not data["understeer_gradient_determined"]
 
 
 @pytest.mark.once

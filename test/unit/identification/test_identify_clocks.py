@@ -10,7 +10,7 @@ from map_racing.bags.opening import open_bag
 from map_racing.errors import IdentificationError
 from map_racing.identification.channels import load_channel_map
 from map_racing.identification.clock_checks import onsets_of_speed
-from map_racing.identification.data import load_run
+from map_racing.identification.data import Run, Signal, load_run
 from map_racing.identification.identify import identify
 
 POSE, IMU = "/car_state/odom", "/vesc/sensors/imu/raw"
@@ -114,3 +114,13 @@ def test_commands_whose_receipts_are_shifted_too_are_refused(ramps, shifted, sec
     side = "before" if seconds > 0.0 else "after"
     with pytest.raises(IdentificationError, match=f"the car turns .* s {side} its steering"):
         identify([run], ramps.base, fix=True)
+
+
+def test_a_step_after_a_pause_of_the_commands_tells_no_onset():
+    """Who does not repeat a command does not say that it was held: a multiplexer stops the car."""
+    t = np.arange(0.0, 10.0, 0.02)
+    signals = {
+        "speed_command": Signal(np.array([0.0, 5.0, 5.5]), np.array([1.0, 2.0, 2.0])),
+        "v_x": Signal(t, np.where(t < 5.05, 1.0, 2.0)),
+    }
+    assert onsets_of_speed(Run("pause", signals)) == []

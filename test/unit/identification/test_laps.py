@@ -9,8 +9,10 @@ from driven_laps import QUIET, laps_of
 from map_racing.errors import IdentificationError
 from map_racing.identification.car import identify_car
 from map_racing.identification.car_report import car_text, provenance
+from map_racing.identification.channels import SensorSetup
 from map_racing.identification.data import Signal
 from map_racing.identification.laps import tires_from_laps
+from map_racing.identification.replay import actuators_of, replay
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.single_track import GRAVITY
 from map_racing.vehicle.tires import PacejkaTire
@@ -132,6 +134,25 @@ def test_without_lateral_velocity_or_imu(low):
     found = identify_car([dataclasses.replace(run, signals=signals)], NUC4)
     assert found.steady is None and not found.refused
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
+
+
+def test_an_imu_away_from_the_center_of_gravity():
+    """The setup says where; it measures parts of the yaw acceleration and of the yaw rate, too."""
+    run, true = laps_of(0.7, mu_scale=0.88, **QUIET)
+    t, r = run.signals["yaw_rate"]
+    ahead, left = 0.2, -0.1
+    a_y = run.signals["a_y"].value + np.gradient(r, t) * ahead - r**2 * left
+    setup = SensorSetup(imu_x_m=NUC4.l_r + ahead, imu_y_m=left)
+    moved = dataclasses.replace(run, signals={**run.signals, "a_y": Signal(t, a_y)}, setup=setup)
+    there, center = (tires_from_laps([one], NUC4) for one in (moved, run))
+    for axle, within in (("front", 0.02), ("rear", 0.1)):
+        expected = stiffness(center.vehicle, axle)
+        assert stiffness(there.vehicle, axle) == pytest.approx(expected, rel=within)
+    assert there.noise["a_y"] < 0.2
+    # So does the replay of its tires.
+    for one in (moved, run):
+        (replayed,) = replay(true, [one], actuators_of([one], true)).runs
+        assert replayed.channels["lateral acceleration"].share < 0.06
 
 
 @pytest.mark.once

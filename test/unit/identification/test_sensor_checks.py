@@ -12,6 +12,7 @@ from map_racing.identification.channels import SensorSetup
 from map_racing.identification.cornering import motion_of
 from map_racing.identification.data import Signal, load_run
 from map_racing.identification.identify import identify
+from map_racing.identification.kinematic_checks import check_steering_gain
 from map_racing.identification.sensor_checks import check
 from map_racing.identification.usable_runs import reason_to_refuse
 from map_racing.simulation.plants import load_plant
@@ -305,3 +306,21 @@ def test_few_moments_of_steady_cornering_in_laps_are_no_reason_to_repair(plant, 
     run, _ = laps_of(scale, seed, line, plant)
     findings = check([motion_of(run, vehicle)], run.setup, vehicle)
     assert not [finding.text for finding in findings if finding.contradiction]
+
+
+def test_runs_whose_imus_have_other_axes(ramps):
+    """An axis that is 0 throughout, as of a simulated IMU, is not recorded."""
+    signals = {name: signal for name, signal in ramps.run.signals.items() if name != "a_x"}
+    without = dataclasses.replace(ramps.run, signals=signals)
+    motions = [motion_of(run, ramps.base) for run in (ramps.run, without)]
+    for order in (motions, motions[::-1]):
+        findings = check(order, ramps.run.setup, ramps.base)
+        assert not any(finding.contradiction for finding in findings)
+
+
+def test_steering_that_the_turns_do_not_follow_tells_no_gain(ramps):
+    """The same angle whichever way the car turns: infinitely many turns per angle are no answer."""
+    t, value = ramps.run.signals["steering"]
+    run = _with(ramps.run, steering=np.full(value.size, 0.1))
+    (finding,) = check_steering_gain([motion_of(run, ramps.base)], run.setup, ramps.base)
+    assert "does not follow" in finding.text and "inf" not in finding.text

@@ -8,13 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.errors import IdentificationError, ParameterError
-from map_racing.identification.tire_fit import (
-    AxlePoints,
-    axle_points,
-    beside_rear,
-    fit_linear,
-    fit_pacejka,
-)
+from map_racing.identification.axles import AxlePoints, axle_points
+from map_racing.identification.tire_fit import beside_rear, fit_linear, fit_pacejka
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.single_track import GRAVITY
 from map_racing.vehicle.steady_state import steady_state_table

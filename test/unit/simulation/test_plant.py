@@ -15,7 +15,7 @@ from map_racing.simulation.plant import (
     Plant,
     PlantParameters,
 )
-from map_racing.simulation.plants import load_plant
+from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.single_track import single_track_derivatives
 from map_racing.vehicle.steady_state import steady_state_table
@@ -403,3 +403,5 @@ def test_noise_depends_on_the_seed_alone():
     series = [[each.measure(TRUE) for _ in range(10)] for each in (first, again, other)]
     assert series[0] == series[1]
     assert series[0][0] != series[2][0]
+    with pytest.raises(ParameterError, match="seed: expected 0 or more, got -5"):
+        build_plant(NOISY, -5)

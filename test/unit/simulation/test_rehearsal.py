@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from map_racing.control.controller import build_controller
+from map_racing.control.decision import Mode, Reason
 from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.safety import Mode, Reason
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.steering import build_steering_maps
 from map_racing.control.supervised import build_slowing

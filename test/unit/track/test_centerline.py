@@ -249,6 +249,17 @@ def test_a_wide_gap_in_the_inner_wall_is_closed_and_told(tmp_path):
     assert track.d_left.max() < HALF + 0.5
 
 
+def test_a_gap_at_the_start_line_is_one_gap(tmp_path):
+    gray = drawn(outside=FREE)
+    x, y = bean().to_cartesian(10.0, HALF + CELL)
+    cells(gray, float(x), float(y), 0.8)[:] = FREE
+    for s in (9.5, 10.0, 10.1):
+        track = track_of(tmp_path, gray, bean().position(s), float(bean().pose(s).psi))
+        (text,) = [str(found) for found in track.findings if found.code == "openings"]
+        assert text.startswith("1 opening in the walls shorter")
+        assert track.d_left.max() < HALF + 0.5
+
+
 def test_an_obstacle_is_closed_toward_the_nearer_wall(tmp_path):
     gray = drawn()
     x, y = bean().to_cartesian(10.0, 0.1)
@@ -302,6 +313,15 @@ def test_a_track_that_the_passage_itself_closes_is_told(tmp_path, narrow):
     assert track_of(tmp_path, room(narrow), start=(0.0, -2.3), passage=passage).length > 15.0
 
 
+@pytest.mark.parametrize("walls, told", [(1, False), (0, True), (-4, True)])
+def test_a_track_that_reaches_the_edge_of_the_map_is_told(tmp_path, walls, told):
+    """Cropped to its walls, between them and the track, and within the track."""
+    gray = drawn()
+    free = np.flatnonzero(np.any(gray == FREE, axis=0))[-1]
+    track = track_of(tmp_path, gray[:, : free + 1 + walls])
+    assert ("edge" in codes(track)) == told
+
+
 def test_no_loop_is_refused(tmp_path):
     gray = np.full((320, 320), OCCUPIED, dtype=np.uint8)
     gray[100:220, 80:240] = FREE
@@ -337,6 +357,7 @@ def test_no_place_is_wide_enough(tmp_path):
         ({"image": None}, "image: expected the name of a file"),
         ({"resolution": 0.0}, "resolution: expected meters per cell"),
         ({"resolution": None}, "resolution: expected a number"),
+        ({"resolution": 10**400}, "resolution: expected a number"),
         ({"origin": "[0, 0]"}, "origin: expected"),
         ({"origin": "[0, 0, .nan]"}, "origin: expected a number"),
         ({"negate": 2}, "negate: expected 0 or 1"),

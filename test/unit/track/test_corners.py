@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import RacelineError
-from map_racing.track.corners import corners
+from map_racing.track.corners import corners, runs_around
 from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.grids import default_grid
@@ -103,3 +103,9 @@ def test_a_fast_bend_of_a_full_size_car_has_a_limit():
         expected = math.sqrt(radius * table.max_lateral_acceleration(corner.limit_speed))
         assert corner.limit_speed == pytest.approx(expected, rel=2e-3)
         assert corner.limit_speed > 30.0
+
+
+def test_runs_of_cells_around_the_lap():
+    kinds = {(1, 1, 0, 2, 1): [[3], [4, 0, 1]], (3, 3, 3): [[0, 1, 2]], (0, 0, 0): []}
+    for kind, runs in kinds.items():
+        assert [cells.tolist() for cells in runs_around(np.array(kind))] == runs

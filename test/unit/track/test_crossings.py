@@ -27,6 +27,14 @@ def test_a_figure_of_eight_crosses_itself_once_where_it_does():
         assert np.hypot(*eight[segment]) < 0.1
 
 
+def test_a_crossing_in_a_vertex_is_found_whatever_its_rounding():
+    a = 2.0 * np.pi * np.arange(400) / 400
+    for digits in (3, 6, 16):
+        eight = np.round(np.stack((12.0 * np.sin(a), 5.0 * np.sin(2.0 * a)), axis=1), digits)
+        pairs = crossings(eight)
+        assert len(pairs) and np.all(np.hypot(*eight[pairs.ravel()].T) < 0.3)
+
+
 @pytest.mark.parametrize("apart", [0.3, 1.0, 1.9])
 def test_two_circles_cross_twice(apart):
     a, b = circle(), circle(apart)

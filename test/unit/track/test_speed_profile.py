@@ -241,3 +241,17 @@ def test_impossible_limits_are_named(key, bad):
 def test_impossible_curvature(kappa):
     with pytest.raises(ParameterError, match="finite curvature"):
         speed_profile(kappa, 0.1, **LIMITS)
+
+
+def test_a_car_without_drive_at_top_speed_starts_from_rest():
+    """The limits of a cell are first read at its top speed, where this drive ends."""
+
+    def drive(v):
+        return np.maximum(5.0 * (1.0 - v / 10.0), 0.0)
+
+    v_max = np.full(50, 10.0)
+    v_max[0] = 0.0
+    limits = {"a_lat_max": 5.0, "a_drive_max": drive, "a_brake_max": 5.0}
+    speed = speed_profile(np.zeros(50), 0.5, v_max=v_max, **limits)
+    # Constant acceleration over the cell, of the drive at its end: v^2 = 2 ds drive(v).
+    assert speed[1] ** 2 == pytest.approx(float(drive(speed[1])), rel=1e-3)

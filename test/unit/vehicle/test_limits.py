@@ -21,7 +21,8 @@ def test_scales_and_the_lower_top_speed():
     assert limits["a_drive_max"] == 0.8 * NUC4.a_max
     assert limits["a_brake_max"] == 0.8 * NUC4.a_brake_max
     assert limits["v_max"] == NUC4.v_max
-    assert speed_limits(NUC4, table, v_max=3.0)["v_max"] == 3.0
+    for v_max in (3.0, 0.0):
+        assert speed_limits(NUC4, table, v_max=v_max)["v_max"] == v_max
 
 
 def test_a_car_faster_than_any_table():

@@ -6,8 +6,8 @@ import yaml
 
 from map_racing.errors import ParameterError
 from map_racing.vehicle.lookup import LookupTable, load_table
-from map_racing.vehicle.parameters import load_vehicle, vehicle_values
-from map_racing.vehicle.plausibility import doubts_of_peak, doubts_of_table
+from map_racing.vehicle.parameters import linearized, load_vehicle, vehicle_values
+from map_racing.vehicle.plausibility import doubts_of_cells, doubts_of_peak, doubts_of_table
 from map_racing.vehicle.steady_state import steady_state_table
 
 SMALL = vehicle_values(load_vehicle("sim"))
@@ -86,6 +86,13 @@ def test_a_tire_whose_numbers_stand_in_another_order_is_doubted(tmp_path):
     assert note == "warning: front tire: friction: expected 0.1 to 2.5, got 4.8"
 
 
+def test_stiffness_and_shape_of_a_tire_exchanged_are_doubted(tmp_path):
+    path = tmp_path / "car.yaml"
+    lines = {**vehicle_values(load_vehicle("nuc4")), "C_Pf": [2.2, 4.8, 0.65, 0.37]}
+    path.write_text(yaml.safe_dump(lines))
+    assert load_vehicle(path).notes == ("warning: front tire: C: expected 0.3 to 3, got 4.8",)
+
+
 @pytest.mark.parametrize(
     "car, changes, expected",
     [
@@ -153,6 +160,45 @@ def test_published_tables_are_of_their_cars(shared_data):
     for car, table in (("NUC4_pacejka.txt", "NUC4_pacejka"), ("SIM_linear.txt", "SIM_linear")):
         path = shared_data / "vehicles" / f"{table}_lookup_table.csv"
         assert doubts_of_table(load_table(path), load_vehicle(shared_data / "vehicles" / car)) == []
+
+
+@pytest.mark.parametrize(
+    "rows, columns, value, said",
+    [
+        ((), (), 1.0, ""),
+        (5, slice(None), 2.0, "cells at 0.05 rad: 2 times what is beside"),
+        (slice(None), 11, 0.5, "cells at 4.84211 m/s: 0.5 times what is beside"),
+        (10, 11, 1.5, "cell at 4.84211 m/s and 0.1 rad: 1.5 times what is beside"),
+        (3, 11, np.nan, "cell at 4.84211 m/s and 0.03 rad: nan between others"),
+        (3, 11, -1.0, "cell at 4.84211 m/s and 0.03 rad: -0.9"),
+    ],
+)
+def test_cells_that_do_not_fit_those_beside_them_are_doubted(rows, columns, value, said):
+    speeds, angles = np.linspace(0.5, 8.0, 20), np.linspace(0.0, 0.4, 41)
+    car = load_vehicle("nuc4")
+    cells = steady_state_table(car, speeds, angles).a_lat.copy()
+    cells[rows, columns] *= value
+    doubts = doubts_of_table(LookupTable(speeds, angles, cells), car)
+    assert len(doubts) == bool(said) and said in "".join(doubts)
+
+
+@pytest.mark.parametrize("car", ["nuc4", "sim", "bmw_320i"])
+@pytest.mark.parametrize("step", [0.1, 2.0])
+def test_cells_of_any_grid_fit_those_beside_them(car, step):
+    """As of tables that are computed or measured in few steps, of tires with a peak and without."""
+    vehicle = load_vehicle(car)
+    for angles in (np.linspace(0.0, 0.4, 5), np.linspace(0.0, 0.4, 60)):
+        own = steady_state_table(vehicle, np.arange(1.0, 9.1, step), angles)
+        assert doubts_of_cells(own) == []
+
+
+def test_a_table_of_linear_tires_is_doubted_for_a_car_whose_tires_have_a_peak():
+    car = load_vehicle("nuc4")
+    speeds, angles = np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.4, 41)
+    table = steady_state_table(linearized(car), speeds, angles)
+    (doubt,) = doubts_of_table(table, car)
+    assert "the tires of NUC4 7.06 m/s^2: of other tires, or of linear ones?" in doubt
+    assert doubts_of_table(table, linearized(car)) == []
 
 
 @pytest.mark.parametrize("grip, said", [(1.0, False), (2.5, True)])

@@ -10,9 +10,9 @@ from .shared import add_number
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Scales of the raceline's speed for the next heat, sector by sector, from what the last "
-        "one used of grip and clearance and how far it was off the line, with the lap that they "
-        "give. They hold for speed_scale 1."
+        "For each sector, a scale of the raceline's speed for the next heat, and the predicted lap "
+        "time. They follow from the grip used in the last heat, the distance to the walls and the "
+        "lateral error. Drive them at speed_scale 1."
     )
     add_evaluation_options(parser)
     add_car_options(parser)

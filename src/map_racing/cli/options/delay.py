@@ -2,8 +2,7 @@
 
 import argparse
 
-from .recording import add_signal_options
-from .shared import add_join_option
+from .recording import add_runs, add_signal_options
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -14,15 +13,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "follow, each with its 95 % interval. Where the driving was too straight to show a delay, "
         "it says so."
     )
-    parser.add_argument(
-        "data",
-        nargs="+",
-        metavar="RUN",
-        help="bags of ROS 1 or 2 (folder, .db3, .mcap), or CSV files with --channels",
-    )
-    add_join_option(parser)
+    add_runs(parser)
     parser.add_argument(
         "--vehicle",
+        metavar="NAME",
         help="model of the car, which makes the estimate more certain: shipped vehicle or YAML "
         "file (default: any car of this size)",
     )

@@ -25,8 +25,8 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recordings",
         nargs="+",
-        metavar="BAG",
-        help="bag of ROS 1, bag of ROS 2 (folder, .db3, .mcap), or CSV file",
+        metavar="RECORDING",
+        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file",
     )
     add_join_option(parser)
     add_recording_options(parser)
@@ -45,13 +45,13 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     # As in `map_racing.evaluation.laps.LapLimits`, which help must not wait for.
     stop = "longest time that the car may stand in a lap that counts [s]"
     add_number(parser, "--max-stop", 0.3, stop, metavar="S")
-    braking = "hardest braking that is not a wall's [m/s^2]"
+    braking = "harder braking counts as hitting a wall [m/s^2]"
     add_number(parser, "--max-deceleration", 25.0, braking, metavar="A")
 
 
 def add_limit_options(parser: argparse.ArgumentParser) -> None:
     """Add the size of the car, and how far off the line a lap counts."""
-    width = "car width, for the clearance to the walls [m]"
+    width = "width of the car, for the clearance to the walls [m]"
     add_number(parser, "--car-width", 0.3, width, metavar="M")
     parser.add_argument(
         "--max-deviation",

@@ -14,8 +14,8 @@ from .shared import (
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Repeat an experiment of the paper: identify the tires of the plant, tune the controllers, "
-        "race them, and write tables, figures and provenance."
+        "Race controllers, and write tables, figures and provenance: the experiments of the paper, "
+        "a grid of tracks and cars, or MAP against model predictive control."
     )
     kinds = parser.add_subparsers(dest="kind", metavar="EXPERIMENT")
     kinds.required = True
@@ -32,10 +32,10 @@ def _add_scaling(kinds):
         "speeds, until it does not complete its laps.",
     )
     add_race_options(parser)
-    add_number(parser, "--laps", 10, "timed laps of a race")
+    add_number(parser, "--laps", 10, "timed laps of a race", metavar="N")
     add_number(parser, "--from", 0.6, "first scale", dest="first", metavar="SCALE")
     add_number(parser, "--to", 1.5, "last scale, unless all crash earlier", metavar="SCALE")
-    add_number(parser, "--step", 0.025, "from scale to scale", metavar="SCALE")
+    add_number(parser, "--step", 0.025, "step from scale to scale", metavar="SCALE")
     parser.set_defaults(run="experiment.run_scaling")
 
 
@@ -47,7 +47,7 @@ def _add_tires(kinds):
         "and 80 % of the raceline's speeds.",
     )
     add_race_options(parser)
-    add_number(parser, "--laps", 5, "timed laps of a race")
+    add_number(parser, "--laps", 5, "timed laps of a race", metavar="N")
     parser.set_defaults(run="experiment.run_tires")
 
 
@@ -64,14 +64,19 @@ def _add_robustness(kinds):
         nargs="+",
         default=["map"],
         metavar="NAME",
-        help="YAML files, or shipped controllers (default: map)",
+        help="shipped controllers or YAML files (default: map)",
     )
     add_results(parser)
     add_grid_options(parser)
     parser.add_argument(
-        "--speed-scale", type=float, help="scale of the raceline's speeds, instead of the grid's"
+        "--speed-scale",
+        type=float,
+        metavar="SCALE",
+        help="scale of the raceline's speeds, instead of the grid's",
     )
-    parser.add_argument("--laps", type=int, help="timed laps, instead of the grid's")
+    parser.add_argument(
+        "--laps", type=int, metavar="N", help="timed laps of a race, instead of the grid's"
+    )
     add_effort_options(parser)
     parser.set_defaults(run="experiment.run_robustness")
 
@@ -99,11 +104,18 @@ def _add_mpc(kinds):
         help="plants, as in map-racing race (default: nuc4 public_simulator f1tenth_drift)",
     )
     parser.add_argument(
-        "--conditions", default="rivals", help="as in velocity-scaling (default: %(default)s)"
+        "--conditions",
+        default="rivals",
+        metavar="NAME",
+        help="as in velocity-scaling (default: %(default)s)",
     )
-    parser.add_argument("--track", help="instead of the track of the conditions")
+    parser.add_argument("--track", metavar="NAME", help="instead of the track of the conditions")
     parser.add_argument(
-        "--seeds", type=int, nargs="+", metavar="N", help="race days, instead of the conditions'"
+        "--seeds",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="seeds of the race days, instead of those of the conditions",
     )
     parser.add_argument(
         "--tuning-scale",
@@ -114,7 +126,7 @@ def _add_mpc(kinds):
     parser.add_argument("--no-tuning", action="store_true", help="race all as shipped")
     slowdown = "factor on the computing time, as of a slower processor"
     add_number(parser, "--slowdown", 1.0, slowdown, metavar="FACTOR")
-    add_number(parser, "--laps", 2, "timed laps of a race")
+    add_number(parser, "--laps", 2, "timed laps of a race", metavar="N")
     add_effort_options(parser)
     parser.set_defaults(run="experiment.run_mpc")
 

@@ -13,12 +13,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Prints what stops it, how soon it begins to slow, when it stands, how far it gets off the "
         "line, and what lets it drive again."
     )
-    parser.add_argument("--list", action="store_true", help="print the names of the faults instead")
-    parser.add_argument("--fault", metavar="NAME", help="only this one")
+    parser.add_argument("--list", action="store_true", help="only print the names of the faults")
+    parser.add_argument("--fault", metavar="NAME", help="rehearse only this fault")
     parser.add_argument(
         "--plant",
         default="nuc4",
-        help=f"YAML file, or shipped: {', '.join(list_config('plants'))} (default: %(default)s)",
+        metavar="NAME",
+        help=f"the simulated car: YAML file, or shipped: {', '.join(list_config('plants'))} "
+        "(default: %(default)s)",
     )
-    add_number(parser, "--seed", 1, "seed of the noise")
+    add_number(parser, "--seed", 1, "seed of the noise", metavar="N")
     parser.set_defaults(run="faults.run")

@@ -3,8 +3,8 @@
 import argparse
 
 from ...identification.limits import SteadyLimits
-from .recording import add_replay_window, add_signal_options
-from .shared import add_join_option, add_number
+from .recording import add_replay_window, add_runs, add_signal_options
+from .shared import add_number
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -15,16 +15,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "and, beside it, its lookup table (.csv). Data that cannot identify tires are refused with "
         "the reason."
     )
-    parser.add_argument(
-        "data",
-        nargs="+",
-        metavar="DATA",
-        help="bags of ROS 1 or 2 (folder, .db3, .mcap), or CSV files with --channels",
-    )
-    add_join_option(parser)
+    add_runs(parser)
     parser.add_argument(
         "--vehicle",
         required=True,
+        metavar="NAME",
         help="mass and geometry of the car, and tire parameters to keep where the data do not "
         "determine them (shipped vehicle or YAML file)",
     )
@@ -40,7 +35,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="YAML",
         help="also write the controller map with the delay_s found in ordinary driving",
     )
-    parser.add_argument("--name", help="name of the identified car (default: the name of the file)")
+    parser.add_argument(
+        "--name", metavar="NAME", help="name of the identified car (default: the name of the file)"
+    )
     add_signal_options(parser)
     parser.add_argument(
         "--fix",
@@ -56,9 +53,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--validate",
         nargs="+",
         default=[],
-        metavar="DATA",
+        metavar="RECORDING",
         help="recordings that the car is not fitted to: it is driven open loop by their commands, "
-        "and the worst channel of the worst run heads the report",
+        "and the largest error of all channels and runs heads the report",
     )
     add_replay_window(parser)
     _add_steady(parser)

@@ -5,9 +5,12 @@ import argparse
 from ...vehicle.comparison import LARGEST_DIFFERENCE
 from .recording import add_replay_window, add_signal_options
 
+CONTROLLER = "map"
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
+    parser.description = "Make a steering lookup table, or check one."
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
     _add_generate(actions)
@@ -21,9 +24,13 @@ def _add_generate(actions):
         description="Steady-state lateral acceleration over speed and steering angle, as CSV in "
         "the published layout, with its provenance in a .meta.yaml beside it.",
     )
-    generate.add_argument("--vehicle", required=True, help="shipped vehicle or vehicle file")
+    generate.add_argument(
+        "--vehicle", required=True, metavar="NAME", help="shipped vehicle or YAML file"
+    )
     generate.add_argument("--output", required=True, metavar="CSV", help="table to write")
-    generate.add_argument("--linear", action="store_true", help="linearize the tires")
+    generate.add_argument(
+        "--linear", action="store_true", help="with the vehicle's tires linearized"
+    )
     generate.add_argument(
         "--v-max", type=float, metavar="V", help="largest speed [m/s] (default: the vehicle's)"
     )
@@ -46,17 +53,22 @@ def _add_check(actions):
         "by the commands of recordings, and report its errors.",
     )
     check.add_argument("table", metavar="CSV", help="lookup table")
-    check.add_argument("--vehicle", help="shipped vehicle or vehicle file to compare with")
-    check.add_argument("--linear", action="store_true", help="linearize the vehicle's tires")
+    check.add_argument(
+        "--vehicle", metavar="NAME", help="shipped vehicle or YAML file to compare with"
+    )
+    check.add_argument(
+        "--linear", action="store_true", help="with --vehicle: with its tires linearized"
+    )
     check.add_argument(
         "--raceline",
-        metavar="LINE",
+        metavar="FILE",
         help="list the speed at which each corner exceeds the table's limit: shipped track, "
         "raceline file or bag[#topic]",
     )
     check.add_argument(
         "--controller",
-        default="map",
+        default=CONTROLLER,
+        metavar="NAME",
         help="with --raceline: also list where the grip_use of this controller (shipped, or YAML "
         "file) makes it slower than the raceline at a speed scale of 1 (default: %(default)s)",
     )
@@ -64,7 +76,7 @@ def _add_check(actions):
         "--bag",
         nargs="+",
         default=[],
-        metavar="DATA",
+        metavar="RECORDING",
         help="with --vehicle, drive it by the commands of these recordings; only delay and lag of "
         "steering and drive are fitted to them",
     )

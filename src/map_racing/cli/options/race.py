@@ -19,22 +19,26 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--track",
         default="reference",
+        metavar="NAME",
         help="shipped track, raceline file or bag[#topic] (default: %(default)s)",
     )
     parser.add_argument(
         "--controller",
         default="map",
+        metavar="NAME",
         help="shipped controller or YAML file; those named _paper are as published, without delay "
         "compensation (default: %(default)s)",
     )
     parser.add_argument(
         "--plant",
         default="nuc4",
-        help="the simulated car: shipped plant, YAML file, or public_simulator for the plant of "
-        "the public ROS 1 simulator, which has no noise (default: %(default)s)",
+        metavar="NAME",
+        help="the simulated car: shipped plant or YAML file; public_simulator is the plant of the "
+        "public ROS 1 simulator, which has no noise (default: %(default)s)",
     )
     parser.add_argument(
         "--vehicle",
+        metavar="NAME",
         help="the controller's model of the car: shipped vehicle or YAML file (default: the "
         "vehicle of the plant)",
     )
@@ -50,13 +54,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="drive under the supervisor, as the node does, with the faults of this schedule; "
         "map-racing faults --list names them",
     )
-    add_number(parser, "--laps", 5, "timed laps")
+    add_number(parser, "--laps", 5, "timed laps", metavar="N")
     parser.add_argument(
         "--speed-scale",
         type=float,
-        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); grip_use "
-        "may lower them further",
+        metavar="SCALE",
+        help="scale of the raceline's speeds, 0.7 for 70 %% (default: the controller's); its "
+        "grip_use may lower the speeds further",
     )
-    add_number(parser, "--seed", 1, "seed of the noise")
+    add_number(parser, "--seed", 1, "seed of the noise", metavar="N")
     parser.add_argument("--output", required=True, metavar="BAG", help="bag to write")
     parser.set_defaults(run="race.run")

@@ -14,6 +14,7 @@ SOURCE = (
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the actions; each adds its own options."""
+    parser.description = "Check, convert, optimize and record racelines."
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     actions.required = True
     for add_action in (add_check, add_convert, add_optimize, add_record):
@@ -32,7 +33,7 @@ def add_check(actions):
     )
     check.add_argument("source", metavar="FILE", help=SOURCE)
     check.add_argument(
-        "--json", metavar="FILE", help="write the report as JSON; - for standard output, alone"
+        "--json", metavar="FILE", help="write the report as JSON; - prints it, and nothing else"
     )
     check.add_argument(
         "--plots", metavar="DIR", help="draw track, walls and the places of findings"
@@ -55,7 +56,7 @@ def add_convert(actions):
     convert.add_argument(
         "--format",
         choices=tuple(FORMATS),
-        help="format of OUT; needed for .csv, as .json is race_stack and .bag is bag",
+        help="format of OUT, needed for .csv (.json is race_stack, .bag is bag)",
     )
     convert.add_argument(
         "--repair",
@@ -92,7 +93,9 @@ def add_optimize(actions):
     )
     parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
     parser.add_argument(
-        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
+        "--format",
+        choices=tuple(FORMATS),
+        help="format of the output (default: map_racing for .csv)",
     )
     parser.add_argument(
         "--middle",
@@ -122,8 +125,8 @@ def _add_line(line):
         "--margin",
         type=float,
         metavar="M",
-        help="between the sides of the car and the walls [m] (default: 0.1 for a 1:10 car, more "
-        "for a larger one)",
+        help="distance from the sides of the car to the walls [m] (default: 0.1 for a 1:10 car, "
+        "more for a larger one)",
     )
     line.add_argument(
         "--compare",
@@ -142,14 +145,18 @@ def _add_line(line):
         "--step",
         type=float,
         metavar="M",
-        help="distance between the points that are moved [m] (default: as of --margin)",
+        help="distance between the points that are moved [m] (default: 0.1 for a 1:10 car, more "
+        "for a larger one)",
     )
 
 
 def add_vehicle(parser):
     """Add the option for the car."""
     parser.add_argument(
-        "--vehicle", default="nuc4", help="shipped vehicle or vehicle file (default: %(default)s)"
+        "--vehicle",
+        default="nuc4",
+        metavar="NAME",
+        help="shipped vehicle or YAML file (default: %(default)s)",
     )
 
 
@@ -164,7 +171,7 @@ def _add_speed(speed):
         ("--longitudinal-scale", "share of driving and braking to use"),
         ("--speed-scale", "factor on the resulting speeds"),
     ):
-        add_number(speed, option, 1.0, meaning, metavar="S")
+        add_number(speed, option, 1.0, meaning, metavar="SCALE")
     speed.add_argument(
         "--v-max", type=float, metavar="V", help="top speed [m/s], if below the vehicle's"
     )
@@ -207,13 +214,18 @@ def add_record(actions):
         "itself.",
     )
     parser.add_argument(
-        "recordings", nargs="+", metavar="RUN", help="bag of ROS 1 or 2, or CSV file"
+        "recordings",
+        nargs="+",
+        metavar="RECORDING",
+        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file",
     )
     add_join_option(parser)
     add_recording_options(parser)
     parser.add_argument("--output", required=True, metavar="FILE", help="raceline to write")
     parser.add_argument(
-        "--format", choices=tuple(FORMATS), help="of the output (default: map_racing for .csv)"
+        "--format",
+        choices=tuple(FORMATS),
+        help="format of the output (default: map_racing for .csv)",
     )
     parser.add_argument(
         "--lap",
@@ -239,7 +251,7 @@ def add_record(actions):
         "--smoothing",
         type=float,
         metavar="M",
-        help="treat waves of the path shorter than this as noise [m] (default: 1.5, as of "
-        "--spacing)",
+        help="treat waves of the path shorter than this as noise [m] (default: 1.5 for a 1:10 "
+        "car, more for a larger one)",
     )
     parser.set_defaults(run="raceline_record.run_record")

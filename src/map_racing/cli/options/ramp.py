@@ -17,6 +17,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plant",
         default="nuc4",
+        metavar="NAME",
         help=f"the simulated car: YAML file, or shipped: {', '.join(list_config('plants'))} "
         "(default: %(default)s)",
     )
@@ -25,8 +26,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="V",
-        help="speeds [m/s], one ramp after the other (default: 2 for a 1:10 car; this and "
-        "the default of --rate scale with the wheelbase)",
+        help="speeds [m/s], one ramp after the other (default: 2 for a 1:10 car; this "
+        "and the default of --rate scale with the wheelbase)",
     )
     for option, name, meaning in (
         ("--rate", "rate_radps", "rise of the steering angle [rad/s]"),
@@ -40,8 +41,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             metavar="X",
             help=f"{meaning} (default: {getattr(defaults, name):g})",
         )
-    parser.add_argument("--sides", default="both", help="both, left or right (default: both)")
-    add_number(parser, "--seed", 1, "seed of the noise")
+    parser.add_argument(
+        "--sides",
+        default="both",
+        metavar="SIDE",
+        help="sides to turn to: both, left or right (default: both)",
+    )
+    add_number(parser, "--seed", 1, "seed of the noise", metavar="N")
     parser.add_argument(
         "--compression",
         choices=("lz4", "bz2", "none"),

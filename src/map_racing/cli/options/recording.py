@@ -4,9 +4,23 @@ import argparse
 
 from ...identification.limits import REPLAY_WINDOW_S
 from ...resources import list_config
-from .shared import add_number
+from .shared import add_join_option, add_number
 
-__all__ = ["add_signal_options", "add_replay_window"]
+__all__ = ["SERVO", "add_replay_window", "add_runs", "add_signal_options"]
+
+SERVO = (-1.2135, 0.5304)
+"""Gain and offset of the servo position, unless given."""
+
+
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """Add the recordings of a car."""
+    parser.add_argument(
+        "data",
+        nargs="+",
+        metavar="RECORDING",
+        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file with --channels",
+    )
+    add_join_option(parser)
 
 
 def add_signal_options(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +32,7 @@ def add_signal_options(parser: argparse.ArgumentParser) -> None:
         + ", ".join(list_config("channels")),
     )
     parser.add_argument(
-        "--pose-topic", metavar="TOPIC", help="topic of the poses in bags (default: the best)"
+        "--pose-topic", metavar="TOPIC", help="topic of the pose (default: the best in the bag)"
     )
     parser.add_argument(
         "--servo-topic",
@@ -26,9 +40,10 @@ def add_signal_options(parser: argparse.ArgumentParser) -> None:
         help="take the steering angle from the servo position (std_msgs/Float64) instead of the "
         "drive command",
     )
-    servo = "position = gain * angle + offset, as in the configuration of the VESC"
-    add_number(parser, "--servo-gain", -1.2135, servo)
-    add_number(parser, "--servo-offset", 0.5304, "offset in the same formula")
+    servo = "with --servo-topic: position = gain * angle + offset, as configured in the VESC"
+    gain, offset = SERVO
+    add_number(parser, "--servo-gain", gain, servo, metavar="X")
+    add_number(parser, "--servo-offset", offset, "offset in the same formula", metavar="X")
     parser.add_argument(
         "--steering-delay",
         type=float,

@@ -25,11 +25,12 @@ def add_car_options(parser: argparse.ArgumentParser) -> None:
     """Add what says which car was driven."""
     parser.add_argument(
         "--vehicle",
+        metavar="NAME",
         help=f"the car that was driven: {', '.join(list_config('vehicles'))} or YAML file "
         "(default: the one in the controller's settings in the bag)",
     )
     parser.add_argument(
         "--laps",
         metavar="LAPS",
-        help="laps to look at, such as 2-5,8 (default: all)",
+        help="numbers of the laps to look at, such as 2-5,8 (default: all)",
     )

@@ -5,6 +5,7 @@ import argparse
 from ...resources import list_config
 
 __all__ = [
+    "GRIDS",
     "add_effort_options",
     "add_grid_options",
     "add_join_option",
@@ -14,6 +15,13 @@ __all__ = [
     "add_shared_options",
     "add_worker_options",
 ]
+
+
+# Shipped files of ``config/experiments`` that are grids; the others are conditions.
+GRIDS = ("robustness", "rough_lines")
+CONDITIONS = "YAML file, or shipped: " + ", ".join(
+    name for name in list_config("experiments") if name not in GRIDS
+)
 
 
 def add_join_option(parser: argparse.ArgumentParser) -> None:
@@ -63,18 +71,22 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
     parser.add_argument(
         "--conditions",
         default="paper",
-        help="track, plant, race days and tuning: YAML file, or shipped: "
-        f"{', '.join(list_config('experiments'))} (default: %(default)s)",
+        metavar="NAME",
+        help=f"track, plant, race days and tuning: {CONDITIONS} (default: %(default)s)",
     )
     parser.add_argument(
-        "--track", help="instead of the track of the conditions, as in map-racing race"
+        "--track",
+        metavar="NAME",
+        help="instead of the track of the conditions, as in map-racing race",
     )
     parser.add_argument(
         "--plant",
+        metavar="NAME",
         help="instead of the plant of the conditions, as in map-racing race",
     )
     parser.add_argument(
         "--vehicle",
+        metavar="NAME",
         help="the controllers' model of the car: shipped vehicle or YAML file (default: identified "
         "from steering ramps on the plant)",
     )
@@ -84,8 +96,8 @@ def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> 
         type=int,
         nargs="+",
         metavar="N",
-        help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days, instead of the "
-        "conditions' seeds",
+        help=f"seeds of the {'race' if days == 'seeds' else 'practice'} days, instead of those of "
+        "the conditions",
     )
     add_effort_options(parser)
 
@@ -129,12 +141,13 @@ def add_grid_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grid",
         default="robustness",
-        help="tracks and cars: YAML file, or shipped: robustness (default: %(default)s)",
+        metavar="NAME",
+        help=f"tracks and cars: YAML file, or shipped: {', '.join(GRIDS)} (default: %(default)s)",
     )
     parser.add_argument(
         "--tracks",
         nargs="*",
-        metavar="TRACK",
+        metavar="NAME",
         help="instead of the grid's tracks: shipped tracks, raceline files or bag[#topic]",
     )
     parser.add_argument(

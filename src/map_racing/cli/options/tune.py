@@ -13,7 +13,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "For each controller, find m and q of the lookahead distance L_d = m + q v with the "
         "smallest RMS lateral error of the true path, averaged over the laps of races on practice "
-        "days. Writes a controller file for --controller, a map of the error and all pairs as CSV."
+        "days. Writes a controller file for --controller, a figure of the error, and all pairs as "
+        "CSV."
     )
     parser.add_argument(
         "--controller",
@@ -27,15 +28,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--speed-scale",
         dest="tuning_scale",
         type=float,
+        metavar="SCALE",
         help="scale of the raceline's speeds (default: as in the conditions, 0.6)",
     )
     parser.add_argument(
         "--robust",
         action="store_true",
-        help="race on a grid of tracks and cars, at its speeds. Of the values of m, q, delay, "
-        "curvature feedforward and yaw rate gain that complete every race, find those with the "
-        "smallest error (geometric mean over the races); the search begins at the controller's own "
-        "values, and what is 0 stays off",
+        help="race on a grid of tracks and cars, at its speeds. Of the values of m, q, slip "
+        "lookahead, delay, curvature feedforward, yaw rate gain and speed lookahead that complete "
+        "every race, find those with the smallest error (geometric mean over the races); the "
+        "search begins at the controller's own values, and what is 0 stays off",
     )
     add_grid_options(parser)
     parser.add_argument(

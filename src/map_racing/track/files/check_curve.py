@@ -20,8 +20,9 @@ TIGHTEST = 1.4  # [1/m]
 # [m] of tracks for 1:10 cars; others may be in another unit, unless speeds or walls are those of
 # larger cars.
 SHORTEST, LONGEST = 3.0, 2000.0
-# The largest lateral acceleration [m/s^2] of a lap in any car, and the widest track [m].
-ACCELERATIONS, WIDEST = (2.0, 60.0), 30.0
+# The largest lateral acceleration [m/s^2] of a lap in any car, the widest track [m], and the
+# narrowest of full-size cars.
+ACCELERATIONS, WIDEST, NARROWEST = (2.0, 60.0), 30.0, 4.0
 # Nobody races a lap that takes longer [s] and needs less lateral acceleration [m/s^2] at more than
 # walking pace [m/s], on a track that is wider [m], or on one that is shorter [m]: it is in another
 # unit.
@@ -132,7 +133,9 @@ def _full_size(line):
     if line.speed is not None:
         least, most = ACCELERATIONS
         return least <= _needed(line) <= most
-    return line.d_left is not None and float(np.median(line.d_left + line.d_right)) <= WIDEST
+    if line.d_left is None:
+        return False
+    return NARROWEST <= float(np.median(line.d_left + line.d_right)) <= WIDEST
 
 
 def check_stated(draft: Draft) -> None:

@@ -13,6 +13,7 @@ from .draft import Draft
 __all__ = ["check_order", "check_values"]
 
 LARGEST_SPACING = 5.0  # between points, in median distances
+CLOSES = 0.05  # from the last point to the first, which it repeats, in median distances
 COARSE = 0.8  # largest turn from one chord to the next [rad] at which a spline can be trusted
 
 
@@ -93,7 +94,13 @@ def _not_given(draft):
 def _repeated(draft):
     keep = distinct_points(draft.columns["x"], draft.columns["y"])
     kept = np.flatnonzero(keep)
-    if kept[-1] + 1 < keep.size:
+    closing = kept[-1] + 1 < keep.size
+    xy = draft.xy[kept]
+    chords = np.hypot(*(np.roll(xy, -1, axis=0) - xy).T)
+    if not closing and len(xy) > 4 and chords[-1] < CLOSES * np.median(chords):
+        closing, keep[kept[-1]] = True, False  # but for rounding
+        kept = kept[:-1]
+    if closing:
         draft.add("closing-point", NOTE, "the last point repeats the first: dropped")
     repeated = np.flatnonzero(~keep[: kept[-1]])
     if repeated.size:

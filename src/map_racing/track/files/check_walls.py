@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from ..crossings import crossings
 from ..findings import NOTE, WARNING, points
@@ -18,6 +19,9 @@ __all__ = ["check_distances", "check_polygons"]
 # farther than the second, and many times as far as exchanged, they are exchanged. Three real files
 # have 0.02 to 0.06 m, and 0.25 to 1.7 m where the sides of a raceline are exchanged.
 _ELSEWHERE, _APART, _MANY = 0.15, 0.08, 3.0
+# A line that turns by this factor more than when it is smoothed over this share of the width of the
+# track jitters; real ones, and their centerlines, turn by up to 1.09 times as much.
+_JITTERS, _SMOOTHED = 1.2, 0.25
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 
 
@@ -52,7 +56,7 @@ def check_polygons(draft: Draft) -> None:
     if swapped:
         why = "the walls that the file shows besides"
     elif swapped is None:
-        swapped = _swapped(line)
+        swapped = not _jitters(line) and _swapped(line)
     if swapped:
         text = f"left and right wall look swapped, by {why}"
         draft.add("swapped-walls", WARNING, text)
@@ -60,6 +64,7 @@ def check_polygons(draft: Draft) -> None:
     _folds(draft)
     left, right = _wall(line, line.d_left), _wall(line, -line.d_right)
     widest = float(max(line.d_left.max(), line.d_right.max()))
+    usual = float(np.median(line.d_left + line.d_right))
     own = np.stack((line.x, line.y), axis=1)
     for name, a, b in (
         ("left wall crosses the track", own, left),
@@ -74,10 +79,22 @@ def check_polygons(draft: Draft) -> None:
         apart = np.mod(pairs[:, 0] - pairs[:, 1], line.n)
         local = 2.0 if b is not None else _FOLD * max(widest, 0.0) / line.ds
         pairs = pairs[np.minimum(apart, line.n - apart) > local]
+        pairs = pairs[~_at_crossings(own, pairs[:, 0], usual)]
         if len(pairs):
             times = "once" if len(pairs) == 1 else f"{len(pairs)} times"
             at = draft.points_near(pairs[:MOST_PLACES, 0])
             draft.add("walls-cross", WARNING, f"the {name} {times}", at)
+
+
+def _at_crossings(own, at, width):
+    """Whether places lie where the track crosses itself, and so the walls cross it, too."""
+    found = np.zeros(len(at), dtype=bool)
+    ways = np.roll(own, -1, axis=0) - own
+    for i, j in crossings(own) if len(at) else ():
+        area = ways[i, 0] * ways[j, 1] - ways[i, 1] * ways[j, 0]
+        across = abs(area) / (np.hypot(*ways[i]) * np.hypot(*ways[j]))
+        found |= np.hypot(*(own[at] - own[i]).T) < 1.5 * width / max(across, 0.2)
+    return found
 
 
 def _folds(draft):
@@ -114,6 +131,18 @@ def _fits_exchanged(line, bounds):
     if min(stated, exchanged) > _ELSEWHERE:
         return None
     return stated > max(_APART, _MANY * exchanged)
+
+
+def _jitters(line):
+    """Whether the points jitter, as rounded ones do.
+
+    Then their normals swing, and far walls with them more than near ones: the shape of the walls
+    tells nothing.
+    """
+    own = np.stack((line.x, line.y), axis=1)
+    window = max(1, int(_SMOOTHED * float(np.median(line.d_left + line.d_right)) / line.ds))
+    smooth = uniform_filter1d(own, window, axis=0, mode="wrap")
+    return bool(np.abs(turns(own)).sum() > _JITTERS * np.abs(turns(smooth)).sum())
 
 
 def _swapped(line):

@@ -40,6 +40,7 @@ ALIASES = {
         "linear vel",
         "linear velocity",
         "linear speed",
+        "linear x",
         "long vel",
         "longitudinal velocity",
         "longitudinal speed",
@@ -80,7 +81,7 @@ _FILLERS = _words(
     "pos position positions pose coord coords coordinate coordinates point points wp wps "
     "waypoint waypoints wpnt traj trajectory racetraj raceline racing line track path global "
     "map world opt optimal optimized center centre centerline centreline iqp sp target targets "
-    "desired des reference goal cmd command profile value tr ref of the in and"
+    "desired des reference goal cmd command profile value tr ref of the in and field twist odom pf"
 )
 # Of these at least one stands beside "left" or "right" where the distance to a wall is meant.
 _WALL = _words(
@@ -191,6 +192,8 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
         name = name[: bracket.start()]
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
     words = [word for word in re.split(r"[^a-z0-9]+", words.lower()) if word]
+    if not words and any(map(str.isalpha, name)):
+        return Meaning("?")  # in letters of another alphabet
     named = _by_words(words)
     if named is None or (not unit and _ends_with_unit(words)):
         # The longest ending that is a unit and leaves a name.
@@ -221,10 +224,12 @@ def columns_of_waypoints(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 def _by_words(words: Iterable[str]) -> tuple[str, int] | None:
     """Column and rank of a name given as words; None if it is not understood."""
+    written = " ".join(words)
     words = " ".join(_GLUED.get(word, word) for word in words).split()
     text = " ".join(words)
     if text in _MEANING:
-        return _MEANING[text], _ORDER.index(text)
+        # Behind the plain name: beside x and y, tx and ty are the tangent.
+        return _MEANING[text], _ORDER.index(text) + (0 if text == written else 100)
     if {"x", "y"} & set(words) and {"ref", "normvec"} & set(words):
         for column in ("x_ref", "y_ref", "x_normal", "y_normal"):
             if set(column.replace("normal", "normvec").split("_")) == set(words) - {"vec"}:

@@ -13,7 +13,7 @@ from ..raceline import Raceline
 from .checks import raceline_of
 from .columns import columns_of_waypoints
 from .readers import find_raceline_file, read_raceline_file, split_source
-from .table import RacelineTable
+from .table import RacelineTable, without_signs
 from .writers import closed_rows, raceline_columns, write_raceline_file
 
 __all__ = ["load_raceline", "read_raceline", "save_raceline", "table_of_waypoints"]
@@ -64,7 +64,7 @@ def read_raceline(source: str | Path) -> RacelineTable:
     refuse_special(path)
     if is_bag(path):
         return table_of_waypoints(path, read_waypoints(path, topic or None))
-    return read_raceline_file(*find_raceline_file(source))
+    return without_signs(read_raceline_file(*find_raceline_file(source)))
 
 
 def save_raceline(
@@ -117,6 +117,7 @@ def table_of_waypoints(source: str | Path, waypoints: Waypoints) -> RacelineTabl
     """
     topic, kind, fields = waypoints
     columns = columns_of_waypoints(fields)
-    return RacelineTable(
+    table = RacelineTable(
         columns, name=Path(source).stem, source=f"{source}: {topic}", layout=f"{kind} on {topic}"
     )
+    return without_signs(table)

@@ -24,7 +24,7 @@ from ..findings import NOTE, WARNING, Finding
 from ..raceline import Raceline
 from .checks import raceline_of
 from .columns import ALIASES, REFERENCE, Meaning, from_reference_line, is_unit, meaning_of
-from .table import RacelineTable
+from .table import RacelineTable, without_signs
 from .unnamed import LAYOUTS, name_by_numbers
 
 __all__ = [
@@ -131,7 +131,7 @@ def raceline_from_columns(
         If the points do not form a closed track.
     """
     columns = {key: np.asarray(column, dtype=float) for key, column in columns.items()}
-    return raceline_of(RacelineTable(columns, name=name, source=source))
+    return raceline_of(without_signs(RacelineTable(columns, name=name, source=source)))
 
 
 # -- CSV -------------------------------------------------------------------------------------
@@ -218,17 +218,24 @@ def _skipped(name):
 def _header(lines, width, path):
     """Names of the columns in the lines before the data, None if there are none.
 
-    They are in the last of these lines, or in the one before a line of units.
+    They are in the last of these lines that names as many columns, x and y among them; a line of
+    units may follow.
     """
     units = [""] * width
-    if len(lines) > 1:
-        tokens = _tokens(lines[-1][1], width)
-        if len(tokens) == width and all(map(is_unit, tokens)) and any(map(_says_unit, tokens)):
-            units, lines = tokens, lines[:-1]
+    cells = [_tokens(line, width) for _, line in lines]
+    last = len(lines) - 1
+    for k in range(last, -1, -1):
+        if len(cells[k]) == width and _complete(list(map(meaning_of, cells[k]))):
+            last = k
+            break
+    below = cells[last + 1] if last + 1 < len(lines) else cells[-1] if len(lines) > 1 else []
+    if len(below) == width and all(map(is_unit, below)) and any(map(_says_unit, below)):
+        units = below
+        last -= last + 1 == len(lines)
     if not lines:
         return None
-    number, line = lines[-1]
-    names = _tokens(line, width)
+    number, line = lines[last]
+    names = cells[last]
     where = f"{path}:{number}: "
     meanings = [meaning_of(name, unit) for name, unit in zip(names, units + [""] * len(names))]
     if not _complete(meanings):

@@ -11,11 +11,10 @@ from itertools import permutations
 
 import numpy as np
 
-from ...angles import wrap
 from ...errors import FileFormatError
 from ...validation import FARTHEST
 from ..findings import NOTE, WARNING, Finding
-from ..spline import distinct_points
+from .shape import Shape, is_arc_length
 
 __all__ = ["LAYOUTS", "name_by_numbers"]
 
@@ -52,8 +51,12 @@ _WORDS = {
 }
 
 
-# Correlation with the bends below which a column is one of speeds, see `_Curve.falling`.
+# Correlation with the bends below which a column is one of speeds, see `Shape.falling`.
 _SLOWS = -0.6
+# Of two columns one that has this many times the other is a speed beside a width.
+_MANY = 3.0
+# A track is not wider than this share of its length: real ones have up to 0.075.
+_WIDE = 0.12
 # A constant column below this is a height [m], not a speed [m/s] to race with.
 _SLOWEST_MPS = 0.5
 
@@ -82,9 +85,13 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
     """
     count = values.shape[1]
     finite = np.where(np.isfinite(values), values, 0.0)
+    if abs(finite[0, 0]) > FARTHEST:
+        # Stamps, in seconds or nanoseconds; how much they count does not matter.
+        finite[:, 0] -= finite[0, 0]
+        finite[:, 0] /= max(1.0, 1e-3 * np.max(np.abs(finite[:, 0])))
     finite[np.abs(finite) > FARTHEST] = 0.0
     if count in LAYOUTS and _holds(finite, LAYOUTS[count]):
-        return list(LAYOUTS[count]), []
+        return list(LAYOUTS[count]), _doubted_sides(LAYOUTS[count])
     if _is_trajectory(values):
         text = "a trajectory with time and orientation: only its positions are taken"
         return ["-", "x", "y"] + ["-"] * (count - 3), [Finding("trajectory", NOTE, text)]
@@ -92,8 +99,8 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
     first = 1 if count > 2 and _counts_along(finite) else 0
     names[first : first + 2] = "x", "y"
     if first:
-        names[0] = "s" if _is_arc_length(*finite.T[:3]) else "-"
-    curve = _Curve(finite[:, first], finite[:, first + 1])
+        names[0] = "s" if is_arc_length(*finite.T[:3]) else "-"
+    curve = Shape(finite[:, first], finite[:, first + 1])
     _name_the_curve(names, finite, curve, reasons)
     left = [k for k, name in enumerate(names) if name == "?"]
     for k in left:
@@ -117,6 +124,17 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
         "decide, as in FILE#x,y,speed"
     )
     return names, [Finding("unnamed-columns", WARNING if guessed else NOTE, text)]
+
+
+def _doubted_sides(layout):
+    """What is a guess in a layout: no public tool writes walls behind its seven columns."""
+    if "x_ref" in layout or "d_right" not in layout:
+        return []
+    text = (
+        f"{len(layout)} unnamed columns: taken as {','.join(layout)}; which of the walls is the "
+        "right one is a guess, other names after FILE# decide"
+    )
+    return [Finding("unnamed-columns", WARNING, text)]
 
 
 def _is_trajectory(values):
@@ -143,6 +161,14 @@ def _name_the_curve(names, values, curve, reasons):
         elif "kappa" not in names and curve.has_curvature(column):
             names[k] = "kappa"
             reasons.append(f"column {k + 1} is the curvature")
+        elif curve.follows_bends(column):
+            names[k] = "-"
+            reasons.append(
+                f"column {k + 1} follows the bends, as a radius or a steering angle does"
+            )
+        elif np.all(np.diff(column) >= 0.0) and column[-1] > column[0]:
+            names[k] = "-"
+            reasons.append(f"column {k + 1} only increases: a time or a number, not taken")
     # A heading as a quaternion about the vertical, or as cosine and sine.
     open_ones = [k for k, name in enumerate(names) if name == "?"]
     for a, b in permutations(open_ones, 2):
@@ -178,57 +204,119 @@ def _name_the_rest(names, values, left, curve, known, reasons):
         reasons.append(f"column {left[0] + 1} is taken as {_WORDS[meaning]}, as {why}")
         return True
     if all(curve.falling(values[:, k]) < _SLOWS for k in left):
-        names[left[0]] = "speed"
-        reasons.append(
-            f"columns {' and '.join(str(k + 1) for k in left)} all drop where the track bends: the "
-            "first is taken as speed"
-        )
-        for k in left[1:]:
-            names[k] = "-"
-        return True
-    if len(left) == 2 and _are_walls(*values.T[left]) and not known:
-        return _name_walls(names, values, left, reasons)
+        return _name_first_speed(names, left, reasons)
+    if len(left) == 2:
+        return _name_two(names, values, left, curve, known, reasons)
     constant = [k for k in left if np.ptp(values[:, k]) <= 1e-9]
+    speed = False
     if len(left) == 3 and len(constant) == 1:
-        names[constant[0]] = "-"
-        reasons.append(f"column {constant[0] + 1}, constant, is taken as the height")
-        # What a car can drive may be one speed for the whole lap.
-        speed = values[0, constant[0]] >= _SLOWEST_MPS
-        if speed:
-            reasons[-1] += ", though it may be the speed"
         left = [k for k in left if k not in constant]
+        speed = _name_constant(names, values, constant[0], left, reasons)
         if _are_walls(*values.T[left]):
             return _name_walls(names, values, left, reasons) or speed
-    slowing = [(curve.falling(values[:, k]), k) for k in left]
-    least, k = min(slowing)
-    others = [other for other in left if other != k]
-    if least < _SLOWS and all(value > least + 0.2 for value, other in slowing if other != k):
-        names[k] = "speed"
-        reasons.append(
-            f"column {k + 1} is taken as speed, as it drops where the track bends "
-            f"(correlation {least:.2f})"
-        )
-        if len(others) == 1:
-            names[others[0]] = "-"
-            reasons.append(f"column {others[0] + 1} is not understood and not taken")
-            return True
-        _name_walls(names, values, others, reasons)
+    if _name_falling(names, values, left, curve, reasons):
         return True
     if len(left) == 2:
         return _name_walls(names, values, left, reasons)
     if len(left) == 3:
-        # The height is last or, as in the TUM tools, between position and widths.
-        a, b, c = left
-        one, two, three = values.T[left]
-        if _are_walls(one, two) and not _are_walls(two, three) and min(three) >= _SLOWEST_MPS:
-            names[c] = "speed"
-            reasons.append(f"column {c + 1} is taken as speed, as those before it are like walls")
-            return _name_walls(names, values, [a, b], reasons)
-        low = [float(np.max(np.abs(values[:, k]))) for k in left]
-        height = a if low[0] < low[2] and np.ptp(values[:, a]) < np.ptp(values[:, c]) else c
-        names[height] = "-"
-        reasons.append(f"column {height + 1} is taken as the height")
-        _name_walls(names, values, [k for k in left if k != height], reasons)
+        _name_three(names, values, left, reasons)
+    return True
+
+
+def _name_constant(names, values, k, others, reasons):
+    """Name a constant column beside two others; whether it may be a speed.
+
+    What a car can drive may be one speed for the whole lap.
+    """
+    value = values[0, k]
+    speed = value >= _SLOWEST_MPS
+    if value > 1.5 * np.max(np.median(values[:, others], axis=0)):
+        names[k] = "speed"
+        reasons.append(f"column {k + 1}, constant, is taken as speed, though it may be the height")
+        return speed
+    names[k] = "-"
+    reasons.append(f"column {k + 1}, constant, is taken as the height")
+    if speed:
+        reasons[-1] += ", though it may be the speed"
+    return speed
+
+
+def _name_first_speed(names, left, reasons):
+    """Of several columns that all drop in the bends the first is the speed."""
+    names[left[0]] = "speed"
+    reasons.append(
+        f"columns {' and '.join(str(k + 1) for k in left)} all drop where the track bends: the "
+        "first is taken as speed"
+    )
+    for k in left[1:]:
+        names[k] = "-"
+    return True
+
+
+def _name_two(names, values, left, curve, known, reasons):
+    """Name two columns: walls, or a speed and something else; whether that is a guess."""
+    one, two = values.T[left]
+    if (_are_walls(one, two) and not known) or _at_the_others_cost(one, two):
+        return _name_walls(names, values, left, reasons)
+    if _name_falling(names, values, left, curve, reasons):
+        return True
+    sizes = [float(np.median(values[:, k])) for k in left]
+    if max(sizes) > _MANY * min(sizes) and max(sizes) >= _SLOWEST_MPS:
+        k = left[int(np.argmax(sizes))]
+        names[k] = "speed"
+        reasons.append(f"column {k + 1} is taken as speed, as it is many times the other")
+        return _not_understood(names, [other for other in left if other != k], reasons)
+    return _name_walls(names, values, left, reasons)
+
+
+def _name_falling(names, values, left, curve, reasons):
+    """Name the one column that drops in the bends; whether there is one."""
+    slowing = [(curve.falling(values[:, k]), k) for k in left]
+    least, k = min(slowing)
+    if least >= _SLOWS or any(value <= least + 0.2 for value, other in slowing if other != k):
+        return False
+    names[k] = "speed"
+    reasons.append(
+        f"column {k + 1} is taken as speed, as it drops where the track bends (correlation "
+        f"{least:.2f})"
+    )
+    others = [other for other in left if other != k]
+    if len(others) == 1:
+        return _not_understood(names, others, reasons)
+    _name_walls(names, values, others, reasons)
+    return True
+
+
+def _name_three(names, values, left, reasons):
+    """Name two walls and a speed or a height among three columns.
+
+    The height is last or, as in the TUM tools, between position and widths. A speed is larger than
+    the distances to both walls, which are more alike than it is to either.
+    """
+    a, b, c = left
+    one, two, three = values.T[left]
+    speed = c if _are_walls(one, two) and not _are_walls(two, three) else None
+    low, middle, high = sorted(left, key=lambda k: np.median(values[:, k]))
+    sizes = [float(np.median(values[:, k])) for k in (low, middle, high)]
+    if sizes[2] > 1.5 * sizes[1] and sizes[1] * sizes[1] < 0.5 * sizes[0] * sizes[2]:
+        speed = high
+    if speed is not None and np.min(values[:, speed]) >= _SLOWEST_MPS:
+        names[speed] = "speed"
+        why = "those before it" if speed == c else "the others"
+        reasons.append(f"column {speed + 1} is taken as speed, as {why} are like walls")
+        _name_walls(names, values, [k for k in left if k != speed], reasons)
+        return
+    most = [float(np.max(np.abs(values[:, k]))) for k in left]
+    height = a if most[0] < most[2] and np.ptp(values[:, a]) < np.ptp(values[:, c]) else c
+    names[height] = "-"
+    reasons.append(f"column {height + 1} is taken as the height")
+    _name_walls(names, values, [k for k in left if k != height], reasons)
+
+
+def _not_understood(names, left, reasons):
+    for k in left:
+        names[k] = "-"
+        reasons.append(f"column {k + 1} is not understood and not taken")
     return True
 
 
@@ -247,17 +335,30 @@ def _name_walls(names, values, left, reasons):
         f"columns {a + 1} and {b + 1} are taken as the distances to the right and to the left wall"
     )
     # The public tools write just these, and nothing speaks against it.
-    return "speed" in names or "psi" in names or not _are_walls(values[:, a], values[:, b])
+    width = float(np.median(values[:, a] + values[:, b]))
+    doubtful = width > _WIDE * _length(values, names)
+    return doubtful or "speed" in names or "psi" in names or not _are_walls(*values.T[[a, b]])
+
+
+def _length(values, names):
+    """Length of the way along the points."""
+    x, y = (values[:, names.index(name)] for name in ("x", "y"))
+    return float(np.sum(np.hypot(np.diff(x), np.diff(y))))
 
 
 def _are_walls(a, b):
     """Whether two columns change like distances to two walls: alike, or one at the other's cost."""
     total = float(np.median(a + b))
     return bool(
-        np.std(a + b) < 0.6 * min(np.std(a), np.std(b))
+        _at_the_others_cost(a, b)
         or np.median(np.abs(a - b)) < 0.25 * total
         or max(np.ptp(a), np.ptp(b)) <= 1e-9
     )
+
+
+def _at_the_others_cost(a, b):
+    """Whether one column takes what the other leaves, as the walls beside a racing line do."""
+    return bool(np.std(a + b) < 0.6 * min(np.std(a), np.std(b)))
 
 
 def _holds(values, layout):
@@ -265,12 +366,15 @@ def _holds(values, layout):
     column = dict(zip(layout, values.T))
     if "x_ref" in layout:
         return bool(np.median(np.abs(np.hypot(column["x_normal"], column["y_normal"]) - 1)) < 0.02)
-    curve = _Curve(column["x"], column["y"])
-    return (
-        curve.has_arc_length(column["s"])
-        or curve.has_heading(column["psi"])
-        or curve.has_curvature(column["kappa"])
-    )
+    if np.any(column["speed"] < 0.0) and np.all(column["ax"] >= 0.0):
+        return False  # exchanged
+    curve = Shape(column["x"], column["y"])
+    tests = {"s": curve.has_arc_length, "psi": curve.has_heading, "kappa": curve.has_curvature}
+    there = [name for name, test in tests.items() if test(column[name])]
+    # What is not there may be jittery, or stand where something else is expected.
+    others = [column[name] for name in column if name not in (*tests, "x", "y")]
+    missing = [test for name, test in tests.items() if name not in there]
+    return bool(there) and not any(test(other) for test in missing for other in others)
 
 
 def _counts_along(values):
@@ -280,109 +384,9 @@ def _counts_along(values):
     if first.size < 4 or not np.all(steps > 0.0):
         return False
     # An open course may have an x that only increases; then its steps are not even.
-    if _is_arc_length(*values.T[:3]) or np.all(steps == 1.0):
+    if is_arc_length(*values.T[:3]) or np.all(steps == 1.0):
         return True
     # Time: the next two columns come back to where they began.
     way = np.hypot(*np.diff(values[:, 1:3], axis=0).T)
     back = np.hypot(*(values[-1, 1:3] - values[0, 1:3]))
     return bool(values.shape[1] > 3 and 0.0 < back < 3.0 * np.max(way) < 0.1 * np.sum(way))
-
-
-def _is_arc_length(s, x, y):
-    way = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
-    return bool(way[-1] > 0.0 and np.max(np.abs(s - s[0] - way)) < 0.02 * way[-1])
-
-
-class _Curve:
-    """Points of a track, to recognize what follows from them."""
-
-    def __init__(self, x, y):
-        self.keep = distinct_points(x, y)
-        self.x, self.y = x[self.keep], y[self.keep]
-        self.usable = self.x.size >= 9
-        if not self.usable:
-            return
-        # Chords over several points: waypoints from a localization jitter.
-        chord = np.hypot(np.diff(self.x), np.diff(self.y))
-        usual = max(float(np.median(chord)), 1e-9)
-        length = float(chord.sum())
-        self.reach = int(np.clip(round(0.005 * length / usual), 1, max(1, self.x.size // 20)))
-        after, before = (
-            np.stack((np.roll(self.x, -step), np.roll(self.y, -step)))
-            for step in (self.reach, -self.reach)
-        )
-        way = after - before
-        self.heading = np.arctan2(way[1], way[0])
-        turn = wrap(np.roll(self.heading, -self.reach) - np.roll(self.heading, self.reach))
-        self.kappa = turn / np.maximum(np.hypot(way[0], way[1]), 1e-9)
-        self.way = np.concatenate(([0.0], np.cumsum(chord)))
-
-    def has_heading(self, column):
-        """Whether a column is the heading, in any convention: zero, sense of rotation, unit."""
-        column = column[self.keep]
-        if not self.usable or np.ptp(column) <= 1e-9:
-            return False
-        for angle in (column, np.radians(column)):
-            for turned in (angle, -angle):
-                off = wrap(turned - self.heading)
-                off = wrap(off - np.arctan2(np.mean(np.sin(off)), np.mean(np.cos(off))))
-                if np.percentile(np.abs(off), 75) < 0.2:
-                    return True
-        return False
-
-    def has_arc_length(self, column):
-        """Whether a column is the arc length."""
-        s = column[self.keep]
-        return self.usable and _is_arc_length(s, self.x, self.y)
-
-    def has_curvature(self, column):
-        """Whether a column is the curvature, of either sign."""
-        kappa = column[self.keep]
-        scale = np.sqrt(np.mean(self.kappa**2)) if self.usable else 0.0
-        if scale < 1e-6:
-            return False
-        smooth = np.mean([np.roll(kappa, k) for k in range(-self.reach, self.reach + 1)], axis=0)
-        off = min(np.sqrt(np.mean((sign * smooth - self.kappa) ** 2)) for sign in (1.0, -1.0))
-        return bool(off < 0.35 * scale)
-
-    def accelerates(self, speed, column):
-        """Whether a column is the acceleration ``v dv/ds`` of another, a speed."""
-        v, a = speed[self.keep], column[self.keep]
-        if not self.usable or np.ptp(v) <= 1e-9 or np.ptp(a) <= 1e-9:
-            return False
-        own = np.gradient(0.5 * v**2) / np.maximum(np.gradient(self.way), 1e-9)
-        return bool(np.sqrt(np.mean((own - a) ** 2)) < 0.6 * np.sqrt(np.mean(own**2)))
-
-    def falling(self, column):
-        """Correlation of a column with the bends; 0 where one of them is constant.
-
-        Speeds are low where the track bends; widths hardly depend on it. On 14 real racelines and
-        centerlines the correlation with the curvature, smoothed over nine points, is -0.73 to -0.91
-        for speeds (but -0.52 on Monza, driven at top speed for most of a lap, and -0.28 on a
-        circle), and -0.52 or more for widths.
-        """
-        column = column[self.keep]
-        if not self.usable or np.ptp(column) <= 1e-6 * np.max(np.abs(column)):
-            return 0.0
-        ways = np.stack((np.roll(self.x, -1) - self.x, np.roll(self.y, -1) - self.y))
-        heading = np.arctan2(ways[1], ways[0])
-        bend = np.abs(wrap(heading - np.roll(heading, 1))) / np.hypot(ways[0], ways[1])
-        bend = np.mean([np.roll(bend, shift) for shift in range(-4, 5)], axis=0)
-        if np.ptp(bend) <= 1e-9:
-            return 0.0
-        return float(np.corrcoef(bend, column)[0, 1])
-
-    def speed_or_width(self, column, known):
-        """Whether a single column is a speed or a total width, and the evidence."""
-        falling = self.falling(column)
-        evidence = f"(correlation {falling:.2f})"
-        most = float(np.mean(column >= np.max(column) * (1.0 - 1e-6)))
-        if falling < -0.6:
-            return "speed", f"it drops where the track bends {evidence}"
-        if falling < -0.4 and most > 0.2:
-            return "speed", f"it drops where the track bends {evidence}, mostly from one maximum"
-        if known:
-            return "speed", "files with more than positions and widths have speeds"
-        if falling == 0.0:
-            return "width", "it or the curvature is constant, which decides nothing"
-        return "width", f"it does not drop where the track bends {evidence}"

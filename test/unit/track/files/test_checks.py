@@ -268,6 +268,33 @@ def test_exchanged_walls():
     assert codes(RacelineTable(columns)) == {}
 
 
+@pytest.mark.parametrize("digits", [2, 3])
+def test_rounded_points_do_not_exchange_the_walls(digits):
+    """Normals to points that jitter swing, and the far wall with them more than the near one."""
+    far = 14.0 * np.cos(T), 9.0 * np.sin(T)
+    walls = {"d_left": 1.3 + 0.2 * np.cos(3.0 * T), "d_right": 1.0 + 0.15 * np.sin(2.0 * T)}
+    x, y = (np.round(column, digits) for column in far)
+    assert "swapped-walls" not in codes(RacelineTable({"x": x, "y": y, **walls}))
+
+
+def test_walls_of_a_track_that_crosses_itself_cross_there():
+    columns = {"x": 12.0 * np.sin(T), "y": 5.0 * np.sin(2.0 * T), "d_left": 0.0 * T + 1.0}
+    far = np.where(np.abs(T - 0.25 * math.pi) < 0.05, 11.0, 1.0)  # across the other branch
+    assert "walls-cross" not in codes(RacelineTable({**columns, "d_right": 0.0 * T + 1.0}))
+    assert "walls-cross" in codes(RacelineTable({**columns, "d_right": far}))
+
+
+def test_a_last_point_beside_the_first_closes_the_track():
+    """The first point again, but for rounding: no overlap of a millimeter."""
+    for off in (-0.001, 0.001):
+        ends = {key: np.append(GOOD[key], GOOD[key][0]) for key in ("x", "y", "speed")}
+        ends["x"][-1] += off * np.cos(LINE.psi[0])
+        ends["y"][-1] += off * np.sin(LINE.psi[0])
+        examination = examine(RacelineTable(ends))
+        assert [finding.code for finding in examination.findings] == ["closing-point"]
+        assert examination.raceline.length == pytest.approx(LINE.length, abs=1e-3)
+
+
 @pytest.mark.parametrize("turned", ["line", "both", "other", "nothing"])
 @pytest.mark.parametrize("shown", ["markers", "line"])
 def test_a_file_that_shows_its_walls_tells_whether_they_are_exchanged(tmp_path, shown, turned):
@@ -418,6 +445,14 @@ def test_a_track_wider_than_any_is_doubted(scale, said):
     lengths = ("x", "y", "d_left", "d_right")
     found = codes(RacelineTable({key: scale * GOOD[key] for key in lengths}))
     assert ("size" in found) == said
+
+
+def test_a_long_track_too_narrow_for_full_size_cars_is_doubted():
+    """A centerline in centimeters whose widths are in meters."""
+    points = {key: 100.0 * GOOD[key] for key in ("x", "y")}
+    walls = {key: GOOD[key] for key in ("d_left", "d_right")}
+    assert "size" in codes(RacelineTable({**points, **walls}))
+    assert codes(RacelineTable({**points, **{key: 5.0 * walls[key] for key in walls}})) == {}
 
 
 def test_a_track_smaller_than_a_car_is_refused():

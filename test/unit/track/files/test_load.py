@@ -17,7 +17,7 @@ from map_racing.errors import BagError, FileFormatError, ParameterError, Racelin
 from map_racing.track.files.checks import raceline_of
 from map_racing.track.files.formats import FORMATS, choose_format
 from map_racing.track.files.load import load_raceline, read_raceline, save_raceline
-from map_racing.track.files.repair import driven_columns
+from map_racing.track.files.repair import driven_columns, repaired
 from map_racing.track.files.table import RacelineTable
 from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.track.files.writers import raceline_columns
@@ -503,3 +503,22 @@ def test_real_files_are_read_right(shared_data, tmp_path, source):
         save_raceline(line, path, form, track)
         kept = [key for key in HAS[form] if key in track.columns]
         same(read_raceline(path), track, kept)
+
+
+@pytest.mark.parametrize("side, other", [("right", "left"), ("left", "right")])
+def test_offsets_of_the_walls_to_one_side_are_distances(tmp_path, side, other):
+    """With signs all around: as given in all that is made of the file, also by a repair."""
+    a = np.arange(200) * 2.0 * np.pi / 200
+    walls = {"left": 1.3 + 0.0 * a, "right": 0.9 + 0.0 * a}
+    walls[side] = -walls[side]
+    rows = zip(9.0 * np.cos(a), 6.0 * np.sin(a), walls["left"], walls["right"])
+    text = "".join(",".join(f"{value:.6f}" for value in row) + "\n" for row in rows)
+    path = tmp_path / "line.csv"
+    path.write_text("x_m,y_m,d_left,d_right\n" + text)
+    line = load_raceline(path)
+    assert (np.median(line.d_left), np.median(line.d_right)) == pytest.approx((1.3, 0.9))
+    (said,) = [finding for finding in line.findings if finding.severity == "warning"]
+    assert said.code == "signed-walls" and f"as an offset to the {other}" in said.text
+    table, repairs = repaired(read_raceline(path))
+    assert repairs == [] and np.median(table.columns["d_right"]) == pytest.approx(0.9)
+    assert np.min(driven_columns(read_raceline(path)).columns[f"d_{side}"]) > 0.0

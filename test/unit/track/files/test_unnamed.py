@@ -35,6 +35,10 @@ COLUMNS = {
     "slower": 0.8 * SLOW,
     "time": np.append(0.0, np.cumsum(np.diff(AT.s) / SLOW[1:])),
     "wild": 4.0 + np.sin(7.0 * T),
+    "radius": 1.0 / AT.kappa,
+    "steering": np.arctan(0.33 * AT.kappa),
+    "yaw_rate": AT.kappa * SLOW,
+    "stamp": 1.7e9 + np.append(0.0, np.cumsum(np.diff(AT.s) / SLOW[1:])),
 }
 
 
@@ -98,13 +102,26 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y d_right d_left speed", "x y d_right d_left speed", WARNING),
         ("x y d_right d_left z", "x y d_right d_left", NOTE),
         ("x y high d_right d_left", "x y d_right d_left", NOTE),
-        # May as well be a speed.
-        ("x y constant d_right d_left", "x y d_right d_left", WARNING),
         ("index x y psi speed", "x y psi speed", WARNING),
         ("time x y psi speed", "x y psi speed", WARNING),
         ("x y speed slower", "x y speed", WARNING),
         ("x y psi speed slower", "x y psi speed", WARNING),
         ("time x y speed", "x y speed", WARNING),
+        ("stamp x y speed", "x y speed", WARNING),
+        ("stamp x y psi speed", "x y psi speed", WARNING),
+        # Neither a wall nor a speed.
+        ("x y speed time", "x y speed", WARNING),
+        ("x y time speed", "x y speed", WARNING),
+        ("x y radius speed", "x y speed", WARNING),
+        ("x y psi steering speed", "x y psi speed", WARNING),
+        ("x y psi speed yaw_rate", "x y psi speed", WARNING),
+        # Seven columns in another order than the public tools'; walls behind them in either.
+        ("s x y psi speed kappa ax", "s x y psi speed kappa", WARNING),
+        (
+            "s x y psi kappa speed ax d_right d_left",
+            "s x y psi kappa speed ax d_right d_left",
+            WARNING,
+        ),
     ],
 )
 def test_columns_without_names(tmp_path, columns, expected, severity):
@@ -116,11 +133,11 @@ def test_columns_without_names(tmp_path, columns, expected, severity):
 
 
 def test_three_constant_columns_are_a_guess(tmp_path):
-    """Speed and walls, or walls and height: nothing in the numbers tells."""
+    """Speed and walls, or walls and height: only their sizes tell."""
     ones = np.ones(150)
     path = write(tmp_path / "c.csv", "x", "y", 3.0 * ones, 1.1 * ones, 0.9 * ones)
     (finding,) = read_raceline(path).findings
-    assert finding.severity == WARNING and "column 5 is taken as the height" in str(finding)
+    assert finding.severity == WARNING and "column 3 is taken as speed" in str(finding)
 
 
 @pytest.mark.parametrize("head", ["", "# timestamp tx ty tz qx qy qz qw\n"])
@@ -295,3 +312,84 @@ def test_a_column_that_is_not_taken_makes_the_places_a_guess(tmp_path):
     """Here the speed stands first, so that it is taken for x, and y for what is not understood."""
     line = load_raceline(write(tmp_path / "a.csv", "wild", "x", "y"))
     assert codes(line.findings)["unnamed-columns"] == WARNING
+
+
+@pytest.mark.parametrize("jitter", [0.005, 0.02])
+@pytest.mark.parametrize(
+    "columns",
+    ["x y speed", "x y psi kappa speed", "x y high psi speed", "x y psi speed d_right d_left"],
+)
+def test_waypoints_of_a_localization_jitter(tmp_path, jitter, columns):
+    noise = np.random.RandomState(3).normal(0.0, jitter, (2, T.size))
+    moved = {"x": AT.x + noise[0], "y": AT.y + noise[1]}
+    path = write(tmp_path / "c.csv", *(moved.get(column, column) for column in columns.split()))
+    read = read_raceline(path)
+    assert set(read.columns) == set(columns.split()) - {"high"}
+    np.testing.assert_allclose(read.columns["speed"], SLOW, atol=1e-5)
+    assert codes(read.findings)["unnamed-columns"] == WARNING
+
+
+def test_a_wide_track_is_a_guess(tmp_path):
+    """On a circle nothing but the size tells two speeds from two walls."""
+    circle = 6.0 * np.cos(T), 6.0 * np.sin(T)
+    for size, severity in ((1.1, NOTE), (4.4, WARNING)):
+        path = write(tmp_path / "c.csv", *circle, size + 0.0 * T, 0.9 * size + 0.0 * T)
+        assert codes(read_raceline(path).findings) == {"unnamed-columns": severity}
+
+
+@pytest.mark.parametrize(
+    "remark", ["# raceline of the hall, 2024", "#", "# made today", "# [m], x"]
+)
+def test_a_remark_between_names_and_numbers(tmp_path, remark):
+    header = f"# x_m, y_m, d_left_m, d_right_m\n{remark}"
+    read = read_raceline(write(tmp_path / "c.csv", "x", "y", "d_left", "d_right", header=header))
+    np.testing.assert_allclose(read.columns["d_left"], COLUMNS["d_left"], atol=1e-5)
+    assert read.findings == ()
+
+
+def test_units_stand_below_the_names_whatever_follows(tmp_path):
+    path = write(tmp_path / "c.csv", "x", "y", "speed", header="x,y,v\nm,m,km/h\n# made today")
+    np.testing.assert_allclose(read_raceline(path).columns["speed"], SLOW / 3.6, atol=1e-5)
+
+
+def test_names_in_another_alphabet_are_named(tmp_path):
+    read = read_raceline(write(tmp_path / "c.csv", "x", "y", "speed", header="x,y,\uc18d\ub3c4"))
+    assert set(read.columns) == {"x", "y"}
+    (finding,) = read.findings
+    assert finding.severity == WARNING and "not used: \uc18d\ub3c4" in str(finding)
+
+
+def test_the_tangent_beside_the_position(tmp_path):
+    names = "x,y,left_dist,right_dist,Tx,Ty"
+    tangent = np.cos(AT.psi), np.sin(AT.psi)
+    path = write(tmp_path / "c.csv", "x", "y", "d_left", "d_right", *tangent, header=names)
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", "d_left", "d_right"}
+    np.testing.assert_allclose(read.xy, np.stack((AT.x, AT.y), axis=1), atol=1e-5)
+
+
+@pytest.mark.parametrize("prefix", ["", "field.pose.", "/pf/pose/odom/pose/"])
+def test_names_of_the_fields_of_messages(tmp_path, prefix):
+    names = [f"{prefix}pose.position.{axis}" for axis in "xy"] + [f"{prefix}twist.linear.x"]
+    path = write(tmp_path / "c.csv", "x", "y", "speed", header=",".join(names))
+    assert set(read_raceline(path).columns) == {"x", "y", "speed"}
+
+
+@pytest.mark.parametrize("value, speed", [(3.0, True), (0.7, False)])
+def test_a_constant_beside_walls_is_a_guess(tmp_path, value, speed):
+    path = write(tmp_path / "c.csv", "x", "y", value + 0.0 * T, "d_right", "d_left")
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", "d_right", "d_left"} | ({"speed"} if speed else set())
+    (finding,) = read.findings
+    other = "height" if speed else "speed"
+    assert finding.severity == WARNING and f"though it may be the {other}" in str(finding)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.01])
+@pytest.mark.parametrize("value", [0.2, 1.0, 4.8])
+def test_a_constant_on_a_circle_is_neither_curvature_nor_radius(tmp_path, jitter, value):
+    noise = np.random.RandomState(3).normal(0.0, jitter, (2, T.size))
+    x, y, psi = 6.0 * np.cos(T) + noise[0], 6.0 * np.sin(T) + noise[1], T + 0.5 * math.pi
+    read = read_raceline(write(tmp_path / "c.csv", x, y, psi, value + 0.0 * T))
+    assert set(read.columns) == {"x", "y", "psi", "speed"}
+    assert codes(read.findings)["unnamed-columns"] == WARNING

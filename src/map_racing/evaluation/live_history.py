@@ -1,0 +1,81 @@
+"""What was driven so far, for the doubts about the running car."""
+
+from __future__ import annotations
+
+import math
+from array import array
+
+import numpy as np
+
+from ..bags.samples import Commands, Recording, in_order
+from .doubts import doubts_of
+from .results import Lap
+
+__all__ = ["History"]
+
+# Poses and commands that are kept: ten minutes at 100 Hz.
+_KEPT = 60000
+
+
+class History:
+    """The latest poses and commands of a run, as the recording that they would be.
+
+    Parameters
+    ----------
+    pose_topic, drive_topic : str
+        Names of poses and commands in doubts.
+    """
+
+    def __init__(self, pose_topic: str, drive_topic: str):
+        self._pose_topic, self._drive_topic = pose_topic, drive_topic
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the run."""
+        self._poses = tuple(array("d") for _ in range(5))
+        self._stamps, self._commands = array("q"), (array("d"), array("d"))
+        self._laps = []
+
+    def add_pose(self, *pose: float) -> None:
+        """Take time since the first pose [s], position [m], heading [rad] and speed [m/s]."""
+        _append(self._poses, pose)
+
+    def add_command(self, stamp_ns: int, speed: float, steering_angle: float) -> None:
+        """Take time stamp [ns], speed [m/s] and steering angle [rad] of a command."""
+        _append((self._stamps, *self._commands), (stamp_ns, steering_angle, speed))
+
+    def add_laps(self, laps: list[Lap]) -> None:
+        """Take laps that ended; of the complete ones the first and the last are kept."""
+        self._laps += [lap for lap in laps if not math.isnan(lap.lap_time_s)]
+        del self._laps[1:-1]
+
+    def doubts(self, t0_ns: int) -> list[str]:
+        """Doubts about the run so far, see `doubts_of`.
+
+        Parameters
+        ----------
+        t0_ns : int
+            Time stamp of the first pose on the clock of the commands [ns].
+        """
+        columns = [np.array(column) for column in self._poses]
+        if columns[0].size < 2:
+            return []
+        notes = []
+        t, (x, y, psi, v) = in_order(columns[0], columns[1:], notes, self._pose_topic, required=2)
+        nothing = np.full(t.size, math.nan)
+        stamps = np.array(self._stamps, dtype=np.int64)
+        at, told = in_order(stamps, [np.array(column) for column in self._commands], [], "")
+        commands = Commands((at - t0_ns) * 1e-9, *told, self._drive_topic) if at.size else None
+        driven = Recording(
+            *(t, x, y, psi, v, nothing, nothing), topic=self._pose_topic, commands=commands
+        )
+        mark = "warning: "
+        said = [note[len(mark) :] for note in notes if note.startswith(mark)]
+        return [*said, *doubts_of(driven, self._laps)]
+
+
+def _append(columns, values):
+    for column, value in zip(columns, values):
+        column.append(value)
+        if len(column) > 2 * _KEPT:
+            del column[:_KEPT]
