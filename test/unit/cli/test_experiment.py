@@ -174,6 +174,8 @@ def test_mistakes_are_one_line(tmp_path, refused, monkeypatch, options, expected
     output = [] if "--output" in options else ["--output", tmp_path / "out"]
     command = ["experiment", "tire-models", *vehicle, *output]
     assert expected in refused(*command, *options)
+    # Nothing was begun.
+    assert options[0] in ("--reuse", "--scheduler") or not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("to", ["0.5", "2.1", "nan"])
