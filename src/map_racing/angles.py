@@ -10,7 +10,7 @@ _TWO_PI = 2.0 * math.pi
 
 
 def wrap(angle):
-    """Bring angles into [-pi, pi).
+    """Bring angles into [-pi, pi), up to rounding.
 
     Parameters
     ----------

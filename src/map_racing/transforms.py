@@ -119,7 +119,7 @@ class TransformTree:
         """
         link = self._link(parent, child, static)
         if link.static == static and link.add(stamp, pose, self._kept_ns):
-            # Another parent from before the clock was set back would be the latest for ever.
+            # Another parent from before the clock was set back would be the latest forever.
             for name in [n for n, other in self._links.items() if n[1] == child]:
                 if name[0] != parent and not self._links[name].static:
                     del self._links[name]

@@ -153,7 +153,10 @@ def _clean_parameters(roscore):
     master = rosgraph.Master("/test")
     for name in ("controller", "steering_ramp"):
         master.setParam(f"/{name}/realtime_priority", 0)
+    policy = os.sched_getscheduler(0)
     yield
+    # Nor may this process have it: all that it starts would.
+    assert os.sched_getscheduler(0) == policy
     for name in master.getParamNames():
         if not name.startswith(("/ros", "/run_id")):
             # It may have gone with its namespace.
@@ -249,7 +252,9 @@ def refused(no_master, monkeypatch):
     """As `refusal`, but made in this process, which takes a hundredth of the time."""
 
     def run(node, params):
-        no_master.params.update({f"~{key}": value for key, value in params.items()})
+        # This process takes no priority, which all nodes that it starts later would have.
+        given = {"realtime_priority": 0, **params}
+        no_master.params.update({f"~{key}": value for key, value in given.items()})
         module = importlib.import_module(f"map_racing.nodes.{node}")
         made = []
         monkeypatch.setattr(module, "run", lambda _, make: made.append(make))
@@ -288,7 +293,7 @@ def launch(roscore, processes):
 class Inbox(list):
     """Messages of a topic in the order of their arrival."""
 
-    def wait(self, condition=None, timeout=10.0, what=None):
+    def wait(self, condition=None, timeout=30.0, what=None):
         """Wait for the first message that meets the condition (any, by default); return it."""
 
         def first():

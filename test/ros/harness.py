@@ -34,7 +34,7 @@ class HandClock:
         return self.time
 
 
-def wait_for(condition, timeout=10.0, what="the condition"):
+def wait_for(condition, timeout=30.0, what="the condition"):
     """Wait until ``condition()`` is true, and return its value; fail the test after `timeout` [s].
 
     The time limits of these tests are only there to end them: nothing is measured by them.
@@ -106,13 +106,13 @@ class Rig:
 
     def driving(self):
         mark = len(self.drive)
-        wait_for(lambda: [m for m in self.drive[mark:] if m.drive.speed > 1.0], 10.0, "driving")
+        wait_for(lambda: [m for m in self.drive[mark:] if m.drive.speed > 1.0], what="driving")
         self.wait_mode("driving")
 
     def more(self, count):
         """Wait for so many more commands; return them."""
         mark = len(self.drive)
-        wait_for(lambda: len(self.drive) >= mark + count, 10.0, f"{count} more commands")
+        wait_for(lambda: len(self.drive) >= mark + count, what=f"{count} more commands")
         return self.drive[mark:]
 
     def status(self):
@@ -122,8 +122,7 @@ class Rig:
     def wait_mode(self, mode, reason=""):
         wait_for(
             lambda: (self.status().get("mode"), self.status().get("reason")) == (mode, reason),
-            10.0,
-            lambda: f"{mode}: {reason}, but have {self.status()}",
+            what=lambda: f"{mode}: {reason}, but have {self.status()}",
         )
 
     def stops(self, reason):

@@ -316,8 +316,8 @@ def _as_binary(data, at, generator):
 class Damage:
     """Damaged inputs by number: each is made from its number alone."""
 
-    def __init__(self, folder):
-        self.folder, self.inputs = folder, inputs(folder)
+    def __init__(self, folder, intact=None):
+        self.folder, self.inputs = folder, intact or inputs(folder)
         rows, columns = np.mgrid[:80, :100]
         radius = np.hypot((columns - 50) / 40.0, (rows - 40) / 32.0)
         gray = np.where((radius > 0.55) & (radius < 1.0), 254, 205).astype(np.uint8)
@@ -355,16 +355,21 @@ class Damage:
 COUNT = 400
 
 
-def test_intact_inputs_give_results(tmp_path):
-    damage = Damage(tmp_path)
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory):
+    return inputs(tmp_path_factory.mktemp("intact"))
+
+
+def test_intact_inputs_give_results(tmp_path, intact):
+    damage = Damage(tmp_path, intact)
     for name, data, read, _ in damage.inputs:
         (tmp_path / name).write_bytes(data)
         assert read(tmp_path / name)
 
 
 @pytest.mark.parametrize("part", range(2))
-def test_damaged_inputs_give_a_result_or_one_clear_error(tmp_path, part):
-    damage = Damage(tmp_path)
+def test_damaged_inputs_give_a_result_or_one_clear_error(tmp_path, part, intact):
+    damage = Damage(tmp_path, intact)
     numbers = range(part, COUNT, 2)
     results = [damage.try_number(number)[0] for number in numbers]
     # Not all damage is fatal, and not all is harmless.

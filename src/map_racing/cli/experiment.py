@@ -29,7 +29,7 @@ from ..experiments.paper import (
 )
 from ..experiments.rivals import RIVALS, sensitivity_frame, sensitivity_plan, work_frame
 from ..experiments.robustness_tables import grid_table
-from .figures import draw_robustness, draw_scaling, draw_trajectories, remove_stale
+from .figures import draw, remove_stale
 from .session import open_grid, open_session, rival_sessions
 
 TIRE_SCALES = (0.7, 0.8)
@@ -91,7 +91,9 @@ def run_tires(arguments: argparse.Namespace) -> None:
         ]
         title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
         raceline = session.setting.raceline
-        drawn.append(draw_trajectories(session.figures, raceline, rows, title, seed).name)
+        drawn.append(f"trajectories_seed{seed}.png")
+        plot = "experiments.plot_trajectories"
+        draw(session.figures, drawn[-1], plot, raceline, rows, title)
     remove_stale(session.figures, r"trajectories_seed\d+\.png", drawn)
     session.report()
 
@@ -115,7 +117,9 @@ def run_robustness(arguments):
     drawn = []
     for label in controllers:
         own = races[races.controller == label]
-        drawn.append(draw_robustness(session.figures, own, f"{title}, {label}", label).name)
+        drawn.append(f"robustness_{label}.png")
+        plot = "experiments.plot_robustness"
+        draw(session.figures, drawn[-1], plot, own, f"{title}, {label}")
     for label in session.earlier.provenance.get("controllers", ()) if session.earlier else ():
         remove_stale(session.figures, re.escape(f"robustness_{label}.png"), drawn)
     session.report()
@@ -160,14 +164,16 @@ def _draw(session, arguments, table, laps, what, contenders):
     }
     title = f"{what}: {session.where}, {_laps(arguments)} on each of {session.days}"
     labels = [contender.label for contender in contenders]
-    draw_scaling(session.figures, counted, ended, labels, title)
+    plot = "experiments.plot_scaling"
+    draw(session.figures, "velocity_scaling.png", plot, counted, ended, labels, title)
 
 
 def frame_rows(frame):
-    """A frame as rows of text, with its column names."""
+    """A frame as rows of text, with its column names; what is not known is a dash."""
     rows = [list(frame.columns)]
     for values in frame.itertuples(index=False):
-        rows.append([f"{v:.4g}" if isinstance(v, float) else str(v) for v in values])
+        texts = (f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
+        rows.append(["-" if text == "nan" else text for text in texts])
     return rows
 
 

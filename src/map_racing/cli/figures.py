@@ -1,13 +1,15 @@
 """Figures that commands write.
 
-Each function imports what it draws with: matplotlib takes a second, and most calls draw nothing.
+What draws is imported when it does: matplotlib takes a second, and most calls draw nothing.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -15,18 +17,7 @@ from tqdm import tqdm
 from ..errors import EvaluationError
 from ..files import make_folder
 
-__all__ = [
-    "draw_check",
-    "draw_comparison",
-    "draw_identification",
-    "draw_optimized",
-    "draw_robustness",
-    "draw_runs",
-    "draw_scaling",
-    "draw_table",
-    "draw_trajectories",
-    "remove_stale",
-]
+__all__ = ["draw", "draw_check", "draw_identification", "draw_runs", "draw_table", "remove_stale"]
 
 
 def draw_runs(folder: str, names: list[str], results: list) -> None:
@@ -39,23 +30,21 @@ def draw_runs(folder: str, names: list[str], results: list) -> None:
         Short names of the runs.
     results : list of RunResult
     """
-    from ..plots import runs
-
     titles = [_title(name) for name in names]
     figures = []
     for name, title, result in zip(names, titles, results):
         stem = name.replace("/", "_")
         if any(math.isfinite(lap.lap_time_s) for lap in result.laps):
-            figures.append((f"{stem}_laps.png", runs.plot_laps, (result, title)))
-        figures.append((f"{stem}_speed.png", runs.plot_path, (result, "speed", title)))
-        figures.append((f"{stem}_error.png", runs.plot_path, (result, "error", title)))
+            figures.append((f"{stem}_laps.png", "runs.plot_laps", (result, title)))
+        figures.append((f"{stem}_speed.png", "runs.plot_path", (result, "speed", title)))
+        figures.append((f"{stem}_error.png", "runs.plot_path", (result, "error", title)))
     named = list(zip(titles, results))
-    figures.append(("boxes.png", runs.plot_boxes, (named,)))
+    figures.append(("boxes.png", "runs.plot_boxes", (named,)))
     _save(folder, figures)
     drawn = [file_name for file_name, *_ in figures]
     if sum(result.summary.laps_completed > 0 for result in results) > 1:
         try:
-            _save(folder, [("difference.png", runs.plot_differences, (named,))])
+            _save(folder, [("difference.png", "runs.plot_differences", (named,))])
             drawn.append("difference.png")
         except EvaluationError as error:  # different tracks cannot be compared
             print(f"no difference.png: {error}")
@@ -76,12 +65,9 @@ def draw_table(folder: str, table) -> None:
 
 
 def _table_figures(table):
-    from ..plots.lookup import plot_lookup_curves, plot_lookup_surface
-
-    grid = table.speeds, table.angles, table.a_lat
     return [
-        ("lookup_surface.png", plot_lookup_surface, grid),
-        ("lookup_curves.png", plot_lookup_curves, grid),
+        ("lookup_surface.png", "lookup.plot_lookup_surface", (table,)),
+        ("lookup_curves.png", "lookup.plot_lookup_curves", (table,)),
     ]
 
 
@@ -98,52 +84,26 @@ def draw_identification(folder: str, found, left_out, table) -> None:
     table : LookupTable
         Of the identified vehicle.
     """
-    from ..plots import identification as plots
-
     if found is None:
         _save(folder, _table_figures(table))
         return
-    axles = []
-    for name, (points, fit, linear) in found.axles.items():
-        axles.append(
-            plots.AxleFigure(
-                name=name,
-                slip=-points.slip,
-                force=points.force,
-                inlier=fit.inlier,
-                curve=_force(fit.tire, points.load),
-                linear=_force(linear.tire, points.load),
-                covered=fit.covered_slip,
-                load=points.load,
-            )
-        )
     v, delta, a_y = (
         np.concatenate([getattr(m, key)[cut][::5] for m in found.motions for cut in m.segments()])
         for key in ("v_x", "delta", "a_y")
     )
     predicted = left_out if left_out is not None else found.predictions()
     title = "each run, from the others" if left_out is not None else "the fitted data"
-    prediction = (
-        [p.run for p in predicted],
-        [(p.r, p.a_y) for p in predicted],
-        [(p.r_predicted, p.a_y_predicted) for p in predicted],
-        f"Steady cornering, predicted: {title}",
-    )
+    prediction = predicted, f"Steady cornering, predicted: {title}"
     figures = [
-        ("tires.png", plots.plot_tires, (axles,)),
-        ("coverage.png", plots.plot_coverage, (v, delta, a_y, found.largest_a_y)),
-        ("prediction.png", plots.plot_prediction, prediction),
+        ("tires.png", "identification.plot_tires", (found.axles,)),
+        ("coverage.png", "identification.plot_coverage", (v, delta, a_y, found.largest_a_y)),
+        ("prediction.png", "identification.plot_prediction", prediction),
         *_table_figures(table),
     ]
-    for number, m in enumerate(found.motions, 1):
-        drive = plots.DriveFigure(m.run.label, m.t, m.v_x, m.delta, m.r, m.a_y, m.segments())
-        figures.append((f"run_{number}.png", plots.plot_drive, (drive,)))
+    for number, motion in enumerate(found.motions, 1):
+        figures.append((f"run_{number}.png", "identification.plot_drive", (motion,)))
     _save(folder, figures)
     remove_stale(folder, r"run_\d+\.png", [file_name for file_name, *_ in figures])
-
-
-def _force(tire, load):
-    return lambda slip: load * tire.normalized_force(slip)
 
 
 def draw_check(folder: str, key: str, table, raceline, findings) -> Path:
@@ -157,48 +117,24 @@ def draw_check(folder: str, key: str, table, raceline, findings) -> Path:
     raceline : Raceline or None
     findings : sequence of Finding
     """
-    from ..plots.racelines import plot_raceline
-
     name = "_".join(filter(None, (table.name or "track", re.sub(r"\W+", "_", key).strip("_"))))
-    return _save(folder, [(f"{name}_check.png", plot_raceline, (table, raceline, findings, name))])
+    arguments = table, raceline, findings, name
+    return draw(folder, f"{name}_check.png", "racelines.plot_raceline", *arguments)
 
 
-def draw_optimized(folder: str, optimized, middle, walls, image=None) -> Path:
-    """Draw an optimized raceline, over its map if there is one; returns the path of the figure."""
-    from ..plots.optimization import plot_optimized
+def draw(folder: str | Path, file_name: str, plot: str, *arguments: Any) -> Path:
+    """Draw and write a figure; returns its path.
 
-    name = f"{optimized.name or 'track'}_optimized.png"
-    return _save(folder, [(name, plot_optimized, (optimized, middle, walls, image))])
-
-
-def draw_scaling(folder: str, laps, ended: dict, labels: list[str], title: str) -> None:
-    """Draw the laps of velocity scaling; arguments as in `plot_scaling`."""
-    from ..plots.experiments import plot_scaling
-
-    _save(folder, [("velocity_scaling.png", plot_scaling, (laps, ended, labels, title))])
-
-
-def draw_robustness(folder: str, races, title: str, label: str) -> Path:
-    """Draw the races of one controller over tracks and cars; arguments as in `plot_robustness`."""
-    from ..plots.experiments import plot_robustness
-
-    return _save(folder, [(f"robustness_{label}.png", plot_robustness, (races, title))])
-
-
-def draw_trajectories(folder: str, raceline, rows: list, title: str, seed: int) -> Path:
-    """Draw the driven paths of one race day; arguments as in `plot_trajectories`."""
-    from ..plots.experiments import plot_trajectories
-
-    name = f"trajectories_seed{seed}.png"
-    return _save(folder, [(name, plot_trajectories, (raceline, rows, title))])
-
-
-def draw_comparison(folder: str, comparison, names: tuple[str, str]) -> Path:
-    """Draw two result directories side by side; returns the path of the figure."""
-    from ..plots.experiments import plot_comparison
-
-    arguments = (comparison.table, comparison.values, names, comparison.kind)
-    return _save(folder, [("comparison.png", plot_comparison, arguments)])
+    Parameters
+    ----------
+    folder : str or pathlib.Path
+    file_name : str
+    plot : str
+        Module and function in `map_racing.plots`, such as ``"experiments.plot_scaling"``.
+    *arguments
+        Of the function.
+    """
+    return _save(folder, [(file_name, plot, arguments)])
 
 
 def _save(folder, figures):
@@ -208,8 +144,10 @@ def _save(folder, figures):
     folder = make_folder(folder)
     for file_name, plot, arguments in tqdm(figures, desc="figures", disable=None, leave=False):
         path = folder / file_name
+        module, function = plot.split(".")
         with own_settings():
-            save(plot(*arguments), path)
+            figure = getattr(import_module(f"..plots.{module}", __package__), function)(*arguments)
+            save(figure, path)
     return path
 
 

@@ -29,7 +29,7 @@ from ..vehicle.limits import speed_limits
 from ..vehicle.lookup import load_table
 from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import size_of
-from .figures import draw_optimized
+from .figures import draw
 from .inputs import read_vehicle
 from .outputs import check_outputs
 
@@ -99,7 +99,9 @@ def run_optimize(arguments):
         middle = found.reference
     write(arguments, forms, optimized, middle)
     if arguments.plots:
-        path = draw_optimized(arguments.plots, optimized, middle, found.walls, image)
+        name = f"{optimized.name or 'track'}_optimized.png"
+        drawn = optimized, middle, found.walls, image
+        path = draw(arguments.plots, name, "optimization.plot_optimized", *drawn)
         print(f"  figure: {path}")
 
 

@@ -7,12 +7,9 @@ import math
 import numpy as np
 
 from ..vehicle.single_track import GRAVITY
+from ..vehicle.tire_steering import MOST_SLIP
 
 __all__ = ["SideslipEstimate"]
-
-
-# The slip of tires without a peak grows without bound [rad].
-LARGEST_SLIP = 1.0
 
 
 class SideslipEstimate:
@@ -29,7 +26,8 @@ class SideslipEstimate:
         # The linear tire has no peak; no car of this size corners with 5 g.
         self._a_end = GRAVITY * min(0.999 * vehicle.mu * vehicle.rear.peak, 5.0)
         forces = np.linspace(0.0, self._a_end, self.CELLS + 1) / (GRAVITY * vehicle.mu)
-        slip = np.minimum(vehicle.rear.slip(forces), LARGEST_SLIP)
+        # That of tires without a peak grows without bound.
+        slip = np.minimum(vehicle.rear.slip(forces), MOST_SLIP)
         self._tangents = np.tan(slip).tolist()
 
     def __call__(self, v_x, r):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Sequence
 
 import numpy as np
 
@@ -32,6 +33,11 @@ _ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
 # They may do so for a while only: in a block of so many samples, by at least so much [m]. Or some
 # lie so far beside the way [m], and so many times as far as most do, for one sample.
 _BLOCK, _APART_IN_BLOCK, _BESIDE, _MANY, _FEW = 200, 0.05, 0.05, 8.0, 4
+# A single one counts if it is farther off [m] and the way there and back takes more than a wall's
+# acceleration [m/s^2].
+_FAR, _FORCED = 0.1, 300.0
+# Where most lie beside the way by this share of it, noise leads nowhere.
+_NOISY = 0.1
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
 _SAME, _BUNCHED = 0.05, 0.7
 # A step in time that is so many times the usual one, and longer by more [s], may be of a clock that
@@ -55,14 +61,15 @@ _LONG_WHILE, _BRAKES = 16, 1.5
 _TOP_TIMES, _TOP_MORE = 2.0, 2.0
 
 
-def doubts_of(recording: Recording, laps: list[Lap]) -> list[str]:
+def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> list[str]:
     """All doubts about a recording, or about what was driven so far.
 
     Parameters
     ----------
     recording : Recording
-    laps : list of Lap
-        Only within those that are complete do speeds count that are wrong for a while.
+    spans : sequence of (float, float)
+        Begin and end of complete laps [s]: only within them do speeds count that are wrong for a
+        while.
 
     Returns
     -------
@@ -70,9 +77,8 @@ def doubts_of(recording: Recording, laps: list[Lap]) -> list[str]:
     """
     topic, t, x, y = recording.topic, recording.t, recording.x, recording.y
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
-    begin = min((lap.start_time_s for lap in complete), default=math.inf)
-    end = max((lap.end_time_s for lap in complete), default=-math.inf)
+    begin = min((begin for begin, _ in spans), default=math.inf)
+    end = max((end for _, end in spans), default=-math.inf)
     of_commands = [*command_units(recording), unfollowed(recording)]
     if not any(of_commands):
         of_commands = [_command_for_a_while(recording, begin, end)]
@@ -125,9 +131,12 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     apart = apart or max(_alternates(t[b], x[b], y[b], _APART_IN_BLOCK) for b in blocks)
     if apart:
         return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
-    few = sum(count for count in (_beside(x[b], y[b]) for b in blocks) if count >= _FEW)
+    pieces = [slice(max(b[0] - 2, 0), b[-1] + 3) for b in blocks]
+    found = [_beside(t[part], x[part], y[part]) for part in pieces]
+    few = sum(count for count, _ in found if count >= _FEW) or sum(far for _, far in found)
     if few:
-        return f"{topic}: {few} poses lie beside those before and after: of two nodes?"
+        lie, why = ("poses lie", "of two nodes?") if few > 1 else ("pose lies", "is it wrong?")
+        return f"{topic}: {few} {lie} beside those before and after: {why}"
     return ""
 
 
@@ -146,10 +155,11 @@ def _alternates(t, x, y, least):
     return apart if odd < -_ALIKE and even > _ALIKE else 0.0
 
 
-def _beside(x, y):
-    """Number of poses beside the way, from which those before and after do not differ.
+def _beside(t, x, y):
+    """Number of poses, but for two at each end, beside the way of those before and after.
 
-    Across the way only: along it a pose that is stamped late is as far off.
+    Across the way only: along it a pose that is stamped late is as far off. And the number of those
+    which no car could reach and leave.
     """
     along = np.stack([x[2:] - x[:-2], y[2:] - y[:-2]])
     off = np.stack([x[1:-1] - x[:-2], y[1:-1] - y[:-2]])
@@ -158,10 +168,16 @@ def _beside(x, y):
     with np.errstate(divide="ignore", invalid="ignore"):
         beside = np.abs(along[0] * off[1] - along[1] * off[0]) / way
     beside = np.where((way > 0.2 * usual) & (way < 1.5 * usual), beside, 0.0)
-    far = beside > max(_BESIDE, _MANY * float(np.median(beside)))
+    usually = float(np.median(beside))
+    if usually > _NOISY * usual:
+        return 0, 0
+    far = beside > max(_BESIDE, _MANY * usually)
     # The neighbors of such a pose seem to lie on the other side, half as far.
     around = np.maximum(np.append(beside[1:], 0.0), np.append(0.0, beside[:-1]))
-    return int(np.count_nonzero(far & (beside >= around)))
+    far &= beside >= around
+    far[[0, -1]] = False
+    impossible = far & (beside > _FAR) & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
+    return int(np.count_nonzero(far)), int(np.count_nonzero(impossible))
 
 
 def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:

@@ -30,7 +30,8 @@ class SensorSetup:
     time_scale : float
         True seconds per second of the recording.
     speed_scale, yaw_rate_scale : float
-        True value per value of the signal; -1 turns a sign around.
+        True value per value of the signal; -1 turns a sign around. The first is of both velocities
+        of the odometry.
     lateral_axis : {"x", "y", "z"}
         Axis of the IMU that points to the car's side.
     lateral_scale, lateral_offset_mps2 : float

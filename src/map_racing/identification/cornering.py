@@ -284,8 +284,9 @@ def _sampled(signals, setup, t):
     """All signals but the pose on the common clock, with the setup applied except to the IMU."""
     columns = {}
     for name, key, scale in (
-        *(("v_x", "v_x", setup.speed_scale), ("yaw_rate", "r", setup.yaw_rate_scale)),
-        *((name, name, 1.0) for name in ("v_y", "a_x", "a_y", "a_z")),
+        *((name, name, setup.speed_scale) for name in ("v_x", "v_y")),
+        ("yaw_rate", "r", setup.yaw_rate_scale),
+        *((name, name, 1.0) for name in ("a_x", "a_y", "a_z")),
     ):
         if name in signals:
             columns[key] = scale * np.interp(t, *signals[name])

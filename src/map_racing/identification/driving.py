@@ -158,7 +158,8 @@ def driving_of(run: Run) -> Driving:
     if a_y is not None:
         measured["a_y"] = a_y
     if "v_y" in scaled:
-        measured["v_y"] = Signal(*scaled["v_y"])
+        t_y, v_y = scaled["v_y"]
+        measured["v_y"] = Signal(t_y, setup.speed_scale * v_y)
     usable = (smooth[0] > SLOWEST_MPS) & near(t, commands_t, LONGEST_HOLD_S)
     for name in measured:
         usable &= near(t, measured[name].t, LONGEST_GAP_S)

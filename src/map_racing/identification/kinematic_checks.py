@@ -96,7 +96,7 @@ def check_steering_gain(
         text = "steering: driven at one speed only, its gain cannot be separated from understeer"
         return [SensorFinding("steering", text)]
     gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
-    if math.isinf(gain):
+    if math.isinf(gain_error):
         text = "steering: slow cornering does not follow the signal: its gain cannot be told"
         return [SensorFinding("steering", text)]
     text = (
@@ -192,7 +192,7 @@ def _contradiction(low, vehicle, text):
     gain, error, _, _ = _steering(low, vehicle, with_offset=True)
     if abs(gain - 1.0) > max(0.05, 3.0 * error):
         return []  # to be repaired first
-    if math.isinf(gain):
+    if math.isinf(error):
         return [SensorFinding("front slip", text, critical=True)]
     text += (
         f", but slow cornering says {gain:.3f} +- {error:.3f} times as much: these contradict each "

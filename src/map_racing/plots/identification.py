@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Sequence
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 from matplotlib.colors import Normalize
@@ -10,96 +10,52 @@ from matplotlib.figure import Figure
 
 from .style import COLORS, finished, legend_above, new_figure
 
-__all__ = [
-    "AxleFigure",
-    "DriveFigure",
-    "plot_coverage",
-    "plot_drive",
-    "plot_prediction",
-    "plot_tires",
-]
+__all__ = ["plot_coverage", "plot_drive", "plot_prediction", "plot_tires"]
 
 
-class AxleFigure(NamedTuple):
-    """Data of the figure of one axle; slip and force are positive in left turns.
-
-    Parameters
-    ----------
-    name : str
-    slip, force : ndarray, shape (n,)
-        Points [rad], [N].
-    inlier : ndarray of bool, shape (n,)
-    curve, linear : callable
-        Force [N] of the identified tires over slip [rad].
-    covered : float
-        Largest slip in the data [rad].
-    load : float
-        Static load [N].
-    """
-
-    name: str
-    slip: np.ndarray
-    force: np.ndarray
-    inlier: np.ndarray
-    curve: object
-    linear: object
-    covered: float
-    load: float
-
-
-class DriveFigure(NamedTuple):
-    """Signals of one drive on one clock [SI], shape (n,), and slices of its steady segments."""
-
-    name: str
-    t: np.ndarray
-    v: np.ndarray
-    delta: np.ndarray
-    r: np.ndarray
-    a_y: np.ndarray
-    segments: list
-
-
-def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
+def plot_tires(axles: Mapping[str, Any]) -> Figure:
     """Points, rejected points and fitted curves of each axle at its static load.
 
     Parameters
     ----------
-    axles : sequence of AxleFigure
+    axles : dict of str to Axle
+        See `map_racing.identification.identify`; drawn positive in left turns.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     figure = new_figure(5.6 * len(axles), 4.8)
-    for number, axle in enumerate(axles):
-        axes = figure.add_subplot(1, len(axles), number + 1)
-        top = 1.25 * float(np.percentile(np.abs(axle.force[axle.inlier]), 99.0))
-        widest = 1.35 * max(axle.covered, 1e-4)
+    for number, (name, (points, fit, regression)) in enumerate(axles.items(), 1):
+        axes = figure.add_subplot(1, len(axles), number)
+        slip, force, load, inlier = -points.slip, points.force, points.load, fit.inlier
+        top = 1.25 * float(np.percentile(np.abs(force[inlier]), 99.0))
+        widest = 1.35 * max(fit.covered_slip, 1e-4)
         axes.plot(
-            axle.slip[axle.inlier],
-            axle.force[axle.inlier],
+            slip[inlier],
+            force[inlier],
             ".",
             color=COLORS[0],
             ms=4,
             alpha=0.35,
             mew=0.0,
-            label=f"{np.count_nonzero(axle.inlier)} points",
+            label=f"{np.count_nonzero(inlier)} points",
         )
-        if not axle.inlier.all():
-            rejected = ~axle.inlier
+        if not inlier.all():
             axes.plot(
-                axle.slip[rejected],
-                axle.force[rejected],
+                slip[~inlier],
+                force[~inlier],
                 "x",
                 color=COLORS[4],
                 ms=4,
                 alpha=0.7,
-                label=f"{np.count_nonzero(rejected)} rejected",
+                label=f"{np.count_nonzero(~inlier)} rejected",
             )
         slip = np.linspace(-widest, widest, 401)
-        inside = np.where(np.abs(slip) <= axle.covered, axle.curve(slip), np.nan)
-        axes.plot(slip, axle.linear(slip), color="0.4", lw=1.2, ls="-.", label="linear tire")
-        axes.plot(slip, axle.curve(slip), color=COLORS[1], lw=1.4, ls=":", label="extrapolated")
+        curve, linear = (load * one.tire.normalized_force(slip) for one in (fit, regression))
+        inside = np.where(np.abs(slip) <= fit.covered_slip, curve, np.nan)
+        axes.plot(slip, linear, color="0.4", lw=1.2, ls="-.", label="linear tire")
+        axes.plot(slip, curve, color=COLORS[1], lw=1.4, ls=":", label="extrapolated")
         axes.plot(slip, inside, color=COLORS[1], lw=2.2, label="Pacejka")
         axes.set_xlim(-widest, widest)
         axes.set_ylim(-top, top)
@@ -108,7 +64,7 @@ def plot_tires(axles: Sequence[AxleFigure]) -> Figure:
         axes.set_xlabel("slip angle [rad], positive in left turns")
         axes.set_ylabel("lateral force [N]")
         axes.grid(alpha=0.25)
-        legend_above(axes, f"{axle.name} axle, static load {axle.load:.1f} N", columns=5)
+        legend_above(axes, f"{name} axle, static load {load:.1f} N", columns=5)
     return finished(figure)
 
 
@@ -150,24 +106,22 @@ def plot_coverage(v: np.ndarray, delta: np.ndarray, a_y: np.ndarray, largest: fl
     return finished(figure)
 
 
-def plot_prediction(
-    runs: Sequence[str], measured, predicted, title: str = "Predicted by the other runs"
-) -> Figure:
+def plot_prediction(predictions: Sequence[Any], title: str) -> Figure:
     """Predicted against measured yaw rate and lateral acceleration.
 
     Parameters
     ----------
-    runs : sequence of str, length n
-        Run of each steady segment.
-    measured, predicted : array_like, shape (n, 2)
-        Yaw rate [rad/s] and lateral acceleration [m/s^2]; NaN where nothing is predicted.
-    title : str, optional
+    predictions : list of Prediction
+        See `map_racing.identification.identify`.
+    title : str
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    measured, predicted = np.asarray(measured), np.asarray(predicted)
+    runs = [p.run for p in predictions]
+    measured = np.array([(p.r, p.a_y) for p in predictions])
+    predicted = np.array([(p.r_predicted, p.a_y_predicted) for p in predictions])
     names = list(dict.fromkeys(runs))
     figure = new_figure(11.0, 5.2)
     for column, quantity in enumerate(("yaw rate [rad/s]", "lateral acceleration [m/s²]")):
@@ -205,11 +159,21 @@ def plot_prediction(
     return finished(figure, top=1.0 - 0.1 / height, bottom=(0.2 * rows + 0.1) / height)
 
 
-def plot_drive(drive: DriveFigure) -> Figure:
-    """Speed, steering, yaw rate and lateral acceleration of a drive; steady segments are shaded."""
+def plot_drive(drive: Any) -> Figure:
+    """Speed, steering, yaw rate and lateral acceleration of a drive; steady segments are shaded.
+
+    Parameters
+    ----------
+    drive : ProcessedRun
+        See `map_racing.identification.cornering`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
     figure = new_figure(10.0, 7.0)
     rows = (
-        ("speed [m/s]", drive.v),
+        ("speed [m/s]", drive.v_x),
         ("steering [rad]", drive.delta),
         ("yaw rate [rad/s]", drive.r),
         ("lat. acceleration [m/s²]", drive.a_y),
@@ -218,7 +182,7 @@ def plot_drive(drive: DriveFigure) -> Figure:
     for number, (label, values) in enumerate(rows):
         axes = figure.add_subplot(len(rows), 1, number + 1, sharex=first)
         first = first or axes
-        for cut in drive.segments:
+        for cut in drive.segments():
             axes.axvspan(drive.t[cut][0], drive.t[cut][-1], color=COLORS[5], alpha=0.25, lw=0.0)
         last = number == len(rows) - 1
         # Broad beneath the other line, so that both are visible where they coincide.
@@ -226,7 +190,7 @@ def plot_drive(drive: DriveFigure) -> Figure:
         axes.plot(drive.t, values, color=COLORS[0], **style)
         if last:
             style = {"color": COLORS[1], "lw": 0.9, "label": "speed × yaw rate"}
-            axes.plot(drive.t, drive.v * drive.r, **style)
+            axes.plot(drive.t, drive.v_x * drive.r, **style)
             legend_above(axes)
         axes.set_ylabel(label)
         axes.grid(alpha=0.25)
@@ -235,5 +199,6 @@ def plot_drive(drive: DriveFigure) -> Figure:
                 text.set_visible(False)
     axes.set_xlabel("time [s]")
     axes.set_xlim(drive.t[0], drive.t[-1])
-    figure.suptitle(f"{drive.name}: low-passed signals; shaded: steady cornering that was used")
+    shaded = "shaded: steady cornering that was used"
+    figure.suptitle(f"{drive.run.label}: low-passed signals; {shaded}")
     return finished(figure, top=0.98)

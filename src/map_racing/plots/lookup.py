@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib import cm
 from matplotlib.colors import Normalize
@@ -10,29 +12,24 @@ from matplotlib.figure import Figure
 # matplotlib 3.1 knows the projection "3d" only after this import.
 from mpl_toolkits.mplot3d import Axes3D  # noqa: F401
 
-from ..errors import ParameterError
 from .style import finished, new_figure
 
 __all__ = ["plot_lookup_curves", "plot_lookup_surface"]
 
 
-def plot_lookup_surface(speeds, angles, a_lat) -> Figure:
+def plot_lookup_surface(table: Any) -> Figure:
     """Lookup table as a surface over speed and steering angle.
 
     Parameters
     ----------
-    speeds : array_like, shape (n_speeds,)
-        [m/s]
-    angles : array_like, shape (n_angles,)
-        [rad]
-    a_lat : array_like, shape (n_angles, n_speeds)
-        [m/s^2]; NaN where there is no stable steady state.
+    table : LookupTable
+        See `map_racing.vehicle.lookup`.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    speeds, angles, a_lat = _table(speeds, angles, a_lat)
+    speeds, angles, a_lat = table.speeds, table.angles, table.a_lat
     figure = new_figure(8.5, 6.5)
     axes = figure.add_subplot(1, 1, 1, projection="3d")
     rows, columns = (np.unique(np.linspace(0, n - 1, 80).astype(int)) for n in a_lat.shape)
@@ -63,21 +60,20 @@ def plot_lookup_surface(speeds, angles, a_lat) -> Figure:
     return figure
 
 
-def plot_lookup_curves(speeds, angles, a_lat) -> Figure:
+def plot_lookup_curves(table: Any) -> Figure:
     """Lookup table as curves: steering angle over lateral acceleration, one per speed.
 
     Dots mark the largest reachable acceleration; beyond it a curve is dotted.
 
     Parameters
     ----------
-    speeds, angles, a_lat
-        As for `plot_lookup_surface`.
+    table : LookupTable
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    speeds, angles, a_lat = _table(speeds, angles, a_lat)
+    speeds, angles, a_lat = table.speeds, table.angles, table.a_lat
     figure = new_figure(8.5, 5.5)
     axes = figure.add_subplot(1, 1, 1)
     lowest = min(max(1.0, speeds[0]), speeds[-1])
@@ -101,12 +97,3 @@ def plot_lookup_curves(speeds, angles, a_lat) -> Figure:
     axes.grid(alpha=0.25)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     return finished(figure)
-
-
-def _table(speeds, angles, a_lat):
-    speeds, angles, a_lat = (np.asarray(values, dtype=float) for values in (speeds, angles, a_lat))
-    if a_lat.shape != (angles.size, speeds.size):
-        raise ParameterError(
-            f"expected a table of {angles.size} angles x {speeds.size} speeds, got {a_lat.shape}"
-        )
-    return speeds, angles, a_lat

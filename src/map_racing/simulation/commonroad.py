@@ -1,4 +1,4 @@
-"""Cars of the CommonRoad vehicle models, which nobody here wrote, as plants.
+"""Plants of the CommonRoad vehicle models, which others wrote.
 
 The package ``commonroad-vehicle-models`` (BSD) has the equations and the parameters of passenger
 cars: the multi-body model (29 states: a sprung body and two axles on springs and dampers, four

@@ -202,6 +202,8 @@ class Raceline:
             raise self._error(
                 f"expected a closed track, but the last point is {chord:.2f} m from the first"
             )
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise self._error("expected a track, but the points run there and back on one line")
         self.s_points = s_points[:-1]
         self.length = length = float(s_points[-1])
         self.n = n = x.size

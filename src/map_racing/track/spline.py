@@ -92,7 +92,7 @@ def resample_by_arc_length(
     s : ndarray, shape (n_points + 1,)
         Arc length at each point and, last, of the whole lap [m].
     x, y : ndarray, shape (n_cells,)
-        Positions at the start of each cell [m].
+        Positions at the start of each cell [m]; not finite where the curve turns on the spot.
     """
     chords = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)
     u = np.concatenate(([0.0], np.cumsum(chords)))
@@ -115,6 +115,8 @@ def resample_by_arc_length(
     width = wanted * chords[segment] / (s[segment + 1] - s[segment])
     for _ in range(4):
         tangents = velocity(begin + width)
-        width -= (arc(begin, width) - wanted) / np.hypot(tangents[:, 0], tangents[:, 1])
+        # Where the curve stands still, as at a turn on the spot, there is no place for a cell.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            width -= (arc(begin, width) - wanted) / np.hypot(tangents[:, 0], tangents[:, 1])
     points = spline(begin + width)
     return s, points[:, 0], points[:, 1]

@@ -68,7 +68,7 @@ def place(tmp_path_factory):
 def run(place):
     """``run("tune", ...)`` runs a command under these conditions, in this process; its exit code.
 
-    Tuning searches a grid of few pairs, and little beyond: its own tests search the whole one.
+    Tuning tries a grid of four pairs and none beyond: its own tests search.
     Figures are composed, but not rendered: the tests of the plots do that.
     """
 
@@ -76,8 +76,7 @@ def run(place):
         conditions = ["--conditions", place / "conditions.yaml", "--jobs", 1]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tuning, "GRID", (8, 16))
-            patch.setattr(tuning, "COARSE", 2)
-            patch.setattr(tuning, "MOST_MOVES", 1)
+            patch.setattr(tuning, "COARSE", 1)
             patch.setattr(Figure, "tight_layout", lambda figure, **_: None)
             patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
             return main([str(argument) for argument in (*arguments, *conditions)])

@@ -213,7 +213,7 @@ def test_several_lines_to_compare_with(tmp_path, capsys):
     assert found == pytest.approx(expected, abs=0.02)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "json"])
+@pytest.mark.parametrize("suffix", ["csv", pytest.param("json", marks=pytest.mark.once)])
 def test_speed_sectors_fit_the_output(tmp_path, suffix):
     source = centerline(tmp_path / "hall.csv")
     out, sectors = tmp_path / f"line.{suffix}", tmp_path / "speed_scaling.yaml"
@@ -255,7 +255,7 @@ def hall_map(folder):
     "start, turn",
     [
         (["--start", "-4.5,0,-1.57"], 1.0),
-        (["--start", "-4.5", "0", "1.57"], -1.0),
+        pytest.param(["--start", "-4.5", "0", "1.57"], -1.0, marks=pytest.mark.once),
         (["--start", "-4.5,0"], 1.0),
     ],
 )

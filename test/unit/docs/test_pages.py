@@ -13,6 +13,9 @@ from pages import PAGES, REPO, anchors, command_lines, name_of, prose
 from map_racing.control.parameters import ControllerParameters
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
+from map_racing.resources import list_config
+from map_racing.simulation.plants import load_plant
+from map_racing.vehicle.parameters import load_vehicle
 
 SOURCE = REPO / "src" / "map_racing"
 ARCHITECTURE = REPO / "doc" / "architecture.md"
@@ -129,6 +132,27 @@ def test_launch_commands_have_such_files_and_arguments(page):
             assert words[0] == "map_racing"
             given = {word.partition(":=")[0] for word in words[2:]}
             assert given <= launch_arguments(words[1]), line
+
+
+def test_every_node_that_asks_for_the_car_is_told_it():
+    """Else the controller would drive one car, and RViz show another."""
+    tree = ElementTree.parse(REPO / "launch" / "include" / "nodes.launch")
+    told = {
+        node.get("type"): {param.get("name") for param in node.findall("param")}
+        for node in tree.getroot().iter("node")
+    }
+    for kind in ("controller", "lookahead_visualizer"):
+        assert "vehicle" in told[kind], kind
+
+
+def test_simulated_cars_are_known_to_their_controller():
+    tree = ElementTree.parse(REPO / "launch" / "simulate.launch")
+    (default,) = [
+        arg.get("default") for arg in tree.getroot().findall("arg") if arg.get("name") == "vehicle"
+    ]
+    for plant in list_config("plants"):
+        known = eval(default[len("$(eval ") : -1], {"plant": plant})
+        assert load_vehicle(known).name == load_plant(plant).vehicle.name, plant
 
 
 def test_arguments_in_the_text_are_those_of_launch_files():

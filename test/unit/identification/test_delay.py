@@ -235,7 +235,7 @@ def test_no_answer_without_turning(steering):
     assert text.startswith("where the pose is from\n") and "delay_s: not determined" in text
 
 
-@pytest.mark.parametrize("noise", [0.5, 2.0])
+@pytest.mark.parametrize("noise", [0.5, pytest.param(2.0, marks=pytest.mark.once)])
 def test_noise_is_no_turning(noise):
     run = driven("nuc4", straight, yaw_rate_noise_radps=noise)
     assert estimate_delays([run], NUC4).delay.status == "not determined"
@@ -314,6 +314,7 @@ def test_of_other_servos_and_sensors(changes):
     assert delays.delay.value == pytest.approx(0.07, abs=0.005)
 
 
+@pytest.mark.once
 def test_poses_whose_stamps_are_not_even(shipped):
     rng = np.random.default_rng(0)
     t = np.sort(shipped.signals["v_x"].t + rng.normal(0.0, 0.006, shipped.signals["v_x"].t.size))

@@ -340,6 +340,7 @@ def test_the_sign_of_the_real_imu_is_found(circles):
     assert found.setup.lateral_scale == pytest.approx(-0.95, abs=0.02)
 
 
+@pytest.mark.once
 def test_second_real_car(shared_data):
     channels = load_channel_map("sysid_log")
     paths = sorted((shared_data / "tyre_id" / "second_car").glob("*.csv.gz"))

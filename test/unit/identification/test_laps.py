@@ -156,6 +156,23 @@ def test_an_imu_away_from_the_center_of_gravity():
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("factor", [3.6, -1.0])
+def test_an_odometry_in_other_units_or_turned_around(low, found, factor):
+    """Both velocities are of one message: what repairs one repairs the other."""
+    spoiled = {
+        name: Signal(t, factor * v) for name, (t, v) in low[0].signals.items() if "v_" in name
+    }
+    run = dataclasses.replace(low[0], signals={**low[0].signals, **spoiled})
+    repaired = identify_car([run], NUC4, fix=True)
+    assert repaired.setup.speed_scale == pytest.approx(1.0 / factor, rel=2e-3)
+    for axle in ("front", "rear"):
+        expected = stiffness(found.vehicle, axle)
+        assert stiffness(repaired.vehicle, axle) == pytest.approx(expected, rel=0.02)
+    text = car_text(repaired)
+    assert "differs from the poses, which are used, by 0.01" in text
+
+
+@pytest.mark.once
 def test_no_less_grip_than_was_demonstrated(low):
     """A file that promises less than the car did is wrong, determined or not."""
     run, true = low

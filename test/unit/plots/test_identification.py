@@ -1,37 +1,38 @@
 """Figures of identified tires."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from map_racing.identification.axles import AxlePoints
+from map_racing.identification.identify import Prediction
 from map_racing.plots.identification import (
-    AxleFigure,
-    DriveFigure,
     plot_coverage,
     plot_drive,
     plot_prediction,
     plot_tires,
 )
 from map_racing.plots.style import save
+from map_racing.vehicle.tires import LinearTire, PacejkaTire
 
 
 def is_png(path):
     return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def axle(name, rejected):
+def axle(rejected):
     slip = np.linspace(-0.2, 0.2, 100)
     force = 15.0 * np.tanh(8.0 * slip)
     inlier = np.ones(100, dtype=bool)
     inlier[:rejected] = False
-    return AxleFigure(
-        *(name, slip, force, inlier),
-        *(lambda s: 15.0 * np.tanh(8.0 * s), lambda s: 90.0 * s),
-        *(0.19, 16.0),
-    )
+    fit = SimpleNamespace(inlier=inlier, covered_slip=0.19, tire=PacejkaTire(6.0, 1.3, 0.95, 0.0))
+    linear = SimpleNamespace(tire=LinearTire(5.6))
+    return AxlePoints(-slip, force, 16.0), fit, linear
 
 
 def test_tires(tmp_path):
-    figure = plot_tires([axle("front", 7), axle("rear", 0)])
+    figure = plot_tires({"front": axle(7), "rear": axle(0)})
     front, rear = figure.axes
     assert front.get_title() == "front axle, static load 16.0 N"
     labels = [text.get_text() for text in front.get_legend().get_texts()]
@@ -54,11 +55,12 @@ def test_coverage():
 
 @pytest.mark.parametrize("runs", [1, 9])
 def test_prediction(runs):
-    names = [f"run {i % runs}" for i in range(36)]
-    measured = np.column_stack((np.linspace(-2.0, 2.0, 36), np.linspace(-5.0, 5.0, 36)))
-    predicted = 1.03 * measured
-    predicted[3] = np.nan
-    figure = plot_prediction(names, measured, predicted)
+    predictions = []
+    for i, (r, a_y) in enumerate(np.linspace((-2.0, -5.0), (2.0, 5.0), 36)):
+        off = np.nan if i == 3 else 1.03
+        values = 0.0, 2.0, 0.1, a_y, r, off * a_y, off * r
+        predictions.append(Prediction(f"run {i % runs}", *values, at_limit=False))
+    figure = plot_prediction(predictions, "predicted")
     yaw, lateral = figure.axes
     assert "yaw rate" in yaw.get_xlabel() and "m/s²" in lateral.get_ylabel()
     (legend,) = figure.legends  # one for both, beneath them
@@ -72,8 +74,9 @@ def test_prediction(runs):
 
 def test_drive(tmp_path):
     t = np.linspace(0.0, 10.0, 500)
-    drive = DriveFigure("a", t, 2.0 + 0.0 * t, 0.02 * t, 0.1 * t, 0.2 * t, [slice(50, 200)])
-    figure = plot_drive(drive)
+    drive = {"run": SimpleNamespace(label="a"), "t": t, "v_x": 2.0 + 0.0 * t, "delta": 0.02 * t}
+    drive.update(r=0.1 * t, a_y=0.2 * t, segments=lambda: [slice(50, 200)])
+    figure = plot_drive(SimpleNamespace(**drive))
     assert len(figure.axes) == 4 and figure.axes[-1].get_xlabel() == "time [s]"
     save(figure, tmp_path / "drive.png")
     assert is_png(tmp_path / "drive.png")

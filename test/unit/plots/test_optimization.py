@@ -11,8 +11,15 @@ from map_racing.track.raceline import Raceline
 from map_racing.track.walls import Walls
 
 
-@pytest.mark.parametrize("wide", [False, True])
-@pytest.mark.parametrize("track", ["reference", "club"])
+@pytest.mark.parametrize(
+    "track, wide",
+    [
+        ("reference", False),
+        ("club", True),
+        pytest.param("reference", True, marks=pytest.mark.once),
+        pytest.param("club", False, marks=pytest.mark.once),
+    ],
+)
 def test_line_walls_curvature_and_speed(tmp_path, track, wide):
     line = load_raceline(track)
     if not wide:  # a track higher than wide has its curves beside it

@@ -53,6 +53,8 @@ _WORDS = {
 
 # Correlation with the bends below which a column is one of speeds, see `Shape.falling`.
 _SLOWS = -0.6
+# Below this it is, whatever its size; the distance to one wall has down to -0.76.
+_SURELY = -0.8
 # Of two columns one that has this many times the other is a speed beside a width.
 _MANY = 3.0
 # A track is not wider than this share of its length: real ones have up to 0.075.
@@ -275,12 +277,15 @@ def _name_falling(names, values, left, curve, reasons):
     least, k = min(slowing)
     if least >= _SLOWS or any(value <= least + 0.2 for value, other in slowing if other != k):
         return False
+    others = [other for other in left if other != k]
+    sizes = np.median(values[:, [k, *others]], axis=0)
+    if least >= _SURELY and len(others) == 1 and sizes[0] < sizes[1]:
+        return False  # it is the distance to one wall, which racing lines touch in bends
     names[k] = "speed"
     reasons.append(
         f"column {k + 1} is taken as speed, as it drops where the track bends (correlation "
         f"{least:.2f})"
     )
-    others = [other for other in left if other != k]
     if len(others) == 1:
         return _not_understood(names, others, reasons)
     _name_walls(names, values, others, reasons)

@@ -147,6 +147,15 @@ def test_points_that_turn_back():
     assert {place.index for place in found["turns-back"].places} <= {100, 101, 102}
 
 
+@pytest.mark.parametrize("count", [4, 10, 100])
+@pytest.mark.parametrize("slope", [0.0, 1.0, 0.3])
+def test_a_line_driven_there_and_back_is_no_track(count, slope):
+    there = np.arange(count) * 0.5
+    way = np.append(there, there[::-1])
+    with pytest.raises(RacelineError, match="turns back|there and back"):
+        raceline_of(RacelineTable({"x": way, "y": slope * way}))
+
+
 def test_a_wrong_order_is_not_a_second_loop():
     rows = np.arange(0, N, 8)
     rows[[6, 12]] = rows[[12, 6]]

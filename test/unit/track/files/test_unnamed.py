@@ -393,3 +393,12 @@ def test_a_constant_on_a_circle_is_neither_curvature_nor_radius(tmp_path, jitter
     read = read_raceline(write(tmp_path / "c.csv", x, y, psi, value + 0.0 * T))
     assert set(read.columns) == {"x", "y", "psi", "speed"}
     assert codes(read.findings)["unnamed-columns"] == WARNING
+
+
+def test_a_wall_that_is_near_in_bends_is_no_speed(tmp_path):
+    """The smaller of two columns that are left, as racing lines touch one wall in bends."""
+    near = 0.6 - 0.2 * np.abs(AT.kappa) / np.max(np.abs(AT.kappa)) + 0.07 * np.sin(7.0 * T)
+    path = write(tmp_path / "c.csv", "x", "y", "psi", near, "d_left")
+    read = read_raceline(path)
+    assert set(read.columns) == {"x", "y", "psi", "d_right", "d_left"}
+    assert codes(read.findings)["unnamed-columns"] == WARNING
