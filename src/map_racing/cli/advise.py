@@ -45,5 +45,13 @@ def run(arguments):
                 f"at speed_scale 1, on the raceline of {advice.points} points.",
             ],
         )
-        print(f"{arguments.speed_sectors}: {len(advice.scales())} sectors, for speed_scale 1")
+        print(f"{arguments.speed_sectors}: {_count(advice)}, for speed_scale 1")
     return failed
+
+
+def _count(advice):
+    """How many sectors the file has: it cannot have one over the start line in one piece."""
+    count = len(advice.scales())
+    if count == len(advice.sectors):
+        return f"{count} sectors"
+    return f"{count} sectors, that over the start line as two"

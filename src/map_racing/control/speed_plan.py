@@ -127,7 +127,7 @@ class _Profile:
         percent = f"{share:.0%}" if share >= 0.01 else "less than 1%"
         return (
             f"slower than the raceline on {percent.replace('%', ' %')} of the lap, "
-            f"most at s = {s:.1f} m: {planned:.1f} for {requested:.1f} m/s"
+            f"most at s = {s:.1f} m: {planned:.1f} instead of {requested:.1f} m/s"
         )
 
 

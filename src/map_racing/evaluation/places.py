@@ -187,7 +187,7 @@ class Place:
             ("leaves at", self.exit, self.exit_reference),
         ):
             if f"{own:.1f}" != f"{other:.1f}":
-                said.append(f"{verb} {own:.1f} for {other:.1f} m/s")
+                said.append(f"{verb} {own:.1f} instead of {other:.1f} m/s")
         # The most telling two.
         if len(said) == 3:
             del said[2]

@@ -129,9 +129,10 @@ def _table_rows(run):
         rows.append(
             [
                 f"steering at {100 * band.low:.0f} to {100 * band.high:.0f} % of the grip",
-                f"{abs(degrees):.1f} degrees ({share:.0f} %) {kind} than the table",
+                f"{abs(degrees):.1f} degrees ({share:.0f} %) {kind} than the table, "
+                f"in {100 * band.share:.0f} % of the laps",
                 "",
-                f"{100 * band.share:.0f} % of the laps",
+                "",
                 f"keep: off by less than {most:.0f} degree"
                 if abs(degrees) < most
                 else "identify the tires from this run",

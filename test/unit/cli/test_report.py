@@ -130,6 +130,7 @@ def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
     delay = f"{load_controller_parameters('map').delay_s:.3f} s"
     assert re.search(rf"0\.0\d\d to 0\.0\d\d s {delay} (keep|delay_s: 0\.0)", section)
     assert "friction" in section and "keep: off by less than 1 degree" in section
+    assert re.search(r"degrees \(\d+ %\) (more|less) than the table, in \d+ % of the laps", section)
     text = text_of(report(tmp_path, race_bag()))
     assert "No advice: the car is not known, give --vehicle" in text
     text = text_of(report(tmp_path, race_bag(), "--vehicle", "nuc4"))

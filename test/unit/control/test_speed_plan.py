@@ -118,7 +118,7 @@ def test_says_how_much_is_slowed_and_where_most():
     assert 20.0 <= s % (0.5 * line.length) <= 20.0 + 2.0 * math.pi
     assert str(plan) == (
         f"slower than the raceline on {plan.share_slowed:.0%} of the lap, ".replace("%", " %")
-        + f"most at s = {s:.1f} m: {planned:.1f} for 6.0 m/s"
+        + f"most at s = {s:.1f} m: {planned:.1f} instead of 6.0 m/s"
     )
     assert plan.lap_time == lap_time(plan.speed, plan.ds)
 

@@ -128,7 +128,7 @@ def test_a_slow_entry_and_a_wide_exit_are_the_first_two_places(reference, drivin
         pytest.approx(4.0, abs=0.1)
     )
     assert "third left: 0.12 s; " in str(first) and "0.15 m wide at the" in str(first)
-    assert "slows to 3.0 for 4.0 m/s" in str(first) and "grip" not in str(first)
+    assert "slows to 3.0 instead of 4.0 m/s" in str(first) and "grip" not in str(first)
     assert all(place.loss_s < 0.02 for place in rest)
 
 
