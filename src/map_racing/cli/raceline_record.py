@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import EvaluationError, ParameterError, RacelineError
+from ..evaluation.doubts import doubts_of
 from ..evaluation.driven_line import driven_laps, line_of_lap
 from ..evaluation.recordings import load_recording, recorded_raceline
 from ..printing import printable
@@ -50,6 +53,7 @@ def run_record(arguments):
         print(f"  lap {one.number:2d} {time}  {one.reason}{mark}".rstrip())
     table = line_of_lap(recording, lap, arguments.spacing, arguments.smoothing, size)
     columns = dict(table.columns)
+    doubts = doubts_of(replace(recording, commands=None), [(lap.begin, lap.end)])
     if arguments.speeds == "none":
         del columns["speed"]
     table = table._replace(columns=columns)
@@ -59,7 +63,8 @@ def run_record(arguments):
     line = raceline_of(table)
     for text in facts_text(raceline_facts(line)):
         print(f"  {text}")
-    findings = [*close, *line.findings]
+    doubtful = [Finding("doubtful", "warning", doubt) for doubt in doubts]
+    findings = [*doubtful, *close, *line.findings]
     print_findings(findings)
     print(f"  {findings_count(findings)}")
     save_raceline(line, arguments.output, form, table)

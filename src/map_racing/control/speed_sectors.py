@@ -180,7 +180,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
     if "n_sectors" not in content:
         raise ParameterError(f"{path}: not a speed_scaling.yaml: n_sectors is missing")
     limit = _scale(path, content, "global_limit", "global_limit", 1.0)
-    sectors, count, last = [], _index(path, content, "n_sectors"), -1
+    sectors, count, last, covered = [], _index(path, content, "n_sectors"), -1, []
     for index in range(count):
         key = f"Sector{index}"
         sector = content.get(key)
@@ -199,6 +199,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
                 f"got {end}"
             )
         last = max(last, end)
+        covered.append((start, end))
         scale = _scale(path, sector, f"{key}: scaling", "scaling")
         if start >= len(points):
             continue
@@ -215,6 +216,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
             f"{path}: the last sector ends at point {last}, the raceline has {len(points)}: are "
             "the sectors of another one?"
         )
+    doubts += _gaps(path, covered)
     starts = [int(content[f"Sector{index}"]["start"]) for index in range(count)]
     doubts += _elsewhere(path, content.get(_PLACES), starts, raceline)
     try:
@@ -270,6 +272,17 @@ def corners_and_straights(raceline: Raceline) -> list:
     starts = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), size]
     names = {1: "left", 0: "straight", -1: "right"}
     return [(a, b - 1, names[int(kind[a])]) for a, b in zip(starts, starts[1:])]
+
+
+def _gaps(path, covered):
+    """Doubt about points before or between sectors that are in none."""
+    end = -1
+    for start, last in sorted(covered):
+        if start > end + 1:
+            missing = f"points {end + 1} to {start - 1}"
+            return [f"{path}: {missing} are in no sector: driven at the global limit"]
+        end = max(end, last)
+    return []
 
 
 def _elsewhere(path, places, starts, raceline):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Sequence
 
 import numpy as np
 
@@ -60,14 +61,15 @@ _LONG_WHILE, _BRAKES = 16, 1.5
 _TOP_TIMES, _TOP_MORE = 2.0, 2.0
 
 
-def doubts_of(recording: Recording, laps: list[Lap]) -> list[str]:
+def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> list[str]:
     """All doubts about a recording, or about what was driven so far.
 
     Parameters
     ----------
     recording : Recording
-    laps : list of Lap
-        Only within those that are complete do speeds count that are wrong for a while.
+    spans : sequence of (float, float)
+        Begin and end of complete laps [s]: only within them do speeds count that are wrong for a
+        while.
 
     Returns
     -------
@@ -75,9 +77,8 @@ def doubts_of(recording: Recording, laps: list[Lap]) -> list[str]:
     """
     topic, t, x, y = recording.topic, recording.t, recording.x, recording.y
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
-    begin = min((lap.start_time_s for lap in complete), default=math.inf)
-    end = max((lap.end_time_s for lap in complete), default=-math.inf)
+    begin = min((begin for begin, _ in spans), default=math.inf)
+    end = max((end for _, end in spans), default=-math.inf)
     of_commands = [*command_units(recording), unfollowed(recording)]
     if not any(of_commands):
         of_commands = [_command_for_a_while(recording, begin, end)]

@@ -34,7 +34,7 @@ class History:
         """Forget the run."""
         self._poses = tuple(array("d") for _ in range(5))
         self._stamps, self._commands = array("q"), (array("d"), array("d"))
-        self._laps = []
+        self._spans = []
 
     def add_pose(self, *pose: float) -> None:
         """Take time since the first pose [s], position [m], heading [rad] and speed [m/s]."""
@@ -46,8 +46,9 @@ class History:
 
     def add_laps(self, laps: list[Lap]) -> None:
         """Take laps that ended; of the complete ones the first and the last are kept."""
-        self._laps += [lap for lap in laps if not math.isnan(lap.lap_time_s)]
-        del self._laps[1:-1]
+        complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
+        self._spans += [(lap.start_time_s, lap.end_time_s) for lap in complete]
+        del self._spans[1:-1]
 
     def doubts(self, t0_ns: int) -> list[str]:
         """Doubts about the run so far, see `doubts_of`.
@@ -71,7 +72,7 @@ class History:
         )
         mark = "warning: "
         said = [note[len(mark) :] for note in notes if note.startswith(mark)]
-        return [*said, *doubts_of(driven, self._laps)]
+        return [*said, *doubts_of(driven, self._spans)]
 
 
 def _append(columns, values):

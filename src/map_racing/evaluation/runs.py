@@ -134,7 +134,8 @@ def evaluate(
         result = replace(result, laps=laps)
     progress = sum(float(lap.trace.s[-1]) for lap in result.laps)
     _check_followed(recording, result, progress, limits.max_deviation if limits else None)
-    doubts = doubts_of(recording, result.laps)
+    complete = [lap for lap in result.laps if not math.isnan(lap.lap_time_s)]
+    doubts = doubts_of(recording, [(lap.start_time_s, lap.end_time_s) for lap in complete])
     if speed_command is not None:
         doubts += uncommanded(recording.t, speed_command, result.laps)
     notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts)]

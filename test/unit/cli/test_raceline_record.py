@@ -107,3 +107,21 @@ def test_a_lap_along_a_wall_is_told(by_hand, tmp_path, capsys):
     drive(tmp_path / "run.bag", 1.4, (2.0, 3.0))
     assert record(tmp_path, output, "--map", by_hand / "hall.yaml") == 1
     assert "choose another lap with --lap" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("frame", "factor", "said"),
+    [
+        ("odom", 1.0, "warning: /car_state/odom is in frame odom, which drifts against the map"),
+        ("map", 1.3, "warning: /car_state/odom: the measured speed is 1.30 times the motion"),
+    ],
+)
+def test_what_makes_the_lap_doubtful_stands_beside_the_line(tmp_path, capsys, frame, factor, said):
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(1200):
+            x, y, psi = 2.0 * np.cos(0.02 * i), 2.0 * np.sin(0.02 * i), 0.02 * i + 0.5 * np.pi
+            speed = 2.0 * factor
+            bag.odometry(100.0 + 0.02 * i, x, y, psi, speed, 0.0, 1.0, frame=frame)
+    assert record(tmp_path, tmp_path / "line.csv") == 0
+    printed = capsys.readouterr().out
+    assert said in printed and "nothing wrong" not in printed

@@ -181,6 +181,18 @@ def test_the_order_of_the_sectors_does_not_matter_for_the_doubt(tmp_path):
     assert load(tmp_path, text + "Sector1: {start: 0, end: 9, scaling: 0.5}}").doubts == ()
 
 
+@pytest.mark.parametrize(
+    "starts, said",
+    [((0, 10), ""), ((0, 12), "points 10 to 11 are in no sector"), ((3, 10), "points 0 to 2 are")],
+)
+def test_points_before_or_between_sectors_are_doubted(tmp_path, starts, said):
+    """There the car drives at the global limit."""
+    one, two = starts
+    text = f"{{n_sectors: 2, Sector0: {{start: {one}, end: 9, scaling: 0.5}}, "
+    doubts = load(tmp_path, text + f"Sector1: {{start: {two}, end: 19, scaling: 0.8}}}}").doubts
+    assert len(doubts) == bool(said) and said in "".join(doubts)
+
+
 def test_no_sectors_are_no_doubt(tmp_path):
     assert load(tmp_path, "{n_sectors: 0, global_limit: 0.5}").doubts == ()
 

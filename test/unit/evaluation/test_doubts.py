@@ -17,7 +17,6 @@ from map_racing.evaluation.doubts import (
     time_jump,
     unfollowed,
 )
-from map_racing.evaluation.results import Lap
 from map_racing.evaluation.speed import speed_of
 from map_racing.evaluation.statistics import mean
 
@@ -155,11 +154,6 @@ def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
     assert speed_warning("/odom", T, still, still, still) == ""
 
 
-def lap(begin, end):
-    numbers = dict.fromkeys(("time", "rms", "mean", "max"), 1.0)
-    return Lap(1, *numbers.values(), True, "", start_time_s=begin, end_time_s=end)
-
-
 @pytest.mark.parametrize(
     ("factor", "told", "said"),
     [
@@ -180,20 +174,20 @@ def test_speeds_that_are_wrong_for_a_while(factor, told, said, noise):
     v, unknown = 4.8 * np.where(part, factor, 1.0), np.full(T.size, np.nan)
     commands = Commands(T, 0.0 * T, 4.8 * np.where(part, told, 1.0), "/drive")
     driven = Recording(T, x, y, unknown, v, unknown, unknown, topic="/odom", commands=commands)
-    doubts = doubts_of(driven, [lap(5.0, 12.0), lap(12.0, 20.0)])
+    doubts = doubts_of(driven, [(5.0, 12.0), (12.0, 20.0)])
     assert len(doubts) == bool(said)
     if said and noise == 0.0:
         assert said in doubts[0]
-    assert doubts_of(driven, []) == doubts_of(driven, [lap(20.0, 25.0)]) == []
+    assert doubts_of(driven, []) == doubts_of(driven, [(20.0, 25.0)]) == []
 
 
 def test_a_single_speed_that_no_car_has():
     v, unknown = np.full(T.size, 4.8), np.full(T.size, np.nan)
     v[1000] = 25.0
     driven = Recording(T, *circling(), unknown, v, unknown, unknown, topic="/odom")
-    (doubt,) = doubts_of(driven, [lap(5.0, 20.0)])
+    (doubt,) = doubts_of(driven, [(5.0, 20.0)])
     assert doubt.startswith("/odom: the measured speed reaches 25.0 m/s at 12.5 s, where the poses")
-    assert doubts_of(driven, [lap(5.0, 10.0)]) == []
+    assert doubts_of(driven, [(5.0, 10.0)]) == []
 
 
 @pytest.mark.parametrize(
