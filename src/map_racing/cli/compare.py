@@ -41,14 +41,16 @@ def table_lines(comparison):
         for value in comparison.values:
             digits = DIGITS.get(value, 3)
             first, second, change = (row[f"{value}_{name}"] for name in ("a", "b", "change"))
-            cells += [_number(first, digits), _number(second, digits)]
+            # Of tuning what is missing is no race, but a parameter of another kind of controller.
+            missing = "-" if comparison.kind.startswith("tune") else "N.C."
+            cells += [_number(number, digits, missing) for number in (first, second)]
             cells.append("-" if math.isnan(change) else f"{change:+.{digits}f}")
         rows.append(cells)
     return aligned(rows, left=1)
 
 
-def _number(value, digits):
-    return "N.C." if math.isnan(value) else f"{value:.{digits}f}"
+def _number(value, digits, missing):
+    return missing if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def run_names(folders):

@@ -169,10 +169,11 @@ def _draw(session, arguments, table, laps, what, contenders):
 
 
 def frame_rows(frame):
-    """A frame as rows of text, with its column names."""
+    """A frame as rows of text, with its column names; what is not known is a dash."""
     rows = [list(frame.columns)]
     for values in frame.itertuples(index=False):
-        rows.append([f"{v:.4g}" if isinstance(v, float) else str(v) for v in values])
+        texts = (f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
+        rows.append(["-" if text == "nan" else text for text in texts])
     return rows
 
 

@@ -24,7 +24,7 @@ from typing import Any, Callable, Iterator
 
 from ..errors import MapRacingError, ParameterError
 
-__all__ = ["SerialExecutor", "carried_out", "open_executor"]
+__all__ = ["SerialExecutor", "carried_out", "check_workers", "open_executor"]
 
 # One race uses one core. Without these, each process would start a thread per core for linear
 # algebra.
@@ -95,6 +95,20 @@ def _result(future):
         ) from None
 
 
+def check_workers(jobs: int | None, scheduler: str | None) -> None:
+    """Refuse what `open_executor` cannot open, whose arguments these are.
+
+    Raises
+    ------
+    ParameterError
+        If the number of jobs is not positive, or both are given.
+    """
+    if jobs is not None and jobs < 1:
+        raise ParameterError(f"jobs: expected at least 1, got {jobs}")
+    if scheduler is not None and jobs is not None:
+        raise ParameterError("jobs: expected none with a scheduler, whose workers decide")
+
+
 @contextmanager
 def open_executor(
     jobs: int | None = None, scheduler: str | None = None
@@ -112,15 +126,12 @@ def open_executor(
     Raises
     ------
     ParameterError
-        If the number of jobs is not positive, or both are given.
+        As `check_workers`.
     MapRacingError
         If the scheduler does not answer, or Dask is not installed.
     """
-    if jobs is not None and jobs < 1:
-        raise ParameterError(f"jobs: expected at least 1, got {jobs}")
+    check_workers(jobs, scheduler)
     if scheduler is not None:
-        if jobs is not None:
-            raise ParameterError("jobs: expected none with a scheduler, whose workers decide")
         with _dask(scheduler) as given:
             yield given
         return

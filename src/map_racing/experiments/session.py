@@ -19,7 +19,7 @@ from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
 from .campaign import Effort, carry_out
-from .executors import open_executor
+from .executors import check_workers, open_executor
 from .identification_day import identify_on
 from .jobs import RaceJob, execute
 from .paper import CONTENDERS, Race, Setting, tuning_plan
@@ -55,6 +55,7 @@ class Races:
     """
 
     def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
+        check_workers(jobs, scheduler)
         self.kind = kind
         self.folder, self.earlier = make_folder(folder), None
         if (self.folder / "results.json").exists():

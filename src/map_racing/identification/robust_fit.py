@@ -52,20 +52,14 @@ class Fitted:
     names : tuple of str
     values : ndarray, shape (p,)
     covariance : ndarray, shape (p, p)
-    information : ndarray, shape (p, p)
-        Of the measurements alone: what they would say without the beliefs.
     noise : dict of str to float
         Standard deviation of the residuals of each quantity.
-    cost : float
-        Of the measurements, in variances of that noise.
     """
 
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
-    information: np.ndarray
     noise: dict[str, float]
-    cost: float
 
     def __getitem__(self, name: str) -> float:
         """A parameter."""
@@ -162,13 +156,13 @@ class _Problem:
         return float(np.sum(rows) + 0.5 * np.sum(self.precision * away * away))
 
     def normal(self, theta, residual, jacobian):
-        """Information of the measurements, the Hessian with the beliefs, and the gradient."""
+        """Hessian and gradient, the beliefs included."""
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
         weighted = jacobian * weight[:, None]
-        information = weighted.T @ jacobian
+        hessian = weighted.T @ jacobian + np.diag(self.precision)
         away = (theta - self.center)[self.free]
         gradient = weighted.T @ residual + self.precision * away
-        return information, information + np.diag(self.precision), gradient
+        return hessian, gradient
 
     def minimize(self, theta, errors, noise, tolerance):
         """The minimum near `theta`, where the errors are known; its errors, and its cost."""
@@ -176,7 +170,7 @@ class _Problem:
         residual, jacobian = self.linearized(theta, errors, noise)
         cost, damping = self.cost(theta, residual), 1e-3
         for _ in range(MOST_STEPS):
-            _, hessian, gradient = self.normal(theta, residual, jacobian)
+            hessian, gradient = self.normal(theta, residual, jacobian)
             at = theta[self.free]
             held = ((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0))
             loose = np.flatnonzero(~held)
@@ -210,7 +204,7 @@ class _Problem:
     def result(self, theta, errors, noise):
         """The fit at the minimum."""
         residual, jacobian = self.linearized(theta, errors, noise)
-        information, hessian, _ = self.normal(theta, residual, jacobian)
+        hessian, _ = self.normal(theta, residual, jacobian)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
         windows = int(np.max(self.window)) + 1
         scores = np.zeros((windows, self.free.size))
@@ -218,10 +212,6 @@ class _Problem:
         few = windows / max(windows - 1, 1)
         inverse = np.linalg.pinv(hessian)
         spread = inverse @ (few * scores.T @ scores + np.diag(self.precision)) @ inverse
-        place = np.ix_(self.free, self.free)
-        covariance, information_ = np.zeros((2, theta.size, theta.size))
-        covariance[place], information_[place] = spread, information
-        own = self.cost(theta, residual) - 0.5 * float(
-            np.sum(self.precision * (theta - self.center)[self.free] ** 2)
-        )
-        return Fitted(self.names, theta, covariance, information_, noise, own)
+        covariance = np.zeros((theta.size, theta.size))
+        covariance[np.ix_(self.free, self.free)] = spread
+        return Fitted(self.names, theta, covariance, noise)

@@ -1,8 +1,12 @@
 """``map-racing compare``: two results of an experiment side by side."""
 
+import math
 import re
 
+import pandas as pd
+
 from map_racing.cli import main
+from map_racing.experiments.results import Results, write_results
 
 
 def test_comparison(tires, shipped, scaling, refused, tmp_path, capsys):
@@ -15,3 +19,17 @@ def test_comparison(tires, shipped, scaling, refused, tmp_path, capsys):
     assert re.search(r"conditions\.seeds +1, 2 +1$", printed, re.M)
     assert "cannot compare" in refused("compare", tires, scaling)
     assert "expected a result directory" in refused("compare", tires, tmp_path)
+
+
+def test_a_parameter_that_a_controller_has_not_is_no_race_that_was_not_completed(tmp_path, capsys):
+    rows = [
+        {"controller": "map", "m_m": 0.1, "q_s": 0.2, "heading_weight_m": math.nan},
+        {"controller": "mpc_kinematic", "m_m": math.nan, "q_s": math.nan, "heading_weight_m": 0.3},
+    ]
+    for row in rows:
+        row.update(speed_scale=0.6, steering_rate_weight_ms=0.02, rms_lateral_error_m=0.01)
+    track = {"name": "ring", "sha256": "0"}
+    write_results(tmp_path, Results("tune", pd.DataFrame(rows), {"track": track}))
+    assert main(["compare", str(tmp_path), str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"mpc_kinematic +- +- +- ", printed) and "N.C." not in printed

@@ -1,6 +1,7 @@
 """``map-racing experiment``: tables, figures and provenance of races on a small circle."""
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 from map_racing.bags.reader import read_recording
 from map_racing.cli import main
+from map_racing.cli.experiment import frame_rows
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.recordings import recorded_raceline
 from map_racing.evaluation.runs import evaluate
@@ -68,6 +70,11 @@ def test_races_that_are_over_before_the_first_pose_are_results(
     assert main(["experiment", kind, *options]) == 0
     assert re.search(said, capsys.readouterr().out)
     assert main(["compare", str(tmp_path / "out"), str(tmp_path / "out")]) == 0
+
+
+def test_what_is_not_known_is_a_dash():
+    frame = pd.DataFrame({"controller": ["MAP"], "median_lap_time_s": [math.nan], "days": [0]})
+    assert frame_rows(frame)[1] == ["MAP", "-", "0"]
 
 
 def test_the_bags_hold_the_races_of_the_table(tires):
@@ -167,6 +174,8 @@ def test_mistakes_are_one_line(tmp_path, refused, monkeypatch, options, expected
     output = [] if "--output" in options else ["--output", tmp_path / "out"]
     command = ["experiment", "tire-models", *vehicle, *output]
     assert expected in refused(*command, *options)
+    # Nothing was begun.
+    assert options[0] in ("--reuse", "--scheduler") or not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("to", ["0.5", "2.1", "nan"])
