@@ -97,8 +97,8 @@ class Adaptation:
     ----------
     steering : TireSteering
         Steering map of the believed tires; another object whenever the belief has changed.
-    grip : float
-        As in `Belief`.
+    grips : list of float
+        Lateral limits that the speeds use, relative to the vehicle file's, for `TireSteering.at`.
     delay : float
         That the controller uses [s]: it follows the believed one slowly.
     slowest : float
@@ -129,7 +129,7 @@ class Adaptation:
         for i, deviation in enumerate((*PRIOR, HEIGHT * car.l_wb), 2):
             self._P[i][i] = deviation * deviation
         self.steering, self._used = self.file_steering, self._x[:]
-        self.grip = math.exp(-CAUTION * PRIOR[0])
+        self.grips = [math.exp(-CAUTION * PRIOR[0])] * len(self.steering.levels)
         self.learned_s = 0.0
         self._noise = 1.0
         self.delay = self._x[5] + self._x[6]
@@ -162,6 +162,11 @@ class Adaptation:
     def level(self):
         """Believed lateral limit, relative to the vehicle file's."""
         return self.steering.level(self.slowest)
+
+    @property
+    def grip(self):
+        """As in `Belief`: the least of `grips`."""
+        return self.steering.least(self.slowest, self.grips)
 
     @property
     def belief(self):
@@ -436,10 +441,10 @@ class Adaptation:
             self.steering = self.file_steering.scaled(*(math.exp(x[k]) for k in (2, 3, 4)))
         most = DELAY_RATE * elapsed
         self.delay += min(max(x[5] + x[6] - self.delay, -most), most)
-        level = self.level
-        lower = level * math.exp(-CAUTION * math.sqrt(P[2][2]))
-        if lower < self.grip:
-            self.grip = lower
-        elif use > NEAR * self.grip / level:
-            self.grip = min(lower, self.grip + RISE * elapsed)
+        caution = math.exp(-CAUTION * math.sqrt(P[2][2]))
+        rise = RISE * elapsed if use * self.level > NEAR * self.grip else 0.0
+        self.grips = [
+            min(grip + rise, caution * level)
+            for grip, level in zip(self.grips, self.steering.levels)
+        ]
         return changed

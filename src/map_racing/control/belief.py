@@ -23,7 +23,8 @@ class Belief(NamedTuple):
     delay, delay_low, delay_high : float
         Age of a pose when it is used, plus dead time and lag of the steering [s].
     grip : float
-        Lateral limit that the speeds use, relative to the vehicle file's.
+        Lateral limit that the speeds use, relative to the vehicle file's, in the bends where that
+        is least.
     """
 
     friction: float

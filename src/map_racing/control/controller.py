@@ -201,8 +201,8 @@ class Controller:
         if self._parameters.steering_map == "table":
             self._steering_map = adaptation.steering
         if self._plan is not None:
-            self._plan.level = adaptation.grip
-            self._guard.level = adaptation.level
+            self._plan.grips = adaptation.grips
+            self._guard.levels = adaptation.steering.levels
 
     def change(self, **changes):
         """Prepare and apply `changes` at once."""

@@ -40,6 +40,9 @@ class GripGuard:
     ----------
     use : float
         Low-passed share of the grip that guidance asks for, at most 2.
+    levels : list of float or None
+        Grip that there is at each speed, relative to that of `grip`, a `TireSteering`; None for
+        that itself.
     """
 
     def __init__(self, grip, v_max):
@@ -48,19 +51,8 @@ class GripGuard:
         v = np.maximum(np.arange(count), 0.5) / _PER_MPS
         self._radius = (v * v / np.asarray(grip.max_lateral_acceleration(v))).tolist()
         self._last = len(self._radius) - 1
-        self.level = 1.0
+        self._grip, self.levels = grip, None
         self.reset()
-
-    @property
-    def level(self):
-        """Grip that there is, relative to that of `grip`; 1 until it is set."""
-        return self._level
-
-    @level.setter
-    def level(self, level):
-        # With other friction a circle is what it was at v / sqrt(level): of the same slip angles.
-        self._level = level
-        self._per_mps = _PER_MPS / math.sqrt(level)
 
     def reset(self):
         """Forget the past."""
@@ -90,7 +82,11 @@ class GripGuard:
             At most `planned`, and no less than walking pace for it [m/s].
         """
         # Comparisons, and the nearest entry: interpolation would take as long as all of the rest.
-        i = int(v * self._per_mps + 0.5)
+        per_mps = _PER_MPS
+        if self.levels is not None and v > 0.0:
+            # With other friction a circle is what it was at v / sqrt(level): of the same slip.
+            per_mps /= math.sqrt(self._grip.at(v, self.levels))
+        i = int(v * per_mps + 0.5)
         if i < 0:
             i = 0
         elif i > self._last:

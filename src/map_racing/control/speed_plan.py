@@ -25,6 +25,9 @@ WALKING_PACE = 1.0
 # 0.2 %; long courses get longer ones, so that a plan takes about 10 ms on any of them.
 CELL, LONGEST_CELL, CELLS = 0.025, 0.1, 4000
 
+# Rounds in which the level of a speed and the speed of that level are found.
+ROUNDS = 3
+
 # A place is slowed where the plan is below this share of what is asked: not by rounding.
 SLOWED = 0.99
 
@@ -212,6 +215,9 @@ class AdaptiveSpeedPlan(_Profile):
     interpolated: within 0.1 % of the plan made for that level on average, and 1 % where it ends to
     accelerate and brakes. So no plan has to be made while the car drives.
 
+    The level is that of the speed, as tires of another stiffness turn slow bends worse or better
+    than fast ones. Where the plan brakes from one level to another, it brakes 5 % harder.
+
     Parameters
     ----------
     raceline, parameters, sectors
@@ -223,6 +229,8 @@ class AdaptiveSpeedPlan(_Profile):
     ----------
     slowest : float
         Least speed of the lap on a slippery day [m/s].
+    grips : list of float
+        Grip that there is at each speed, relative to the vehicle file's, for `TireSteering.at`.
     """
 
     LEVELS = (0.3, 0.45, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
@@ -236,36 +244,49 @@ class AdaptiveSpeedPlan(_Profile):
         self.s, self.ds, self.has_own_speeds = one.s, one.ds, one.has_own_speeds
         self.length, self._per_ds = one.length, one._per_ds
         self.slowest = float(self._plans[self.LEVELS.index(0.8)].speed.min())
-        self.level = 1.0
-
-    @property
-    def level(self):
-        """Grip that there is, relative to the vehicle file's."""
-        return self._level
-
-    @level.setter
-    def level(self, level):
-        levels = self.LEVELS
-        k = min(max(bisect_right(levels, level), 1), len(levels) - 1)
-        part = (level - levels[k - 1]) / (levels[k] - levels[k - 1])
-        self._level = level
-        # In one piece: other threads read it.
-        self._between = self._plans[k - 1], self._plans[k], min(max(part, 0.0), 1.0)
+        self._grip, self.grips = grip, [1.0] * len(grip.levels)
+        self._speeds = np.array([plan.speed for plan in self._plans])
+        self._requested = np.array([plan.requested for plan in self._plans])
 
     def speed_at(self, s):
         """Planned speed [m/s] at arc length `s` [m], taken modulo the length."""
-        slow, fast, part = self._between
-        v = slow.speed_at(s)
-        return v + part * (fast.speed_at(s) - v)
+        grips = self.grips
+        level = grips[0]
+        # The level hardly changes with the speed, so that each round comes 20 times closer.
+        for _ in range(ROUNDS):
+            slow, fast, part = self._between(level)
+            v = slow.speed_at(s)
+            v += part * (fast.speed_at(s) - v)
+            level = self._grip.at(v, grips)
+        return v
+
+    def _between(self, level):
+        """Plans of the levels around one, and how far that is from the first to the second."""
+        levels = self.LEVELS
+        k = min(max(bisect_right(levels, level), 1), len(levels) - 1)
+        part = (level - levels[k - 1]) / (levels[k] - levels[k - 1])
+        return self._plans[k - 1], self._plans[k], min(max(part, 0.0), 1.0)
 
     @property
     def speed(self):
         """Planned speed at the cells [m/s], shape (n,)."""
-        slow, fast, part = self._between
-        return slow.speed + part * (fast.speed - slow.speed)
+        return self._driven()[0]
 
     @property
     def requested(self):
         """What is asked for there [m/s], shape (n,)."""
-        slow, fast, part = self._between
-        return slow.requested + part * (fast.requested - slow.requested)
+        return self._driven()[1]
+
+    def _driven(self):
+        """`speed` and `requested`, as `speed_at`."""
+        grips, levels, cells = self.grips, np.array(self.LEVELS), np.arange(self.s.size)
+        level = np.full(self.s.size, grips[0])
+        for _ in range(ROUNDS):
+            k = np.clip(np.searchsorted(levels, level, "right"), 1, levels.size - 1)
+            part = np.clip((level - levels[k - 1]) / (levels[k] - levels[k - 1]), 0.0, 1.0)
+            speed, requested = (
+                plans[k - 1, cells] + part * (plans[k, cells] - plans[k - 1, cells])
+                for plans in (self._speeds, self._requested)
+            )
+            level = np.interp(speed, self._grip.speeds, grips)
+        return speed, requested

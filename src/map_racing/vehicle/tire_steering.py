@@ -43,6 +43,8 @@ class TireSteering:
     ----------
     factors : tuple of float
         On friction, front stiffness and rear stiffness.
+    speeds, levels : list of float
+        Speeds [m/s] between which `at` interpolates, and the `level` of each.
 
     Raises
     ------
@@ -66,7 +68,8 @@ class TireSteering:
         count = max(int(math.ceil((v_max - SLOWEST) / STEP)), 1) + 1
         self._v = np.linspace(SLOWEST, max(v_max, SLOWEST + STEP), count)
         self._w = (1.0 / self._v**2).tolist()
-        self._speeds = self._v.tolist()
+        self.speeds = self._v.tolist()
+        self._per_mps = 1.0 / (self.speeds[1] - SLOWEST)
         self._nominal = None
         self._scale(1.0, 1.0, 1.0)
         self._nominal = copy.copy(self)
@@ -117,7 +120,7 @@ class TireSteering:
         nominal = self._nominal or self
         alike = friction * nominal.max_lateral_acceleration(self._v / math.sqrt(friction))
         ratio = (self._limits / alike)[::-1]
-        self._levels = (friction * np.minimum.accumulate(ratio)[::-1]).tolist()
+        self.levels = (friction * np.minimum.accumulate(ratio)[::-1]).tolist()
 
     def steering(self, v: float, a_lat: float) -> tuple[float, bool]:
         """Steering angle [rad] for speed [m/s] and lateral acceleration [m/s^2], and saturation.
@@ -157,11 +160,25 @@ class TireSteering:
 
         The friction, times the least ratio of the limit to the one with the file's stiffness.
         """
-        return self._levels[max(bisect_right(self._speeds, v) - 1, 0)]
+        return self.least(v, self.levels)
+
+    def least(self, v: float, levels: list[float]) -> float:
+        """The least of levels from `v` [m/s] on."""
+        return min(levels[max(bisect_right(self.speeds, v) - 1, 0) :])
+
+    def at(self, v: float, levels: list[float]) -> float:
+        """The level at a speed that is not negative [m/s]."""
+        place = (v - SLOWEST) * self._per_mps
+        if place <= 0.0:
+            return levels[0]
+        k = int(place)
+        if k >= len(levels) - 1:
+            return levels[-1]
+        return levels[k] + (place - k) * (levels[k + 1] - levels[k])
 
     def limit(self, v: float) -> float:
         """`max_lateral_acceleration` for one speed of at least 0, in less time."""
-        k = bisect_right(self._speeds, v)
+        k = bisect_right(self.speeds, v)
         inverse, ws = self._inverse_limits, self._w
         if k == 0:
             return v * v * ws[0] / inverse[0]

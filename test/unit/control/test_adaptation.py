@@ -378,7 +378,7 @@ def test_switched_off_it_drives_as_without_and_on_again_it_knows_what_it_learned
     assert controller.step(state) == plain.step(state)
     controller.change(parameters=ADAPTIVE)
     assert controller.adaptation is learning and learning.belief == believed
-    assert controller.plan.level == believed.grip
+    assert controller.plan.grips is learning.grips and min(learning.grips) == believed.grip
     assert controller.max_lateral_acceleration(6.0) == pytest.approx(
         learning.steering.max_lateral_acceleration(6.0)
     )
@@ -433,7 +433,7 @@ def test_the_adaptive_controller_is_the_default_that_learns():
 def test_an_adaptive_plan_is_the_plan_of_its_level(level):
     steering = TireSteering(NUC4, 12.0)
     adaptive = AdaptiveSpeedPlan(REFERENCE, ADAPTIVE, steering)
-    adaptive.level = level
+    adaptive.grips = [level] * len(steering.levels)
     made = SpeedPlan(REFERENCE, ADAPTIVE, steering.scaled(level, 1.0, 1.0))
     assert adaptive.speed == pytest.approx(made.speed, rel=0.012)
     assert np.mean(np.abs(adaptive.speed / made.speed - 1.0)) < 1e-3
@@ -443,8 +443,34 @@ def test_an_adaptive_plan_is_the_plan_of_its_level(level):
 
 
 def test_beyond_its_levels_an_adaptive_plan_stays_at_the_last():
-    adaptive = AdaptiveSpeedPlan(REFERENCE, ADAPTIVE, TireSteering(NUC4, 12.0))
-    adaptive.level = adaptive.LEVELS[0]
+    steering = TireSteering(NUC4, 12.0)
+    adaptive = AdaptiveSpeedPlan(REFERENCE, ADAPTIVE, steering)
+    adaptive.grips = [adaptive.LEVELS[0]] * len(steering.levels)
     slowest = adaptive.speed
-    adaptive.level = 0.01
+    adaptive.grips = [0.01] * len(steering.levels)
     assert np.array_equal(adaptive.speed, slowest)
+
+
+def test_bends_that_stiffness_hardly_matters_in_are_not_driven_as_those_that_it_costs_most_in():
+    """Soft front tires take a tenth of the limit at 2.5 m/s, and none of it from 5 m/s on."""
+    steering = TireSteering(NUC4, 12.0)
+    soft = steering.scaled(1.0, 0.75, 1.0)
+    adaptive = AdaptiveSpeedPlan(REFERENCE, ADAPTIVE, steering)
+    adaptive.grips = soft.levels
+    speed = adaptive.speed
+    slow, fast = (
+        SpeedPlan(REFERENCE, ADAPTIVE, steering.scaled(level, 1.0, 1.0)).speed
+        for level in (soft.level(0.0), 1.0)
+    )
+    at = int(np.argmin(slow))
+    assert soft.level(0.0) < 0.93 and soft.level(5.0) > 0.99
+    assert speed[at] == pytest.approx(slow[at], rel=0.01)
+    kappa = np.abs(REFERENCE.sample(adaptive.s).kappa)
+    bends = (speed > 5.0) & (speed**2 * kappa > 0.9 * ADAPTIVE.grip_use * soft.limit(6.0))
+    assert np.count_nonzero(bends) > 20
+    assert speed[bends] == pytest.approx(fast[bends], rel=0.01)
+    places = adaptive.s[::40].tolist()
+    assert [adaptive.speed_at(s) for s in places] == pytest.approx(speed[::40], rel=1e-9)
+    # It brakes into slow bends hardly harder than planned.
+    slowing = np.diff(speed**2) / (-2.0 * adaptive.ds)
+    assert slowing.max() < 1.06 * ADAPTIVE.a_brake_max_mps2
