@@ -59,6 +59,7 @@ def test_both_sides_then_the_end(field, start, hold, listen):
     node = start("steering_ramp", {**FAST, "radius": 20.0})
     hold("/joy", Joy, joy(5))
     assert node.wait(60.0) == 0 and "done: 2 ramps" in node.output
+    assert "[INFO] the first circle" in node.output
     angles = [m.drive.steering_angle for m in commands]
     assert max(angles) == pytest.approx(0.3, abs=1e-6)
     assert min(angles) == pytest.approx(-0.3, abs=1e-6)
@@ -235,9 +236,11 @@ def test_poses_are_refused_as_by_the_controller(poses, listen):
     [
         ({"speed_mps": -1.0}, "speed_mps: expected a positive number, got -1"),
         ({"box": [0, 1, 2]}, "~box: expected x_min"),
+        ({"box": [0, 1, 0, "1"]}, "~box: expected x_min"),
         ({"limit_rad": 0.6}, "limit_rad: expected at most what NUC4 can, 0.4189, got 0.6"),
         ({"speed_mps": 50.0}, "speed_mps: expected at most what NUC4 can, 15, got 50"),
         ({"radius": 0.0}, "~radius: expected a positive number, got 0.0"),
+        ({"radius": math.inf}, "~radius: expected a positive number, got inf"),
         ({"button": -1}, "~button: expected 0 or more, got -1"),
         ({"dead_man_timeout": 0.0}, "~dead_man_timeout: expected a positive number, got 0.0"),
         ({"dead_man_timeout": math.inf}, "~dead_man_timeout: expected a positive number, got inf"),

@@ -207,6 +207,13 @@ def test_outside_of_the_area_the_car_stops_and_says_where(make):
     assert "%s outside of the area" in car.said
 
 
+@pytest.mark.parametrize(("area", "fits"), [({}, False), ({"box": [-30, 30, -30, 30]}, True)])
+def test_the_room_that_is_told_is_that_of_the_area(make, area, fits):
+    said = make(**area).said
+    assert any("the first circle" in text for text in said)
+    assert any("The area reaches 8 m" in text for text in said) is not fits
+
+
 def test_a_box_is_where_it_is(make):
     car = make(dead_man=False, box=[-1.0, 5.0, -1.0, 5.0])
     assert car.drive(0.5)[1] > 0.0
@@ -383,6 +390,11 @@ def test_a_failure_of_the_watch_stops_at_once(car, monkeypatch):
     command = car.sent[-1]
     assert (command.drive.steering_angle, command.drive.speed) == (angle, 0.0) and angle > 0.0
     assert any("the watchdog failed: ZeroDivisionError" in said for said in car.said)
+
+
+def test_the_smallest_numbers_that_are_taken(make):
+    node = make(radius=0.1, button=0, dead_man_timeout=0.01).node
+    assert (node._radius, node._button, node._patience) == (0.1, 0, 0.01)
 
 
 def test_a_failure_before_the_first_command_leaves_the_wheels_straight(make, monkeypatch):

@@ -124,7 +124,7 @@ class SteeringRampNode:
 
     def _on_odometry(self, message):
         with self._lock:
-            if self._ended or not self._sender.sent(message):
+            if not self._sender.sent(message):
                 return
             now = self._clock.now()
             try:

@@ -37,8 +37,10 @@ def _delay(what):
     return parameter(what, "s", low=0.0, high=1.0, default=0.0)
 
 
-def _noise(what, unit):
-    return parameter(f"Standard deviation of white noise on {what}", unit, low=0.0, default=0.0)
+def _noise(what, unit, most):
+    # More is in another unit, as in mm or degrees.
+    text = f"Standard deviation of white noise on {what}"
+    return parameter(text, unit, low=0.0, high=most, default=0.0)
 
 
 @dataclass(frozen=True)
@@ -83,11 +85,11 @@ class PlantParameters(ScaledVehicle):
 
     steering_delay_s: float = _delay("Dead time of the steering servo")
     steering_time_constant_s: float = parameter(
-        "First-order lag of the steering servo", "s", low=0.0, default=0.0
+        "First-order lag of the steering servo", "s", low=0.0, high=2.0, default=0.0
     )
     drive_delay_s: float = _delay("Dead time of the speed controller")
     drive_time_constant_s: float = parameter(
-        "First-order lag of the speed controller", "s", low=POSITIVE, default=0.1
+        "First-order lag of the speed controller", "s", low=POSITIVE, high=5.0, default=0.1
     )
     a_max_mps2: float = parameter(
         "Largest acceleration of the drive", "m/s^2", low=POSITIVE, default=7.51
@@ -99,11 +101,11 @@ class PlantParameters(ScaledVehicle):
         "Poses per second", "Hz", low=1.0, high=1.0 / TIME_STEP, default=40.0
     )
     localization_latency_s: float = _delay("Age of a pose on arrival")
-    position_noise_m: float = _noise("the position", "m")
-    heading_noise_rad: float = _noise("the heading", "rad")
-    velocity_noise_mps: float = _noise("the velocity", "m/s")
-    yaw_rate_noise_radps: float = _noise("the yaw rate", "rad/s")
-    acceleration_noise_mps2: float = _noise("the acceleration that the IMU reports", "m/s^2")
+    position_noise_m: float = _noise("the position", "m", 1.0)
+    heading_noise_rad: float = _noise("the heading", "rad", 0.5)
+    velocity_noise_mps: float = _noise("the velocity", "m/s", 5.0)
+    yaw_rate_noise_radps: float = _noise("the yaw rate", "rad/s", 2.0)
+    acceleration_noise_mps2: float = _noise("the acceleration that the IMU reports", "m/s^2", 20.0)
     measures_v_y: bool = parameter(
         "Whether the odometry reports the lateral velocity; else it is NaN", default=True
     )

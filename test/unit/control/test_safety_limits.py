@@ -1,6 +1,7 @@
 """The supervisor at its limits, and what it keeps from one pose to the next."""
 
 import math
+from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
 import pytest
@@ -335,3 +336,17 @@ def test_a_raceline_is_opposed_by_the_motion_not_by_the_nose(direction, measured
     car.step(speed=4.0)
     opposed = along if direction < 0.0 else not along
     assert car.supervisor.opposes(straight(direction)) is opposed
+
+
+@pytest.mark.parametrize("limit", fields(SafetyLimits), ids=lambda limit: limit.name)
+def test_live_tuning_reaches_to_both_sides_of_what_is_usual_and_no_impossible_limit(limit):
+    low, high = limit.metadata["tuning"]
+    assert low < limit.default < high
+    for value in (low, high):
+        assert getattr(SafetyLimits(**{limit.name: value}), limit.name) == value
+
+
+def test_limits_in_use_are_not_changed_but_replaced():
+    """So that a change falls between two steps, and is seen."""
+    with pytest.raises(FrozenInstanceError):
+        SafetyLimits().hold_s = 1.0
