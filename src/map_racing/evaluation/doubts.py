@@ -277,7 +277,7 @@ def time_jump(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
         steady = min(speeds) > 2.0 * _MOVING and max(speeds) < 1.2 * min(speeds)
         if steady and ahead > max(_AHEAD, 0.8 * (steps[k] - usual)):
             return (
-                f"{topic}: time jumps ahead by {ahead:.2f} s at {t[k] - t[0]:.1f} s, while the car "
+                f"{topic}: time jumps ahead by {ahead:.2f} s at {t[k]:.1f} s, while the car "
                 f"moves as in {steps[k] - ahead:.2f} s: that lap is so much too long"
             )
     return ""

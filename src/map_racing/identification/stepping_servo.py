@@ -1,4 +1,4 @@
-"""A servo that turns in steps: at each sample by its full rate towards the command, or not at all.
+"""A servo that turns in steps: at each sample by its full rate toward the command, or not at all.
 
 So does the servo of the public ROS 1 simulator, behind a line of delayed samples. Around a held
 command it goes to and fro, which a first-order lag cannot; where the yaw rate shows it, the dead

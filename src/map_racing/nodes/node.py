@@ -224,7 +224,10 @@ def why_silent(topic: str, kind: str) -> str:
         return f"{nodes[0]} publishes it, but none came"
     why = f"{nodes[0]} publishes {found} there, expected {kind}" if nodes else "nobody publishes it"
     alike = _POSES if kind in _POSES else (kind,)
-    others = [f"{name} ({types[name]})" for name in sorted(published) if types.get(name) in alike]
+    # What this node publishes itself is none that it waits for.
+    own = [rospy.get_name()]
+    others = [name for name in sorted(published) if published[name] != own]
+    others = [f"{name} ({types[name]})" for name in others if types.get(name) in alike]
     others = [name for name in others if not name.startswith(f"{topic} ")]
     listed = ", ".join(others[:_MOST_TOPICS]) + (", ..." if len(others) > _MOST_TOPICS else "")
     return f"{why}; there is {listed}" if others else why

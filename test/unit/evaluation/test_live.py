@@ -435,10 +435,15 @@ def test_what_is_kept_of_a_long_run_is_bounded(line, monkeypatch):
     monkeypatch.setattr("map_racing.evaluation.live_history._KEPT", 500)
     history = History("/odom", "/drive")
     for i in range(5000):
-        history.add_pose(0.025 * i, 0.1 * i, 0.0, 0.0, 4.0)
+        history.add_pose(0.025 * i, 0.1 * i, 0.5 * (i == 500), 0.0, 4.0)
         history.add_command(T0_NS + 25_000_000 * i, 4.0, 0.0)
-    assert history.doubts(T0_NS) == []
+        if i == 900:
+            (doubt,) = history.doubts(T0_NS)
+    assert "1 pose lies beside" in doubt
+    assert history.doubts(T0_NS) == [doubt]
     assert all(len(column) <= 1000 for column in (*history._poses, *history._commands))
+    history.clear()
+    assert history.doubts(T0_NS) == []
 
 
 def busy(poses, commands, behind, rng, rate=10.0, held_up=0.05):
