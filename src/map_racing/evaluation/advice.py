@@ -293,7 +293,10 @@ class _Heat:
         points, length = self.line.s_points, self.line.length
         begin, end = ((points[i] - self.track.start_s) % length for i in (first, following))
         last = (following - 1) % len(points)
-        scale = math.floor(1000.0 * driven * factor) / 1000.0
+        # One that is kept reads as before; any other is not even a thousandth above its bound.
+        scale = round(driven, 3)
+        if factor != 1.0:
+            scale = math.floor(1000.0 * driven * factor) / 1000.0
         if scale > LARGEST_SCALE:
             scale, why = LARGEST_SCALE, "the largest scale"
         return SectorAdvice(

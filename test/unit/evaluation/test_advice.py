@@ -122,6 +122,13 @@ def test_where_the_car_was_off_the_line_it_gets_no_faster(heat, reference):
     assert at[0.35]["third left"] == pytest.approx(0.97, abs=0.005)
 
 
+def test_a_scale_that_is_kept_does_not_shrink_from_heat_to_heat(heat):
+    """It went down by a thousandth where the one driven is a little less than it reads."""
+    sectors = advise(heat(0.4, lambda s: 0.0 * s + 0.25)).sectors
+    assert all("off the line" in one.why for one in sectors) and len(sectors) > 4
+    assert [one.scale for one in sectors] == [round(one.driven, 3) for one in sectors]
+
+
 def test_where_the_car_was_close_to_a_wall_it_gets_no_faster(heat, reference):
     left = np.full(reference.s_points.size, 1.0)
     left[70:75] = 0.5 * NUC4.width + 0.07
