@@ -209,9 +209,9 @@ def _steering(drives, models, notes):
         return (Part(reason=reason),) * 3
     samples = _stepping(drives, vehicle, beliefs, found)
     if samples is not None:
-        text = f"the servo turns in steps of {SAMPLE_S:g} s, behind a line of {samples} samples"
-        total = _part(samples * SAMPLE_S, 0.5 * SAMPLE_S, text)
-        return total, total, Part(0.0, 0.0, 0.0, text)
+        text = f"the servo moves in steps of {SAMPLE_S:g} s, and is {samples} of them late"
+        dead = _part(samples * SAMPLE_S, 0.5 * SAMPLE_S)
+        return dead._replace(reason=text), dead, Part(0.0, 0.0, 0.0)
     if value > AT_LONGEST_S:
         reason = (
             f"the wheels turn {value:.2f} s or more after their commands, expected less than "
