@@ -74,6 +74,10 @@ def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Pat
             if candidate.is_file():
                 return candidate
     known = ", ".join(list_config(kind))
+    if str(source) and path.is_dir():
+        raise ParameterError(
+            f"{source}: expected a file or one of the shipped {kind} ({known}), got a folder"
+        )
     raise ParameterError(f"{source}: no such file, nor one of the shipped {kind} ({known})")
 
 

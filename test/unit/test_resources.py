@@ -40,7 +40,7 @@ def test_a_folder_of_the_name_does_not_hide_the_shipped_file(tmp_path, monkeypat
     assert find_config("vehicles", "nuc4", (".yaml",)).parent == config_directory() / "vehicles"
 
 
-@pytest.mark.parametrize("source", ["nuc5", "", ".", "..", "../vehicles/nuc4", "no/such/file.yaml"])
+@pytest.mark.parametrize("source", ["nuc5", "", "../vehicles/nuc4", "no/such/file.yaml"])
 def test_an_unknown_name_is_refused_with_the_known_ones(source):
     with pytest.raises(ParameterError) as caught:
         find_config("vehicles", source, (".yaml",))
@@ -48,6 +48,12 @@ def test_an_unknown_name_is_refused_with_the_known_ones(source):
         f"{source}: no such file, nor one of the shipped vehicles "
         "(bmw_320i, f1tenth_drift, nuc4, sim, sim_identified)"
     )
+
+
+@pytest.mark.parametrize("source", [".", "..", "/"])
+def test_a_folder_is_called_that(source):
+    with pytest.raises(ParameterError, match=r"expected a file or one .* nuc4, .*, got a folder"):
+        find_config("vehicles", source, (".yaml",))
 
 
 def test_data_of_an_installed_package_are_found_beside_it(tmp_path):

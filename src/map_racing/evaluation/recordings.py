@@ -97,7 +97,10 @@ def recorded_raceline(recording: Recording) -> Raceline:
     if recording.waypoints is None:
         damage = [n for n in recording.notes if n.startswith("warning: damaged bag: ")]
         why = "".join(f" ({note[len('warning: ') :]})" for note in damage)
-        raise BagError(f"{recording.source}: no raceline in it{why}; give one with --raceline")
+        raise BagError(
+            f"{recording.source}: no raceline in it{why}; give one with --raceline (map-racing "
+            "raceline record makes one of a lap)"
+        )
     return raceline_of(table_of_waypoints(recording.source, recording.waypoints))
 
 

@@ -65,7 +65,8 @@ def test_evaluate_refuses(bags, tmp_path, refused):
     assert "max-deceleration" in refused("evaluate", bag, "--max-deceleration", "nan")
     path = tmp_path / "run.csv"
     path.write_text("t,x,y\n0,0,0\n1,1,0\n")
-    assert "no raceline" in refused("evaluate", path)
+    told = refused("evaluate", path)
+    assert "no raceline" in told and "map-racing raceline record" in told
     assert refused("evaluate", bag, "--csv", tmp_path / "no" / "laps.csv")
 
 

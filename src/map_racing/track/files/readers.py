@@ -143,7 +143,10 @@ def _csv_table(text, path, key=None):
     lines = [(number, line) for number, line in lines if line.strip("#;, \t")]
     begin = next((k for k, (_, line) in enumerate(lines) if _is_data(line)), None)
     if begin is None:
-        raise FileFormatError(f"{path}: expected a raceline, got no line of numbers")
+        got = "no line of numbers"
+        if any(line.startswith("image:") for _, line in lines):
+            got = "a map; map-racing raceline optimize makes a raceline in it"
+        raise FileFormatError(f"{path}: expected a raceline, got {got}")
     findings = []
     data = [(number, line) for number, line in lines[begin:] if line[0] != "#"]
     separator = _separator(data[0][1])

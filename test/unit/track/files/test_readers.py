@@ -210,6 +210,7 @@ def test_walls_crossed_are_counted():
         ("", "got no line of numbers"),
         ("# x_m,y_m\n", "got no line of numbers"),
         ("hello\nworld\n", "got no line of numbers"),
+        ("image: hall.png\nresolution: 0.05\n", "got a map; map-racing raceline optimize makes"),
         (
             "1,2,3,4,5,6\n",
             "1: expected names of the 6 columns",
