@@ -46,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--lookup-table", metavar="CSV", help="steer with this table, not the vehicle's own"
     )
     parser.add_argument(
-        "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of the public stack"
+        "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of race_stack"
     )
     parser.add_argument(
         "--faults",

@@ -106,7 +106,7 @@ def add_optimize(actions):
     parser.add_argument(
         "--sectors",
         metavar="YAML",
-        help="also write speed_scaling.yaml of the public stack: a sector for each corner and "
+        help="also write speed_scaling.yaml of race_stack: a sector for each corner and "
         "straight of the output, with scale 1",
     )
     parser.add_argument("--plots", metavar="DIR", help="draw line, curvature and speed")
