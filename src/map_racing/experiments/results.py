@@ -18,7 +18,7 @@ import pandas as pd
 import scipy
 
 from .. import __version__
-from ..control.parameters import ControllerParameters
+from ..control.parameters import ControllerParameters, MpcParameters
 from ..errors import FileFormatError, ParameterError
 from ..files import replacing, write_json
 from .jobs import code_fingerprint, plain
@@ -36,6 +36,8 @@ __all__ = [
 
 FILE = "results.json"
 KEYS = ["speed_scale", "controller"]
+# Parameters that are tuned, of both laws: a table has those of its controllers.
+TUNED = [*ControllerParameters.TUNED, *MpcParameters.TUNED]
 # Columns to compare, by kind.
 COMPARED = {
     "velocity-scaling": [
@@ -51,7 +53,7 @@ COMPARED = {
         "mean_lap_time_s",
     ],
     "mpc": ["days_completed", "median_rms_lateral_error_m", "median_lap_time_s"],
-    "tune": ["m_m", "q_s", "heading_weight_m", "steering_rate_weight_ms", "rms_lateral_error_m"],
+    "tune": [*TUNED, "rms_lateral_error_m"],
     "robustness": [
         "races_completed",
         "worst_rms_lateral_error_m",
@@ -163,9 +165,8 @@ def read_results(folder: str | Path) -> Results:
         content = json.loads(path.read_text(encoding="utf-8"))
         kind, rows, provenance = (content[name] for name in ("kind", "rows", "provenance"))
         table = pd.DataFrame(rows)
-        columns = [*KEYS, *COMPARED[kind]]
-        for column in columns:
-            if column != "controller":
+        for column in [*KEYS, *COMPARED[kind]]:
+            if column != "controller" and (column in table or column not in TUNED):
                 table[column] = table[column].astype(float)
         if not all(isinstance(name, str) for name in table["controller"]):
             raise ValueError("controller")
