@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from geometry_msgs.msg import PoseStamped
+import rosgraph
 from harness import wait_for
 from nav_msgs.msg import Odometry
 
@@ -34,12 +34,29 @@ def test_simulated_time_that_does_not_run_is_named(simulated_time, start):
         wait_for(lambda: text in node.output, 30.0, name)  # noqa: B023
 
 
-def test_where_there_are_poses_is_told_if_they_do_not_come(advertise):
+@pytest.fixture
+def publish(ros):
+    """``publish("/odom", "nav_msgs/Odometry")``: as far as the master knows, another node does."""
+    uri, topics = "http://localhost:1/", []
+    master = rosgraph.Master("/localization")
+
+    def register(topic, kind):
+        topics.append(topic)
+        master.registerPublisher(topic, kind, uri)
+
+    yield register
+    for topic in topics:
+        master.unregisterPublisher(topic, uri)
+
+
+def test_where_there_are_poses_is_told_if_they_do_not_come(publish, advertise):
     """As the topics of a bag are when it is evaluated."""
     assert why_silent("/odom", "nav_msgs/Odometry") == "nobody publishes it"
+    advertise("/driven_poses", Odometry, subscribers=0)
+    assert why_silent("/odom", "nav_msgs/Odometry") == "nobody publishes it", "its own are none"
     for name in ("/pf/pose/odom", "/car_state/odom"):
-        advertise(name, Odometry, subscribers=0)
-    advertise("/car_state/pose", PoseStamped, subscribers=0)
+        publish(name, "nav_msgs/Odometry")
+    publish("/car_state/pose", "geometry_msgs/PoseStamped")
     found = (
         "/car_state/odom (nav_msgs/Odometry), /car_state/pose (geometry_msgs/PoseStamped), "
         "/pf/pose/odom (nav_msgs/Odometry)"
@@ -50,8 +67,9 @@ def test_where_there_are_poses_is_told_if_they_do_not_come(advertise):
     assert why_silent("/pf/pose/odom", "nav_msgs/Odometry").endswith("it, but none came")
     odom = "/car_state/odom (nav_msgs/Odometry), "
     wrong = why_silent("/car_state/odom", "geometry_msgs/PoseStamped")
-    assert wrong.startswith("/test") and wrong.endswith(f"; there is {found.replace(odom, '')}")
+    assert wrong.startswith("/localization publishes nav_msgs/Odometry there")
+    assert wrong.endswith(f"; there is {found.replace(odom, '')}")
     for k in range(12):
-        advertise(f"/p{k:02d}", Odometry, subscribers=0)
+        publish(f"/p{k:02d}", "nav_msgs/Odometry")
     last = ", /p09 (nav_msgs/Odometry), ..."
     assert why_silent("/odom", "nav_msgs/Odometry").endswith(last)

@@ -5,6 +5,7 @@ import math
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from harness import wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
@@ -136,8 +137,7 @@ def test_walls_and_the_way_back(start, listen, drive, advertise):
         )
     )
     assert plane_pose(back.pose.pose)[2] == pytest.approx(start_pose.psi, abs=0.05)
-    collision.wait(lambda m: not m.data)
-    assert not collision[-1].data
+    wait_for(lambda: not collision[-1].data, what="the end of the collision")
 
 
 @pytest.mark.parametrize("x", [math.nan, 1e300])
