@@ -281,9 +281,10 @@ class _Heat:
             driven = float(asked[min(_BESIDE, (count - 1) // 2)])
         # What the laps held is held: only what went wrong makes a sector slower.
         bounds = [(1.0 + step, "step"), (max(math.sqrt(1.0 / hot), 1.0), "grip")]
+        side = "from" if clear >= 0.0 else "beyond"
         for value, (least, most), why in (
             (off, _OFF, f"{off:.2f} m off the line"),
-            (-clear, [-close for close in _CLOSE], f"{clear:.2f} m from the wall"),
+            (-clear, [-close for close in _CLOSE], f"{abs(clear):.2f} m {side} the wall"),
         ):
             if value > most * self.size:
                 bounds.append((_SLOWER, why))

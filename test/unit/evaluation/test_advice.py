@@ -132,7 +132,7 @@ def test_a_scale_that_is_kept_does_not_shrink_from_heat_to_heat(heat):
 def test_where_the_car_was_close_to_a_wall_it_gets_no_faster(heat, reference):
     left = np.full(reference.s_points.size, 1.0)
     left[70:75] = 0.5 * NUC4.width + 0.07
-    left[160:165] = 0.5 * NUC4.width + 0.02
+    left[160:165] = 0.5 * NUC4.width - 0.02
     columns = reference.sample(reference.s_points)
     line = Raceline(
         *(columns.x, columns.y),
@@ -146,7 +146,9 @@ def test_where_the_car_was_close_to_a_wall_it_gets_no_faster(heat, reference):
         1, abs=0.01
     )
     assert by_name["second right"].scale < by_name["second right"].driven * 0.98
-    assert "from the wall" in by_name["second right"].why
+    assert by_name["first right"].why.endswith("m from the wall")
+    assert by_name["second right"].why.endswith("m beyond the wall")
+    assert not by_name["second right"].why.startswith("-")
 
 
 def test_a_faster_sector_leaves_room_to_brake(heat, reference):
