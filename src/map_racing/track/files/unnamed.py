@@ -59,6 +59,8 @@ _SURELY = -0.8
 _MANY = 3.0
 # A track is not wider than this share of its length: real ones have up to 0.075.
 _WIDE = 0.12
+# Nothing that a column may be is smaller, but for rounding; squares and inverses would overflow.
+_ROUNDING = 1e-12
 # A constant column below this is a height [m], not a speed [m/s] to race with.
 _SLOWEST_MPS = 0.5
 
@@ -91,7 +93,7 @@ def name_by_numbers(values: np.ndarray, where: str) -> tuple[list[str], list[Fin
         # Stamps, in seconds or nanoseconds; how much they count does not matter.
         finite[:, 0] -= finite[0, 0]
         finite[:, 0] /= max(1.0, 1e-3 * np.max(np.abs(finite[:, 0])))
-    finite[np.abs(finite) > FARTHEST] = 0.0
+    finite[(np.abs(finite) > FARTHEST) | (np.abs(finite) < _ROUNDING)] = 0.0
     if count in LAYOUTS and _holds(finite, LAYOUTS[count]):
         return list(LAYOUTS[count]), _doubted_sides(LAYOUTS[count])
     if _is_trajectory(values):

@@ -1,6 +1,7 @@
 """Columns without names, or with names of any spelling: read right, or the trouble named."""
 
 import math
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -327,6 +328,18 @@ def test_waypoints_of_a_localization_jitter(tmp_path, jitter, columns):
     assert set(read.columns) == set(columns.split()) - {"high"}
     np.testing.assert_allclose(read.columns["speed"], SLOW, atol=1e-5)
     assert codes(read.findings)["unnamed-columns"] == WARNING
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-160, 1e160])
+def test_numbers_that_nothing_has_do_not_overflow(tmp_path, size):
+    """Neither squares nor inverses of them: a RuntimeWarning is an error in these tests."""
+    one = SLOW.copy()
+    one[7] = size
+    for column in (one, size * np.sin(3.0 * T), size * SLOW):
+        path = tmp_path / "c.csv"
+        np.savetxt(path, np.stack((AT.x, AT.y, column), axis=1), fmt="%.9g", delimiter=",")
+        with suppress(FileFormatError):
+            read_raceline(path)
 
 
 def test_a_wide_track_is_a_guess(tmp_path):
