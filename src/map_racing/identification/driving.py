@@ -35,6 +35,8 @@ SLOPES = (0.7, 1.4)
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
 # Shorter pieces [s] are of no use.
 SHORTEST_S = 3.0
+# No car that drives faster than the last [m/s] is for so long [s] this factor below its command.
+OBEYING_S, OBEYS, UNDERWAY_MPS = 3.0, 2.5, 2.0
 
 
 class Held(NamedTuple):
@@ -163,12 +165,12 @@ def driving_of(run: Run) -> Driving:
     usable = (smooth[0] > SLOWEST_MPS) & near(t, commands_t, LONGEST_HOLD_S)
     for name in measured:
         usable &= near(t, measured[name].t, LONGEST_GAP_S)
-    speed = scaled.get("speed_command")
+    speed = _obeyed(scaled.get("speed_command"), t[usable], smooth[0, usable], notes)
     delay = setup.steering_delay_s
     return Driving(
         run.label,
         Held(commands_t + delay, setup.steering_gain * angle + setup.steering_offset_rad),
-        Held(*speed) if speed is not None else None,
+        speed,
         t,
         smooth[0],
         np.gradient(smooth[0], 1.0 / GRID_HZ),
@@ -178,6 +180,27 @@ def driving_of(run: Run) -> Driving:
         usable,
         notes,
     )
+
+
+def _obeyed(command, t, v, notes):
+    """The speed commands; None without, or if they are in another unit for a part of the drive."""
+    if command is None or not t.size:
+        return None
+    command = Held(*command)
+    told = command.value[np.clip(np.searchsorted(command.t, t, "right") - 1, 0, None)]
+    size = round(OBEYING_S * GRID_HZ)
+    for k in range(0, t.size - size + 1, size // 2):
+        part = slice(k, k + size)
+        if t[part][-1] - t[k] > 1.5 * OBEYING_S or np.median(v[part]) < UNDERWAY_MPS:
+            continue
+        ratio = float(np.median(told[part] / v[part]))
+        if ratio > OBEYS:
+            notes.append(
+                f"from {t[k]:.1f} to {t[part][-1]:.1f} s the speed commanded is {ratio:.1f} times "
+                "the speed: in km/h? No speed commands are used"
+            )
+            return None
+    return command
 
 
 def _turn_and_speed(setup, scaled, notes):

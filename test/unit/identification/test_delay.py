@@ -18,7 +18,7 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.errors import ParameterError
 from map_racing.identification import delay
 from map_racing.identification.data import Run, Signal, load_run
-from map_racing.identification.delay import delay_data, delay_text, estimate_delays
+from map_racing.identification.delay import Part, delay_data, delay_text, estimate_delays
 from map_racing.resources import find_config
 from map_racing.simulation.plants import build_plant, load_plant
 from map_racing.simulation.race import race
@@ -253,6 +253,18 @@ def test_a_car_that_stands_shows_nothing(shipped):
 
 
 @pytest.mark.once
+def test_speed_commands_in_another_unit_for_a_part_tell_nothing(shipped):
+    t, told = shipped.signals["speed_command"]
+    told = np.where((t > 6.0) & (t < 11.0), 3.6 * told, told)
+    run = dataclasses.replace(
+        shipped, signals={**shipped.signals, "speed_command": Signal(t, told)}
+    )
+    delays = estimate_delays([run], NUC4)
+    assert delays.drive_lag == delays.drive_dead_time == Part(reason="no speed commands")
+    assert any("the speed commanded is 3.6 times the speed: in km/h?" in n for n in delays.notes)
+    assert delays.steering.value == pytest.approx(0.05, abs=0.005)
+
+
 def test_commands_of_another_car_explain_nothing(shipped):
     other = driven("nuc4", lambda t: 0.2 * math.sin(2.3 * t * t / 4.0))
     mixed = {**shipped.signals, "steering": other.signals["steering"]}
