@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -21,7 +22,7 @@ class LapLog:
 
     It has the columns of `map_racing.evaluation.report.write_csv`, ``warnings`` included, with the
     number of the run instead of the bag. An existing file is continued; a last line that was cut
-    off by a power loss is removed.
+    off by a power loss is removed. It is open only while a lap is written.
 
     Parameters
     ----------
@@ -43,6 +44,7 @@ class LapLog:
         self._names = ["run", *names, *(f"sector_{i}_s" for i in range(1, sectors + 1))]
         self._names.append("warnings")
         header = ",".join(self._names)
+        self._header = f"{header}\n".encode()
         try:
             if self.path.exists() and not self.path.is_file():
                 raise MapRacingError(f"{path}: cannot write: it is no file")
@@ -54,29 +56,31 @@ class LapLog:
                 )
             if content and not complete and not header.encode().startswith(content):
                 raise FileFormatError(f"{path}: expected a new file or one of laps")
-            self._file = open(self.path, "ab")  # noqa: SIM115 - it stays open until `close`
-            self._file.truncate(len(complete))
+            if len(complete) < len(content):
+                os.truncate(self.path, len(complete))
         except OSError as error:
             raise MapRacingError(f"{path}: cannot write: {error.strerror}") from None
-        if not complete:
-            self._append(self._names)
+        self._append(b"")
 
     def add(self, live_lap: LiveLap) -> None:
         """Append a `LiveLap`."""
         row = {"run": live_lap.run, **live_lap.lap.row(), "warnings": "; ".join(live_lap.warnings)}
-        self._append(csv_cells(row[name] for name in self._names))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _append(self, cells):
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerow(cells)
+        csv.writer(text, lineterminator="\n").writerow(csv_cells(row[name] for name in self._names))
+        self._append(text.getvalue().encode())
+
+    def _append(self, line):
+        begin = None
         try:
-            # A single write, so that a killed process leaves no partial line.
-            self._file.write(text.getvalue().encode())
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            with open(self.path, "ab") as file:
+                begin = file.tell()
+                # A single write, so that a killed process leaves no partial line.
+                file.write(line if begin else self._header + line)
+                file.flush()
+                os.fsync(file.fileno())
         except OSError as error:
+            # A full disk takes a part of a line, behind which the next one would stand.
+            if begin is not None:
+                with suppress(OSError):
+                    os.truncate(self.path, begin)
             raise MapRacingError(f"{self.path}: cannot write: {error.strerror}") from None

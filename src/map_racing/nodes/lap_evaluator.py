@@ -141,8 +141,6 @@ class LapEvaluatorNode:
                 rospy.logwarn("%s: nothing was evaluated", self._no_poses)
             self._laps.finish()
         finally:
-            if self._log is not None:
-                self._log.close()
             self._idle.set()
 
     def _stop(self):

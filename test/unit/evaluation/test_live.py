@@ -1,6 +1,7 @@
 import csv
 import itertools
 import math
+import resource
 from dataclasses import fields
 
 import numpy as np
@@ -543,7 +544,6 @@ def test_laps_are_on_the_disk_as_they_come(tmp_path, laps):
             else:
                 assert str(value) == text
     log.add(laps[0]._replace(warnings=("one, with a comma", "two")))
-    log.close()
     assert [row["sector_3_s"] != "" for row in rows] == [False, True, True, False]
     assert [row["warnings"] for row in rows] == ["; ".join(lap.warnings) for lap in laps]
     assert list(csv.DictReader(path.open()))[-1]["warnings"] == "one, with a comma; two"
@@ -553,20 +553,46 @@ def test_a_file_is_continued_without_the_line_that_was_cut_off(tmp_path, laps):
     path = tmp_path / "laps.csv"
     log = LapLog(path, 3)
     log.add(laps[0])
-    log.close()
     whole = path.read_bytes()
     path.write_bytes(whole + b"1,1,5.0,0.1")
     log = LapLog(path, 3)
     assert path.read_bytes() == whole
     log.add(laps[1])
-    log.close()
     assert path.read_bytes().startswith(whole)
     assert len(path.read_text().splitlines()) == 3
 
 
+def test_a_full_disk_costs_no_other_lap(tmp_path, laps):
+    """The part of a line that still fits is no line, and is not written later."""
+    path = tmp_path / "laps.csv"
+    log = LapLog(path, 3)
+    log.add(laps[0])
+    whole = path.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 20, limits[1]))
+    try:
+        with pytest.raises(MapRacingError, match=r"laps\.csv: cannot write: File too large"):
+            log.add(laps[1])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == whole
+    log.add(laps[2])
+    assert [row["lap"] for row in csv.DictReader(path.open())] == ["0", str(laps[2].lap.lap)]
+
+
+def test_a_file_that_is_taken_away_begins_anew(tmp_path, laps):
+    path = tmp_path / "laps.csv"
+    log = LapLog(path, 3)
+    log.add(laps[0])
+    whole = path.read_bytes()
+    path.unlink()
+    log.add(laps[0])
+    assert path.read_bytes() == whole
+
+
 def test_other_files_are_left_alone(tmp_path, laps):
     path = tmp_path / "laps.csv"
-    LapLog(path, 3).close()
+    LapLog(path, 3)
     for sectors, content in ((2, path.read_bytes()), (3, b"a,b\n1,2\n"), (3, b"no end of line")):
         path.write_bytes(content)
         with pytest.raises(FileFormatError, match=r"laps\.csv: expected"):
