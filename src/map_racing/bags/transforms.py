@@ -342,7 +342,21 @@ def _say_frozen(frozen, times, x, y, notes, topic):
             )
 
 
-class MountedPoses:
+class _PlacedPoses:
+    """Poses that are brought elsewhere when they are read."""
+
+    def __init__(self, poses):
+        self._poses = poses
+        self.add, self.jump_back = poses.add, poses.jump_back
+        self.stamps, self.clock = poses.stamps, poses.clock
+
+    @property
+    def size(self) -> int:
+        """Number of poses."""
+        return self._poses.size
+
+
+class MountedPoses(_PlacedPoses):
     """Poses of a sensor, brought to the car by its mount, as a `PoseSeries`.
 
     Parameters
@@ -353,14 +367,8 @@ class MountedPoses:
     """
 
     def __init__(self, poses: PoseSeries | ComposedPoses, mount: tuple[float, float, float]):
-        self._poses, self._mount = poses, mount
-        self.add, self.jump_back = poses.add, poses.jump_back
-        self.stamps, self.clock = poses.stamps, poses.clock
-
-    @property
-    def size(self) -> int:
-        """Number of poses."""
-        return self._poses.size
+        super().__init__(poses)
+        self._mount = mount
 
     def columns(
         self, notes: list[str], topic: str, clock: Clock
@@ -376,7 +384,7 @@ class MountedPoses:
         return times, [x, y, psi, *rest]
 
 
-class ComposedPoses:
+class ComposedPoses(_PlacedPoses):
     """Odometry in its own frame, brought into the map by transforms, as a `PoseSeries`.
 
     Parameters
@@ -388,15 +396,8 @@ class ComposedPoses:
     """
 
     def __init__(self, poses: PoseSeries, frame: str, child: str, transforms: RecordedTransforms):
-        self._poses, self._frame, self._child = poses, frame, child
-        self._transforms = transforms
-        self.add, self.jump_back = poses.add, poses.jump_back
-        self.stamps, self.clock = poses.stamps, poses.clock
-
-    @property
-    def size(self) -> int:
-        """Number of poses."""
-        return self._poses.size
+        super().__init__(poses)
+        self._frame, self._child, self._transforms = frame, child, transforms
 
     def columns(
         self, notes: list[str], topic: str, clock: Clock
