@@ -211,7 +211,8 @@ def read_parameters(path, kind: type, values: dict | None = None, what: str = ""
     unknown = sorted(str(name) for name in values if name not in known)
     if unknown:
         raise ParameterError(
-            f"{path}: {expected}unknown parameter {', '.join(unknown)} (known: {', '.join(sorted(known))})"
+            f"{path}: {expected}unknown parameter {', '.join(unknown)} "
+            f"(known: {', '.join(sorted(known))})"
         )
     missing = [
         repr(field.name)
