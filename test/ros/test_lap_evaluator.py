@@ -299,7 +299,7 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
     assert all(row["rms_lateral_error_m"] < 1e-3 for row in laps[1:3])
 
 
-def test_poses_that_are_in_the_map_only_later(evaluator, processes, listen, tmp_path):
+def test_poses_that_are_in_the_map_only_later(evaluator, processes, tmp_path):
     """A new run begins, with the laps that the bag has; those in the frame before were another."""
     bag, table = tmp_path / "run.bag", tmp_path / "laps.csv"
     line, v = load_raceline("reference"), 6.0
@@ -314,7 +314,7 @@ def test_poses_that_are_in_the_map_only_later(evaluator, processes, listen, tmp_
     play(processes, bag)
     output = stop(node)
     result = evaluate(load_recording(bag), line)
-    laps = [row for row in rows(table) if row["run"] == "2"]
+    laps = rows(table, 2)
     assert [row["valid"] for row in laps] == [str(lap.valid) for lap in result.laps]
     assert sum(lap.valid for lap in result.laps) == 2
     for row, lap in zip(laps, result.laps):

@@ -77,7 +77,7 @@ class FrameChoice:
         self.frame, self._heard = None, 0
 
     def counts(self, frame: str, at_ns: int) -> bool:
-        """Whether a pose of a frame, received at a time [ns], counts; `frame` is then its own."""
+        """Whether a pose of a frame, of a time [ns], counts; `frame` is then its own."""
         frame = frame or "map"
         if frame != self.frame and self.frame is not None:
             gone = at_ns - self._heard >= _SENDER_GONE
@@ -261,7 +261,7 @@ class PoseSeries(Series):
             size = 12 + len(self._encoded)
             same = [data[12:size] == self._encoded for data in self._data]
             if all(same):
-                self._choice.counts(_name(self._encoded), self._received[-1])
+                self._choice.counts(_name(self._encoded), _time(self._data[-1], self._received[-1]))
             else:
                 self._choose()
         super()._flush()
@@ -271,8 +271,8 @@ class PoseSeries(Series):
         kept = []
         for data, at in zip(self._data, self._received):
             encoded, before = _frame_bytes(data), self._choice.frame
-            if not self._choice.counts(_name(encoded), at):
-                name = _name(encoded)
+            name = _name(encoded)
+            if not self._choice.counts(name, _time(data, at)):
                 self._elsewhere[name] = self._elsewhere.get(name, 0) + 1
                 continue
             if before not in (None, self._choice.frame):
@@ -299,6 +299,12 @@ class PoseSeries(Series):
                 f"{frame} counts"
             )
         return times, columns
+
+
+def _time(data, received):
+    """Stamp of a message, or its time of receipt [ns], as live."""
+    seconds, rest = (int.from_bytes(data[at : at + 4], "little") for at in (4, 8))
+    return seconds * 10**9 + rest or received
 
 
 def _name(encoded):

@@ -214,18 +214,18 @@ class LapEvaluatorNode:
         stamp = stamp_ns(header, received_ns)
         if not stamp:  # before the first time on /clock, and without a stamp
             return
-        if not self._in_frame(frame(header.frame_id) or "map", received_ns):
+        if not self._in_frame(frame(header.frame_id) or "map", stamp):
             return
         if self._laps.raceline is None:
             rospy.logwarn_throttle(10.0, "poses wait for a raceline")
         psi = heading(pose.orientation)
         self._laps.add_pose(stamp, at.x, at.y, *velocity, received, received_ns - stamp, psi)
 
-    def _in_frame(self, name, received_ns):
+    def _in_frame(self, name, stamp):
         """Whether a pose is in the frame that counts; where that is a new one, a run begins."""
         topic, before = self._pose_topic[0], self._frames.frame
         doubt = frame_warning(topic, name)
-        counts, only = self._frames.counts(name, received_ns), self._frames.frame
+        counts, only = self._frames.counts(name, stamp), self._frames.frame
         if not counts:
             doubt = f"{topic}: messages in another frame, {name}, left out: only {only} counts"
         elif before not in (None, only):
