@@ -429,8 +429,8 @@ class ControllerNode:
         if others:
             rospy.logwarn_throttle(
                 10.0,
-                f"stop_driving: false from {sender}, but {' and '.join(others)} asked for the stop: "
-                "it stays until false comes from there, or ~resume",
+                f"stop_driving: false from {sender}, but {' and '.join(others)} asked for the "
+                "stop: it stays until false comes from there, or ~resume",
             )
 
     def _on_stop(self, _):
