@@ -93,16 +93,12 @@ def _read(path, bag, source, notes):
     if believing:
         belief_topic = min(bag.connections[number].topic for number in believing)
         believing = {n for n in believing if bag.connections[n].topic == belief_topic}
-    wanted = source.connections.union(drives, waypoints.connections, believing)
-    for message in bag.messages(wanted):
-        if message.connection in source.connections:
-            pose.add(message)
-        elif message.connection in drives:
-            command.add(message)
-        elif message.connection in believing:
-            believed.add(message)
-        else:
-            waypoints.add(message)
+    add = dict.fromkeys(waypoints.connections, waypoints.add)
+    add.update(dict.fromkeys(believing, believed.add))
+    add.update(dict.fromkeys(drives, command.add))
+    add.update((number, pose.add) for number in source.connections)
+    for message in bag.messages(set(add)):
+        add[message.connection](message)
     damage = bag.notes()
     notes += waypoints.notes + [_as_doubt(note) for note in damage]
     clock = pose.clock(_use_receive_time(path, pose, command, notes))

@@ -112,16 +112,32 @@ class _Layout(NamedTuple):
     op: int
     conn: int
     time: int
+    record: np.dtype
 
     @classmethod
     def of(cls, order):
         form, index, at, where = "<I", 1, 4, {}
+        fields = {"header": ("<u4", 0), "size": ("<u4", _HEADER_SIZE + 4)}
         for name in order:
             pattern, size = _MESSAGE_FIELDS[name]
             where[name] = at + 9 if name == "time" else index
+            if name == "time":
+                fields.update(sec=("<u4", at + 9), nsec=("<u4", at + 13))
+            elif name == "conn":
+                fields.update(conn=("<u4", at), number=("<u4", at + 9))
+            else:
+                fields["op"] = ("<u8", at)
             form, at = form + pattern, at + size
             index += {"conn": 2, "op": 1, "time": 0}[name]
-        return cls(struct.Struct(form + "I").unpack_from, where["op"], where["conn"], where["time"])
+        formats, offsets = zip(*fields.values())
+        record = {"names": list(fields), "formats": formats, "offsets": offsets}
+        return cls(
+            struct.Struct(form + "I").unpack_from,
+            where["op"],
+            where["conn"],
+            where["time"],
+            np.dtype({**record, "itemsize": _RECORD_SIZE}),
+        )
 
     def read(self, buffer, at):
         """The unpacked record, or None if it has another layout."""
@@ -343,7 +359,7 @@ class BagFile(Bag):
             number = record.header.u32(b"conn")
             if number is None or len(data) % _INDEX_ENTRY.itemsize:
                 return {}
-            index[number] = np.frombuffer(data, _INDEX_ENTRY)["offset"].tolist()
+            index[number] = np.frombuffer(data, _INDEX_ENTRY)["offset"].astype(np.int64)
             record = self._record_at(record.end)
         return index
 
@@ -367,28 +383,21 @@ class BagFile(Bag):
 
     def _pick(self, buffer, index, wanted):
         """Messages of the wanted connections at the places in the index; None if it is wrong."""
-        picked, layout = [], _LAYOUTS[0]
-        places = sorted((at, number) for number in wanted for at in index.get(number, ()))
-        for at, number in places:
-            values = layout.read(buffer, at)
-            if values is None:
-                layout = _layout_at(buffer, at)
-                if layout is None:
-                    return None
-                values = layout.read(buffer, at)
-            start = at + _RECORD_SIZE
-            stop = start + values[-1]
-            if values[layout.conn + 1] != number or stop > len(buffer):
+        numbers = [number for number in wanted if number in index]
+        picked, sizes = (), [index[number].size for number in numbers]
+        if any(sizes):
+            places = np.concatenate([index[number] for number in numbers])
+            order = np.argsort(places, kind="stable")
+            picked = _read_at_once(buffer, places[order], np.repeat(numbers, sizes)[order])
+            if picked is None:
                 return None
-            sec, nsec = _TIME.unpack_from(buffer, at + layout.time)
-            picked.append(Message(number, sec * 1000000000 + nsec, buffer[start:stop]))
-        self._read += sum(map(len, index.values()))
+        self._read += sum(places.size for places in index.values())
         return picked
 
     def _walk(self, buffer, position, wanted):
         """Yield the wanted messages in the contents of a chunk, and add its connections."""
         at, end = 0, len(buffer) - _RECORD_SIZE
-        unpack, op, conn, time = _LAYOUTS[0]
+        unpack, op, conn, time, _ = _LAYOUTS[0]
         while at <= end:
             values = unpack(buffer, at)
             if (
@@ -408,7 +417,7 @@ class BagFile(Bag):
                     continue
             layout = _layout_at(buffer, at)
             if layout is not None and layout.unpack != unpack:
-                unpack, op, conn, time = layout
+                unpack, op, conn, time, _ = layout
                 continue
             stop = self._other_record(buffer, at)
             if stop is None:
@@ -437,6 +446,30 @@ class BagFile(Bag):
 def _layout_at(buffer, at):
     """Layout of the message record that begins at ``at``; None if there is none."""
     return next((layout for layout in _LAYOUTS if layout.read(buffer, at)), None)
+
+
+def _read_at_once(buffer, places, numbers):
+    """Messages at places, increasing, of connections; None if not all of them are there."""
+    first, last = int(places[0]), int(places[-1])
+    layout = _layout_at(buffer, first) if last + _RECORD_SIZE <= len(buffer) else None
+    if layout is None:
+        return None
+    # A recorder keeps to one order of the fields.
+    bytes_of = np.frombuffer(buffer, np.uint8)[places[:, None] + np.arange(_RECORD_SIZE)]
+    records = bytes_of.view(layout.record)[:, 0]
+    starts = places + _RECORD_SIZE
+    stops = starts + records["size"]
+    if not (
+        np.array_equal(records["number"], numbers)
+        and np.all(records["header"] == _HEADER_SIZE)
+        and np.all(records["op"] == _OP_FIELD)
+        and np.all(records["conn"] == _CONN_LENGTH)
+        and np.all(stops <= len(buffer))
+    ):
+        return None
+    times = records["sec"].astype(np.int64) * 1000000000 + records["nsec"]
+    data = [buffer[start:stop] for start, stop in zip(starts.tolist(), stops.tolist())]
+    return map(Message._make, zip(numbers.tolist(), times.tolist(), data))
 
 
 def _find_message(buffer, at):

@@ -145,9 +145,9 @@ def _alternates(t, x, y, least):
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
     apart = float(np.median(np.hypot(*bends)))
-    size = float(np.median(np.sum(bends**2, axis=0)))
     if apart < least:
         return 0.0
+    size = float(np.median(np.sum(bends**2, axis=0)))
     odd, even = (
         float(np.median(np.sum(bends[:, lag:] * bends[:, :-lag], axis=0))) / size
         for lag in (_ODD, _EVEN)
@@ -381,9 +381,11 @@ def unfollowed(recording: Recording) -> str:
             moving = (told > _MOVING) & (v > _MOVING)
         told, driven = told[moving], v[moving]
         if told.size >= _TELLING and np.std(told) > _VARIED and np.std(driven) > _EVENLY:
-            ranks = _ranks(told), _ranks(driven)
-            found += [float(np.corrcoef(*pair)[0, 1]) for pair in ((told, driven), ranks)]
-    if not found or max(found) >= _FOLLOWS:
+            for pair in ((told, driven), (_ranks(told), _ranks(driven))):
+                found.append(float(np.corrcoef(*pair)[0, 1]))
+                if found[-1] >= _FOLLOWS:
+                    return ""
+    if not found:
         return ""
     return (
         f"{commands.topic}: the car's speed does not follow the speed commanded (correlation at "
