@@ -121,10 +121,11 @@ def _read(path, bag, source, notes):
         beliefs = Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
     first = waypoints.best()
     later = waypoints.later.get(first.topic, []) if first else []
-    frame = waypoints.frames[first.topic] if first else ""
-    if not is_map_frame(frame) and frame != source.frame:
+    frame = source.frame if source.poses else pose.frame
+    of_line = waypoints.frames[first.topic] if first else ""
+    if not is_map_frame(of_line) and of_line != frame:
         notes.append(
-            f"warning: {first.topic} is in frame {frame}, the poses in {source.frame or 'map'}: "
+            f"warning: {first.topic} is in frame {of_line}, the poses in {frame or 'map'}: "
             "the lateral errors are those on the track only if both are the same"
         )
     at = np.array([received for received, _ in later], dtype=np.int64)
@@ -136,7 +137,7 @@ def _read(path, bag, source, notes):
         source=str(path),
         topic=source.topic,
         type=source.type,
-        frame=source.frame,
+        frame=frame,
         commands=commands,
         beliefs=beliefs,
         waypoints=first,

@@ -9,9 +9,9 @@ import numpy as np
 from .bag import Connection, Message
 from .clocks import LATENCY_NS, Clock
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
-from .samples import in_order, jump_back, usable
+from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usable
 
-__all__ = ["PoseSeries", "Series", "commands_of_two", "quaternion_note"]
+__all__ = ["FrameChoice", "PoseSeries", "Series", "commands_of_two", "followed", "quaternion_note"]
 
 _BATCH = 2048
 # Commands of two nodes: of a block of messages such a share differs from both neighbors by so much
@@ -21,7 +21,7 @@ _BLOCK, _ANGLE, _SPEED = 200, (0.2, 0.05), (0.03, 0.1)
 _AGREE, _MANY, _MOST = 0.2, 5.0, 30.0
 # Or a few leave their neighbors, which hardly differ, by so much [rad, m/s] as no node's own do.
 _FEW, _FAR_ANGLE, _FAR_SPEED = 5, 0.2, 1.0
-# After so long without a message [ns] a node is gone, and another may take its place.
+# After so long without a message [ns] a node or frame is gone, and another may take its place.
 _SENDER_GONE = 10**9
 
 
@@ -56,6 +56,56 @@ class _Senders:
             )
         for sender, before in self._followed:
             notes.append(f"warning: {topic}: {before} fell silent, and {sender} took its place")
+
+
+class FrameChoice:
+    """Picks the frame of which the poses of a topic count, live and from bags alike.
+
+    It is the first one. Once that is gone, one that is nearer to the map takes its place, as when
+    localization starts after the wheels, and what came before is of no use.
+
+    Attributes
+    ----------
+    frame : str or None
+        The frame that counts, ``map`` where it has no name; None before the first pose.
+    """
+
+    def __init__(self):
+        self.frame, self._heard = None, 0
+
+    def counts(self, frame: str, at_ns: int) -> bool:
+        """Whether a pose of a frame, of a time [ns], counts; `frame` is then its own."""
+        frame = frame or "map"
+        if frame != self.frame and self.frame is not None:
+            gone = at_ns - self._heard >= _SENDER_GONE
+            if not gone or _from_map(frame) >= _from_map(self.frame):
+                return False
+        self.frame, self._heard = frame, at_ns
+        return True
+
+
+def followed(count: int, what: str, before: str, frame: str, early: int) -> str:
+    """Doubt about a frame that took the place of another.
+
+    Parameters
+    ----------
+    count : int
+        Messages or rows in the frame before, which are lost.
+    what : str
+        What is counted.
+    before, frame : str
+    early : int
+        How many in the frame itself came before the other was gone, and are lost as well.
+    """
+    also = f" and {early} in {frame}" if early else ""
+    return (
+        f"{count} {what} in frame {before}{also} left out: {before} fell silent, and {frame} took "
+        "its place"
+    )
+
+
+def _from_map(frame):
+    return 0 if is_map_frame(frame) else 2 if is_odometry_frame(frame) else 1
 
 
 class Series:
@@ -181,7 +231,7 @@ class Series:
 
 
 class PoseSeries(Series):
-    """Poses of one topic: of its first sender, for as long as it sends, and in its first frame.
+    """Poses of one topic: of its first sender, for as long as it sends, and in one frame.
 
     Parameters
     ----------
@@ -193,38 +243,71 @@ class PoseSeries(Series):
 
     def __init__(self, decode: Callable, connections: dict[int, Connection]):
         super().__init__(decode, coordinates=2, connections=connections)
-        self._frame, self._elsewhere = None, {}
+        self._choice, self._encoded = FrameChoice(), None
+        self._elsewhere, self._before = {}, {}
+
+    @property
+    def frame(self) -> str | None:
+        """The frame in which poses count."""
+        self._flush()
+        return self._choice.frame
 
     def _flush(self):
         if self._data:
-            if self._frame is None:
-                self._frame = _frame_bytes(self._data[0])
-            size = 12 + len(self._frame)
-            same = [data[12:size] == self._frame for data in self._data]
-            if not all(same):
-                self._leave_out(same)
+            if self._encoded is None:
+                self._encoded = _frame_bytes(self._data[0])
+            size = 12 + len(self._encoded)
+            same = [data[12:size] == self._encoded for data in self._data]
+            if all(same):
+                self._choice.counts(_name(self._encoded), _time(self._data[-1], self._received[-1]))
+            else:
+                self._choose()
         super()._flush()
 
-    def _leave_out(self, same):
-        """Leave out messages in another frame; those that are cut off are found by the decoder."""
-        for keep, data in zip(same, self._data):
-            if not keep:
-                name = decode_frame(_frame_bytes(data)[4:])
+    def _choose(self):
+        """Keep the messages whose frame counts; the decoder finds those that are cut off."""
+        kept = []
+        for data, at in zip(self._data, self._received):
+            encoded, before = _frame_bytes(data), self._choice.frame
+            name = _name(encoded)
+            if not self._choice.counts(name, _time(data, at)):
                 self._elsewhere[name] = self._elsewhere.get(name, 0) + 1
-        self._data = [data for data, keep in zip(self._data, same) if keep]
-        self._received = [at for at, keep in zip(self._received, same) if keep]
+                continue
+            if before not in (None, self._choice.frame):
+                count = len(kept) + sum(times.size for times in self._times)
+                early = self._elsewhere.pop(self._choice.frame, 0)
+                self._before[before] = followed(
+                    count, "messages", before, self._choice.frame, early
+                )
+                self._stamps, self._times, self._values, kept = [], [], [], []
+                self._unstamped = self._broken = 0
+            self._encoded = encoded
+            kept.append((data, at))
+        self._data, self._received = (list(part) for part in zip(*kept)) if kept else ([], [])
 
     def columns(self, notes, topic, clock=None):
         """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
         times, columns = super().columns(notes, topic, clock)
         quaternion_note(notes, topic, columns.pop(3))
-        for frame, count in self._elsewhere.items():
-            first = decode_frame(self._frame[4:])
+        frame = self._choice.frame
+        notes += [f"warning: {topic}: {said}" for said in self._before.values()]
+        for other, count in self._elsewhere.items():
             notes.append(
-                f"warning: {topic}: {count} messages in another frame, {frame or '(unnamed)'}, "
-                f"left out: only the first, {first or '(unnamed)'}, counts"
+                f"warning: {topic}: {count} messages in another frame, {other}, left out: only "
+                f"{frame} counts"
             )
         return times, columns
+
+
+def _time(data, received):
+    """Stamp of a message, or its time of receipt [ns], as live."""
+    seconds, rest = (int.from_bytes(data[at : at + 4], "little") for at in (4, 8))
+    return seconds * 10**9 + rest or received
+
+
+def _name(encoded):
+    """Name of a frame as in a message."""
+    return decode_frame(encoded[4:]) or "map"
 
 
 def _frame_bytes(data):

@@ -355,6 +355,11 @@ class _PlacedPoses:
         """Number of poses."""
         return self._poses.size
 
+    @property
+    def frame(self) -> str | None:
+        """The frame in which poses count."""
+        return self._poses.frame
+
 
 class MountedPoses(_PlacedPoses):
     """Poses of a sensor, brought to the car by its mount, as a `PoseSeries`.
@@ -399,12 +404,17 @@ class ComposedPoses(_PlacedPoses):
         super().__init__(poses)
         self._frame, self._child, self._transforms = frame, child, transforms
 
+    @property
+    def frame(self) -> str | None:
+        """The frame in which poses count."""
+        return "map" if self._poses.frame == self._frame else self._poses.frame
+
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """As `map_racing.bags.series.Series.columns`, in the map: ``x y psi v_x v_y yaw_rate``."""
         times, columns = self._poses.columns(notes, topic, clock)
-        if not times.size:
+        if not times.size or self._poses.frame != self._frame:
             return times, columns
         start = self._frame if self._transforms.connected("map", self._frame) else self._child
         tree = self._transforms.tree("map", start, notes, topic, clock.use_receipt)

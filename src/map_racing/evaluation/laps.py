@@ -49,6 +49,9 @@ _SHORTCUT = 3.0
 # Less than this [m] in this time [s] is standing; it lasts while the car is within a radius [m].
 _STANDING, _STANDING_TIME, _STANDING_RADIUS = 0.15, 0.5, 0.05
 _BRAKING_TIME = 0.1  # over which deceleration is measured [s]
+# A stretch of so many samples, or 83 minutes at 100 Hz, is ended: a car that is parked for a night
+# in a lap, or a track that is never closed, would fill the memory.
+_MOST_SAMPLES = 500_000
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ class LapEvaluator:
     """Laps of a car on a raceline, from samples added one by one or many at once.
 
     The laps do not depend on how the samples are split into calls, to the last bit. Samples are
-    kept only until their lap ends.
+    kept only until their lap ends, and no lap has more than 500,000.
 
     Parameters
     ----------
@@ -284,6 +287,11 @@ class LapEvaluator:
         elif self._farthest - progress > self.limits.max_reverse:
             back = self._farthest - progress
             self._faults["reverse"] = max(back, self._faults.get("reverse", 0.0))
+        if len(self._samples) >= _MOST_SAMPLES * len(_Sample._fields):
+            self._close_open(f"cut after {_MOST_SAMPLES} samples")
+            self._begin(None)
+            self._samples.extend(sample)
+            self._farthest = progress
 
     def _step_faults(self, last, sample):
         """Faults of the step from one sample to the next, by kind."""

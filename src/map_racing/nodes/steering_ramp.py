@@ -25,7 +25,7 @@ from ..control.steering_ramp import (
 from ..control.supervised import build_supervisor
 from ..errors import ParameterError
 from ..vehicle.parameters import load_vehicle
-from .conversions import frame, plane_pose, stamp_ns
+from .conversions import StampOrder, frame, plane_pose, stamp_ns
 from .node import FirstSender, SteadyClock, get_parameter, overridden, run, sleep, trace
 from .priority import urgent
 from .watchdog import Watchdog
@@ -84,7 +84,7 @@ class SteeringRampNode:
         self._lock, self._clock = threading.RLock(), SteadyClock()
         self._held_until = -math.inf
         self._frame = self._phase = self._reason = None
-        self._angle = 0.0
+        self._angle, self._order = 0.0, StampOrder()
         self._ended = False
         self._sender = FirstSender(rospy.resolve_name("odom"))
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=10)
@@ -198,7 +198,7 @@ class SteeringRampNode:
 
     def _send(self, header, steering_angle, speed):
         self._angle = steering_angle
-        command = AckermannDriveStamped(header=header)
+        command = AckermannDriveStamped(header=self._order.ordered(header))
         command.drive.steering_angle, command.drive.speed = steering_angle, speed
         self._drive.publish(command)
 

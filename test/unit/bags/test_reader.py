@@ -562,3 +562,46 @@ def test_waypoints_in_another_frame_than_the_poses_are_doubted(
         note for note in notes if note.startswith("warning: /global_waypoints is in frame odom")
     ]
     assert bool(said) == doubted
+
+
+# -- frames of poses on one topic ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("frames", "counted", "frame", "said"),
+    [
+        (["odom", "map"], (2.0, 4.0), "map", "100 messages in frame odom left out"),
+        (["odom", "vesc"], (2.0, 4.0), "vesc", "100 messages in frame odom left out"),
+        (["map", "odom"], (0.0, 2.0), "map", "100 messages in another frame, odom, left out"),
+        (["map", "world"], (0.0, 2.0), "map", "100 messages in another frame, world, left out"),
+        (["odom", "map", "odom"], (2.0, 4.0), "map", "100 messages in frame odom left out"),
+        (["", "map", "/map"], (0.0, 6.0), "map", ""),
+    ],
+)
+def test_frames_that_follow_each_other_on_a_topic(tmp_path, frames, counted, frame, said):
+    """The one nearest to the map counts once the one before is gone, for 1 s as of nodes."""
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(100 * len(frames)):
+            at = T0 + 0.02 * i + (1.1 if i >= 100 and said else 0.0)
+            own = frames[i // 100]
+            bag.odometry(at, 0.02 * i, 0, 0, 1, 0, 0, topic="/odom", frame=own, received=at)
+    recording = read_recording(tmp_path / "run.bag")
+    assert recording.frame == frame
+    assert recording.x[[0, -1]].tolist() == pytest.approx([counted[0], counted[1] - 0.02])
+    warnings = [note for note in recording.notes if note.startswith("warning")]
+    assert bool(warnings) == bool(said)
+    assert any(said in warning for warning in warnings) or not said
+
+
+def test_odometry_that_was_localized_later_is_not_placed_twice(tmp_path):
+    """A topic in odom, beside its transform to the map, and later in the map itself."""
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(300):
+            at = T0 + 0.02 * i
+            bag.transform(at, 5.0, 0.0, 0.0, child="odom", received=at)
+            own = "odom" if i < 100 else "map"
+            bag.odometry(at, 0.02 * i, 0, 0, 1, 0, 0, topic="/odom", frame=own, received=at)
+    recording = read_recording(tmp_path / "run.bag")
+    assert recording.frame == "map" and recording.x[-1] == pytest.approx(5.98)
+    # It took a second to see that odom is gone.
+    assert recording.x[0] == pytest.approx(2.98, abs=0.03)
