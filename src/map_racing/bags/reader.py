@@ -40,8 +40,9 @@ def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
     ground truth come last, as do topics slower than 5 Hz; Frenet coordinates are never taken.
 
     Times are the header stamps. Where a stamp is 0 it is the time of receipt; so are all times if
-    the stamps of pose or command fall back by 1 s or more (a clock was set back). From a damaged or
-    unclosed bag all intact messages are read, and the notes say how many.
+    the stamps of pose or command fall back by 1 s or more (a clock was set back), or those of the
+    pose jump or are too coarse. From a damaged or unclosed bag all intact messages are read, and
+    the notes say how many.
 
     Parameters
     ----------

@@ -149,7 +149,7 @@ def _origin(source):
 
 
 def _canonical(topic):
-    """Name of a source in the form of `_Source.topic`."""
+    """Name of a source in the form of `PoseSource.topic`."""
     topic = "/" + topic.lstrip("/")
     if topic.startswith("/tf:"):
         frame = topic[4:].lstrip("/")
