@@ -31,7 +31,7 @@ MAGIC = (SQLITE_MAGIC[:8], MCAP_MAGIC)
 """First bytes of the files, by which they are recognized without a name."""
 
 _BLOCK = 1 << 20
-_TIMES_END = 1 << 63  # what int64 cannot hold is damage [ns]
+_TIMES_END = 1 << 63  # a time that int64 cannot hold is damage [ns]
 
 
 class Ros2Bag(Bag):
@@ -89,7 +89,7 @@ class Ros2Bag(Bag):
             self._notes.append("metadata.yaml is not readable: left out")
             return {}
         if self.path.is_file() and metadata.get("relative_file_paths") != [self.path.name]:
-            return {}  # of all parts, of which this is one
+            return {}  # it counts all parts, and this is one of them
         return metadata
 
     def _open(self, path):
