@@ -15,10 +15,6 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK = 4096
 
 
-# The libraries raise classes of their own for damaged data.
-_MEMORY = (MemoryError, KeyboardInterrupt)
-
-
 @lru_cache(maxsize=None)
 def _zstd():
     """What makes a decompressor of a stream, what decompresses a message, and if that is fast."""
@@ -59,7 +55,7 @@ def decompress_message(data: bytes) -> bytes:
     # The decompressor of a stream takes as long to make as a hundred messages to decompress.
     try:
         return _message_decompressor()(data)
-    except _MEMORY:
+    except MemoryError:
         raise
     except Exception:
         return decompress("zstd", data)[0]
@@ -96,11 +92,12 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
     if make is None:
         return b"", False
     decompressor = make()
+    # For damaged data the libraries raise classes of their own.
     try:
         contents = decompressor.decompress(data)
         if decompressor.eof:
             return contents, True
-    except _MEMORY:
+    except MemoryError:
         raise
     except Exception:
         pass
@@ -108,7 +105,7 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
     try:
         for at in range(0, len(data), _BLOCK):
             contents.append(decompressor.decompress(data[at : at + _BLOCK]))
-    except _MEMORY:
+    except MemoryError:
         raise
     except Exception:
         pass

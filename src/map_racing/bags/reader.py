@@ -14,7 +14,7 @@ from .clocks import COMMAND_DELAY_NS, rate_note, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
-from .topics import drive_connections, imu_topic, pose_sources
+from .topics import belief_connections, drive_connections, imu_topic, pose_sources
 from .waypoints import WaypointCollection
 
 __all__ = ["read_recording", "read_signals"]
@@ -40,8 +40,9 @@ def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
     ground truth come last, as do topics slower than 5 Hz; Frenet coordinates are never taken.
 
     Times are the header stamps. Where a stamp is 0 it is the time of receipt; so are all times if
-    the stamps of pose or command fall back by 1 s or more (a clock was set back). From a damaged or
-    unclosed bag all intact messages are read, and the notes say how many.
+    the stamps of pose or command fall back by 1 s or more (a clock was set back), or those of the
+    pose jump or are too coarse. From a damaged or unclosed bag all intact messages are read, and
+    the notes say how many.
 
     Parameters
     ----------
@@ -84,15 +85,11 @@ def _read(path, bag, source, notes):
     """The recording with the pose of a source."""
     notes = list(notes)
     drive_topic, drives = drive_connections(bag)
+    belief_topic, believing = belief_connections(bag)
     senders = {number: bag.connections[number] for number in drives}
     pose = source.series(bag)
     command = Series(msg.decode_drive, connections=senders, delay_ns=COMMAND_DELAY_NS)
-    waypoints = WaypointCollection(bag)
-    believed, belief_topic = Series(msg.decode_belief), ""
-    believing = {n for n, c in bag.connections.items() if c.md5sum == msg.MD5[msg.BELIEF]}
-    if believing:
-        belief_topic = min(bag.connections[number].topic for number in believing)
-        believing = {n for n in believing if bag.connections[n].topic == belief_topic}
+    waypoints, believed = WaypointCollection(bag), Series(msg.decode_belief)
     add = dict.fromkeys(waypoints.connections, waypoints.add)
     add.update(dict.fromkeys(believing, believed.add))
     add.update(dict.fromkeys(drives, command.add))
@@ -115,21 +112,9 @@ def _read(path, bag, source, notes):
         )
     t0_ns = int(times[0])
     commands = _commands(command, drive_topic, clock, times, notes) if drives else None
-    beliefs = None
-    if believing:
-        at, values = believed.columns(notes, belief_topic, clock)
-        beliefs = Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
-    first = waypoints.best()
-    later = waypoints.later.get(first.topic, []) if first else []
+    beliefs = _beliefs(believed, belief_topic, clock, t0_ns, notes) if believing else None
     frame = source.frame if source.poses else pose.frame
-    of_line = waypoints.frames[first.topic] if first else ""
-    if not is_map_frame(of_line) and of_line != frame:
-        notes.append(
-            f"warning: {first.topic} is in frame {of_line}, the poses in {frame or 'map'}: "
-            "the lateral errors are those on the track only if both are the same"
-        )
-    at = np.array([received for received, _ in later], dtype=np.int64)
-    at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
+    first, later = _waypoints(waypoints, frame, clock, t0_ns, notes)
     return Recording(
         (times - t0_ns) * 1e-9,
         *columns,
@@ -141,12 +126,33 @@ def _read(path, bag, source, notes):
         commands=commands,
         beliefs=beliefs,
         waypoints=first,
-        later_waypoints=[
-            (float(t), first._replace(columns=columns)) for t, (_, columns) in zip(at, later)
-        ],
+        later_waypoints=later,
         clock=clock,
         notes=notes,
     )
+
+
+def _waypoints(collected, pose_frame, clock, t0_ns, notes):
+    """The first waypoints and those that came later, with their times [s]; doubts to the notes."""
+    first = collected.best()
+    if first is None:
+        return None, []
+    frame = collected.frames[first.topic]
+    if not is_map_frame(frame) and frame != pose_frame:
+        notes.append(
+            f"warning: {first.topic} is in frame {frame}, the poses in {pose_frame or 'map'}: "
+            "the lateral errors are those on the track only if both are the same"
+        )
+    later = collected.later.get(first.topic, [])
+    at = np.array([received for received, _ in later], dtype=np.int64)
+    at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
+    return first, [(float(t), first._replace(columns=c)) for t, (_, c) in zip(at, later)]
+
+
+def _beliefs(believed, topic, clock, t0_ns, notes):
+    """What was believed, on the clock of the poses."""
+    at, values = believed.columns(notes, topic, clock)
+    return Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
 
 
 def _commands(command, topic, clock, times, notes):

@@ -360,8 +360,10 @@ class BagFile(Bag):
             if number is None or len(data) % _INDEX_ENTRY.itemsize:
                 return {}
             index[number] = np.frombuffer(data, _INDEX_ENTRY)["offset"].astype(np.int64)
-            record = self._record_at(record.end)
-        return index
+            position = record.end
+            record = self._record_at(position)
+        # Behind what cannot be read there may be the index of another connection.
+        return index if record is not None or position >= self._size else {}
 
     def _find_chunk(self, position):
         """Position of the next chunk record from ``position`` on, or the end of the file."""

@@ -2,7 +2,7 @@
 
 A node that hears a replayed message without a stamp can only take the time of ``/clock``, which
 runs in steps; one that another computer stamped lies elsewhere in time. In the copy each pose and
-drive command carries its time itself.
+drive command carries its time itself; poses of tf stay as they are.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .clocks import COMMAND_DELAY_NS
+from .messages import TF
 from .reader import read_recording
 from .records import BagFile
 from .writer import copy_bag
@@ -43,7 +44,9 @@ def write_restamped(path: str | Path, output: str | Path, pose_topic: str | None
         If the bag cannot be read, or the copy cannot be written.
     """
     recording = read_recording(path, pose_topic)
-    topics = [recording.topic] + ([recording.commands.topic] if recording.commands else [])
+    # A transform has no stamp where the other messages have theirs.
+    topics = [recording.topic] if recording.type != TF else []
+    topics += [recording.commands.topic] if recording.commands else []
     with BagFile(path) as bag:
         changed = {}
         for topic in topics:

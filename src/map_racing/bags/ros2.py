@@ -53,7 +53,8 @@ class Ros2Bag(Bag):
         self._storages, self._of_storage, self._layouts = [], [], {}
         self._temporary = None
         self._notes: list[str] = []
-        self._found = None
+        # Of the last complete run of `messages`, what was wanted and how many were found.
+        self._found = (), 0
         metadata = self._read_metadata()
         try:
             for file in storage_files(self.path, metadata):
@@ -192,7 +193,7 @@ class Ros2Bag(Bag):
                 layout = layouts.get(number)
                 found += 1
                 yield Message(number, time_ns, data if layout is None else layout(data))
-        self._found = {frozenset(wanted or self.connections): found}
+        self._found = self.connections if wanted is None else wanted, found
 
     def notes(self) -> list[str]:
         """What could not be read; empty for a sound bag."""
@@ -208,10 +209,10 @@ class Ros2Bag(Bag):
             notes.append(
                 f"chunks left out, compressed by {', '.join(unread)}: expected bz2, lz4 or zstd"
             )
-        for wanted, found in (self._found or {}).items():
-            expected = sum(self.counts.get(number, 0) for number in wanted)
-            if found != expected and not damage and not unread:
-                notes.append(f"{found} messages read, but the index of the bag lists {expected}")
+        wanted, found = self._found
+        expected = sum(self.counts.get(number, 0) for number in wanted)
+        if found != expected and not damage and not unread:
+            notes.append(f"{found} messages read, but the index of the bag lists {expected}")
         return notes
 
 

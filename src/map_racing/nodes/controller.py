@@ -310,8 +310,10 @@ class ControllerNode:
         learned = self._controller.adaptation
         if learned is not None and self._belief.get_num_connections():
             self._belief.publish(header=header, **learned.belief._asdict())
-        if not self._guidance.get_num_connections() or result.status in _UNGUIDED:
-            return
+        if self._guidance.get_num_connections() and result.status not in _UNGUIDED:
+            self._publish_guidance(header, result, decision)
+
+    def _publish_guidance(self, header, result, decision):
         guided = result.state
         self._guidance.publish(
             header=header,

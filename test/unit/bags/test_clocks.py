@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from map_racing.bags import encoding
 from map_racing.bags import messages as msg
 from map_racing.bags.bag import Connection, Message
 from map_racing.bags.clocks import lag_of_effect
@@ -67,9 +68,9 @@ def test_commands_of_two_nodes(gone):
     series = Series(msg.decode_drive, connections=connections)
     for i in range(COUNT):
         if not (gone and i >= 40):
-            data = msg.encode_drive(i, 10**10 + 10**8 * i, "", 0.0, 4.0, 0.0, 0.0, 0.0)
+            data = encoding.encode_drive(i, 10**10 + 10**8 * i, "", 0.0, 4.0, 0.0, 0.0, 0.0)
             series.add(Message(0, 10**10 + 10**8 * i, data))
-        data = msg.encode_drive(i, 10**10 + 10**8 * i + 1, "", 0.0, 0.0, 0.0, 0.0, 0.0)
+        data = encoding.encode_drive(i, 10**10 + 10**8 * i + 1, "", 0.0, 0.0, 0.0, 0.0, 0.0)
         series.add(Message(1, 10**10 + 10**8 * i + 1, data))
     notes = []
     _, (_, speed) = series.columns(notes, DRIVE_TOPIC)
