@@ -269,6 +269,7 @@ def lag_of_effect(
     effect: np.ndarray,
     longest_s: float = LONGEST_LAG_S,
     earliest_s: float = -0.05,
+    least: float = _AS_GOOD,
 ) -> float | None:
     """How much later an effect comes than its cause, where that is plainly impossible.
 
@@ -285,6 +286,8 @@ def lag_of_effect(
     longest_s, earliest_s : float, optional
         Longest and shortest possible lag [s]; negative where what measures the effect looks ahead,
         as averages do.
+    least : float, optional
+        By how much more an impossible lag must correlate.
 
     Returns
     -------
@@ -322,7 +325,7 @@ def lag_of_effect(
     lags = _STEP_S * np.arange(most, -most - 1, -1)
     possible = (lags >= earliest_s) & (lags <= longest_s)
     best, usual = float(np.max(follows)), float(np.max(follows[possible]))
-    plain = best > usual + _AS_GOOD and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
+    plain = best > usual + least and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
     if best < _FOLLOWS or not plain:
         return None
     peaks = np.flatnonzero(follows > best - _AS_GOOD)

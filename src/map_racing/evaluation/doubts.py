@@ -10,6 +10,7 @@ import numpy as np
 from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
+from .late_speed import late_speed
 from .results import Lap
 from .speed import CHORD_S, beyond_for_a_while, chords, speed_of
 
@@ -88,6 +89,7 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
         bunches(topic, t),
         time_jump(topic, t, x, y),
         speed_warning(topic, t, x, y, v) or _speed_for_a_while(topic, t, x, y, v, begin, end),
+        late_speed(topic, t, x, y, v),
         command_clock(recording),
         *of_commands,
     ]

@@ -19,6 +19,7 @@ from map_racing.evaluation.doubts import (
 )
 from map_racing.evaluation.speed import speed_of
 from map_racing.evaluation.statistics import mean
+from map_racing.evaluation.turning import speed_driven
 
 T = np.arange(0.0, 30.0, 0.0125)
 
@@ -188,6 +189,24 @@ def test_a_single_speed_that_no_car_has():
     (doubt,) = doubts_of(driven, [(5.0, 20.0)])
     assert doubt.startswith("/odom: the measured speed reaches 25.0 m/s at 12.5 s, where the poses")
     assert doubts_of(driven, [(5.0, 10.0)]) == []
+
+
+@pytest.mark.parametrize("repeated", [1, 5])
+@pytest.mark.parametrize(
+    ("lag", "said"), [(0.0, ""), (0.3, "0.30 s after"), (-0.3, "0.30 s before")]
+)
+def test_a_speed_that_is_of_another_moment_than_its_pose(lag, said, repeated):
+    """Also where a slower localization sends its poses again; the report then takes the poses'."""
+    v = 4.0 + 1.2 * np.sin(1.3 * (T - lag)) + 0.5 * np.sin(3.1 * (T - lag))
+    way = 4.0 * T - 1.2 / 1.3 * np.cos(1.3 * T) - 0.5 / 3.1 * np.cos(3.1 * T)
+    angle = np.repeat(way[::repeated], repeated) / 8.0
+    x, y, unknown = 8.0 * np.cos(angle), 8.0 * np.sin(angle), np.full(T.size, np.nan)
+    driven = Recording(T, x, y, unknown, v, unknown, unknown, topic="/odom")
+    doubts = doubts_of(driven, [(5.0, 20.0)])
+    assert len(doubts) == bool(said)
+    if said:
+        assert f"/odom: the measured speed comes {said} the motion of the poses" in doubts[0]
+    assert speed_driven(driven)[1] == (not said)
 
 
 @pytest.mark.parametrize(
