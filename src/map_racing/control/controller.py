@@ -124,7 +124,8 @@ class Controller:
         self._estimate_v_y = SideslipEstimate(vehicle, ahead)
         self._behind = vehicle.l_r - ahead
         self._learned = self._setup = self._guard = self._adaptation = self._untaught = None
-        self.apply(self._completed(Setup(parameters, steering_map, grip, raceline, sectors)))
+        setup = Setup(parameters, steering_map, grip, raceline, sectors, vehicle.v_max)
+        self.apply(self._completed(setup))
         self.reset()
 
     # -- what it drives with -------------------------------------------------------------------

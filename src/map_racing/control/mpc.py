@@ -83,7 +83,7 @@ class ModelPredictiveController:
         self.raceline, self.sectors, self.plan = raceline, sectors, None
         if parameters.grip_use:
             grip = build_steering_map("table", vehicle, parameters.v_max_mps)
-            self.plan = SpeedPlan(raceline, parameters, grip, sectors)
+            self.plan = SpeedPlan(raceline, parameters, grip, sectors, vehicle.v_max)
         else:
             self._requested = requested_speed(raceline, parameters, sectors)
         self._tracker = RacelineTracker(raceline)

@@ -26,6 +26,8 @@ class Setup(NamedTuple):
     steering_map, grip : object
     raceline : Raceline or None
     sectors : SpeedSectors or None
+    top_speed : float
+        The car's [m/s].
     tracker : RacelineTracker or None
         Of the raceline.
     plan : SpeedPlan or None
@@ -41,6 +43,7 @@ class Setup(NamedTuple):
     grip: Any
     raceline: Raceline | None
     sectors: SpeedSectors | None
+    top_speed: float
     tracker: RacelineTracker | None = None
     plan: SpeedPlan | None = None
     guard: GripGuard | None = None
@@ -78,7 +81,7 @@ class Setup(NamedTuple):
         if old is None or setup.plan is None or setup._plan_key() != old._plan_key():
             kind = SpeedPlan if setup.adaptation is None else AdaptiveSpeedPlan
             setup = setup._replace(
-                plan=kind(raceline, parameters, setup.grip_map, setup.sectors),
+                plan=kind(raceline, parameters, setup.grip_map, setup.sectors, setup.top_speed),
                 guard=GripGuard(setup.grip_map, parameters.v_max_mps),
             )
         return setup

@@ -25,6 +25,14 @@ WALKING_PACE = 1.0
 # 0.2 %; long courses get longer ones, so that a plan takes about 10 ms on any of them.
 CELL, LONGEST_CELL, CELLS = 0.025, 0.1, 4000
 
+# Largest speed planned, as a share of the car's top speed. Commanded its top speed alone, a car whose
+# speed controller is proportional would reach it late; what is beyond cannot be driven, but the
+# public simulator's car goes on shifting its load at its top speed, and runs wide.
+_BEYOND_TOP = 1.1
+
+# Share of the tires' usable grip below which no more margin is left at the steering lock.
+_OF_TIRES = 0.5
+
 # Rounds in which the level of a speed and the speed of that level are found.
 ROUNDS = 3
 
@@ -91,6 +99,38 @@ def requested_speed(raceline, parameters, sectors=None):
     return lambda s: np.minimum(speed(s), parameters.v_max_mps)
 
 
+def lateral_limit(grip, share, v_max):
+    """Lateral acceleration that may be used at a speed.
+
+    It is a share of what the car reaches, for the tires may hold less than is believed. Where the
+    steering lock limits it to less than half of what may be used of the tires, which hold at a low
+    speed what they hold at higher ones, that margin is there without a share: and slower the car
+    would not turn tighter.
+
+    Parameters
+    ----------
+    grip : LookupTable or other steering map
+    share : float
+        ``grip_use``.
+    v_max : float
+        Largest speed [m/s].
+
+    Returns
+    -------
+    callable
+        From speeds [m/s], ndarray of shape (n,), to accelerations [m/s^2] of the same shape.
+    """
+    speeds = np.linspace(0.0, v_max, 400)
+    tires = np.maximum.accumulate(grip.max_lateral_acceleration(speeds)[::-1])[::-1]
+
+    def limit(v):
+        reached = grip.max_lateral_acceleration(v)
+        without = np.minimum(reached, _OF_TIRES * share * np.interp(v, speeds, tires))
+        return np.maximum(share * reached, without)
+
+    return limit
+
+
 class _Profile:
     """What can be said of planned speeds: `s`, `ds`, `speed`, `requested`, `has_own_speeds`."""
 
@@ -146,8 +186,11 @@ class SpeedPlan(_Profile):
     parameters : ControllerParameters
         Of these it depends on the fields in `DEPENDS_ON` alone.
     grip : LookupTable or other steering map
-        Its ``max_lateral_acceleration``, times ``grip_use``, is the lateral limit.
+        Its ``max_lateral_acceleration`` and ``grip_use`` make the lateral limit, see
+        `lateral_limit`.
     sectors : SpeedSectors, optional
+    top_speed : float, optional
+        The car's [m/s]; not much more is asked of it.
 
     Attributes
     ----------
@@ -164,7 +207,7 @@ class SpeedPlan(_Profile):
         *("speed_scale", "v_max_mps"),
     )
 
-    def __init__(self, raceline, parameters, grip, sectors=None):
+    def __init__(self, raceline, parameters, grip, sectors=None, top_speed=math.inf):
         cell = min(max(raceline.length / CELLS, CELL), LONGEST_CELL)
         count = max(int(math.ceil(raceline.length / cell)), 4)
         self.length, self.ds = raceline.length, raceline.length / count
@@ -174,6 +217,8 @@ class SpeedPlan(_Profile):
         use = parameters.grip_use
         if not use > 0.0:
             raise ParameterError("grip_use is 0: no speeds are planned")
+        fastest = min(parameters.v_max_mps, _BEYOND_TOP * top_speed)
+        lateral = lateral_limit(grip, use, fastest)
 
         def limited(v_max):
             if np.max(v_max) <= 0.0:
@@ -181,7 +226,7 @@ class SpeedPlan(_Profile):
             return speed_profile(
                 kappa,
                 self.ds,
-                a_lat_max=lambda v: use * grip.max_lateral_acceleration(v),
+                a_lat_max=lateral,
                 a_drive_max=parameters.a_drive_max_mps2,
                 a_brake_max=parameters.a_brake_max_mps2,
                 v_max=v_max,
@@ -190,12 +235,13 @@ class SpeedPlan(_Profile):
 
         if self.has_own_speeds:
             # Between the smallest of numbers, interpolation rounds to below 0.
-            self.requested = np.maximum(requested_speed(raceline, parameters, sectors)(self.s), 0.0)
+            requested = requested_speed(raceline, parameters, sectors)(self.s)
+            self.requested = np.clip(requested, 0.0, fastest)
         else:
-            self.requested = parameters.speed_scale * limited(parameters.v_max_mps)
+            self.requested = parameters.speed_scale * limited(fastest)
             if sectors is not None:
                 self.requested *= [sectors.scale_at(s) for s in self.s.tolist()]
-            self.requested = np.minimum(self.requested, parameters.v_max_mps)
+            self.requested = np.minimum(self.requested, fastest)
         self.speed = limited(self.requested)
         self._speed = self.speed.tolist() + self.speed[:2].tolist()
         self._per_ds = count / self.length
@@ -220,7 +266,7 @@ class AdaptiveSpeedPlan(_Profile):
 
     Parameters
     ----------
-    raceline, parameters, sectors
+    raceline, parameters, sectors, top_speed
         As of `SpeedPlan`.
     grip : TireSteering
         Of the vehicle file.
@@ -235,9 +281,9 @@ class AdaptiveSpeedPlan(_Profile):
 
     LEVELS = (0.3, 0.45, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
 
-    def __init__(self, raceline, parameters, grip, sectors=None):
+    def __init__(self, raceline, parameters, grip, sectors=None, top_speed=math.inf):
         self._plans = [
-            SpeedPlan(raceline, parameters, grip.scaled(level, 1.0, 1.0), sectors)
+            SpeedPlan(raceline, parameters, grip.scaled(level, 1.0, 1.0), sectors, top_speed)
             for level in self.LEVELS
         ]
         one = self._plans[0]
