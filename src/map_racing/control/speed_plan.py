@@ -15,7 +15,14 @@ from .speed_sectors import check_scale
 if TYPE_CHECKING:
     from ..track.raceline import Raceline
 
-__all__ = ["WALKING_PACE", "AdaptiveSpeedPlan", "SpeedPlan", "requested_speed", "scaled_speed"]
+__all__ = [
+    "WALKING_PACE",
+    "AdaptiveSpeedPlan",
+    "SpeedPlan",
+    "lateral_limit",
+    "requested_speed",
+    "scaled_speed",
+]
 
 # Driven where a bend is tighter than the car can steer, and commanded where the car is off the
 # course [m/s]: any tires hold at it.

@@ -530,7 +530,7 @@ def test_a_raceline_without_speeds_is_refused_by_name():
     assert subject.raceline is REFERENCE
 
 
-@pytest.mark.parametrize("lookahead", [7.0, 50.0, 1e4])
+@pytest.mark.parametrize("lookahead", [7.0, 25.0])
 def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
     """The public search never ends there."""
     raceline = circle(3.0)
