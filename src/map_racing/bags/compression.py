@@ -17,7 +17,7 @@ _BLOCK = 4096
 
 @lru_cache(maxsize=None)
 def _zstd():
-    """What makes a decompressor of a stream, what decompresses a message, and if that is fast."""
+    """Function that makes a decompressor, function that decompresses, whether that is fast."""
     # Rarely needed, and slow to import. rosbags brings one; which one depends on its version.
     # zstandard comes first: it makes one context for all messages, which takes a tenth of the time.
     try:
@@ -42,7 +42,7 @@ def zstd_decompressor():
 @lru_cache(maxsize=None)
 def _message_decompressor():
     _, whole, fast = _zstd()
-    if not fast:  # said once, and not of the bag: it is of this computer
+    if not fast:  # logged once, and not in the notes on the bag: it concerns this computer
         logging.getLogger(__name__).warning(
             "a bag compressed message by message is read about four times as fast with zstandard: "
             "pip install 'map_racing[zstd]'"
@@ -51,7 +51,7 @@ def _message_decompressor():
 
 
 def decompress_message(data: bytes) -> bytes:
-    """Decompress a message of its own by zstd, as far as it goes."""
+    """Decompress a message that was compressed alone, by zstd, as far as it goes."""
     # The decompressor of a stream takes as long to make as a hundred messages to decompress.
     try:
         return _message_decompressor()(data)

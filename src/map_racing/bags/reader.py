@@ -19,7 +19,7 @@ from .waypoints import WaypointCollection
 
 __all__ = ["read_recording", "read_signals"]
 
-# A pose that moves less [m] in all the recording stands still.
+# A pose that moves less than this [m] during the recording stands still.
 _STANDS_STILL = 0.2
 # Signals that can be read: decoder, and the names of its last columns.
 _SIGNALS = {

@@ -37,13 +37,13 @@ SIMULATED_NS = 1_700_000_000_000_000_000
 SIMULATED = "simulated"
 """What such races have instead of a date."""
 
-# Poses of a simulated race begin within this time [ns]. Times before 1973 [ns] are those of clocks
-# that were never set, and of simulated time.
+# A simulated race begins within this time after `SIMULATED_NS` [ns]. Times before 1973 [ns] come
+# from clocks that were never set, or from simulated time.
 _BEGIN, _DATED = 600 * 10**9, 10**17
 _MAPS = ("", "map", "world")
 _SENSORS = ("laser", "lidar", "scan", "imu", "camera")
-# Samples to both sides of a step back in time that tell whether a clock was set, which does not
-# happen more often; and speed of a car that drives [m/s].
+# A step back in time: number of samples on both sides that are examined, the most steps that
+# can come from clocks that were set, and the lowest speed of a driving car [m/s].
 _AROUND, _MOST_SET, _DRIVES = 25, 5, 0.5
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.

@@ -14,12 +14,13 @@ from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usabl
 __all__ = ["FrameChoice", "PoseSeries", "Series", "commands_of_two", "followed", "quaternion_note"]
 
 _BATCH = 2048
-# Commands of two nodes: of a block of messages such a share differs from both neighbors by so much
-# [rad, m/s], while these agree with each other, and many times as much as most do. Of one node, on
-# noisy poses, up to 0.12 of the angles do so, and up to 0.01 of the speeds.
+# Commands are of two nodes if, in a block of this many, a larger share than the first number
+# differs from both neighbors by more than the second [rad, m/s]. One node, on noisy poses, has a
+# share of up to 0.12 for angles and 0.01 for speeds.
 _BLOCK, _ANGLE, _SPEED = 200, (0.2, 0.05), (0.03, 0.1)
+# The neighbors agree to this share of the difference, which is this many times this percentile.
 _AGREE, _MANY, _MOST = 0.2, 5.0, 30.0
-# Or a few leave their neighbors, which hardly differ, by so much [rad, m/s] as no node's own do.
+# Or if at least so many differ from neighbors that agree by more [rad, m/s] than one node's do.
 _FEW, _FAR_ANGLE, _FAR_SPEED = 5, 0.2, 1.0
 # After so long without a message [ns] a node or frame is gone, and another may take its place.
 _SENDER_GONE = 10**9
@@ -358,7 +359,7 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
 
 
 def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
-    """Doubt about commands that go to and fro, as of two nodes that nothing names; or empty.
+    """Warning of commands that alternate, as of two nodes that the bag does not name; or empty.
 
     Parameters
     ----------
@@ -396,7 +397,7 @@ def _to_and_fro(values, least):
     away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
     count, most = away.size // _BLOCK or 1, 0.0
     for one, other in zip(np.array_split(away, count), np.array_split(across, count)):
-        # Most blocks are told without the percentile, which takes longest.
+        # The percentile takes longest, and most blocks are decided without it.
         if np.isfinite(one).all() and np.mean((one > least) & (other < _AGREE * one)) > most:
             usual = float(np.percentile(other, _MOST))
             most = max(most, np.mean((one > max(least, _MANY * usual)) & (other < _AGREE * one)))

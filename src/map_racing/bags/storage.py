@@ -116,7 +116,7 @@ class SqliteFile:
 
     def count(self):
         self.counts, spans = {}, []
-        with suppress(*SQLITE_ERRORS):  # what is damaged is said when the messages are read
+        with suppress(*SQLITE_ERRORS):  # damage is noted when the messages are read
             for number, count, first, last in self._database.execute(
                 "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
                 "WHERE typeof(timestamp) = 'integer' GROUP BY topic_id"

@@ -21,10 +21,10 @@ __all__ = ["ComposedPoses", "FramePoses", "MountedPoses", "RecordedTransforms"]
 
 # Localization may stamp its transforms up to a second ahead, so that they hold until the next.
 _EARLIEST_NS, _LATEST_NS = 3 * 10**8, -15 * 10**8
-# A link that ends before the others by more [ns] is said.
+# A link that ends earlier than the others by more than this [ns] is noted.
 _ENDED_NS = 5 * 10**8
-# A localization that corrects so many times, and then sends the same for so long [ns], and so many
-# times longer than ever, while the car drives so far [m], is dead.
+# A localization has died if, after this many corrections, it sends the same one for this long [ns],
+# this many times as long as ever before, while the car drives this far [m].
 _CORRECTED, _SAME_NS, _LONGER, _DRIVEN = 20, 3 * 10**9, 10, 5.0
 
 
@@ -37,7 +37,7 @@ class _Samples:
         self.senders: dict[str, tuple[int, int]] = {}
 
     def at_once(self):
-        """Names of senders of which none took the place of another."""
+        """Names of senders that sent at the same time."""
         spans = sorted((span, name) for name, span in self.senders.items())
         pairs = ((one, other) for one, other in combinations(spans, 2) if other[0][0] < one[0][1])
         return sorted({name for pair in pairs for _, name in pair})
@@ -240,7 +240,7 @@ class RecordedTransforms:
 
 
 def _offsets(links: dict) -> dict:
-    """What is to be added to the stamps of links of another clock than the others [ns]."""
+    """Corrections [ns] of the stamps of links that were stamped by another clock."""
     lags = {name: int(np.median(at - stamps)) for name, (stamps, at) in links.items() if at.size}
     if len(lags) < 2:
         return {}

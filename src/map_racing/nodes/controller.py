@@ -359,7 +359,7 @@ class ControllerNode:
 
     def _follow(self, raceline):
         sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-        # What is costly about a first search is done here, not in the first control step.
+        # The first search is slow: do it here, not in the first control step.
         raceline.project(0.0, 0.0)
         with self._driver.changing:
             setup = self._controller.prepare(raceline=raceline, sectors=sectors)

@@ -34,9 +34,9 @@ __all__ = ["LapEvaluatorNode", "main"]
 _STOP = object()
 _SILENCE_S = 5.0  # warn after this time without poses
 _SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
-# A shutdown looks so many times for another message in vain, and how long it rests before each look
-# [s]: a time would also pass while a busy computer does not let this process read. But it waits no
-# longer than this [s].
+# A shutdown ends after this many looks without a new message, with this pause before each [s], and
+# after this time in any case [s]. Looks are counted, because time also passes while a busy computer
+# does not let this process read.
 _LOOKS, _REST_S, _LAST_MESSAGES_S = 15, 0.02, 6.0
 _NAN = math.nan
 LAP_TEXT_COLOR = (1.0, 1.0, 1.0)

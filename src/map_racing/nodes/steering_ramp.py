@@ -32,7 +32,7 @@ from .watchdog import Watchdog
 
 __all__ = ["SteeringRampNode", "main"]
 
-# What the supervisor may say while nothing is wrong.
+# Reasons of the supervisor while nothing is wrong.
 READY = (Reason.NONE, Reason.STOP_REQUESTED)
 LOOK_S = 0.05
 QUIET_S = 1.0

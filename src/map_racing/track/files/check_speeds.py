@@ -54,7 +54,7 @@ def check_accelerations(draft: Draft) -> None:
 
 
 def _over_a_way(line, values):
-    """Sizes of the means of values over so many points as are within a meter, at least three."""
+    """Absolute means of values over the points within a meter, at least three."""
     around = max(1, math.ceil(0.5 * WAY * values.size / line.length))
     around = min(around, (values.size - 1) // 2)
     turned = np.concatenate(([0.0], values[values.size - around :], values, values[:around]))
