@@ -299,9 +299,18 @@ class PoseSeries(Series):
             kept.append((data, at))
         self._data, self._received = (list(part) for part in zip(*kept)) if kept else ([], [])
 
+    def way(self, received: bool = False) -> float:
+        """Length of the path through the poses in the order of stamps or times of receipt [m]."""
+        stamps, times, values = self._all()
+        values = values[np.argsort(times if received else stamps, kind="mergesort")]
+        values = values[usable(np.zeros(len(values)), values.T[:2])]
+        return float(np.sum(np.hypot(*np.diff(values[:, :2], axis=0).T)))
+
     def columns(self, notes, topic, clock=None):
         """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
-        times, columns = super().columns(notes, topic, clock)
+        # Their own stamps are of their clock, whatever the receipts are.
+        used = clock if clock is not None and clock.use_receipt else None
+        times, columns = super().columns(notes, topic, used)
         quaternion_note(notes, topic, columns.pop(3))
         frame = self._choice.frame
         notes += [f"warning: {topic}: {said}" for said in self._before.values()]
