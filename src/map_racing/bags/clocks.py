@@ -18,6 +18,7 @@ __all__ = [
     "LONGEST_LAG_S",
     "Clock",
     "lag_of_effect",
+    "mended",
     "rate_note",
     "stamps_are_unusable",
 ]
@@ -75,6 +76,8 @@ _SAME = 0.05
 # Messages that share a coarse stamp are received over more than this share of the time until the
 # next stamp; messages that were sent twice arrive together.
 _SPREAD = 0.5
+# Smallest number of messages on one stamp that is too coarse, and of others that tell the lag.
+_SEVERAL_ON_ONE, _FEW_GOOD = 4, 10
 # Smallest step back [ns] of a clock that was set, if the spread of the lags is at most the second
 # number times the step; and number of messages over which the drift is measured.
 _STEP_BACK, _LAG_NOISE, _SEVERAL = 2 * 10**7, 0.5, 10
@@ -223,6 +226,64 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
             by = abs(step) / _SECOND
             return f"header stamps jump {way} by {by:.{1 if by >= 0.2 else 2}f} s"
     return None
+
+
+def mended(
+    stamps: np.ndarray, received: np.ndarray, changed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Stamps of which a part tells less than the times of receipt, and how good they are now.
+
+    Some drivers write 0, or whole seconds, until their clock is set: these stamps become times of
+    receipt less the usual lag of the others, so that all are of one clock.
+
+    Parameters
+    ----------
+    stamps, received : ndarray of int64, shape (n,)
+        In the order of recording [ns].
+    changed : ndarray of bool, shape (n,)
+        Whether a message has other contents than the one before.
+
+    Returns
+    -------
+    stamps : ndarray of int64, shape (n,)
+        Of which none is 0.
+    which : ndarray of bool, shape (n,)
+        Those that were too coarse.
+    spread : float
+        Of the lag of the others [s], 95 %; 0 without any.
+    """
+    unstamped, coarse = stamps == 0, np.zeros(stamps.size, dtype=bool)
+    stamps, order = np.where(unstamped, received, stamps), np.argsort(received, kind="mergesort")
+    coarse[order] = _coarse(stamps[order], received[order], changed[order])
+    coarse &= ~unstamped
+    good = ~(unstamped | coarse)
+    if np.count_nonzero(good) < _FEW_GOOD or good.all():
+        return stamps, np.zeros(stamps.size, dtype=bool), 0.0
+    early, usual, late = np.percentile(received[good] - stamps[good], (2.5, 50.0, 97.5))
+    stamps = np.where(good, stamps, received - int(usual))
+    return stamps, coarse, 1e-9 * float(late - early)
+
+
+def _coarse(stamps, received, changed):
+    """Which messages share a stamp with others that were received all over the time until the next.
+
+    Messages that are sent again, by a localization that hangs, are no others.
+    """
+    coarse = np.zeros(stamps.size, dtype=bool)
+    begins = np.flatnonzero(np.append(True, np.diff(stamps) != 0))
+    ends = np.append(begins[1:], stamps.size)
+    steps = np.diff(received)
+    least = _SAME * float(np.mean(steps)) if steps.size else 0.0
+    several = ends - begins >= _SEVERAL_ON_ONE
+    for begin, end in zip(begins[several].tolist(), ends[several].tolist()):
+        count = end - begin
+        if np.mean(changed[begin + 1 : end]) < 0.5:
+            continue
+        until = received[min(end, stamps.size - 1)] - received[begin]
+        spread = received[end - 1] - received[begin]
+        even = np.mean(steps[begin : end - 1] > least) > _FINE
+        coarse[begin:end] = even and spread > _SPREAD * until * (count - 1) / count
+    return coarse
 
 
 def _shared(stamps, received):

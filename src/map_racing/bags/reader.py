@@ -21,6 +21,8 @@ __all__ = ["read_recording", "read_signals"]
 
 # A pose that moves less than this [m] during the recording stands still.
 _STANDS_STILL = 0.2
+# Poses are in an order of theirs if the path through them is shorter by this factor.
+_SHORTER = 0.99
 # Signals that can be read: decoder, and the names of its last columns.
 _SIGNALS = {
     msg.MD5[msg.ODOMETRY]: (msg.decode_odometry, ("v_x", "v_y", "yaw_rate")),
@@ -189,6 +191,12 @@ def _use_receive_time(path, pose, command, notes):
         why = stamps_are_unusable(*pose.stamps())
         if not why:
             return False
+    # Recordings that were put in the order of receipts by a clock that was set back are one way in
+    # the order of stamps.
+    way = getattr(pose, "way", None)
+    if way and way() < _SHORTER * way(received=True):
+        notes.append(f"warning: {why}, but the poses are one way in their order: used")
+        return False
     again = pose.jump_back(received=True) or command.jump_back(received=True)
     if again:
         raise BagError(f"{path}: time jumps back by {again:.1f} s: two runs in one bag?")

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import struct
 from enum import IntEnum
-from itertools import permutations
 from pathlib import Path
-from typing import Callable, Iterator, NamedTuple
+from typing import Iterator, NamedTuple
 
 import numpy as np
 
@@ -21,6 +20,16 @@ from ..errors import BagError
 from ..printing import printable
 from .bag import Bag, Connection, Message, time_span
 from .compression import decompress
+from .message_records import (
+    CONN_LENGTH,
+    HEADER_SIZE,
+    LAYOUTS,
+    OP_FIELD,
+    RECORD_SIZE,
+    find_message,
+    layout_at,
+    read_at_once,
+)
 
 __all__ = ["BagFile"]
 
@@ -32,14 +41,6 @@ _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 _COUNT = struct.Struct("<II")  # connection and number of its messages
 _INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
-
-# The header of a message has three fields: conn (13 bytes), op (8) and time (17), in an order that
-# depends on the recorder. A fixed layout per order makes the walk three times as fast as parsing
-# field by field. The whole field op and the length of conn identify the order.
-_HEADER_SIZE, _RECORD_SIZE = 38, 38 + 8
-_MESSAGE_FIELDS = {"conn": ("I5xI", 13), "op": ("Q", 8), "time": ("17x", 17)}
-(_OP_FIELD,) = struct.unpack("<Q", b"\x04\0\0\0op=\x02")
-_CONN_LENGTH = 9
 
 
 class _Op(IntEnum):
@@ -105,60 +106,9 @@ class _Record(NamedTuple):
         return self.start + self.length
 
 
-class _Layout(NamedTuple):
-    """Byte layout of a message record: indices in the unpacked tuple, and offset of the time."""
-
-    unpack: Callable
-    op: int
-    conn: int
-    time: int
-    record: np.dtype
-
-    @classmethod
-    def of(cls, order):
-        form, index, at, where = "<I", 1, 4, {}
-        fields = {"header": ("<u4", 0), "size": ("<u4", _HEADER_SIZE + 4)}
-        for name in order:
-            pattern, size = _MESSAGE_FIELDS[name]
-            where[name] = at + 9 if name == "time" else index
-            if name == "time":
-                fields.update(sec=("<u4", at + 9), nsec=("<u4", at + 13))
-            elif name == "conn":
-                fields.update(conn=("<u4", at), number=("<u4", at + 9))
-            else:
-                fields["op"] = ("<u8", at)
-            form, at = form + pattern, at + size
-            index += {"conn": 2, "op": 1, "time": 0}[name]
-        formats, offsets = zip(*fields.values())
-        record = {"names": list(fields), "formats": formats, "offsets": offsets}
-        return cls(
-            struct.Struct(form + "I").unpack_from,
-            where["op"],
-            where["conn"],
-            where["time"],
-            np.dtype({**record, "itemsize": _RECORD_SIZE}),
-        )
-
-    def read(self, buffer, at):
-        """The unpacked record, or None if it has another layout."""
-        if at + _RECORD_SIZE > len(buffer):
-            return None
-        values = self.unpack(buffer, at)
-        if (
-            values[self.op] == _OP_FIELD
-            and values[self.conn] == _CONN_LENGTH
-            and values[0] == _HEADER_SIZE
-        ):
-            return values
-        return None
-
-
-# Possible offsets of the field op in a record: before it are the length of the header and none, one
-# or both of the other fields (conn 13 bytes, time 17; size 13, compression 19 or 20).
-_OP_OFFSETS_MESSAGE = (4, 4 + 13, 4 + 17, 4 + 30)
-_OP_OFFSETS_CHUNK = (4, 4 + 13, 4 + 19, 4 + 20, 4 + 32, 4 + 33)
-
-_LAYOUTS = [_Layout.of(order) for order in permutations(_MESSAGE_FIELDS)]
+# Possible offsets of the field op in the record of a chunk: before it are the length of the header
+# and none, one or both of the other fields (size 13 bytes, compression 19 or 20).
+_OP_OFFSETS = (4, 4 + 13, 4 + 19, 4 + 20, 4 + 32, 4 + 33)
 
 
 class BagFile(Bag):
@@ -372,7 +322,7 @@ class BagFile(Bag):
             data = self._read_at(position, block + len(mark))
             at = data.find(mark)
             while at >= 0:
-                for offset in _OP_OFFSETS_CHUNK:
+                for offset in _OP_OFFSETS:
                     candidate = position + at - offset
                     record = self._record_at(candidate) if candidate > 0 else None
                     if record and record.op is _Op.CHUNK and b"compression" in record.header:
@@ -390,7 +340,7 @@ class BagFile(Bag):
         if any(sizes):
             places = np.concatenate([index[number] for number in numbers])
             order = np.argsort(places, kind="stable")
-            picked = _read_at_once(buffer, places[order], np.repeat(numbers, sizes)[order])
+            picked = read_at_once(buffer, places[order], np.repeat(numbers, sizes)[order])
             if picked is None:
                 return None
         self._read += sum(places.size for places in index.values())
@@ -398,16 +348,12 @@ class BagFile(Bag):
 
     def _walk(self, buffer, position, wanted):
         """Yield the wanted messages in the contents of a chunk, and add its connections."""
-        at, end = 0, len(buffer) - _RECORD_SIZE
-        unpack, op, conn, time, _ = _LAYOUTS[0]
+        at, end = 0, len(buffer) - RECORD_SIZE
+        unpack, op, conn, time, _ = LAYOUTS[0]
         while at <= end:
             values = unpack(buffer, at)
-            if (
-                values[op] == _OP_FIELD
-                and values[conn] == _CONN_LENGTH
-                and values[0] == _HEADER_SIZE
-            ):
-                start = at + _RECORD_SIZE
+            if values[op] == OP_FIELD and values[conn] == CONN_LENGTH and values[0] == HEADER_SIZE:
+                start = at + RECORD_SIZE
                 stop = start + values[-1]
                 if stop <= len(buffer):
                     self._read += 1
@@ -417,14 +363,14 @@ class BagFile(Bag):
                         yield Message(number, sec * 1000000000 + nsec, buffer[start:stop])
                     at = stop
                     continue
-            layout = _layout_at(buffer, at)
+            layout = layout_at(buffer, at)
             if layout is not None and layout.unpack != unpack:
                 unpack, op, conn, time, _ = layout
                 continue
             stop = self._other_record(buffer, at)
             if stop is None:
                 self._add_damage(position)
-                stop = _find_message(buffer, at + 1)
+                stop = find_message(buffer, at + 1)
             at = stop
         if at != len(buffer):
             self._add_damage(position)
@@ -443,47 +389,6 @@ class BagFile(Bag):
         if header is None or header.op is not _Op.CONNECTION or stop > len(buffer):
             return None
         return stop if self._add_connection(header, buffer, data, stop) else None
-
-
-def _layout_at(buffer, at):
-    """Layout of the message record that begins at ``at``; None if there is none."""
-    return next((layout for layout in _LAYOUTS if layout.read(buffer, at)), None)
-
-
-def _read_at_once(buffer, places, numbers):
-    """Messages at places, increasing, of connections; None if not all of them are there."""
-    first, last = int(places[0]), int(places[-1])
-    layout = _layout_at(buffer, first) if last + _RECORD_SIZE <= len(buffer) else None
-    if layout is None:
-        return None
-    # A recorder keeps to one order of the fields.
-    bytes_of = np.frombuffer(buffer, np.uint8)[places[:, None] + np.arange(_RECORD_SIZE)]
-    records = bytes_of.view(layout.record)[:, 0]
-    starts = places + _RECORD_SIZE
-    stops = starts + records["size"]
-    if not (
-        np.array_equal(records["number"], numbers)
-        and np.all(records["header"] == _HEADER_SIZE)
-        and np.all(records["op"] == _OP_FIELD)
-        and np.all(records["conn"] == _CONN_LENGTH)
-        and np.all(stops <= len(buffer))
-    ):
-        return None
-    times = records["sec"].astype(np.int64) * 1000000000 + records["nsec"]
-    data = [buffer[start:stop] for start, stop in zip(starts.tolist(), stops.tolist())]
-    return map(Message._make, zip(numbers.tolist(), times.tolist(), data))
-
-
-def _find_message(buffer, at):
-    """Position of the next message record from ``at`` on, or the end of the buffer."""
-    mark = b"\x04\0\0\0op=\x02"
-    found = buffer.find(mark, at)
-    while found >= 0:
-        for start in (found - offset for offset in _OP_OFFSETS_MESSAGE):
-            if start >= at and _layout_at(buffer, start) is not None:
-                return start
-        found = buffer.find(mark, found + 1)
-    return len(buffer)
 
 
 def _header(buffer, start, stop):

@@ -22,7 +22,7 @@ from .cdr import connection_of, layout_of_ros1
 from .compression import ZSTD_MAGIC, decompress_message, zstd_decompressor
 from .storage import MCAP_MAGIC, SQLITE_ERRORS, SQLITE_MAGIC, McapFile, SqliteFile
 
-__all__ = ["MAGIC", "METADATA", "SUFFIXES", "Ros2Bag", "storage_files"]
+__all__ = ["MAGIC", "METADATA", "SUFFIXES", "Ros2Bag"]
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
@@ -57,7 +57,7 @@ class Ros2Bag(Bag):
         self._found = (), 0
         metadata = self._read_metadata()
         try:
-            for file in storage_files(self.path, metadata):
+            for file in _storage_files(self.path, metadata):
                 self._storages.append(self._open(file))
             self._number_topics()
             self._take_counts(metadata)
@@ -216,28 +216,11 @@ class Ros2Bag(Bag):
         return notes
 
 
-def storage_files(path: Path, metadata: dict | None = None) -> list[Path]:
-    """Files of a bag, in the order of time.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Folder or file.
-    metadata : dict, optional
-        Contents of its ``metadata.yaml``.
-
-    Returns
-    -------
-    list of pathlib.Path
-
-    Raises
-    ------
-    BagError
-        If there are none, or some are missing.
-    """
+def _storage_files(path, metadata):
+    """Files of a bag, in the order of time, as its ``metadata.yaml`` lists them or as they are."""
     if not path.is_dir():
         return [path]
-    listed = (metadata or {}).get("relative_file_paths")
+    listed = metadata.get("relative_file_paths")
     if isinstance(listed, list) and listed:
         # Paths were relative to another folder before ROS 2 Foxy.
         files = [path / Path(str(name)).name for name in listed]

@@ -7,7 +7,7 @@ from typing import Callable
 import numpy as np
 
 from .bag import Connection, Message
-from .clocks import LATENCY_NS, Clock
+from .clocks import LATENCY_NS, Clock, mended
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
 from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usable
 
@@ -136,7 +136,7 @@ class Series:
         self._senders = _Senders(names) if len(set(names.values())) > 1 else None
         self._data, self._received = [], []
         self._stamps, self._times, self._values = [], [], []
-        self._unstamped = self._broken = 0
+        self._broken = 0
 
     def add(self, message: Message) -> None:
         """Add a message."""
@@ -151,10 +151,7 @@ class Series:
         if not self._data and self._stamps:
             return
         stamps, values, good = self._decode(self._data)
-        unstamped = stamps == 0
         received = np.array(self._received, dtype=np.int64)
-        stamps = np.where(unstamped, received, stamps)
-        self._unstamped += np.count_nonzero(unstamped & good)
         self._broken += np.count_nonzero(~good)
         self._stamps.append(stamps[good])
         self._times.append(received[good])
@@ -176,19 +173,39 @@ class Series:
         return found and found[1]
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps, or times of receipt where they are 0, and times of receipt of usable samples.
+        """Stamps, mended by times of receipt, and times of receipt of usable samples.
+
+        Messages that are sent again, as they were, are none.
 
         Returns
         -------
         stamps, received : ndarray of int, shape (n,)
             [ns]
         """
+        stamps, times, values = self._all()
+        keep = usable(stamps, values.T[: self._coordinates])
+        keep &= np.append(True, np.diff(stamps) != 0)[: stamps.size] | _changed(values)
+        return stamps[keep], times[keep]
+
+    def _all(self, topic="", notes=None):
+        """Stamps that were mended, times of receipt and values; what was mended to the notes."""
         self._flush()
-        stamps, times, values = (
+        given, times, values = (
             np.concatenate(part) for part in (self._stamps, self._times, self._values)
         )
-        keep = usable(stamps, values.T[: self._coordinates])
-        return stamps[keep], times[keep]
+        stamps, coarse, spread = mended(given, times, _changed(values))
+        if notes is None:
+            return stamps, times, values
+        unstamped = np.count_nonzero(given == 0)
+        good = f", good to {spread:.3f} s" if spread else ""
+        if unstamped:
+            notes.append(f"{topic}: {unstamped} of {times.size} stamps are 0: receive time{good}")
+        if coarse.any():
+            notes.append(
+                f"warning: {topic}: {np.count_nonzero(coarse)} of {times.size} stamps are too "
+                f"coarse, with several messages on each: times of receipt used instead{good}"
+            )
+        return stamps, times, values
 
     def clock(self, use_receipt: bool) -> Clock:
         """Clock of the stamps, or of receipt."""
@@ -215,14 +232,10 @@ class Series:
             Header stamps or, where they are 0, times of receipt [ns].
         columns : list of ndarray
         """
-        self._flush()
-        stamps, times, values = (
-            np.concatenate(part) for part in (self._stamps, self._times, self._values)
-        )
+        by_receipt = clock is not None and clock.use_receipt
+        stamps, times, values = self._all(topic, None if by_receipt else notes)
         if self._broken:
             notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
-        if self._unstamped and not (clock and clock.use_receipt):
-            notes.append(f"{topic}: {self._unstamped} of {times.size} stamps are 0: receive time")
         if clock is not None:
             stamps = clock.times(stamps, times, notes, topic, self._delay_ns)
         if self._senders is not None:
@@ -281,14 +294,23 @@ class PoseSeries(Series):
                     count, "messages", before, self._choice.frame, early
                 )
                 self._stamps, self._times, self._values, kept = [], [], [], []
-                self._unstamped = self._broken = 0
+                self._broken = 0
             self._encoded = encoded
             kept.append((data, at))
         self._data, self._received = (list(part) for part in zip(*kept)) if kept else ([], [])
 
+    def way(self, received: bool = False) -> float:
+        """Length of the path through the poses in the order of stamps or times of receipt [m]."""
+        stamps, times, values = self._all()
+        values = values[np.argsort(times if received else stamps, kind="mergesort")]
+        values = values[usable(np.zeros(len(values)), values.T[:2])]
+        return float(np.sum(np.hypot(*np.diff(values[:, :2], axis=0).T)))
+
     def columns(self, notes, topic, clock=None):
         """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
-        times, columns = super().columns(notes, topic, clock)
+        # Their own stamps are of their clock, whatever the receipts are.
+        used = clock if clock is not None and clock.use_receipt else None
+        times, columns = super().columns(notes, topic, used)
         quaternion_note(notes, topic, columns.pop(3))
         frame = self._choice.frame
         notes += [f"warning: {topic}: {said}" for said in self._before.values()]
@@ -298,6 +320,12 @@ class PoseSeries(Series):
                 f"{frame} counts"
             )
         return times, columns
+
+
+def _changed(values):
+    """Which messages hold something else than the one before."""
+    same = (values[1:] == values[:-1]) | np.isnan(values[1:])
+    return np.append(True, ~np.all(same, axis=1))[: len(values)]
 
 
 def _time(data, received):

@@ -348,7 +348,7 @@ class _PlacedPoses:
     def __init__(self, poses):
         self._poses = poses
         self.add, self.jump_back = poses.add, poses.jump_back
-        self.stamps, self.clock = poses.stamps, poses.clock
+        self.stamps, self.clock, self.way = poses.stamps, poses.clock, poses.way
 
     @property
     def size(self) -> int:

@@ -11,6 +11,7 @@ from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
 from .late_speed import late_speed
+from .merged_times import to_and_fro
 from .results import Lap
 from .speed import CHORD_S, beyond_for_a_while, chords, speed_of
 
@@ -85,7 +86,7 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
         of_commands = [_command_for_a_while(recording, begin, end)]
     doubts = [
         frame_warning(topic, recording.frame),
-        alternation(topic, t, x, y),
+        alternation(topic, t, x, y) or to_and_fro(topic, t, x, y),
         bunches(topic, t),
         time_jump(topic, t, x, y),
         speed_warning(topic, t, x, y, v) or _speed_for_a_while(topic, t, x, y, v, begin, end),

@@ -23,7 +23,6 @@ from .launched import check_launch_arguments
 from .log import write_beside
 
 __all__ = [
-    "SENDER_GONE_S",
     "FirstSender",
     "SteadyClock",
     "get_parameter",
@@ -46,8 +45,8 @@ Value = TypeVar("Value", bool, int, float, str, list)
 _POSES = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped")
 # Most topics in one line of the log.
 _MOST_TOPICS = 12
-SENDER_GONE_S = 1.0
-"""A node that has published nothing for this long [s] is gone."""
+# A node that has published nothing for this long [s] is gone.
+_SENDER_GONE_S = 1.0
 
 
 def get_parameter(name: str, default: Value, meaning: str) -> Value:
@@ -304,7 +303,7 @@ class FirstSender:
         """Whether a message comes from the node that counts."""
         sender, now = message._connection_header["callerid"], time.monotonic()
         if sender != self._sender:
-            if now - self._heard < SENDER_GONE_S:
+            if now - self._heard < _SENDER_GONE_S:
                 text = f"{self._topic}: {sender} publishes it, too; only {self._sender} counts"
                 rospy.logerr_throttle(10.0, text)
                 self._on_other(text)

@@ -22,6 +22,7 @@ STAMPS = {
     "command a year early": (lambda t: t, lambda t: t - 3 * 10**16),
     "command a second late": (lambda t: t, lambda t: t + 10**9),
     "whole seconds": (lambda t: t - t % 10**9, lambda t: t - t % 10**9),
+    "whole seconds at the start": (lambda t: t - (t < T0 + 3 * 10**9) * (t % 10**9), lambda t: t),
     "pose set ahead": (lambda t: t + (t > T0 + 3 * 10**9) * 5 * 10**9, lambda t: t),
     "pose set back": (lambda t: t - (t > T0 + 3 * 10**9) * 5 * 10**9, lambda t: t),
 }

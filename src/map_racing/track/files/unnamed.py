@@ -1,8 +1,8 @@
 """Columns without names, told apart by their numbers.
 
 A column that turns with the points is their heading, whatever it is measured from; arc length and
-curvature are known alike. What is left is speed, distances to the walls, or height, and that is a
-guess, which is said.
+curvature are recognized in the same way. What is left is speed, distances to the walls, or height:
+a guess, which becomes a warning.
 """
 
 from __future__ import annotations
