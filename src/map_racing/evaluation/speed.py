@@ -21,7 +21,7 @@ _REPEATED = 0.25
 _VARIED, _REACH = 0.15, 4
 # Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top
 # speed by 2 %; longer chords [s] would shorten both.
-_NOISY, _LITTLE, _LONGEST_CHORD = 0.03, 0.005, 0.2
+_NOISY, _LITTLE, _LONGEST_CHORD = 0.012, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
 
