@@ -39,6 +39,7 @@ def bag_of(path, track, pose_stamp, command_stamp):
     return path
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("stamps", STAMPS)
 def test_the_copy_evaluates_as_the_bag(tmp_path, track, stamps):
     bag = bag_of(tmp_path / "run.bag", track, *STAMPS[stamps])

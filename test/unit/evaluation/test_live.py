@@ -105,6 +105,7 @@ def test_live_laps_are_those_of_the_recording(line, drive, lag):
     assert abs(lap.end_ns - poses[0][0] - 1e9 * lap.lap.end_time_s) <= 1
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=25)
 @given(
     lags=st.lists(st.integers(-40, 40), min_size=5, max_size=5),
@@ -374,12 +375,13 @@ def nothing(columns):
     pass
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
+        (stamps_in_bunches, "poses come in bunches, 0.10 s apart"),
         (nothing, None),
         (a_clock_that_is_set, "time jumps ahead by 0.15 s"),
-        (stamps_in_bunches, "poses come in bunches, 0.10 s apart"),
         (poses_of_two_nodes, "poses alternate between two places 0.3"),
         (a_second_sender_now_and_then, "poses lie beside those before and after"),
         (a_speed_in_kmh_for_a_while, "the measured speed is 3.6"),
