@@ -283,9 +283,10 @@ class _Witness(Plant):
         super().__init__(parameters)
         self.commands = []
 
-    def advance(self, steering_command, speed_command):
-        self.commands.append((self.state.t, steering_command))
-        super().advance(steering_command, speed_command)
+    def advance(self, steering_command, speed_command, steps=1):
+        for _ in range(steps):
+            self.commands.append((self.state.t, steering_command))
+            super().advance(steering_command, speed_command)
 
 
 @pytest.mark.parametrize("rate", [40.0, 50.0, 33.0, 500.0])
