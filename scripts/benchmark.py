@@ -19,33 +19,37 @@ import tempfile
 from pathlib import Path
 from time import perf_counter, process_time
 
-import numpy as np
-from distributed import Client, LocalCluster
-from scipy.integrate import odeint
+sys.path.append(str(Path(__file__).resolve().parent.parent / "src"))
+from map_racing.start import without_traceback
 
-from map_racing.bags.writer import BagWriter
-from map_racing.control.controller import Controller, build_controller
-from map_racing.control.parameters import load_controller_parameters
-from map_racing.control.steering import build_steering_map
-from map_racing.evaluation.recordings import load_recording, recorded_raceline
-from map_racing.evaluation.runs import evaluate
-from map_racing.experiments.executors import open_executor
-from map_racing.experiments.season import BagOptions, evaluate_season
-from map_racing.experiments.season_bags import find_bags
-from map_racing.simulation.plant import Localization, Plant
-from map_racing.simulation.plants import load_plant
-from map_racing.simulation.race import race
-from map_racing.simulation.recorded import write_race_bag
-from map_racing.track.files.load import load_raceline
-from map_racing.track.files.waypoints import waypoint_rows
-from map_racing.track.raceline import Raceline
-from map_racing.vehicle.grids import published_grid
-from map_racing.vehicle.parameters import load_vehicle
-from map_racing.vehicle.steady_state import steady_state_table
+with without_traceback():
+    import numpy as np
+    from distributed import Client, LocalCluster
+    from scipy.integrate import odeint
 
-# Bags of ROS 2 are made as in the tests.
-sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "unit" / "bags"))
-from ros2_bags import messages_of, write_mcap, write_sqlite
+    from map_racing.bags.writer import BagWriter
+    from map_racing.control.controller import Controller, build_controller
+    from map_racing.control.parameters import load_controller_parameters
+    from map_racing.control.steering import build_steering_map
+    from map_racing.evaluation.recordings import load_recording, recorded_raceline
+    from map_racing.evaluation.runs import evaluate
+    from map_racing.experiments.executors import open_executor
+    from map_racing.experiments.season import BagOptions, evaluate_season
+    from map_racing.experiments.season_bags import find_bags
+    from map_racing.simulation.plant import Localization, Plant
+    from map_racing.simulation.plants import load_plant
+    from map_racing.simulation.race import race
+    from map_racing.simulation.recorded import write_race_bag
+    from map_racing.track.files.load import load_raceline
+    from map_racing.track.files.waypoints import waypoint_rows
+    from map_racing.track.raceline import Raceline
+    from map_racing.vehicle.grids import published_grid
+    from map_racing.vehicle.parameters import load_vehicle
+    from map_racing.vehicle.steady_state import steady_state_table
+
+    # Bags of ROS 2 are made as in the tests.
+    sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "unit" / "bags"))
+    from ros2_bags import messages_of, write_mcap, write_sqlite
 
 SYSTEM_PYTHON = "/usr/bin/python3"  # where Debian's and ROS's rosbag package is
 EVALUATE = "--evaluate"  # how this program calls itself, to evaluate a bag in a new process
@@ -581,9 +585,10 @@ def compare_simulation(vehicle, raceline):
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == [EVALUATE]:
-        evaluate_bag(sys.argv[2])
-    elif sys.argv[1:2] == ["--only"]:
-        main(*sys.argv[2:4])
-    else:
-        main(None, *sys.argv[1:2])
+    with without_traceback():
+        if sys.argv[1:2] == [EVALUATE]:
+            evaluate_bag(sys.argv[2])
+        elif sys.argv[1:2] == ["--only"]:
+            main(*sys.argv[2:4])
+        else:
+            main(None, *sys.argv[1:2])

@@ -138,6 +138,8 @@ def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
             yield file
         if not special:
             os.replace(str(temporary), str(target))
+    except BrokenPipeError:  # of /dev/stdout, as `| head`
+        raise
     except OSError as error:
         raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
     finally:

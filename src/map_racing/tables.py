@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import gzip
 import math
@@ -122,20 +123,28 @@ def read_columns(
 
 @contextmanager
 def open_text(path: str | Path) -> Iterator[TextIO]:
-    """Open a UTF-8 text file, which may be gzipped; errors while it is read name the file."""
+    """Open a text file, which may be gzipped; errors while it is read name the file.
+
+    It is UTF-8, or UTF-16 with a byte order mark, as "Unicode text" of Windows programs.
+    """
     refuse_special(path)
     try:
         with open(path, "rb") as file:
             zipped = file.read(2) == b"\x1f\x8b"
         open_as = gzip.open if zipped else open
-        with open_as(str(path), "rt", encoding="utf-8-sig") as file:
+        with open_as(str(path), "rb") as file:
+            first = file.read(2)
+        wide = first in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        if b"\0" in first:  # UTF-16 without a mark, or no text
+            raise FileFormatError(f"{path}: expected UTF-8 text, got zero bytes")
+        with open_as(str(path), "rt", encoding="utf-16" if wide else "utf-8-sig") as file:
             yield file
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read: {reason}") from None
     except UnicodeDecodeError:
-        hint = " inside of gzip (bags are read unpacked)" if zipped else ""
-        raise FileFormatError(f"{path}: expected UTF-8 text{hint}") from None
+        hint = "inside of gzip (bags are read unpacked)" if zipped else '("CSV UTF-8" in Excel)'
+        raise FileFormatError(f"{path}: expected UTF-8 text {hint}") from None
 
 
 def _split_header(path, file, unnamed):

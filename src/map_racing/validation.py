@@ -198,18 +198,21 @@ def parameter_table(kind: type, prefix: str = "") -> str:
     return "\n".join(rows) + "\n"
 
 
-def read_parameters(path, kind: type, values: dict | None = None):
+def read_parameters(path, kind: type, values: dict | None = None, what: str = ""):
     """Read one dataclass from a YAML mapping of the same names; unknown names are an error.
 
-    With `values`, the mapping that was read already, `path` is only for the texts of errors.
+    With `values`, the mapping that was read already, `path` is only for the texts of errors, and so
+    is `what`, which says what the file should be.
     """
     if values is None:
-        values = read_yaml_mapping(path)
+        values = read_yaml_mapping(path, what)
+    expected = f"expected {what}: " if what else ""
     known = {field.name for field in fields(kind)}
     unknown = sorted(str(name) for name in values if name not in known)
     if unknown:
         raise ParameterError(
-            f"{path}: unknown parameter {', '.join(unknown)} (known: {', '.join(sorted(known))})"
+            f"{path}: {expected}unknown parameter {', '.join(unknown)} "
+            f"(known: {', '.join(sorted(known))})"
         )
     missing = [
         repr(field.name)
@@ -217,7 +220,7 @@ def read_parameters(path, kind: type, values: dict | None = None):
         if field.default is dataclasses.MISSING and field.name not in values
     ]
     if missing:
-        raise ParameterError(f"{path}: missing parameter {', '.join(missing)}")
+        raise ParameterError(f"{path}: {expected}missing parameter {', '.join(missing)}")
     try:
         return kind(**values)
     except ParameterError as error:

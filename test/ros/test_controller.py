@@ -601,7 +601,7 @@ controller.main()
         ({"controller": "nonsense"}, "nonsense: no such file"),
         ({"pose_source": "gps"}, "~pose_source: expected odom, pose or tf"),
         ({"v_max_mps": "fast"}, "~v_max_mps: expected float"),
-        ({"v_max_mps": -1.0}, "v_max_mps: expected a positive number, got -1"),
+        ({"v_max_mps": -1.0}, "v_max_mps: expected more than 0 to 200 m/s, got -1"),
         ({"raceline": "nowhere.csv"}, "nowhere.csv: no such file"),
         ({"sectors": "nowhere.yaml"}, "nowhere.yaml: cannot read"),
     ],

@@ -291,12 +291,37 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
     doubts = (
         "/car_state/odom is in frame odom, which drifts against the map: the lateral errors are "
         "not those on the track; /car_state/odom: messages in another frame, map, left out: only "
-        "the first, odom, counts"
+        "odom counts"
     )
     assert [row["warnings"] for row in laps] == [doubts] * 4
     assert {result.warnings for result in results} == {doubts}
     assert doubts in output
     assert all(row["rms_lateral_error_m"] < 1e-3 for row in laps[1:3])
+
+
+def test_poses_that_are_in_the_map_only_later(evaluator, processes, tmp_path):
+    """A new run begins, with the laps that the bag has; those in the frame before were another."""
+    bag, table = tmp_path / "run.bag", tmp_path / "laps.csv"
+    line, v = load_raceline("reference"), 6.0
+    with BagWriter(bag) as writer:
+        for i in range(int(4.2 * line.length / v * 40.0)):
+            at, s = T0 + i / 40.0, v * i / 40.0 - 2.0
+            x, y, psi, *_ = line.pose(s)
+            frame = "odom" if s < 1.5 * line.length else "map"
+            x += 0.4 if frame == "odom" else 0.0
+            writer.odometry(at, x, y, psi, v, 0.0, 0.0, frame=frame, received=at)
+    node = evaluator({"csv": str(table), "raceline": "reference"})
+    play(processes, bag)
+    output = stop(node)
+    result = evaluate(load_recording(bag), line)
+    laps = rows(table, 2)
+    assert [row["valid"] for row in laps] == [str(lap.valid) for lap in result.laps]
+    assert sum(lap.valid for lap in result.laps) == 2
+    for row, lap in zip(laps, result.laps):
+        assert row["rms_lateral_error_m"] == pytest.approx(lap.rms_lateral_error_m, abs=1e-6)
+        assert "odom fell silent, and map took its place" in row["warnings"]
+    assert any("odom fell silent, and map took its place" in said for said in result.warnings)
+    assert "odom fell silent, and map took its place" in output
 
 
 @pytest.mark.parametrize(

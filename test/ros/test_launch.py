@@ -24,6 +24,7 @@ from map_racing.errors import ParameterError
 from map_racing.evaluation.recordings import load_recording
 from map_racing.nodes.launched import check_launch_arguments
 from map_racing.resources import config_directory
+from map_racing.vehicle.parameters import load_vehicle
 
 STACKS = {
     "race_stack": ("/car_state/odom", "/vesc/high_level/ackermann_cmd_mux/input/nav_1"),
@@ -44,8 +45,8 @@ MAIN_NODE = {
 
 
 @pytest.fixture
-def nodes_of(folder):
-    """``nodes_of("race", "stack:=race_stack")``: what roslaunch would start."""
+def config_of(folder):
+    """``config_of("race", "stack:=race_stack")``: nodes and parameters, as roslaunch reads them."""
     from roslaunch.config import ROSLaunchConfig
     from roslaunch.xmlloader import XmlLoader
 
@@ -53,7 +54,17 @@ def nodes_of(folder):
         config = ROSLaunchConfig()
         path = str(folder / f"{file}.launch")
         XmlLoader(resolve_anon=False).load(path, config, argv=arguments, verbose=False)
-        return {node.name: node for node in config.nodes}
+        return config
+
+    return load
+
+
+@pytest.fixture
+def nodes_of(config_of):
+    """``nodes_of("race", "stack:=race_stack")``: what roslaunch would start."""
+
+    def load(file, *arguments):
+        return {node.name: node for node in config_of(file, *arguments).nodes}
 
     return load
 
@@ -77,9 +88,9 @@ def test_every_argument_that_counts_is_listed(folder):
     """roslaunch --ros-args lists what a file declares itself, not what it passes on."""
     topics = {"odom", "pose", "drive", "waypoints"}
     expected = {
-        "race": {*topics, "imu", "reference_point"},
-        "simulate": {*topics, "imu"},
-        "replay": topics,
+        "race": {*topics, "imu", "reference_point", "vehicle", "car_width"},
+        "simulate": {*topics, "imu", "vehicle", "car_width"},
+        "replay": {*topics, "vehicle", "car_width"},
         "identify": {"odom", "drive", "imu", "joy", "vehicle"},
     }
     for file, names in expected.items():
@@ -96,6 +107,18 @@ def test_every_argument_that_counts_is_listed(folder):
 def test_every_file_for_every_stack(nodes_of, file, stack):
     stacked = [] if file == "rviz" else [f"stack:={stack}"]
     assert MAIN_NODE[file] in nodes_of(file, *stacked, *NEEDED.get(file, []))
+
+
+def test_laps_and_drawing_are_of_the_car_that_is_named(config_of):
+    def values(file, *arguments):
+        params = config_of(file, *NEEDED.get(file, []), *arguments).params
+        names = "/lap_evaluator/car_width", "/lookahead_visualizer/vehicle"
+        return tuple(params[name].value for name in names)
+
+    for file in ("race", "simulate", "replay"):
+        assert values(file) == (0.3, "nuc4")
+        assert values(file, "vehicle:=car.yaml", "car_width:=0.2") == (0.2, "car.yaml")
+    assert values("simulate", "plant:=bmw_320i") == (load_vehicle("bmw_320i").width, "bmw_320i")
 
 
 def test_a_misspelled_argument_is_refused(launch):

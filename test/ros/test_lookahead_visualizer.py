@@ -263,6 +263,16 @@ def test_what_cannot_be_is_one_line(parameters, text, refused):
     assert text in refused("lookahead_visualizer", parameters)
 
 
+def test_slashes_before_frames_are_none(no_master):
+    """RViz knows no frame of such a name."""
+    no_master.params.update({"~map_frame": "/map", "~base_frame": "/car/base_link"})
+    node = lookahead_visualizer.LookaheadVisualizer()
+    node._draw_raceline(load_raceline("reference"))
+    (course,) = node._course.sent
+    assert {marker.header.frame_id for marker in course.markers[1:]} == {"map"}
+    assert node._drawn_car().header.frame_id == "car/base_link"
+
+
 def test_guidance_and_poses_that_come_at_once(no_master, monkeypatch):
     """Each topic has a thread of its own: a pose may come while the trail is being drawn."""
     no_master.params["~rate"] = 1000.0

@@ -10,6 +10,8 @@ from map_racing.msg import LapResult
 from matplotlib.image import imread
 from nav_msgs.msg import OccupancyGrid
 
+from map_racing.errors import MapRacingError
+from map_racing.nodes import open_rviz
 from map_racing.nodes.colors import WALL, gradient
 from map_racing.nodes.lap_evaluator import LAP_TEXT_COLOR
 from map_racing.nodes.lookahead_visualizer import CAR_COLOR, LOOKAHEAD_COLOR, STEERING_COLOR
@@ -110,6 +112,12 @@ def a_map():
     grid.info.origin.position.x, grid.info.origin.position.y = 38.5, -22.0
     grid.info.origin.orientation.w = 1.0
     return grid
+
+
+def test_a_computer_without_rviz_is_told_so(monkeypatch):
+    monkeypatch.setattr(open_rviz.shutil, "which", lambda name: None)
+    with pytest.raises(MapRacingError, match="there is no rviz here: sudo apt install"):
+        open_rviz._Opener._open(None)
 
 
 def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path):

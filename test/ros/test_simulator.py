@@ -203,6 +203,7 @@ def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
     ("parameters", "words"),
     [
         ({"raceline": "nowhere"}, "nowhere: no such file"),
+        ({"start_s": math.nan}, "~start_s: expected a finite number, got nan"),
         ({"clock_rate": "fast"}, "~clock_rate: expected float, got 'fast'"),
         ({"clock_rate": -1.0}, "~clock_rate: expected 0 or more"),
         ({"lockstep": True}, "~lockstep: expected a ~clock_rate, got 0"),

@@ -130,6 +130,19 @@ def assert_ramped(car, reason, **changes):
     assert car.state[0] is Mode.STOPPED
 
 
+def test_commands_are_stamped_in_order(car, monkeypatch):
+    """A stop without poses is stamped later than the late pose that comes after it."""
+    monkeypatch.setattr(
+        rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(car.clock.time))
+    )
+    car.drive()
+    car.clock.time += 0.3
+    car.node._watch(car.clock.time)
+    car.pose(stamp=car.clock.time - 0.02)
+    stamps = [message.header.stamp.to_nsec() for message in car.sent]
+    assert stamps == sorted(set(stamps)) and stamps[-1] == stamps[-2] + 1
+
+
 # -- the button ----------------------------------------------------------------------------------
 
 

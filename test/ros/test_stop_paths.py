@@ -336,17 +336,40 @@ def test_a_jump_restarts_the_estimate_of_velocities(car, monkeypatch):
 # -- requests and the end ------------------------------------------------------------------------
 
 
-def test_the_topic_stops_and_lets_drive(car):
+def asked(stop, sender="/referee"):
+    message = Bool(stop)
+    message._connection_header = {"callerid": sender}
+    return message
+
+
+def test_a_node_withdraws_its_own_stop_only(car, caplog):
+    """Several may watch over the car, and publish false as long as nothing is wrong."""
     car.drive()
-    car.node._on_stop_topic(Bool(True))
+    car.node._on_stop_topic(asked(True, "/obstacles"))
+    car.node._on_stop_topic(asked(False, "/referee"))
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
-    car.node._on_stop_topic(Bool(False))
+    assert "false from /referee, but /obstacles asked for the stop" in caplog.text
+    car.node._on_stop_topic(asked(True, "/referee"))
+    car.node._on_stop_topic(asked(False, "/obstacles"))
+    car.pose()
+    assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
+    car.node._on_stop_topic(asked(False, "/referee"))
     car.pose()
     assert car.state == (Mode.DRIVING, Reason.NONE)
-    car.node._on_stop_topic(Bool(True))
+
+
+def test_the_topic_stops_and_lets_drive(car):
+    car.drive()
+    car.node._on_stop_topic(asked(True))
+    car.pose()
+    assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
+    car.node._on_stop_topic(asked(False))
+    car.pose()
+    assert car.state == (Mode.DRIVING, Reason.NONE)
+    car.node._on_stop_topic(asked(True))
     car.node._on_stop(None)
-    car.node._on_stop_topic(Bool(False))
+    car.node._on_stop_topic(asked(False))
     car.pose()
     assert car.state[1] is Reason.STOP_REQUESTED  # by the service, still
     car.node._on_resume(None)
@@ -358,7 +381,7 @@ def test_the_service_stops_until_resumed(car):
     car.drive()
     answer = car.node._on_stop(None)
     assert answer.success and answer.message == "stopping"
-    car.node._on_stop_topic(Bool(False))
+    car.node._on_stop_topic(asked(False))
     car.drive(2.0)
     assert car.state == (Mode.STOPPED, Reason.STOP_REQUESTED) and car.last[1] == 0.0
 

@@ -18,57 +18,68 @@ __all__ = [
     "LONGEST_LAG_S",
     "Clock",
     "lag_of_effect",
+    "mended",
     "rate_note",
     "stamps_are_unusable",
 ]
 
 LATENCY_NS = 15 * 10**7
-"""Larger differences between the lags of two topics [ns] are no latency."""
+"""Longest latency [ns]: if the lags of two topics differ by more, their clocks differ."""
 COMMAND_DELAY_NS = 5 * 10**7
-"""Commands are stamped when they are sent, sensors when they measure, and none is received later
-than that [ns]; only localization computes for longer."""
+"""Longest time from stamp to receipt [ns] of commands and sensors; only localization, which
+computes in between, takes longer."""
 
 LONGEST_LAG_S = 0.5
-"""A car acts at most so long after a command [s], and never before it but by an error."""
+"""A car acts at most this long after a command [s]."""
 
-# Variances below this are none.
+# Smaller variances count as 0.
 _NOTHING = 1e-12
-# Where causes are told less often [s], most of them are missing.
+# `lag_of_effect` compares effect and cause in these steps [s], up to this lag [s], in the first
+# part of the recording [s].
+_STEP_S, _FARTHEST_S, _PART_S = 0.02, 20.0, 1200.0
+# Longest median time between two causes [s]: with fewer, most of them are missing.
 _SELDOM_S = 0.2
-# How an effect follows its cause is looked for in steps, up to a lag [s], in the first part of a
-# recording [s]. Both are averaged over so many steps, without their average over more: what changes
-# slowly shows no lag, and may not be proportional. Fewer samples show nothing.
-_STEP_S, _FARTHEST_S, _PART_S, _SMOOTH, _SLOW, _FEWEST = 0.02, 20.0, 1200.0, 11, 201, 500
-# It is plain that the lag is impossible if the best of all correlations is so high, and leaves less
-# than this share of what the best possible one leaves. Others that are as good but for so much are
-# those of other laps. A correlation about zero above the last tells the sign.
-_FOLLOWS, _PLAIN, _AS_GOOD, _LIKE = 0.8, 0.6, 0.02, 0.3
+# Both signals are band-passed: the mean over the first number of steps minus the mean over the
+# second, because slow changes show no lag. And the fewest steps that two signals must share.
+_SMOOTH, _SLOW, _FEWEST = 11, 201, 500
+# An impossible lag is certain if its correlation is at least the first number, and its unexplained
+# variance at most this share of that of the best possible lag.
+_FOLLOWS, _PLAIN = 0.8, 0.6
+# Peaks that are lower by no more than this count as equal: those of other laps.
+_AS_GOOD = 0.02
+# Smallest correlation about zero that shows the sign.
+_LIKE = 0.3
 
 _SECOND = 10**9
-# The future that a stamp of the same clock may be in [ns]: synchronized clocks differ so much.
+# Synchronized clocks differ by up to this [ns]: a stamp may be that far in the future.
 _FUTURE = 2 * 10**7
 # If the lags spread by more [ns] around their median, the offset of the clocks is not constant.
 _STEADY = 5 * 10**7
-# So many [share] are farther from the median than any latency only if the clock was set meanwhile.
+# A clock was set during the recording if more than this share of the lags is farther than any
+# latency from the median,
 _STRAYED = 0.1
-# Or such a number of messages in a row, for longer than this [ns], while the poses' lag is usual.
+# or this many in a row are, for longer than this [ns], while the lag of the poses is as usual.
 _IN_A_ROW, _STRAYED_NS = 10, 5 * 10**8
-# Clocks of computers do not differ in rate by so much; drift shows in runs of such a length [ns].
-# A recorder that stalls makes no even drift over so many parts.
+# `rate_note`: smallest difference in rate that no two computers have, shortest recording that shows
+# it [ns], and in how many parts the drift must be even, which excludes a recorder that stalls.
 _RATE, _LONG_RUN, _PARTS = 0.003, 10 * 10**9, 20
-# A step of the stamps [ns] that time itself did not make, and samples on both sides that show it.
+# Smallest step [ns] between two stamps that counts as a clock that was set, and number of samples
+# on each side that must show it.
 _STEP, _AROUND = 2 * 10**8, 50
-# Steps that are looked at; stamps that jump more often are of no clock.
+# Only the first steps are examined.
 _MOST_STEPS = 200
-# Share of different stamps below which they are too coarse, and of receipts above which they are
-# good.
+# Stamps are too coarse if a smaller share of them differs, while at least the second share of the
+# times of receipt does.
 _COARSE, _FINE = 0.5, 0.9
-# Steps shorter than this share of the mean are none.
+# Two times are the same if they differ by less than this share of the mean step.
 _SAME = 0.05
-# Messages with the same stamp are spread over this share of its time; those sent twice are not.
+# Messages that share a coarse stamp are received over more than this share of the time until the
+# next stamp; messages that were sent twice arrive together.
 _SPREAD = 0.5
-# Stamps never step back so far [ns] and stay behind but where a clock was set; nor is that noise of
-# the lag, if that is a smaller share.
+# Smallest number of messages on one stamp that is too coarse, and of others that tell the lag.
+_SEVERAL_ON_ONE, _FEW_GOOD = 4, 10
+# Smallest step back [ns] of a clock that was set, if the spread of the lags is at most the second
+# number times the step; and number of messages over which the drift is measured.
 _STEP_BACK, _LAG_NOISE, _SEVERAL = 2 * 10**7, 0.5, 10
 
 
@@ -133,7 +144,7 @@ class Clock(NamedTuple):
         offset = int(np.median(apart))
         ahead, sound = sorted((np.median(lag), np.median(expected)))
         impossible = ahead < -_FUTURE and abs(sound) <= _FUTURE
-        # What a recorder that stalled received all at once tells nothing.
+        # Messages that a stalled recorder received all at once are not counted.
         past = np.diff(received)
         alone = np.append(True, past > _SAME * np.sum(past) / received.size)
         far = np.abs(apart - offset) > LATENCY_NS
@@ -217,6 +228,64 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
     return None
 
 
+def mended(
+    stamps: np.ndarray, received: np.ndarray, changed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Stamps of which a part tells less than the times of receipt, and how good they are now.
+
+    Some drivers write 0, or whole seconds, until their clock is set: these stamps become times of
+    receipt less the usual lag of the others, so that all are of one clock.
+
+    Parameters
+    ----------
+    stamps, received : ndarray of int64, shape (n,)
+        In the order of recording [ns].
+    changed : ndarray of bool, shape (n,)
+        Whether a message has other contents than the one before.
+
+    Returns
+    -------
+    stamps : ndarray of int64, shape (n,)
+        Of which none is 0.
+    which : ndarray of bool, shape (n,)
+        Those that were too coarse.
+    spread : float
+        Of the lag of the others [s], 95 %; 0 without any.
+    """
+    unstamped, coarse = stamps == 0, np.zeros(stamps.size, dtype=bool)
+    stamps, order = np.where(unstamped, received, stamps), np.argsort(received, kind="mergesort")
+    coarse[order] = _coarse(stamps[order], received[order], changed[order])
+    coarse &= ~unstamped
+    good = ~(unstamped | coarse)
+    if np.count_nonzero(good) < _FEW_GOOD or good.all():
+        return stamps, np.zeros(stamps.size, dtype=bool), 0.0
+    early, usual, late = np.percentile(received[good] - stamps[good], (2.5, 50.0, 97.5))
+    stamps = np.where(good, stamps, received - int(usual))
+    return stamps, coarse, 1e-9 * float(late - early)
+
+
+def _coarse(stamps, received, changed):
+    """Which messages share a stamp with others that were received all over the time until the next.
+
+    Messages that are sent again, by a localization that hangs, are no others.
+    """
+    coarse = np.zeros(stamps.size, dtype=bool)
+    begins = np.flatnonzero(np.append(True, np.diff(stamps) != 0))
+    ends = np.append(begins[1:], stamps.size)
+    steps = np.diff(received)
+    least = _SAME * float(np.mean(steps)) if steps.size else 0.0
+    several = ends - begins >= _SEVERAL_ON_ONE
+    for begin, end in zip(begins[several].tolist(), ends[several].tolist()):
+        count = end - begin
+        if np.mean(changed[begin + 1 : end]) < 0.5:
+            continue
+        until = received[min(end, stamps.size - 1)] - received[begin]
+        spread = received[end - 1] - received[begin]
+        even = np.mean(steps[begin : end - 1] > least) > _FINE
+        coarse[begin:end] = even and spread > _SPREAD * until * (count - 1) / count
+    return coarse
+
+
 def _shared(stamps, received):
     """Whether messages that have the same stamp were received all over the time until the next."""
     order = np.argsort(stamps, kind="mergesort")
@@ -261,6 +330,7 @@ def lag_of_effect(
     effect: np.ndarray,
     longest_s: float = LONGEST_LAG_S,
     earliest_s: float = -0.05,
+    least: float = _AS_GOOD,
 ) -> float | None:
     """How much later an effect comes than its cause, where that is plainly impossible.
 
@@ -277,6 +347,8 @@ def lag_of_effect(
     longest_s, earliest_s : float, optional
         Longest and shortest possible lag [s]; negative where what measures the effect looks ahead,
         as averages do.
+    least : float, optional
+        By how much more an impossible lag must correlate.
 
     Returns
     -------
@@ -314,14 +386,14 @@ def lag_of_effect(
     lags = _STEP_S * np.arange(most, -most - 1, -1)
     possible = (lags >= earliest_s) & (lags <= longest_s)
     best, usual = float(np.max(follows)), float(np.max(follows[possible]))
-    plain = best > usual + _AS_GOOD and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
+    plain = best > usual + least and 1.0 - best**2 < _PLAIN * (1.0 - usual**2)
     if best < _FOLLOWS or not plain:
         return None
     peaks = np.flatnonzero(follows > best - _AS_GOOD)
     nearest = peaks[np.argmin(np.abs(lags[peaks]))]
     nearby = np.abs(lags - lags[nearest]) < 0.5
     peak = int(np.argmax(np.where(nearby, follows, -1.0)))
-    # What still rises where the search ends is no peak.
+    # At the ends of the search it is no peak: the correlation may still rise beyond.
     return float(lags[peak]) if 0 < peak < lags.size - 1 else None
 
 

@@ -15,13 +15,9 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK = 4096
 
 
-# The libraries raise classes of their own for damaged data.
-_MEMORY = (MemoryError, KeyboardInterrupt)
-
-
 @lru_cache(maxsize=None)
 def _zstd():
-    """What makes a decompressor of a stream, what decompresses a message, and if that is fast."""
+    """Function that makes a decompressor, function that decompresses, whether that is fast."""
     # Rarely needed, and slow to import. rosbags brings one; which one depends on its version.
     # zstandard comes first: it makes one context for all messages, which takes a tenth of the time.
     try:
@@ -46,7 +42,7 @@ def zstd_decompressor():
 @lru_cache(maxsize=None)
 def _message_decompressor():
     _, whole, fast = _zstd()
-    if not fast:  # said once, and not of the bag: it is of this computer
+    if not fast:  # logged once, and not in the notes on the bag: it concerns this computer
         logging.getLogger(__name__).warning(
             "a bag compressed message by message is read about four times as fast with zstandard: "
             "pip install 'map_racing[zstd]'"
@@ -55,11 +51,11 @@ def _message_decompressor():
 
 
 def decompress_message(data: bytes) -> bytes:
-    """Decompress a message of its own by zstd, as far as it goes."""
+    """Decompress a message that was compressed alone, by zstd, as far as it goes."""
     # The decompressor of a stream takes as long to make as a hundred messages to decompress.
     try:
         return _message_decompressor()(data)
-    except _MEMORY:
+    except MemoryError:
         raise
     except Exception:
         return decompress("zstd", data)[0]
@@ -96,11 +92,12 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
     if make is None:
         return b"", False
     decompressor = make()
+    # For damaged data the libraries raise classes of their own.
     try:
         contents = decompressor.decompress(data)
         if decompressor.eof:
             return contents, True
-    except _MEMORY:
+    except MemoryError:
         raise
     except Exception:
         pass
@@ -108,7 +105,7 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
     try:
         for at in range(0, len(data), _BLOCK):
             contents.append(decompressor.decompress(data[at : at + _BLOCK]))
-    except _MEMORY:
+    except MemoryError:
         raise
     except Exception:
         pass

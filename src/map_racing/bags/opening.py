@@ -14,11 +14,11 @@ from .ros2 import MAGIC, METADATA, SUFFIXES, Ros2Bag
 __all__ = ["Source", "is_bag", "open_bag", "source_name"]
 
 Source = Union[str, Path, Sequence[Union[str, Path]]]
-"""A bag, or several that are the parts of one run."""
+"""One bag, or the parts of one run."""
 
 _ROS1 = b"#ROSBAG "
-# Parts follow each other within this time [ns]; more is said. Longer overlaps are refused, and
-# pauses of an hour.
+# A longer pause between two parts [ns] is a warning, a longer overlap an error, and so is a pause
+# of an hour.
 _PAUSE_NS, _OTHER_RUN_NS = 10**9, 3600 * 10**9
 
 

@@ -14,13 +14,15 @@ from .clocks import COMMAND_DELAY_NS, rate_note, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
-from .topics import drive_connections, imu_topic, pose_sources
+from .topics import belief_connections, drive_connections, imu_topic, pose_sources
 from .waypoints import WaypointCollection
 
 __all__ = ["read_recording", "read_signals"]
 
-# A pose that moves less [m] in all the recording stands still.
+# A pose that moves less than this [m] during the recording stands still.
 _STANDS_STILL = 0.2
+# Poses are in an order of theirs if the path through them is shorter by this factor.
+_SHORTER = 0.99
 # Signals that can be read: decoder, and the names of its last columns.
 _SIGNALS = {
     msg.MD5[msg.ODOMETRY]: (msg.decode_odometry, ("v_x", "v_y", "yaw_rate")),
@@ -40,8 +42,9 @@ def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
     ground truth come last, as do topics slower than 5 Hz; Frenet coordinates are never taken.
 
     Times are the header stamps. Where a stamp is 0 it is the time of receipt; so are all times if
-    the stamps of pose or command fall back by 1 s or more (a clock was set back). From a damaged or
-    unclosed bag all intact messages are read, and the notes say how many.
+    the stamps of pose or command fall back by 1 s or more (a clock was set back), or those of the
+    pose jump or are too coarse. From a damaged or unclosed bag all intact messages are read, and
+    the notes say how many.
 
     Parameters
     ----------
@@ -84,25 +87,17 @@ def _read(path, bag, source, notes):
     """The recording with the pose of a source."""
     notes = list(notes)
     drive_topic, drives = drive_connections(bag)
+    belief_topic, believing = belief_connections(bag)
     senders = {number: bag.connections[number] for number in drives}
     pose = source.series(bag)
     command = Series(msg.decode_drive, connections=senders, delay_ns=COMMAND_DELAY_NS)
-    waypoints = WaypointCollection(bag)
-    believed, belief_topic = Series(msg.decode_belief), ""
-    believing = {n for n, c in bag.connections.items() if c.md5sum == msg.MD5[msg.BELIEF]}
-    if believing:
-        belief_topic = min(bag.connections[number].topic for number in believing)
-        believing = {n for n in believing if bag.connections[n].topic == belief_topic}
-    wanted = source.connections.union(drives, waypoints.connections, believing)
-    for message in bag.messages(wanted):
-        if message.connection in source.connections:
-            pose.add(message)
-        elif message.connection in drives:
-            command.add(message)
-        elif message.connection in believing:
-            believed.add(message)
-        else:
-            waypoints.add(message)
+    waypoints, believed = WaypointCollection(bag), Series(msg.decode_belief)
+    add = dict.fromkeys(waypoints.connections, waypoints.add)
+    add.update(dict.fromkeys(believing, believed.add))
+    add.update(dict.fromkeys(drives, command.add))
+    add.update((number, pose.add) for number in source.connections)
+    for message in bag.messages(set(add)):
+        add[message.connection](message)
     damage = bag.notes()
     notes += waypoints.notes + [_as_doubt(note) for note in damage]
     clock = pose.clock(_use_receive_time(path, pose, command, notes))
@@ -119,20 +114,9 @@ def _read(path, bag, source, notes):
         )
     t0_ns = int(times[0])
     commands = _commands(command, drive_topic, clock, times, notes) if drives else None
-    beliefs = None
-    if believing:
-        at, values = believed.columns(notes, belief_topic, clock)
-        beliefs = Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
-    first = waypoints.best()
-    later = waypoints.later.get(first.topic, []) if first else []
-    frame = waypoints.frames[first.topic] if first else ""
-    if not is_map_frame(frame) and frame != source.frame:
-        notes.append(
-            f"warning: {first.topic} is in frame {frame}, the poses in {source.frame or 'map'}: "
-            "the lateral errors are those on the track only if both are the same"
-        )
-    at = np.array([received for received, _ in later], dtype=np.int64)
-    at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
+    beliefs = _beliefs(believed, belief_topic, clock, t0_ns, notes) if believing else None
+    frame = source.frame if source.poses else pose.frame
+    first, later = _waypoints(waypoints, frame, clock, t0_ns, notes)
     return Recording(
         (times - t0_ns) * 1e-9,
         *columns,
@@ -140,16 +124,37 @@ def _read(path, bag, source, notes):
         source=str(path),
         topic=source.topic,
         type=source.type,
-        frame=source.frame,
+        frame=frame,
         commands=commands,
         beliefs=beliefs,
         waypoints=first,
-        later_waypoints=[
-            (float(t), first._replace(columns=columns)) for t, (_, columns) in zip(at, later)
-        ],
+        later_waypoints=later,
         clock=clock,
         notes=notes,
     )
+
+
+def _waypoints(collected, pose_frame, clock, t0_ns, notes):
+    """The first waypoints and those that came later, with their times [s]; doubts to the notes."""
+    first = collected.best()
+    if first is None:
+        return None, []
+    frame = collected.frames[first.topic]
+    if not is_map_frame(frame) and frame != pose_frame:
+        notes.append(
+            f"warning: {first.topic} is in frame {frame}, the poses in {pose_frame or 'map'}: "
+            "the lateral errors are those on the track only if both are the same"
+        )
+    later = collected.later.get(first.topic, [])
+    at = np.array([received for received, _ in later], dtype=np.int64)
+    at = (clock.times(at, at, [], "") - t0_ns) * 1e-9
+    return first, [(float(t), first._replace(columns=c)) for t, (_, c) in zip(at, later)]
+
+
+def _beliefs(believed, topic, clock, t0_ns, notes):
+    """What was believed, on the clock of the poses."""
+    at, values = believed.columns(notes, topic, clock)
+    return Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
 
 
 def _commands(command, topic, clock, times, notes):
@@ -186,6 +191,12 @@ def _use_receive_time(path, pose, command, notes):
         why = stamps_are_unusable(*pose.stamps())
         if not why:
             return False
+    # Recordings that were put in the order of receipts by a clock that was set back are one way in
+    # the order of stamps.
+    way = getattr(pose, "way", None)
+    if way and way() < _SHORTER * way(received=True):
+        notes.append(f"warning: {why}, but the poses are one way in their order: used")
+        return False
     again = pose.jump_back(received=True) or command.jump_back(received=True)
     if again:
         raise BagError(f"{path}: time jumps back by {again:.1f} s: two runs in one bag?")

@@ -28,7 +28,7 @@ class Remarks(NamedTuple):
     settings : list of (float, str)
         What the controller said that it drives with.
     states : list of (float, str)
-        What it did and why, such as ``"stopping: stale pose"``, whenever that changed.
+        What it did and why, such as ``"stopping: pose too old"``, whenever that changed.
     """
 
     settings: list

@@ -2,7 +2,7 @@
 
 A node that hears a replayed message without a stamp can only take the time of ``/clock``, which
 runs in steps; one that another computer stamped lies elsewhere in time. In the copy each pose and
-drive command carries its time itself.
+drive command carries its time itself; poses of tf stay as they are.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .clocks import COMMAND_DELAY_NS
+from .clocks import COMMAND_DELAY_NS, mended
+from .messages import TF
 from .reader import read_recording
 from .records import BagFile
 from .writer import copy_bag
@@ -43,7 +44,9 @@ def write_restamped(path: str | Path, output: str | Path, pose_topic: str | None
         If the bag cannot be read, or the copy cannot be written.
     """
     recording = read_recording(path, pose_topic)
-    topics = [recording.topic] + ([recording.commands.topic] if recording.commands else [])
+    # A transform has no stamp where the other messages have theirs.
+    topics = [recording.topic] if recording.type != TF else []
+    topics += [recording.commands.topic] if recording.commands else []
     with BagFile(path) as bag:
         changed = {}
         for topic in topics:
@@ -65,7 +68,8 @@ def write_restamped(path: str | Path, output: str | Path, pose_topic: str | None
 def _changed(bag, topic, clock, is_pose):
     """New stamps (s, ns) by connection and number of the message in it, where they differ."""
     wanted = {number for number, connection in bag.connections.items() if connection.topic == topic}
-    keys, stamps, received, count = [], [], [], {}
+    keys, stamps, received, others, count = [], [], [], [], {}
+    before = b""
     for message in bag.messages(wanted) if wanted else ():
         place = count[message.connection] = count.get(message.connection, -1) + 1
         if len(message.data) < _STAMP_AT + _STAMP.size:
@@ -74,8 +78,11 @@ def _changed(bag, topic, clock, is_pose):
         keys.append((message.connection, place))
         stamps.append(seconds * 10**9 + rest)
         received.append(message.time_ns)
+        contents = message.data[_STAMP_AT + _STAMP.size :]
+        others.append(contents != before)
+        before = contents
     stamps, received = (np.array(times, dtype=np.int64) for times in (stamps, received))
-    times = np.where(stamps == 0, received, stamps)
+    times, *_ = mended(stamps, received, np.array(others, dtype=bool))
     if is_pose and clock.use_receipt:
         times = received
     elif not is_pose:

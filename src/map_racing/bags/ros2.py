@@ -22,7 +22,7 @@ from .cdr import connection_of, layout_of_ros1
 from .compression import ZSTD_MAGIC, decompress_message, zstd_decompressor
 from .storage import MCAP_MAGIC, SQLITE_ERRORS, SQLITE_MAGIC, McapFile, SqliteFile
 
-__all__ = ["MAGIC", "METADATA", "SUFFIXES", "Ros2Bag", "storage_files"]
+__all__ = ["MAGIC", "METADATA", "SUFFIXES", "Ros2Bag"]
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
@@ -31,7 +31,7 @@ MAGIC = (SQLITE_MAGIC[:8], MCAP_MAGIC)
 """First bytes of the files, by which they are recognized without a name."""
 
 _BLOCK = 1 << 20
-_TIMES_END = 1 << 63  # what int64 cannot hold is damage [ns]
+_TIMES_END = 1 << 63  # a time that int64 cannot hold is damage [ns]
 
 
 class Ros2Bag(Bag):
@@ -53,10 +53,11 @@ class Ros2Bag(Bag):
         self._storages, self._of_storage, self._layouts = [], [], {}
         self._temporary = None
         self._notes: list[str] = []
-        self._found = None
+        # Of the last complete run of `messages`, what was wanted and how many were found.
+        self._found = (), 0
         metadata = self._read_metadata()
         try:
-            for file in storage_files(self.path, metadata):
+            for file in _storage_files(self.path, metadata):
                 self._storages.append(self._open(file))
             self._number_topics()
             self._take_counts(metadata)
@@ -88,7 +89,7 @@ class Ros2Bag(Bag):
             self._notes.append("metadata.yaml is not readable: left out")
             return {}
         if self.path.is_file() and metadata.get("relative_file_paths") != [self.path.name]:
-            return {}  # of all parts, of which this is one
+            return {}  # it counts all parts, and this is one of them
         return metadata
 
     def _open(self, path):
@@ -192,7 +193,7 @@ class Ros2Bag(Bag):
                 layout = layouts.get(number)
                 found += 1
                 yield Message(number, time_ns, data if layout is None else layout(data))
-        self._found = {frozenset(wanted or self.connections): found}
+        self._found = self.connections if wanted is None else wanted, found
 
     def notes(self) -> list[str]:
         """What could not be read; empty for a sound bag."""
@@ -208,35 +209,18 @@ class Ros2Bag(Bag):
             notes.append(
                 f"chunks left out, compressed by {', '.join(unread)}: expected bz2, lz4 or zstd"
             )
-        for wanted, found in (self._found or {}).items():
-            expected = sum(self.counts.get(number, 0) for number in wanted)
-            if found != expected and not damage and not unread:
-                notes.append(f"{found} messages read, but the index of the bag lists {expected}")
+        wanted, found = self._found
+        expected = sum(self.counts.get(number, 0) for number in wanted)
+        if found != expected and not damage and not unread:
+            notes.append(f"{found} messages read, but the index of the bag lists {expected}")
         return notes
 
 
-def storage_files(path: Path, metadata: dict | None = None) -> list[Path]:
-    """Files of a bag, in the order of time.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Folder or file.
-    metadata : dict, optional
-        Contents of its ``metadata.yaml``.
-
-    Returns
-    -------
-    list of pathlib.Path
-
-    Raises
-    ------
-    BagError
-        If there are none, or some are missing.
-    """
+def _storage_files(path, metadata):
+    """Files of a bag, in the order of time, as its ``metadata.yaml`` lists them or as they are."""
     if not path.is_dir():
         return [path]
-    listed = (metadata or {}).get("relative_file_paths")
+    listed = metadata.get("relative_file_paths")
     if isinstance(listed, list) and listed:
         # Paths were relative to another folder before ROS 2 Foxy.
         files = [path / Path(str(name)).name for name in listed]

@@ -37,14 +37,16 @@ SIMULATED_NS = 1_700_000_000_000_000_000
 SIMULATED = "simulated"
 """What such races have instead of a date."""
 
-# Poses of a simulated race begin within this time [ns]. Times before 1973 [ns] are those of clocks
-# that were never set, and of simulated time.
+# A simulated race begins within this time after `SIMULATED_NS` [ns]. Times before 1973 [ns] come
+# from clocks that were never set, or from simulated time.
 _BEGIN, _DATED = 600 * 10**9, 10**17
 _MAPS = ("", "map", "world")
 _SENSORS = ("laser", "lidar", "scan", "imu", "camera")
-# Samples to both sides of a step back in time that tell whether a clock was set, which does not
-# happen more often; and speed of a car that drives [m/s].
+# A step back in time: number of samples on both sides that are examined, the most steps that
+# can come from clocks that were set, and the lowest speed of a driving car [m/s].
 _AROUND, _MOST_SET, _DRIVES = 25, 5, 0.5
+# A pose with the stamp of another is elsewhere if it is farther away [m].
+_AWAY = 0.3
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
 _JITTER = 1.0
@@ -287,9 +289,25 @@ def in_order(
         times, columns = times[order], [column[order] for column in columns]
     first = np.append(True, np.diff(times) > 0)[: times.size]
     if not first.all():
+        notes += _elsewhere(columns, first, what) if required else []
         notes.append(f"{what}: {np.count_nonzero(~first)} repeated time stamps left out")
         times, columns = times[first], [column[first] for column in columns]
     return times, list(columns)
+
+
+def _elsewhere(columns, first, what):
+    """Warning of poses that have the stamp of another far away; none has the time to get there."""
+    x, y = columns[:2]
+    kept = np.flatnonzero(first)[np.cumsum(first) - 1]
+    away = np.hypot(x - x[kept], y - y[kept])
+    step = float(np.median(np.hypot(np.diff(x[first]), np.diff(y[first])))) if kept[-1] else 0.0
+    far = away > _AWAY + 5.0 * step
+    if not far.any():
+        return []
+    return [
+        f"warning: {what}: {np.count_nonzero(far)} poses have the stamp of another up to "
+        f"{np.max(away):.1f} m away, and are left out: was a clock set back, or are these two runs?"
+    ]
 
 
 def _set_back(times, columns, what):

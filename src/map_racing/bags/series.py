@@ -7,37 +7,35 @@ from typing import Callable
 import numpy as np
 
 from .bag import Connection, Message
-from .clocks import LATENCY_NS, Clock
+from .clocks import LATENCY_NS, Clock, mended
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
-from .samples import in_order, jump_back, usable
+from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usable
 
-__all__ = ["PoseSeries", "Series", "commands_of_two", "quaternion_note"]
+__all__ = ["FrameChoice", "PoseSeries", "Series", "commands_of_two", "followed", "quaternion_note"]
 
 _BATCH = 2048
-# Commands of two nodes: of a block of messages such a share differs from both neighbors by so much
-# [rad, m/s], while these agree with each other, and many times as much as most do. Of one node, on
-# noisy poses, up to 0.12 of the angles do so, and up to 0.01 of the speeds.
+# Commands are of two nodes if, in a block of this many, a larger share than the first number
+# differs from both neighbors by more than the second [rad, m/s]. One node, on noisy poses, has a
+# share of up to 0.12 for angles and 0.01 for speeds.
 _BLOCK, _ANGLE, _SPEED = 200, (0.2, 0.05), (0.03, 0.1)
+# The neighbors agree to this share of the difference, which is this many times this percentile.
 _AGREE, _MANY, _MOST = 0.2, 5.0, 30.0
-# Or a few leave their neighbors, which hardly differ, by so much [rad, m/s] as no node's own do.
+# Or if at least so many differ from neighbors that agree by more [rad, m/s] than one node's do.
 _FEW, _FAR_ANGLE, _FAR_SPEED = 5, 0.2, 1.0
-# After so long without a message [ns] a node is gone, and another may take its place.
+# After so long without a message [ns] a node or frame is gone, and another may take its place.
 _SENDER_GONE = 10**9
 
 
 class _Senders:
     """Picks the first of several nodes that publish on one topic, for as long as it publishes."""
 
-    def __init__(self, connections):
-        self._names = {n: c.sender or f"connection {n}" for n, c in connections.items()}
-        self._several = len(set(self._names.values())) > 1
+    def __init__(self, names):
+        self._names = names
         self._sender, self._heard = None, -_SENDER_GONE
         self._left_out, self._followed = {}, []
 
     def counts(self, message):
         """Whether a message is of the node that counts."""
-        if not self._several:
-            return True
         sender = self._names[message.connection]
         if sender != self._sender:
             pair = sender, self._sender
@@ -59,6 +57,56 @@ class _Senders:
             )
         for sender, before in self._followed:
             notes.append(f"warning: {topic}: {before} fell silent, and {sender} took its place")
+
+
+class FrameChoice:
+    """Picks the frame of which the poses of a topic count, live and from bags alike.
+
+    It is the first one. Once that is gone, one that is nearer to the map takes its place, as when
+    localization starts after the wheels, and what came before is of no use.
+
+    Attributes
+    ----------
+    frame : str or None
+        The frame that counts, ``map`` where it has no name; None before the first pose.
+    """
+
+    def __init__(self):
+        self.frame, self._heard = None, 0
+
+    def counts(self, frame: str, at_ns: int) -> bool:
+        """Whether a pose of a frame, of a time [ns], counts; `frame` is then its own."""
+        frame = frame or "map"
+        if frame != self.frame and self.frame is not None:
+            gone = at_ns - self._heard >= _SENDER_GONE
+            if not gone or _from_map(frame) >= _from_map(self.frame):
+                return False
+        self.frame, self._heard = frame, at_ns
+        return True
+
+
+def followed(count: int, what: str, before: str, frame: str, early: int) -> str:
+    """Doubt about a frame that took the place of another.
+
+    Parameters
+    ----------
+    count : int
+        Messages or rows in the frame before, which are lost.
+    what : str
+        What is counted.
+    before, frame : str
+    early : int
+        How many in the frame itself came before the other was gone, and are lost as well.
+    """
+    also = f" and {early} in {frame}" if early else ""
+    return (
+        f"{count} {what} in frame {before}{also} left out: {before} fell silent, and {frame} took "
+        "its place"
+    )
+
+
+def _from_map(frame):
+    return 0 if is_map_frame(frame) else 2 if is_odometry_frame(frame) else 1
 
 
 class Series:
@@ -84,10 +132,11 @@ class Series:
         delay_ns: int = LATENCY_NS,
     ):
         self._decode, self._coordinates, self._delay_ns = decode, coordinates, delay_ns
-        self._senders = _Senders(connections) if connections else None
+        names = {n: c.sender or f"connection {n}" for n, c in (connections or {}).items()}
+        self._senders = _Senders(names) if len(set(names.values())) > 1 else None
         self._data, self._received = [], []
         self._stamps, self._times, self._values = [], [], []
-        self._unstamped = self._broken = 0
+        self._broken = 0
 
     def add(self, message: Message) -> None:
         """Add a message."""
@@ -102,10 +151,7 @@ class Series:
         if not self._data and self._stamps:
             return
         stamps, values, good = self._decode(self._data)
-        unstamped = stamps == 0
         received = np.array(self._received, dtype=np.int64)
-        stamps = np.where(unstamped, received, stamps)
-        self._unstamped += np.count_nonzero(unstamped & good)
         self._broken += np.count_nonzero(~good)
         self._stamps.append(stamps[good])
         self._times.append(received[good])
@@ -127,19 +173,39 @@ class Series:
         return found and found[1]
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps, or times of receipt where they are 0, and times of receipt of usable samples.
+        """Stamps, mended by times of receipt, and times of receipt of usable samples.
+
+        Messages that are sent again, as they were, are none.
 
         Returns
         -------
         stamps, received : ndarray of int, shape (n,)
             [ns]
         """
+        stamps, times, values = self._all()
+        keep = usable(stamps, values.T[: self._coordinates])
+        keep &= np.append(True, np.diff(stamps) != 0)[: stamps.size] | _changed(values)
+        return stamps[keep], times[keep]
+
+    def _all(self, topic="", notes=None):
+        """Stamps that were mended, times of receipt and values; what was mended to the notes."""
         self._flush()
-        stamps, times, values = (
+        given, times, values = (
             np.concatenate(part) for part in (self._stamps, self._times, self._values)
         )
-        keep = usable(stamps, values.T[: self._coordinates])
-        return stamps[keep], times[keep]
+        stamps, coarse, spread = mended(given, times, _changed(values))
+        if notes is None:
+            return stamps, times, values
+        unstamped = np.count_nonzero(given == 0)
+        good = f", good to {spread:.3f} s" if spread else ""
+        if unstamped:
+            notes.append(f"{topic}: {unstamped} of {times.size} stamps are 0: receive time{good}")
+        if coarse.any():
+            notes.append(
+                f"warning: {topic}: {np.count_nonzero(coarse)} of {times.size} stamps are too "
+                f"coarse, with several messages on each: times of receipt used instead{good}"
+            )
+        return stamps, times, values
 
     def clock(self, use_receipt: bool) -> Clock:
         """Clock of the stamps, or of receipt."""
@@ -166,14 +232,10 @@ class Series:
             Header stamps or, where they are 0, times of receipt [ns].
         columns : list of ndarray
         """
-        self._flush()
-        stamps, times, values = (
-            np.concatenate(part) for part in (self._stamps, self._times, self._values)
-        )
+        by_receipt = clock is not None and clock.use_receipt
+        stamps, times, values = self._all(topic, None if by_receipt else notes)
         if self._broken:
             notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
-        if self._unstamped and not (clock and clock.use_receipt):
-            notes.append(f"{topic}: {self._unstamped} of {times.size} stamps are 0: receive time")
         if clock is not None:
             stamps = clock.times(stamps, times, notes, topic, self._delay_ns)
         if self._senders is not None:
@@ -183,7 +245,7 @@ class Series:
 
 
 class PoseSeries(Series):
-    """Poses of one topic: of its first sender, for as long as it sends, and in its first frame.
+    """Poses of one topic: of its first sender, for as long as it sends, and in one frame.
 
     Parameters
     ----------
@@ -195,38 +257,86 @@ class PoseSeries(Series):
 
     def __init__(self, decode: Callable, connections: dict[int, Connection]):
         super().__init__(decode, coordinates=2, connections=connections)
-        self._frame, self._elsewhere = None, {}
+        self._choice, self._encoded = FrameChoice(), None
+        self._elsewhere, self._before = {}, {}
+
+    @property
+    def frame(self) -> str | None:
+        """The frame in which poses count."""
+        self._flush()
+        return self._choice.frame
 
     def _flush(self):
         if self._data:
-            if self._frame is None:
-                self._frame = _frame_bytes(self._data[0])
-            size = 12 + len(self._frame)
-            same = [data[12:size] == self._frame for data in self._data]
-            if not all(same):
-                self._leave_out(same)
+            if self._encoded is None:
+                self._encoded = _frame_bytes(self._data[0])
+            size = 12 + len(self._encoded)
+            same = [data[12:size] == self._encoded for data in self._data]
+            if all(same):
+                self._choice.counts(_name(self._encoded), _time(self._data[-1], self._received[-1]))
+            else:
+                self._choose()
         super()._flush()
 
-    def _leave_out(self, same):
-        """Leave out messages in another frame; those that are cut off are found by the decoder."""
-        for keep, data in zip(same, self._data):
-            if not keep:
-                name = decode_frame(_frame_bytes(data)[4:])
+    def _choose(self):
+        """Keep the messages whose frame counts; the decoder finds those that are cut off."""
+        kept = []
+        for data, at in zip(self._data, self._received):
+            encoded, before = _frame_bytes(data), self._choice.frame
+            name = _name(encoded)
+            if not self._choice.counts(name, _time(data, at)):
                 self._elsewhere[name] = self._elsewhere.get(name, 0) + 1
-        self._data = [data for data, keep in zip(self._data, same) if keep]
-        self._received = [at for at, keep in zip(self._received, same) if keep]
+                continue
+            if before not in (None, self._choice.frame):
+                count = len(kept) + sum(times.size for times in self._times)
+                early = self._elsewhere.pop(self._choice.frame, 0)
+                self._before[before] = followed(
+                    count, "messages", before, self._choice.frame, early
+                )
+                self._stamps, self._times, self._values, kept = [], [], [], []
+                self._broken = 0
+            self._encoded = encoded
+            kept.append((data, at))
+        self._data, self._received = (list(part) for part in zip(*kept)) if kept else ([], [])
+
+    def way(self, received: bool = False) -> float:
+        """Length of the path through the poses in the order of stamps or times of receipt [m]."""
+        stamps, times, values = self._all()
+        values = values[np.argsort(times if received else stamps, kind="mergesort")]
+        values = values[usable(np.zeros(len(values)), values.T[:2])]
+        return float(np.sum(np.hypot(*np.diff(values[:, :2], axis=0).T)))
 
     def columns(self, notes, topic, clock=None):
         """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
-        times, columns = super().columns(notes, topic, clock)
+        # Their own stamps are of their clock, whatever the receipts are.
+        used = clock if clock is not None and clock.use_receipt else None
+        times, columns = super().columns(notes, topic, used)
         quaternion_note(notes, topic, columns.pop(3))
-        for frame, count in self._elsewhere.items():
-            first = decode_frame(self._frame[4:])
+        frame = self._choice.frame
+        notes += [f"warning: {topic}: {said}" for said in self._before.values()]
+        for other, count in self._elsewhere.items():
             notes.append(
-                f"warning: {topic}: {count} messages in another frame, {frame or '(unnamed)'}, "
-                f"left out: only the first, {first or '(unnamed)'}, counts"
+                f"warning: {topic}: {count} messages in another frame, {other}, left out: only "
+                f"{frame} counts"
             )
         return times, columns
+
+
+def _changed(values):
+    """Which messages hold something else than the one before."""
+    same = (values[1:] == values[:-1]) | np.isnan(values[1:])
+    return np.append(True, ~np.all(same, axis=1))[: len(values)]
+
+
+def _time(data, received):
+    """Stamp of a message, or its time of receipt [ns], as live."""
+    seconds, rest = (int.from_bytes(data[at : at + 4], "little") for at in (4, 8))
+    return seconds * 10**9 + rest or received
+
+
+def _name(encoded):
+    """Name of a frame as in a message."""
+    return decode_frame(encoded[4:]) or "map"
 
 
 def _frame_bytes(data):
@@ -258,7 +368,7 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
 
 
 def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
-    """Doubt about commands that go to and fro, as of two nodes that nothing names; or empty.
+    """Warning of commands that alternate, as of two nodes that the bag does not name; or empty.
 
     Parameters
     ----------
@@ -296,7 +406,8 @@ def _to_and_fro(values, least):
     away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
     count, most = away.size // _BLOCK or 1, 0.0
     for one, other in zip(np.array_split(away, count), np.array_split(across, count)):
-        if np.isfinite(one).all():
+        # The percentile takes longest, and most blocks are decided without it.
+        if np.isfinite(one).all() and np.mean((one > least) & (other < _AGREE * one)) > most:
             usual = float(np.percentile(other, _MOST))
             most = max(most, np.mean((one > max(least, _MANY * usual)) & (other < _AGREE * one)))
     return float(most)

@@ -109,14 +109,14 @@ class SqliteFile:
             "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
         )
         return {
-            number: Topic(name, kind, definitions.get(kind, "") if form == "cdr" else "")
+            number: Topic(name, kind, definitions.get(kind, ""))
             for number, name, kind, form in rows
             if form == "cdr"
         }
 
     def count(self):
         self.counts, spans = {}, []
-        with suppress(*SQLITE_ERRORS):  # what is damaged is said when the messages are read
+        with suppress(*SQLITE_ERRORS):  # damage is noted when the messages are read
             for number, count, first, last in self._database.execute(
                 "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
                 "WHERE typeof(timestamp) = 'integer' GROUP BY topic_id"
@@ -250,15 +250,17 @@ class McapFile:
         return picked
 
     def _index(self, at):
-        """Places of the messages of each channel in the chunk before; empty without an index."""
+        """Places of the messages of each channel in the chunk before; empty without all of them."""
         index = {}
-        with suppress(_Damage):  # the end of the file may cut off what follows
+        try:
             for op, begin, end in _records(self._data, at, self._size):
                 if op != _INDEX_OP:
                     break
                 (number,) = _U16.unpack_from(self._data, begin)
                 entries = _INDEX_ENTRY.iter_unpack(self._data[begin + 6 : end])
                 index[number] = [place for _, place in entries]
+        except (_Damage, struct.error):  # such as the end of a file that was cut off
+            return {}
         return index
 
     def _walk(self, data, at, end, wanted):

@@ -20,6 +20,7 @@ __all__ = [
     "SETTINGS_TOPIC",
     "STATE",
     "PoseSource",
+    "belief_connections",
     "drive_connections",
     "imu_topic",
     "pose_sources",
@@ -149,7 +150,7 @@ def _origin(source):
 
 
 def _canonical(topic):
-    """Name of a source in the form of `_Source.topic`."""
+    """Name of a source in the form of `PoseSource.topic`."""
     topic = "/" + topic.lstrip("/")
     if topic.startswith("/tf:"):
         frame = topic[4:].lstrip("/")
@@ -255,14 +256,23 @@ def _name_rank(topic, known):
 
 def drive_connections(bag: Bag) -> tuple[str, set[int]]:
     """Topic of the drive command and its connections; empty without commands."""
+    return _connections(bag, msg.MD5[msg.ACKERMANN], _KNOWN_DRIVES)
+
+
+def belief_connections(bag: Bag) -> tuple[str, set[int]]:
+    """Topic of what a controller believes and its connections; empty without."""
+    return _connections(bag, msg.MD5[msg.BELIEF], (BELIEF_TOPIC,))
+
+
+def _connections(bag, md5sum, known):
+    """The best topic with messages of a type, and its connections."""
     counts: dict[str, int] = {}
     for number, connection in bag.connections.items():
-        if connection.md5sum == msg.MD5[msg.ACKERMANN] and bag.counts.get(number):
+        if connection.md5sum == md5sum and bag.counts.get(number):
             counts[connection.topic] = counts.get(connection.topic, 0) + bag.counts[number]
     if not counts:
         return "", set()
-    topic = min(counts, key=lambda name: (_name_rank(name, _KNOWN_DRIVES), -counts[name], name))
-    md5sum = msg.MD5[msg.ACKERMANN]
+    topic = min(counts, key=lambda name: (_name_rank(name, known), -counts[name], name))
     return topic, {
         number
         for number, connection in bag.connections.items()

@@ -21,10 +21,10 @@ __all__ = ["ComposedPoses", "FramePoses", "MountedPoses", "RecordedTransforms"]
 
 # Localization may stamp its transforms up to a second ahead, so that they hold until the next.
 _EARLIEST_NS, _LATEST_NS = 3 * 10**8, -15 * 10**8
-# A link that ends before the others by more [ns] is said.
+# A link that ends earlier than the others by more than this [ns] is noted.
 _ENDED_NS = 5 * 10**8
-# A localization that corrects so many times, and then sends the same for so long [ns], and so many
-# times longer than ever, while the car drives so far [m], is dead.
+# A localization has died if, after this many corrections, it sends the same one for this long [ns],
+# this many times as long as ever before, while the car drives this far [m].
 _CORRECTED, _SAME_NS, _LONGER, _DRIVEN = 20, 3 * 10**9, 10, 5.0
 
 
@@ -37,7 +37,7 @@ class _Samples:
         self.senders: dict[str, tuple[int, int]] = {}
 
     def at_once(self):
-        """Names of senders of which none took the place of another."""
+        """Names of senders that sent at the same time."""
         spans = sorted((span, name) for name, span in self.senders.items())
         pairs = ((one, other) for one, other in combinations(spans, 2) if other[0][0] < one[0][1])
         return sorted({name for pair in pairs for _, name in pair})
@@ -240,7 +240,7 @@ class RecordedTransforms:
 
 
 def _offsets(links: dict) -> dict:
-    """What is to be added to the stamps of links of another clock than the others [ns]."""
+    """Corrections [ns] of the stamps of links that were stamped by another clock."""
     lags = {name: int(np.median(at - stamps)) for name, (stamps, at) in links.items() if at.size}
     if len(lags) < 2:
         return {}
@@ -348,12 +348,17 @@ class _PlacedPoses:
     def __init__(self, poses):
         self._poses = poses
         self.add, self.jump_back = poses.add, poses.jump_back
-        self.stamps, self.clock = poses.stamps, poses.clock
+        self.stamps, self.clock, self.way = poses.stamps, poses.clock, poses.way
 
     @property
     def size(self) -> int:
         """Number of poses."""
         return self._poses.size
+
+    @property
+    def frame(self) -> str | None:
+        """The frame in which poses count."""
+        return self._poses.frame
 
 
 class MountedPoses(_PlacedPoses):
@@ -399,12 +404,17 @@ class ComposedPoses(_PlacedPoses):
         super().__init__(poses)
         self._frame, self._child, self._transforms = frame, child, transforms
 
+    @property
+    def frame(self) -> str | None:
+        """The frame in which poses count."""
+        return "map" if self._poses.frame == self._frame else self._poses.frame
+
     def columns(
         self, notes: list[str], topic: str, clock: Clock
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """As `map_racing.bags.series.Series.columns`, in the map: ``x y psi v_x v_y yaw_rate``."""
         times, columns = self._poses.columns(notes, topic, clock)
-        if not times.size:
+        if not times.size or self._poses.frame != self._frame:
             return times, columns
         start = self._frame if self._transforms.connected("map", self._frame) else self._child
         tree = self._transforms.tree("map", start, notes, topic, clock.use_receipt)

@@ -11,6 +11,7 @@ from typing import Callable
 import lz4.frame
 
 from ..errors import BagError
+from . import encoding
 from . import messages as msg
 from .bag import Bag, Message
 from .topics import BELIEF_TOPIC, DIAGNOSTICS_TOPIC, DRIVE_TOPIC, SETTINGS_TOPIC, STATE
@@ -105,11 +106,11 @@ class BagWriter:
     ):
         """Pose in ``frame`` [m, rad] with velocity in the body frame [m/s, rad/s]."""
         values = (frame, child_frame, x, y, psi, v_x, v_y, yaw_rate)
-        self._write(topic, msg.ODOMETRY, stamp, received, msg.encode_odometry, values)
+        self._write(topic, msg.ODOMETRY, stamp, received, encoding.encode_odometry, values)
 
     def pose(self, stamp, x, y, psi, *, topic="/car_state/pose", frame="map", received=None):
         """Pose in ``frame`` [m, rad]."""
-        self._write(topic, msg.POSE, stamp, received, msg.encode_pose, (frame, x, y, psi))
+        self._write(topic, msg.POSE, stamp, received, encoding.encode_pose, (frame, x, y, psi))
 
     def drive(
         self,
@@ -126,11 +127,11 @@ class BagWriter:
     ):
         """Drive command: steering angle [rad], speed [m/s]."""
         values = (frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk)
-        self._write(topic, msg.ACKERMANN, stamp, received, msg.encode_drive, values)
+        self._write(topic, msg.ACKERMANN, stamp, received, encoding.encode_drive, values)
 
     def belief(self, stamp, values, *, topic=BELIEF_TOPIC, frame="map", received=None):
         """What the controller believes of the day: `BELIEF_FIELDS` in order."""
-        self._write(topic, msg.BELIEF, stamp, received, msg.encode_belief, (frame, *values))
+        self._write(topic, msg.BELIEF, stamp, received, encoding.encode_belief, (frame, *values))
 
     def imu(
         self,
@@ -146,14 +147,16 @@ class BagWriter:
     ):
         """Specific force [m/s^2] and yaw rate [rad/s] in the axes of ``frame`` (REP-103)."""
         values = (frame, a_x, a_y, a_z, yaw_rate)
-        self._write(topic, msg.IMU, stamp, received, msg.encode_imu, values)
+        self._write(topic, msg.IMU, stamp, received, encoding.encode_imu, values)
 
     def transform(
         self, stamp, x, y, psi, *, parent="map", child="base_link", static=False, received=None
     ):
         """Pose of the frame ``child`` in ``parent`` [m, rad], on ``/tf`` or ``/tf_static``."""
         topic, values = "/tf_static" if static else "/tf", (parent, child, x, y, psi)
-        self._write(topic, msg.TF, stamp, received, msg.encode_transform, values, latched=static)
+        self._write(
+            topic, msg.TF, stamp, received, encoding.encode_transform, values, latched=static
+        )
 
     def waypoints(
         self,
@@ -166,17 +169,19 @@ class BagWriter:
         received=None,
     ):
         """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
-        values, encode = (frame, rows.tolist()), msg.encode_waypoints
+        values, encode = (frame, rows.tolist()), encoding.encode_waypoints
         self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=latched)
 
     def text(self, stamp, text, *, topic=SETTINGS_TOPIC, latched=True, received=None):
         """A text as ``std_msgs/String``; it has no stamp of its own."""
-        self._write(topic, msg.STRING, stamp, received, msg.encode_string, (text,), latched=latched)
+        self._write(
+            topic, msg.STRING, stamp, received, encoding.encode_string, (text,), latched=latched
+        )
 
     def state(self, stamp, text, level, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
         """State of the controller in the words of its node, and its level in diagnostics."""
         values = (level, f"controller{STATE}", text, hardware)
-        self._write(topic, msg.DIAGNOSTICS, stamp, received, msg.encode_status, values)
+        self._write(topic, msg.DIAGNOSTICS, stamp, received, encoding.encode_status, values)
 
     def _write(self, topic, kind, stamp, received, encode, values, latched=False):
         entry = self._topics.get(topic)
@@ -235,10 +240,13 @@ def copy_bag(bag: Bag, output: str | Path, data_of: Callable[[int, Message], byt
             connections, count = {}, {}
             for message in bag.messages():
                 number = message.connection
-                if number not in connections:
-                    about = bag.connections[number]
+                about = bag.connections.get(number)
+                if about is None:  # lost by damage
+                    continue
+                # A node that connected twice is one to the writer.
+                if about not in connections:
                     package, _, name = about.type.partition("/")
-                    connections[number] = writer.add_connection(
+                    connections[about] = writer.add_connection(
                         about.topic,
                         f"{package}/msg/{name}",
                         msgdef=about.definition,
@@ -247,7 +255,7 @@ def copy_bag(bag: Bag, output: str | Path, data_of: Callable[[int, Message], byt
                         latching=int(about.latching),
                     )
                 place = count[number] = count.get(number, -1) + 1
-                writer.write(connections[number], message.time_ns, data_of(place, message))
+                writer.write(connections[about], message.time_ns, data_of(place, message))
     except OSError as error:
         raise BagError(f"{output}: cannot write the bag: {error.strerror}") from None
 

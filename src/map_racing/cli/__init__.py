@@ -102,10 +102,14 @@ def _run(argv):
         arguments = build_parser().parse_args(argv)
         module, function = arguments.run.split(".")
         run = getattr(import_module(f".{module}", __package__), function)
-        return run(arguments) or 0
+        code = run(arguments) or 0
+        sys.stdout.flush()
+        return code
     except MapRacingError as error:
         print(f"map-racing: {error}", file=sys.stderr)
         return 1
+    except BrokenPipeError:
+        raise
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         print(f"map-racing: {name}{error.strerror or error}", file=sys.stderr)

@@ -50,6 +50,8 @@ _GROWTH = {
 }
 # Shares of a car's driving and braking that the shipped controllers ask for, as of nuc4's.
 _DRIVE_SHARE, _BRAKE_SHARE = 0.93, 0.73
+# No car is driven by this faster [m/s].
+_FASTEST = 200.0
 
 
 @documented
@@ -65,13 +67,28 @@ class ControllerParameters:
         "tires, the same with linear tires, or the kinematics of pure pursuit",
         choices=tuple(STEERING_MAPS),
     )
-    m_m: float = parameter("Offset m of the lookahead distance", "m", tuning=(-1.0, 3.0))
-    q_s: float = parameter("Gain q of the lookahead distance", "s", tuning=(0.0, 2.0))
+    # Bounds leave room for full-scale cars, and none for centimeters, milliseconds or km/h.
+    m_m: float = parameter(
+        "Offset m of the lookahead distance", "m", low=-25.0, high=25.0, tuning=(-1.0, 3.0)
+    )
+    q_s: float = parameter(
+        "Gain q of the lookahead distance", "s", low=-10.0, high=10.0, tuning=(0.0, 2.0)
+    )
     lookahead_min_m: float = parameter(
-        "Shortest lookahead distance", "m", low=POSITIVE, tuning=(0.05, 5.0), default=0.3
+        "Shortest lookahead distance",
+        "m",
+        low=POSITIVE,
+        high=50.0,
+        tuning=(0.05, 5.0),
+        default=0.3,
     )
     lookahead_max_m: float = parameter(
-        "Longest lookahead distance", "m", low=POSITIVE, tuning=(0.1, 20.0), default=5.0
+        "Longest lookahead distance",
+        "m",
+        low=POSITIVE,
+        high=500.0,
+        tuning=(0.1, 20.0),
+        default=5.0,
     )
     slip_lookahead: float = parameter(
         "Share of the distance driven while the slip of the rear axle builds up, v^2 / (g mu C_r), "
@@ -146,7 +163,12 @@ class ControllerParameters:
         default=1.0,
     )
     v_max_mps: float = parameter(
-        "Largest speed commanded", "m/s", low=POSITIVE, tuning=(0.1, 30.0), default=12.0
+        "Largest speed commanded",
+        "m/s",
+        low=POSITIVE,
+        high=_FASTEST,
+        tuning=(0.1, 30.0),
+        default=12.0,
     )
     grip_use: float = parameter(
         "Share of the lateral acceleration that the tires can reach which the speeds may use; the "
@@ -161,6 +183,7 @@ class ControllerParameters:
         "Largest driving acceleration of such speeds; in a bend what the friction ellipse leaves",
         "m/s^2",
         low=POSITIVE,
+        high=100.0,
         tuning=(0.5, 20.0),
         default=7.0,
     )
@@ -168,6 +191,7 @@ class ControllerParameters:
         "Largest braking of such speeds; in a bend what the friction ellipse leaves",
         "m/s^2",
         low=POSITIVE,
+        high=100.0,
         tuning=(0.5, 20.0),
         default=6.0,
     )
@@ -245,7 +269,7 @@ def _sized(parameters, vehicle):
         changes["table_v_max_mps"] = max(values["table_v_max_mps"], vehicle.v_max)
     return {
         **changes,
-        "v_max_mps": vehicle.v_max,
+        "v_max_mps": min(vehicle.v_max, _FASTEST),
         "a_drive_max_mps2": min(values["a_drive_max_mps2"], _DRIVE_SHARE * vehicle.a_max),
         "a_brake_max_mps2": min(values["a_brake_max_mps2"], _BRAKE_SHARE * vehicle.a_brake_max),
     }

@@ -118,6 +118,11 @@ class Supervisor:
         """Withdraw the stop that `source` requested."""
         self._requests.discard(source)
 
+    @property
+    def requests(self) -> frozenset[str]:
+        """Sources whose requests to stop are not withdrawn."""
+        return frozenset(self._requests)
+
     def fail(self) -> None:
         """Stop until `resume`, after a failure of the controller."""
         self._failed = True

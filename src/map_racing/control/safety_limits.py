@@ -25,6 +25,7 @@ class SafetyLimits:
         "in the future",
         "s",
         low=POSITIVE,
+        high=10.0,  # milliseconds would be no limit
         tuning=(0.02, 2.0),
         default=0.2,
     )

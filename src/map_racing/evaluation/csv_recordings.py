@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bags.messages import yaw_and_length
 from ..bags.samples import Commands, Recording, in_order, jump_back, usable
-from ..bags.series import quaternion_note
+from ..bags.series import FrameChoice, followed, quaternion_note
 from ..errors import FileFormatError, ParameterError
 from ..printing import printable
 from ..tables import UNITS, column_index, read_columns, some_names, without_unit
@@ -102,10 +102,10 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     doubts = []
     table = read_columns(path, partial(_locate, path, columns, doubts), _UNNAMED, _frame_column)
     table.notes.extend(doubts)
-    frame = _keep_first_frame(table)
     for name, unit in table.units.items():
         table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
     _bring_to_seconds(table)
+    frame = _keep_one_frame(table)
     _check_times(path, table)
     _add_heading(table)
     if "psi" in table.names:
@@ -254,17 +254,31 @@ def _frame_column(names):
     return next((plain.index(name) for name in _FRAMES if name in plain), None)
 
 
-def _keep_first_frame(table):
-    """The first frame of the poses; those in another are lost, as of a second sender in a bag."""
-    first = next((printable(word) for word in table.words if word), "")
-    other = np.array([word not in ("", first) for word in table.words], dtype=bool)
-    if other.any():
-        table.values["x"][other] = math.nan
+def _keep_one_frame(table):
+    """The frame of the poses; those in another are lost, as in a bag."""
+    if not any(table.words):
+        return ""
+    choice, kept, early = FrameChoice(), np.zeros(len(table.words), dtype=bool), {}
+    with np.errstate(invalid="ignore"):
+        times = np.where(np.abs(table.values["t"]) < _LATEST, table.values["t"], 0.0)
+    for row, (word, t) in enumerate(zip(table.words, (1e9 * times).astype(np.int64).tolist())):
+        last = choice.frame
+        frame = printable(word).lstrip("/") or last or "map"
+        if not choice.counts(frame, t):
+            early[frame] = early.get(frame, 0) + 1
+            continue
+        if last not in (None, frame):
+            count = np.count_nonzero(kept)
+            said = followed(count, "rows", last, frame, early.pop(frame, 0))
+            table.notes.append(f"warning: {said}")
+            kept[:row] = False
+        kept[row] = True
+    for frame, count in early.items():
         table.notes.append(
-            f"warning: {np.count_nonzero(other)} rows in another frame left out: only the first, "
-            f"{first}, counts"
+            f"warning: {count} rows in another frame, {frame}, left out: only {choice.frame} counts"
         )
-    return first
+    table.values["x"][~kept] = math.nan
+    return choice.frame
 
 
 def _locate(path, columns, doubts, names):

@@ -38,6 +38,7 @@ NO_WALLS = 2.0
 """Largest deviation [m] where neither walls nor a limit are known."""
 
 _NAN = math.nan
+_new = tuple.__new__  # as _Sample(...), which takes twice as long
 # Shorter stretches [m], [s] are jitter of a car parked on the line.
 _JITTER, _JITTER_TIME = 0.5, 1.0
 _MOST_SECTORS = 1000
@@ -48,6 +49,9 @@ _SHORTCUT = 3.0
 # Less than this [m] in this time [s] is standing; it lasts while the car is within a radius [m].
 _STANDING, _STANDING_TIME, _STANDING_RADIUS = 0.15, 0.5, 0.05
 _BRAKING_TIME = 0.1  # over which deceleration is measured [s]
+# A stretch of so many samples, or 83 minutes at 100 Hz, is ended: a car that is parked for a night
+# in a lap, or a track that is never closed, would fill the memory.
+_MOST_SAMPLES = 500_000
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,7 @@ class LapEvaluator:
     """Laps of a car on a raceline, from samples added one by one or many at once.
 
     The laps do not depend on how the samples are split into calls, to the last bit. Samples are
-    kept only until their lap ends.
+    kept only until their lap ends, and no lap has more than 500,000.
 
     Parameters
     ----------
@@ -261,9 +265,10 @@ class LapEvaluator:
             progress, d = (place.s - self._start_s) % length, place.d
             if last is not None:
                 step = progress - last.progress % length
-                step -= length * round(step / length)
+                if not -0.4 * length < step < 0.4 * length:
+                    step -= length * round(step / length)
                 progress = last.progress + step
-        sample = _Sample(t, x, y, progress, d, v, speed_command, steering)
+        sample = _new(_Sample, (t, x, y, progress, d, v, speed_command, steering))
         if last is not None:
             changed = self._changed
             faults = self._step_faults(last, sample)
@@ -277,10 +282,16 @@ class LapEvaluator:
                 self._cross(crossed, last, sample, faults)
         self._last = sample
         self._samples.extend(sample)
-        self._farthest = max(self._farthest, progress)
-        if self._farthest - progress > self.limits.max_reverse:
+        if progress > self._farthest:
+            self._farthest = progress
+        elif self._farthest - progress > self.limits.max_reverse:
             back = self._farthest - progress
             self._faults["reverse"] = max(back, self._faults.get("reverse", 0.0))
+        if len(self._samples) >= _MOST_SAMPLES * len(_Sample._fields):
+            self._close_open(f"cut after {_MOST_SAMPLES} samples")
+            self._begin(None)
+            self._samples.extend(sample)
+            self._farthest = progress
 
     def _step_faults(self, last, sample):
         """Faults of the step from one sample to the next, by kind."""
@@ -409,8 +420,10 @@ class LapEvaluator:
         moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
         moved[-1] = True
 
+        t_new, x_new, y_new = t[moved], x[moved], y[moved]
+
         def at(times):
-            return np.interp(times, t[moved], x[moved]), np.interp(times, t[moved], y[moved])
+            return np.interp(times, t_new, x_new), np.interp(times, t_new, y_new)
 
         def speed(begin, end):
             (x_1, y_1), (x_2, y_2) = at(begin), at(end)

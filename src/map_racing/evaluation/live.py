@@ -264,8 +264,12 @@ class LiveEvaluation:
         self._evaluate(batch)
 
     def finish(self) -> None:
-        """Evaluate the waiting poses and end the run; the next pose begins another."""
+        """Evaluate the waiting poses and end the run; the next pose begins another.
+
+        Without a raceline they are forgotten.
+        """
         self.advance(math.inf)
+        self._poses.clear()
         if self._t0_ns is not None:
             self._end_run()
             self._commands.clear()

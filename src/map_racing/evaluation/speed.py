@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["CHORD_S", "REPEATED_M", "beyond_for_a_while", "chords", "speed_of"]
+__all__ = ["CHORD_S", "REPEATED_M", "beyond_for_a_while", "chords", "fresh", "speed_of"]
 
 REPEATED_M = 1e-5
 """A pose that is no farther [m] from the one before, in x and y, is the same, but for rounding."""
@@ -21,7 +21,7 @@ _REPEATED = 0.25
 _VARIED, _REACH = 0.15, 4
 # Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top
 # speed by 2 %; longer chords [s] would shorten both.
-_NOISY, _LITTLE, _LONGEST_CHORD = 0.03, 0.005, 0.2
+_NOISY, _LITTLE, _LONGEST_CHORD = 0.012, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
 
@@ -43,7 +43,7 @@ def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.n
         return v
     # Poses that are repeated while the car drives on, and stamps that come in bunches, would make
     # any speed: it is taken over the time between the others.
-    kept = _fresh(t, x, y)
+    kept = fresh(t, x, y)
     kept = kept[_apart(t[kept])]
     speed = _differences(t[kept], x[kept], y[kept])
     return speed if kept.size == t.size else np.interp(t, t[kept], speed)
@@ -78,7 +78,7 @@ def chords(
     if v is not None:
         way = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
         measured = np.diff(np.interp(grid, t, way)) / chord
-    new = t[_fresh(t, x, y)]
+    new = t[fresh(t, x, y)]
     after = np.clip(np.searchsorted(new, grid), 1, new.size - 1)
     bare = new[after] - new[after - 1] > max(_BARE, 3.0 * usual)
     known = ~(bare[1:] | bare[:-1])
@@ -156,8 +156,14 @@ def _noisy_reach(x, y, usual):
     return min(int(np.ceil(noise / (_LITTLE * step))), most) if most > 1 else 0
 
 
-def _fresh(t, x, y):
-    """Indices of samples whose pose is a new one, or has been the same for long."""
+def fresh(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Indices of samples whose pose is a new one, or has been the same for long.
+
+    Parameters
+    ----------
+    t, x, y : ndarray, shape (n,)
+        Times [s] and positions [m].
+    """
     moved = np.append(True, (np.abs(np.diff(x)) > REPEATED_M) | (np.abs(np.diff(y)) > REPEATED_M))
     if moved.all():
         return np.arange(t.size)

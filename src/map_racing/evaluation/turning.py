@@ -9,6 +9,7 @@ import numpy as np
 from ..bags.samples import Recording
 from .doubts import speed_warning
 from .speed import speed_of
+from .speed_doubts import late_speed
 
 __all__ = ["speed_driven", "turning_of"]
 
@@ -56,11 +57,11 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
 def speed_driven(recording: Recording) -> tuple[np.ndarray, bool]:
     """Speed of a recording [m/s], shape (n,), and whether it is the one measured.
 
-    Where that is missing or not the motion of the poses, it is their motion.
+    Where that is missing or not the motion of the poses, or not at the time, it is their motion.
     """
     t, x, y = recording.t, recording.x, recording.y
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    doubtful = bool(speed_warning("", t, x, y, v))
+    doubtful = bool(speed_warning("", t, x, y, v) or late_speed("", t, x, y, v))
     driven = speed_of(t, x, y, np.full(v.size, np.nan) if doubtful else v)
     return driven, driven is v
 

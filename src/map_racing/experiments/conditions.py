@@ -97,7 +97,8 @@ def load_conditions(source: str) -> Conditions:
     ParameterError
         If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
-    return read_parameters(find_config("experiments", source, (".yaml",)), Conditions)
+    what = "conditions of a track and its race days, such as paper"
+    return read_parameters(find_config("experiments", source, (".yaml",)), Conditions, what=what)
 
 
 def day_of(

@@ -113,7 +113,8 @@ def load_robustness(source):
     ParameterError
         If a parameter is missing, unknown or impossible; the message names file and parameter.
     """
-    return read_parameters(find_config("experiments", source, (".yaml",)), Robustness)
+    what = "a grid of tracks and cars, such as robustness"
+    return read_parameters(find_config("experiments", source, (".yaml",)), Robustness, what=what)
 
 
 def any_shape(seed):

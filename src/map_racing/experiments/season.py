@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+from collections import Counter
 from concurrent.futures import Executor
 from functools import lru_cache
 from pathlib import Path
@@ -384,23 +385,36 @@ def _keep(folder, path, stamp, asked, rows):
 def _name_tracks(rows, tracks):
     """Name the track of each row: shipped, given, or numbered in the order of their dates."""
     known = []
-    for source in [*tracks, *list_config("tracks")]:
+    for source, name in _names([*dict.fromkeys(tracks), *list_config("tracks")]).items():
         line = _track(source)
-        known.append((line.name, line.length, _Shape(_places(line))))
-    unknown, names = 0, {}
+        known.append((name, line.length, _Shape(_places(line))))
+    unknown, found = 0, {}
     for row in rows:
         line = row.pop("line")
         if line is None:
             continue
         key = json.dumps(line)
-        if key not in names:
+        if key not in found:
             shape, length = _Shape(line), row["track_length_m"]
-            names[key] = next((n for n, other, s in known if shape.fits(length, s, other)), None)
-            if names[key] is None:
+            found[key] = next((n for n, other, s in known if shape.fits(length, s, other)), None)
+            if found[key] is None:
                 unknown += 1
-                names[key] = f"track {unknown}"
-                known.append((names[key], length, shape))
-        row["track"] = names[key]
+                found[key] = f"track {unknown}"
+                known.append((found[key], length, shape))
+        row["track"] = found[key]
+
+
+def _names(sources):
+    """Names of tracks by source; those of the same name have some of their folders, too."""
+    short = {source: _track(source).name for source in sources}
+    folders = {source: Path(split_source(source)[0]).parent.parts for source in sources}
+    names = dict(short)
+    for depth in range(1, max(map(len, folders.values())) + 1):
+        count = Counter(names.values())
+        for source in [source for source, name in names.items() if count[name] > 1]:
+            names[source] = "/".join([*folders[source][-depth:], short[source]])
+    count = Counter(names.values())  # such as two topics of one bag
+    return {source: name if count[name] == 1 else source for source, name in names.items()}
 
 
 class _Shape:

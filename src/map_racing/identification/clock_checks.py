@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..bags.clocks import LONGEST_LAG_S, lag_of_effect
+from ..bags.twist import lag_of_speed, lag_of_turning, when
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of
 from .channels import SensorSetup
@@ -16,7 +17,7 @@ from .cornering import ProcessedRun
 from .data import Run
 from .sensor_findings import SensorFinding
 
-__all__ = ["check_clocks", "onsets_of_speed"]
+__all__ = ["check_clocks", "late_twist", "onsets_of_speed"]
 
 MOST_APART_S = 0.08  # between yaw rates and poses
 # Few steps of the steering and averaged yaw rates leave an error: a real car seemed to turn 0.16 s
@@ -114,6 +115,29 @@ def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
         if lasting.any():
             onsets.append(float(t[near][np.argmax(lasting)] - begin))
     return onsets
+
+
+def late_twist(run: Run) -> str:
+    """What is wrong with speed or yaw rate of the messages of the poses; empty if nothing is.
+
+    They come with the poses, and are of other moments all the same.
+    """
+    if not {"x", "y", "psi"} <= set(run.signals) or run.pose_clock:
+        return ""
+    (t, x), y, psi = run.signals["x"], run.signals["y"].value, run.signals["psi"].value
+    moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
+    for name, words, poses in (
+        ("v_x", "speed comes {} the motion of the poses", (x, y)),
+        ("yaw_rate", "yaw rate comes {} the poses turn", (psi,)),
+    ):
+        signal = run.signals.get(name)
+        if signal is None or not np.array_equal(signal.t, t):
+            continue
+        lag_of = lag_of_speed if len(poses) > 1 else lag_of_turning
+        lag = lag_of(t, signal.value, t[moved], *(values[moved] for values in poses))
+        if lag is not None:
+            return f"the {words.format(when(lag))}, in the same messages"
+    return ""
 
 
 def _poses_late(motions):

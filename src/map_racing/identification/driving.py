@@ -15,6 +15,7 @@ from scipy.ndimage import median_filter
 
 from ..errors import IdentificationError
 from .channels import SensorSetup
+from .clock_checks import late_twist
 from .data import Run, Signal
 from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
@@ -139,6 +140,9 @@ def driving_of(run: Run) -> Driving:
     signals, setup, notes = run.signals, run.setup, []
     if "steering" not in signals:
         raise IdentificationError("steering: expected drive commands, got none")
+    late = late_twist(run)
+    if late:
+        raise IdentificationError(late)
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
     r, v = _turn_and_speed(setup, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])

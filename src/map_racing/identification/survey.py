@@ -11,6 +11,7 @@ from typing import Iterable, NamedTuple
 from ..errors import IdentificationError
 from ..vehicle.parameters import Vehicle
 from .channels import SensorSetup
+from .clock_checks import late_twist
 from .cornering import ProcessedRun, motion_of
 from .data import Run
 from .limits import SteadyLimits
@@ -91,12 +92,17 @@ def _motions(runs, setup, vehicle, limits, acceleration):
         try:
             motion = motion_of(changed, vehicle, limits, acceleration)
         except IdentificationError as error:
-            refused.append((run.label, str(error)))
+            why = str(error)
             if f"a_{setup.lateral_axis}" not in run.signals and acceleration == "imu":
                 # Ordinary driving tells of tires without an IMU, too.
-                ordinary += _motions([run], setup, vehicle, limits, "yaw_rate")[2]
+                _, also, found = _motions([run], setup, vehicle, limits, "yaw_rate")
+                ordinary += found
+                others = [reason for _, reason in also if not found and reason != why]
+                why = "; ".join([why, *others])
+            refused.append((run.label, why))
             continue
         broken = reason_to_refuse(motion)
+        broken = broken and (late_twist(changed) or broken)
         reason = broken or reason_unsteady(motion)
         if reason:
             refused.append((run.label, reason))

@@ -33,7 +33,7 @@ from ..track.files.load import load_raceline
 from ..track.files.waypoints import waypoint_rows
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import load_vehicle
-from .conversions import StateReader, frame, stamp_ns, to_time
+from .conversions import StampOrder, StateReader, frame, stamp_ns, to_time
 from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run, trace
 from .priority import urgent
@@ -52,8 +52,6 @@ QUIET_S = 1.0
 LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
 # Longest wait [s of wall time] for /clock to reach a pose that overtook it.
 CLOCK_PATIENCE_S = 1.0
-# A pose whose stamp is before the last command's by more than this [s] shows a clock that was set.
-LONGEST_OVERTAKEN_S = 1.0
 
 POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
@@ -121,7 +119,7 @@ class ControllerNode:
         self._reader, self._clock = StateReader(), SteadyClock()
         self._ending = self._failing = False
         self._clock_follows = True
-        self._last_angle, self._last_stamp = 0.0, rospy.Time()
+        self._last_angle, self._order = 0.0, StampOrder()
         self._message = AckermannDriveStamped()
 
         self._advertise()
@@ -279,16 +277,9 @@ class ControllerNode:
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
-        stamp, last = header.stamp, self._last_stamp
-        if stamp < last and (last - stamp).to_sec() < LONGEST_OVERTAKEN_S:
-            # A stop without poses was stamped when it was sent, later than the pose that came then:
-            # without order nobody knows by the stamps which command is in force.
-            stamp = last + rospy.Duration(0, 1)
-            header = Header(stamp=stamp, frame_id=header.frame_id)
-        self._last_stamp = stamp
         # One message for all commands: creating one takes as long as a control step.
         command = self._message
-        command.header = header
+        command.header = self._order.ordered(header)
         command.drive.steering_angle = steering_angle
         command.drive.speed = speed
         self._drive.publish(command)
@@ -319,8 +310,10 @@ class ControllerNode:
         learned = self._controller.adaptation
         if learned is not None and self._belief.get_num_connections():
             self._belief.publish(header=header, **learned.belief._asdict())
-        if not self._guidance.get_num_connections() or result.status in _UNGUIDED:
-            return
+        if self._guidance.get_num_connections() and result.status not in _UNGUIDED:
+            self._publish_guidance(header, result, decision)
+
+    def _publish_guidance(self, header, result, decision):
         guided = result.state
         self._guidance.publish(
             header=header,
@@ -366,7 +359,7 @@ class ControllerNode:
 
     def _follow(self, raceline):
         sectors = load_speed_sectors(self._sectors, raceline) if self._sectors else None
-        # What is costly about a first search is done here, not in the first control step.
+        # The first search is slow: do it here, not in the first control step.
         raceline.project(0.0, 0.0)
         with self._driver.changing:
             setup = self._controller.prepare(raceline=raceline, sectors=sectors)
@@ -427,11 +420,20 @@ class ControllerNode:
     # -- requests ----------------------------------------------------------------------------
 
     def _on_stop_topic(self, message):
+        # Several nodes may watch over the car: none withdraws the stop of another.
+        sender = message._connection_header["callerid"]
         with self._lock:
             if message.data:
-                self._supervisor.request_stop("topic")
-            else:
-                self._supervisor.withdraw("topic")
+                self._supervisor.request_stop(sender)
+                return
+            self._supervisor.withdraw(sender)
+            others = sorted(self._supervisor.requests)
+        if others:
+            rospy.logwarn_throttle(
+                10.0,
+                f"stop_driving: false from {sender}, but {' and '.join(others)} asked for the "
+                "stop: it stays until false comes from there, or ~resume",
+            )
 
     def _on_stop(self, _):
         with self._lock:

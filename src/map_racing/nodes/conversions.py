@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from std_msgs.msg import Header
 
 __all__ = [
+    "StampOrder",
     "StateReader",
     "frame",
     "heading",
@@ -29,6 +30,9 @@ __all__ = [
     "stamp_ns",
     "to_time",
 ]
+
+# A pose whose stamp is before the last command's by more than this [s] shows a clock that was set.
+LONGEST_OVERTAKEN_S = 1.0
 
 
 def stamp_ns(header: Header, received_ns: int) -> int:
@@ -76,6 +80,26 @@ def set_plane_pose(pose: Pose, x: float, y: float, psi: float) -> None:
     pose.position.x, pose.position.y, pose.position.z = x, y, 0.0
     q = pose.orientation
     q.x, q.y, q.z, q.w = 0.0, 0.0, math.sin(0.5 * psi), math.cos(0.5 * psi)
+
+
+class StampOrder:
+    """Stamps of commands in the order in which they are sent.
+
+    A stop without poses is stamped when it is sent, later than a late pose that then comes: without
+    order nobody knows by the stamps which command is in force.
+    """
+
+    def __init__(self):
+        self._last = genpy.Time()
+
+    def ordered(self, header: Header) -> Header:
+        """The header, or one like it that is stamped after the last; the next command has it."""
+        stamp, last = header.stamp, self._last
+        if stamp < last and (last - stamp).to_sec() < LONGEST_OVERTAKEN_S:
+            stamp = last + genpy.Duration(0, 1)
+            header = type(header)(stamp=stamp, frame_id=header.frame_id)
+        self._last = stamp
+        return header
 
 
 class StateReader:

@@ -15,6 +15,7 @@ from map_racing.msg import Belief, LapResult
 
 from ..bags.messages import BELIEF_FIELDS
 from ..bags.samples import child_warning
+from ..bags.series import FrameChoice
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
@@ -25,7 +26,7 @@ from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline
 from .conversions import frame, heading, stamp_ns, to_time
 from .markers import delete_all, lap_text_place, make_marker
-from .node import SENDER_GONE_S, FirstSender, get_parameter, run, why_silent
+from .node import FirstSender, get_parameter, run, why_silent
 from .waypoints import RacelineSubscriber
 
 __all__ = ["LapEvaluatorNode", "main"]
@@ -33,9 +34,9 @@ __all__ = ["LapEvaluatorNode", "main"]
 _STOP = object()
 _SILENCE_S = 5.0  # warn after this time without poses
 _SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
-# A shutdown looks so many times for another message in vain, and how long it rests before each look
-# [s]: a time would also pass while a busy computer does not let this process read. But it waits no
-# longer than this [s].
+# A shutdown ends after this many looks without a new message, with this pause before each [s], and
+# after this time in any case [s]. Looks are counted, because time also passes while a busy computer
+# does not let this process read.
 _LOOKS, _REST_S, _LAST_MESSAGES_S = 15, 0.02, 6.0
 _NAN = math.nan
 LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
@@ -73,7 +74,7 @@ class LapEvaluatorNode:
                 raise ParameterError(f"~{name}: expected more than 0, got {value}")
 
         self._queue, self._arrived = queue.SimpleQueue(), -math.inf
-        self._frame, self._heard = "map", -math.inf
+        self._frames, self._frame = FrameChoice(), "map"
         self._best, self._counted = _NAN, 0
         self._laps = LiveEvaluation(
             load_raceline(source) if source else None,
@@ -213,23 +214,25 @@ class LapEvaluatorNode:
         stamp = stamp_ns(header, received_ns)
         if not stamp:  # before the first time on /clock, and without a stamp
             return
-        if not self._in_frame(frame(header.frame_id) or "map", received):
+        if not self._in_frame(frame(header.frame_id) or "map", stamp):
             return
         if self._laps.raceline is None:
             rospy.logwarn_throttle(10.0, "poses wait for a raceline")
         psi = heading(pose.orientation)
         self._laps.add_pose(stamp, at.x, at.y, *velocity, received, received_ns - stamp, psi)
 
-    def _in_frame(self, name, received):
-        """Whether a pose is in the first frame; another counts once the first is gone."""
-        topic = self._pose_topic[0]
+    def _in_frame(self, name, stamp):
+        """Whether a pose is in the frame that counts; where that is a new one, a run begins."""
+        topic, before = self._pose_topic[0], self._frames.frame
         doubt = frame_warning(topic, name)
-        counts = name == self._frame or received - self._heard > SENDER_GONE_S
-        if counts:
-            self._frame, self._heard = name, received
-        else:
-            doubt = f"{topic}: messages in another frame, {name}, left out: only the first, "
-            doubt += f"{self._frame}, counts"
+        counts, only = self._frames.counts(name, stamp), self._frames.frame
+        if not counts:
+            doubt = f"{topic}: messages in another frame, {name}, left out: only {only} counts"
+        elif before not in (None, only):
+            self._laps.finish()
+            doubt = f"{topic}: messages in frame {before} left out: {before} fell silent, and "
+            doubt += f"{only} took its place"
+        self._frame = only
         if doubt:
             rospy.logwarn_throttle(30.0, doubt)
             self._laps.doubt(doubt)

@@ -12,7 +12,7 @@ from ..resources import config_directory
 
 __all__ = ["check_launch_arguments"]
 
-# What the shipped files pass all their arguments on to.
+# The shipped launch files pass all their arguments on to this one.
 _PASSED_ON = "include/nodes.launch"
 
 
@@ -39,7 +39,7 @@ def check_launch_arguments(words: list[str] | None = None) -> None:
     words = [word for word in words[programs[0] + 1 :] if not word.startswith("-")]
     given = [word.partition(":=")[0] for word in words if ":=" in word]
     folder = config_directory().parent / "launch"
-    # Anywhere between and beside them may stand the values of options, as in -p 11312.
+    # Values of options, as in -p 11312, may stand anywhere between them.
     after = words[words.index("map_racing") :] if "map_racing" in words else []
     file = next((word for word in after if (folder / word).is_file()), None)
     if file is None:

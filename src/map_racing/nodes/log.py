@@ -1,4 +1,4 @@
-"""The log of a node, written beside it: no reader of the log can hold up the node, or fail it.
+"""The log of a node, written in threads of its own: no reader of the log can delay or end the node.
 
 Lines are written under the lock of a control step. A terminal that is paused, a pipe that nobody
 reads, and a disk that hangs would stop the commands with them; a pipe that is closed raises.
@@ -16,7 +16,7 @@ from rospy.impl.rosout import RosOutHandler
 
 __all__ = ["write_beside"]
 
-# So many records wait for a slow reader; what comes then is lost.
+# At most this many records wait for a slow reader; later ones are lost.
 MOST_WAITING = 1000
 # The end of the program waits this long [s] for the last lines.
 LAST_LINES_S = 1.0
@@ -50,7 +50,7 @@ class _Beside(logging.Handler):
 
 
 def write_beside() -> None:
-    """Have all handlers of the log write in threads of their own, but for ``/rosout``."""
+    """Have all handlers of the log write in threads of their own, except ``/rosout``."""
     others = logging.root.manager.loggerDict.values()
     for logger in [logging.root, *(o for o in others if isinstance(o, logging.Logger))]:
         for handler in list(logger.handlers):

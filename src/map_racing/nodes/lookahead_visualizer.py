@@ -64,8 +64,8 @@ class LookaheadVisualizer:
 
     def __init__(self):
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "shipped name or file: its size"))
-        self._base = get_parameter("base_frame", "base_link", "frame of the rear axle")
-        self._map = get_parameter("map_frame", "map", "frame of the raceline")
+        self._base = plain_frame(get_parameter("base_frame", "base_link", "frame of the rear axle"))
+        self._map = plain_frame(get_parameter("map_frame", "map", "frame of the raceline"))
         pose = get_parameter("pose_source", "odom", "odom or pose, drawn without guidance")
         rate = get_parameter("rate", 20.0, "highest rate of markers [Hz]")
         trail = get_parameter("trail_length", 15.0, "length of the driven trail [m]")
@@ -119,10 +119,10 @@ class LookaheadVisualizer:
         if not self._is_due(stamp, guidance.x, guidance.y, guidance.d):
             return
         frame = guidance.header.frame_id
+        point = _lookahead_point(guidance, frame)
         if self._point.get_num_connections():
-            self._point.publish(_lookahead_point(guidance, frame))
+            self._point.publish(point)
         if self._markers.get_num_connections():
-            point = _lookahead_point(guidance, frame)
             self._draw([point, *self._drawn(guidance, frame)], stamp, frame)
 
     def _receive_belief(self, belief):

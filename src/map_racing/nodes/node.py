@@ -23,7 +23,6 @@ from .launched import check_launch_arguments
 from .log import write_beside
 
 __all__ = [
-    "SENDER_GONE_S",
     "FirstSender",
     "SteadyClock",
     "get_parameter",
@@ -42,12 +41,12 @@ MASTER_PERIOD_S = 10.0
 # Simulated time must run after this time [s].
 CLOCK_S = 5.0
 Value = TypeVar("Value", bool, int, float, str, list)
-# Types of messages with a pose, of which a node takes one.
+# A node takes its pose from one of these types.
 _POSES = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped")
-# A line of the log names so many topics.
+# Most topics in one line of the log.
 _MOST_TOPICS = 12
-SENDER_GONE_S = 1.0
-"""A node that has published nothing for this long [s] is gone."""
+# A node that has published nothing for this long [s] is gone.
+_SENDER_GONE_S = 1.0
 
 
 def get_parameter(name: str, default: Value, meaning: str) -> Value:
@@ -189,9 +188,9 @@ def _watch_master():
 
 
 def _watch_clock():
-    """Log that simulated time, which all nodes are told to use, does not run.
+    """Log that there is no simulated time, although ``/use_sim_time`` is true.
 
-    Without it timers stand still and each stamp is 0: a node would wait without a word.
+    Then timers stand still and each stamp is 0: a node would wait without saying why.
     """
     wait = CLOCK_S
     while not rospy.rostime.is_wallclock() and sleep(wait) and rospy.Time.now().is_zero():
@@ -204,7 +203,7 @@ def _watch_clock():
 
 
 def why_silent(topic: str, kind: str) -> str:
-    """Why no messages come on a topic, as far as the master knows, and where there are some.
+    """Why no messages come on a topic, by what the master knows, and which topics have some.
 
     Parameters
     ----------
@@ -304,7 +303,7 @@ class FirstSender:
         """Whether a message comes from the node that counts."""
         sender, now = message._connection_header["callerid"], time.monotonic()
         if sender != self._sender:
-            if now - self._heard < SENDER_GONE_S:
+            if now - self._heard < _SENDER_GONE_S:
                 text = f"{self._topic}: {sender} publishes it, too; only {self._sender} counts"
                 rospy.logerr_throttle(10.0, text)
                 self._on_other(text)

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
 import threading
 
 import rospy
 import yaml
 
+from ..errors import MapRacingError
 from ..files import read_yaml_mapping, replacing
 from ..resources import config_directory
 from ..track.raceline import Raceline
@@ -96,6 +98,8 @@ class _Opener:
     def _open(self):
         if rospy.is_shutdown():
             return
+        if shutil.which("rviz") is None:
+            raise MapRacingError("there is no rviz here: sudo apt install ros-noetic-rviz")
         rospy.signal_shutdown("RViz takes over")
         os.execvp("rviz", ["rviz", "-d", str(self.path), *sys.argv[1:]])
 

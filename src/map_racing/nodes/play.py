@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     ----------
     arguments : list of str, optional
         ``--await=NODE:TOPIC`` names a subscriber to wait for, and may be repeated; all others go to
-        ``rosbag play``.
+        ``rosbag play``. What begins with no dash is a bag: options have their values behind ``=``.
 
     Returns
     -------

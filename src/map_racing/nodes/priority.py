@@ -57,7 +57,7 @@ def take_priority(priority: int) -> str:
         for thread in os.listdir(THREADS):
             with suppress(ProcessLookupError):  # it has ended
                 os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
-    except (OSError, AttributeError) as error:  # the latter but on Linux
+    except (OSError, AttributeError) as error:  # AttributeError: not on Linux
         return getattr(error, "strerror", None) or "not on this system"
     return ""
 

@@ -60,6 +60,8 @@ class SimulatorNode:
         self._base = frame(get_parameter("base_frame", "base_link", "frame of the rear axle"))
         if not (math.isfinite(self._clock_rate) and self._clock_rate >= 0.0):
             raise ParameterError(f"~clock_rate: expected 0 or more, got {self._clock_rate}")
+        if not math.isfinite(start_s):
+            raise ParameterError(f"~start_s: expected a finite number, got {start_s}")
         if self._lockstep and not self._clock_rate:
             raise ParameterError("~lockstep: expected a ~clock_rate, got 0: real time cannot wait")
 

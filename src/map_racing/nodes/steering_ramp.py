@@ -25,14 +25,14 @@ from ..control.steering_ramp import (
 from ..control.supervised import build_supervisor
 from ..errors import ParameterError
 from ..vehicle.parameters import load_vehicle
-from .conversions import frame, plane_pose, stamp_ns
+from .conversions import StampOrder, frame, plane_pose, stamp_ns
 from .node import FirstSender, SteadyClock, get_parameter, overridden, run, sleep, trace
 from .priority import urgent
 from .watchdog import Watchdog
 
 __all__ = ["SteeringRampNode", "main"]
 
-# What the supervisor may say while nothing is wrong.
+# Reasons of the supervisor while nothing is wrong.
 READY = (Reason.NONE, Reason.STOP_REQUESTED)
 LOOK_S = 0.05
 QUIET_S = 1.0
@@ -46,33 +46,8 @@ class SteeringRampNode:
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "its lock, speed and grip"))
         self._parameters = overridden(RampParameters.of(vehicle))
         self._parameters.check_vehicle(vehicle)
-        self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
-        box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
-        self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
-        self._button = get_parameter("button", 5, "index of that button in the joystick's message")
-        self._patience = get_parameter(
-            "dead_man_timeout", 0.5, "time for which one message counts as holding it [s]"
-        )
-        if not 0.0 < self._radius < math.inf:
-            raise ParameterError(f"~radius: expected a positive number, got {self._radius}")
-        if self._button < 0:
-            raise ParameterError(f"~button: expected 0 or more, got {self._button}")
-        if not 0.0 < self._patience < math.inf:
-            raise ParameterError(
-                f"~dead_man_timeout: expected a positive number, got {self._patience}"
-            )
-        if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
-            raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
-        area = Box(*map(float, box)) if box else None
-        self._ramp = SteeringRamp(self._parameters, area) if area else None
-        room = (area or Circle(0.0, 0.0, self._radius)).room
-        text, fits = told_room(self._parameters, vehicle, room)
-        (rospy.loginfo if fits else rospy.logwarn)("%s", text)
-        if not self._dead_man:
-            rospy.logwarn(
-                "driving without a dead-man button: only the area and Ctrl-C stop the car"
-            )
-
+        self._read_area(vehicle)
+        self._read_dead_man()
         map_controller = load_controller_parameters("map", vehicle).with_(
             v_max_mps=self._parameters.speed_mps
         )
@@ -84,7 +59,7 @@ class SteeringRampNode:
         self._lock, self._clock = threading.RLock(), SteadyClock()
         self._held_until = -math.inf
         self._frame = self._phase = self._reason = None
-        self._angle = 0.0
+        self._angle, self._order = 0.0, StampOrder()
         self._ended = False
         self._sender = FirstSender(rospy.resolve_name("odom"))
         self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=10)
@@ -94,6 +69,38 @@ class SteeringRampNode:
             rospy.Subscriber("enable", Bool, self._on_enable, queue_size=1)
         rospy.Subscriber("odom", Odometry, self._on_odometry, queue_size=1, tcp_nodelay=True)
         self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)
+
+    def _read_area(self, vehicle):
+        """Where the car may drive, and whether the maneuver fits in."""
+        self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
+        box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
+        if not 0.0 < self._radius < math.inf:
+            raise ParameterError(f"~radius: expected a positive number, got {self._radius}")
+        if box and not (len(box) == 4 and all(isinstance(v, (int, float)) for v in box)):
+            raise ParameterError(f"~box: expected x_min, x_max, y_min, y_max, got {box}")
+        area = Box(*map(float, box)) if box else None
+        self._ramp = SteeringRamp(self._parameters, area) if area else None
+        room = (area or Circle(0.0, 0.0, self._radius)).room
+        text, fits = told_room(self._parameters, vehicle, room)
+        (rospy.loginfo if fits else rospy.logwarn)("%s", text)
+
+    def _read_dead_man(self):
+        """Which button must be held."""
+        self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
+        self._button = get_parameter("button", 5, "index of that button in the joystick's message")
+        self._patience = get_parameter(
+            "dead_man_timeout", 0.5, "time for which one message counts as holding it [s]"
+        )
+        if self._button < 0:
+            raise ParameterError(f"~button: expected 0 or more, got {self._button}")
+        if not 0.0 < self._patience < math.inf:
+            raise ParameterError(
+                f"~dead_man_timeout: expected a positive number, got {self._patience}"
+            )
+        if not self._dead_man:
+            rospy.logwarn(
+                "driving without a dead-man button: only the area and Ctrl-C stop the car"
+            )
 
     def run(self):
         """Wait until the maneuver is done."""
@@ -198,7 +205,7 @@ class SteeringRampNode:
 
     def _send(self, header, steering_angle, speed):
         self._angle = steering_angle
-        command = AckermannDriveStamped(header=header)
+        command = AckermannDriveStamped(header=self._order.ordered(header))
         command.drive.steering_angle, command.drive.speed = steering_angle, speed
         self._drive.publish(command)
 

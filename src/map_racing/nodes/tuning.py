@@ -41,7 +41,7 @@ class _Server(Server):
 def _check_ranges(changes):
     for name, value in changes.items():
         low, high = ControllerConfig.min.get(name), ControllerConfig.max.get(name)
-        if isinstance(value, float) and not low <= value <= high:  # nor is NaN
+        if isinstance(value, float) and not low <= value <= high:  # NaN is refused, too
             raise ParameterError(f"{name}: expected {low:g} to {high:g}, got {value:g}")
 
 

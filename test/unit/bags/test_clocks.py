@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from map_racing.bags import encoding
 from map_racing.bags import messages as msg
 from map_racing.bags.bag import Connection, Message
 from map_racing.bags.clocks import lag_of_effect
@@ -13,6 +14,8 @@ from map_racing.bags.series import Series, commands_of_two
 from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError
+from map_racing.evaluation.doubts import doubts_of
+from map_racing.evaluation.pose_doubts import to_and_fro
 
 T0 = 1600000000.0
 COUNT = 200
@@ -67,9 +70,9 @@ def test_commands_of_two_nodes(gone):
     series = Series(msg.decode_drive, connections=connections)
     for i in range(COUNT):
         if not (gone and i >= 40):
-            data = msg.encode_drive(i, 10**10 + 10**8 * i, "", 0.0, 4.0, 0.0, 0.0, 0.0)
+            data = encoding.encode_drive(i, 10**10 + 10**8 * i, "", 0.0, 4.0, 0.0, 0.0, 0.0)
             series.add(Message(0, 10**10 + 10**8 * i, data))
-        data = msg.encode_drive(i, 10**10 + 10**8 * i + 1, "", 0.0, 0.0, 0.0, 0.0, 0.0)
+        data = encoding.encode_drive(i, 10**10 + 10**8 * i + 1, "", 0.0, 0.0, 0.0, 0.0, 0.0)
         series.add(Message(1, 10**10 + 10**8 * i + 1, data))
     notes = []
     _, (_, speed) = series.columns(notes, DRIVE_TOPIC)
@@ -351,3 +354,52 @@ def test_a_lag_of_steady_waves_is_told_by_the_side_to_which_the_car_turns():
         assert lag == (told if told is None else pytest.approx(told, abs=0.03))
     # Commands once a second are those of the second after.
     assert lag_of_effect(at[::50] + 1.0, steering[::50], at, 3.0 * steering) is None
+
+
+def drive_with_clocks(path, recorder, car, merged):
+    """Drive a circle of 6 m at 4.8 m/s for 30 s; clocks are functions of time."""
+    events = []
+    for i in range(1500):
+        t = 0.02 * i
+        events.append((recorder(t + 0.004), t, car(t)))
+    events.sort(key=lambda event: event[0] if merged else event[1])
+    with BagWriter(path) as bag:
+        for received, t, stamp in events:
+            x, y = 6.0 * math.cos(0.8 * t), 6.0 * math.sin(0.8 * t)
+            psi = 0.8 * t + 0.5 * math.pi
+            bag.odometry(T0 + stamp, x, y, psi, 4.8, 0, 0.8, received=T0 + received)
+    return read_recording(path)
+
+
+def set_back(by):
+    return lambda t: t if t < 16.0 else t - by
+
+
+@pytest.mark.parametrize("by", [0.05, 1.5, 3.0])
+@pytest.mark.parametrize("merged", [False, True])
+def test_receipts_that_were_set_back_while_the_stamps_go_on(tmp_path, by, merged):
+    recording = drive_with_clocks(tmp_path / "run.bag", set_back(by), lambda t: t, merged)
+    np.testing.assert_allclose(recording.t, 0.02 * np.arange(1500), atol=1e-6)
+    assert np.max(np.hypot(np.diff(recording.x), np.diff(recording.y))) < 0.1
+    said = any("but the poses are one way in their order" in note for note in recording.notes)
+    assert said == (merged and by >= 1.0)
+
+
+@pytest.mark.parametrize(
+    ("by", "said"), [(0.07, "to and fro"), (0.4, "poses have the stamp of another up to 1.9 m")]
+)
+def test_both_clocks_set_back_and_the_recording_sorted_by_them(tmp_path, by, said):
+    recording = drive_with_clocks(tmp_path / "run.bag", set_back(by), set_back(by), True)
+    doubts = [*recording.notes, *doubts_of(recording, [(0.0, 30.0)])]
+    assert any(said in doubt for doubt in doubts)
+
+
+def test_the_way_of_a_car_that_is_corrected_is_not_to_and_fro():
+    rng, t = np.random.default_rng(1), 0.02 * np.arange(1500)
+    for noise in (0.0, 0.01, 0.05):
+        x, y = (6.0 * f(0.8 * t) + noise * rng.normal(size=t.size) for f in (np.cos, np.sin))
+        assert to_and_fro("", t, x, y) == ""
+        x[700:] -= 0.3 * np.gradient(x)[700] / 0.096
+        y[700:] -= 0.3 * np.gradient(y)[700] / 0.096
+        assert to_and_fro("", t, x, y) == ""
+        assert to_and_fro("", t, 0.01 * x, 0.01 * y) == ""

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from map_racing.bags import encoding
 from map_racing.bags import messages as msg
 
 STAMP = 1600000000123456789
@@ -41,7 +42,7 @@ def test_md5_sums_are_those_of_the_definitions(types, name):
 @given(FINITE, FINITE, ANGLE, FINITE, FINITE, FINITE, st.text(max_size=8))
 @settings(deadline=None)
 def test_odometry_round_trip(x, y, psi, v_x, v_y, yaw_rate, frame):
-    data = msg.encode_odometry(7, STAMP, frame, "base_link", x, y, psi, v_x, v_y, yaw_rate)
+    data = encoding.encode_odometry(7, STAMP, frame, "base_link", x, y, psi, v_x, v_y, yaw_rate)
     stamp, x_2, y_2, psi_2, length, *twist = one(msg.decode_odometry, data)
     assert (stamp, x_2, y_2, twist) == (STAMP, x, y, [v_x, v_y, yaw_rate])
     assert length == pytest.approx(1.0)
@@ -52,7 +53,7 @@ def test_odometry_round_trip(x, y, psi, v_x, v_y, yaw_rate, frame):
 @settings(deadline=None)
 def test_pose_round_trip(x, y, psi):
     stamp, x_2, y_2, psi_2, _, *twist = one(
-        msg.decode_pose, msg.encode_pose(0, STAMP, "map", x, y, psi)
+        msg.decode_pose, encoding.encode_pose(0, STAMP, "map", x, y, psi)
     )
     assert (stamp, x_2, y_2) == (STAMP, x, y)
     assert math.cos(psi_2 - psi) == pytest.approx(1.0, abs=1e-12)
@@ -60,7 +61,9 @@ def test_pose_round_trip(x, y, psi):
 
 
 def test_odometry_as_a_general_deserializer_reads_it(types):
-    data = msg.encode_odometry(7, STAMP, "map", "base_link", 1.0, 2.0, math.pi / 2, 3.0, 4.0, 5.0)
+    data = encoding.encode_odometry(
+        7, STAMP, "map", "base_link", 1.0, 2.0, math.pi / 2, 3.0, 4.0, 5.0
+    )
     odometry = types.deserialize_ros1(data, ros(msg.ODOMETRY))
     assert odometry.header.seq == 7
     assert (odometry.header.stamp.sec, odometry.header.stamp.nanosec) == (1600000000, 123456789)
@@ -101,20 +104,22 @@ def test_odometry_of_a_general_serializer_is_decoded(types):
 
 
 def test_imu_drive_and_waypoints_as_a_general_deserializer_reads_them(types):
-    imu = types.deserialize_ros1(msg.encode_imu(0, STAMP, "imu", 1.0, 2.0, 9.81, 0.5), ros(msg.IMU))
+    imu = types.deserialize_ros1(
+        encoding.encode_imu(0, STAMP, "imu", 1.0, 2.0, 9.81, 0.5), ros(msg.IMU)
+    )
     acceleration = imu.linear_acceleration
     assert (acceleration.x, acceleration.y, acceleration.z) == (1.0, 2.0, 9.81)
     assert imu.angular_velocity.z == 0.5
     assert imu.orientation_covariance[0] == -1.0
 
-    data = msg.encode_drive(0, STAMP, "base_link", 0.25, 4.0, 1.0, 2.0, 3.0)
+    data = encoding.encode_drive(0, STAMP, "base_link", 0.25, 4.0, 1.0, 2.0, 3.0)
     drive = types.deserialize_ros1(data, ros(msg.ACKERMANN)).drive
     assert (drive.steering_angle, drive.steering_angle_velocity, drive.speed) == (0.25, 1.0, 4.0)
     assert (drive.acceleration, drive.jerk) == (2.0, 3.0)
     assert one(msg.decode_drive, data) == (STAMP, 0.25, 4.0)
 
     rows = [[float(10 * i + j) for j in range(10)] for i in range(3)]
-    data = msg.encode_waypoints(0, STAMP, "map", rows)
+    data = encoding.encode_waypoints(0, STAMP, "map", rows)
     waypoints = types.deserialize_ros1(data, ros(msg.WAYPOINTS)).wpnts
     assert [waypoint.id for waypoint in waypoints] == [0, 1, 2]
     last = waypoints[2]
@@ -128,7 +133,7 @@ def test_imu_drive_and_waypoints_as_a_general_deserializer_reads_them(types):
 
 
 def test_transform_round_trip():
-    data = msg.encode_transform(0, STAMP, "/map", "base_link", 1.0, 2.0, 0.5)
+    data = encoding.encode_transform(0, STAMP, "/map", "base_link", 1.0, 2.0, 0.5)
     (transform,) = msg.decode_transforms(data)
     assert transform[:5] == (STAMP, "map", "base_link", 1.0, 2.0)
     assert transform.psi == pytest.approx(0.5)
@@ -138,7 +143,9 @@ def test_messages_of_different_layouts_keep_their_places():
     frames = ["map", "a", "world", "map", ""] * 3
     children = ["base_link", "b", "bb", "", "base_link"] * 3
     batch = [
-        msg.encode_odometry(i, STAMP + i, frame, child, i, 10.0 + i, 0.1 * i, 20.0 + i, 0.0, 0.0)
+        encoding.encode_odometry(
+            i, STAMP + i, frame, child, i, 10.0 + i, 0.1 * i, 20.0 + i, 0.0, 0.0
+        )
         for i, (frame, child) in enumerate(zip(frames, children))
     ]
     stamps, values, good = msg.decode_odometry(batch)
@@ -156,9 +163,11 @@ def test_messages_of_different_layouts_keep_their_places():
 @settings(deadline=None)
 def test_what_is_not_of_the_type_is_told(decode, batch):
     good_one = {
-        msg.decode_odometry: msg.encode_odometry(0, STAMP, "map", "base_link", 1, 2, 0, 3, 0, 0),
-        msg.decode_pose: msg.encode_pose(0, STAMP, "map", 1.0, 2.0, 0.0),
-        msg.decode_drive: msg.encode_drive(0, STAMP, "base_link", 1.0, 2.0, 0.0, 0.0, 0.0),
+        msg.decode_odometry: encoding.encode_odometry(
+            0, STAMP, "map", "base_link", 1, 2, 0, 3, 0, 0
+        ),
+        msg.decode_pose: encoding.encode_pose(0, STAMP, "map", 1.0, 2.0, 0.0),
+        msg.decode_drive: encoding.encode_drive(0, STAMP, "base_link", 1.0, 2.0, 0.0, 0.0, 0.0),
     }[decode]
     batch = [*batch, good_one[:-1], good_one, good_one[:20], b""]
     stamps, values, good = decode(batch)
@@ -171,7 +180,7 @@ def test_what_is_not_of_the_type_is_told(decode, batch):
 @given(FINITE, FINITE, FINITE, FINITE, st.text(max_size=8))
 @settings(deadline=None)
 def test_imu_round_trip(a_x, a_y, a_z, yaw_rate, frame):
-    data = msg.encode_imu(3, STAMP, frame, a_x, a_y, a_z, yaw_rate)
+    data = encoding.encode_imu(3, STAMP, frame, a_x, a_y, a_z, yaw_rate)
     assert one(msg.decode_imu, data) == (STAMP, yaw_rate, a_x, a_y, a_z)
 
 
@@ -186,7 +195,7 @@ def test_float64_has_a_value_and_no_stamp():
 @settings(deadline=None)
 @given(ANGLE, st.floats(0.2, 20.0))
 def test_the_length_of_a_quaternion_does_not_turn_the_car(psi, length):
-    data = bytearray(msg.encode_pose(0, STAMP, "map", 1.0, 2.0, psi))
+    data = bytearray(encoding.encode_pose(0, STAMP, "map", 1.0, 2.0, psi))
     z, w = length * math.sin(0.5 * psi), length * math.cos(0.5 * psi)
     data[-16:] = struct.pack("<2d", z, w)
     _, _, _, found, measured, *_ = one(msg.decode_pose, bytes(data))
@@ -195,5 +204,5 @@ def test_the_length_of_a_quaternion_does_not_turn_the_car(psi, length):
 
 
 def test_a_quaternion_of_zeros_is_no_heading():
-    data = msg.encode_pose(0, STAMP, "map", 1.0, 2.0, 0.5)[:-16] + bytes(16)
+    data = encoding.encode_pose(0, STAMP, "map", 1.0, 2.0, 0.5)[:-16] + bytes(16)
     assert math.isnan(one(msg.decode_pose, data)[3])

@@ -9,6 +9,7 @@ from moments import T0, TIMES, write
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from map_racing.bags import encoding
 from map_racing.bags import messages as msg
 from map_racing.bags.reader import read_recording
 from map_racing.bags.topics import DRIVE_TOPIC
@@ -91,7 +92,7 @@ def write_raw(path, kind, messages, publishers=1, pause=0.0):
 
 def test_pose_with_covariance_is_a_pose(tmp_path):
     messages = [
-        msg.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) + struct.pack("<36d", *range(36))
+        encoding.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) + struct.pack("<36d", *range(36))
         for i, t in enumerate(TIMES)
     ]
     recording = read_recording(write_raw(tmp_path / "a.bag", msg.POSE_COVARIANCE, messages))
@@ -104,7 +105,9 @@ def test_pose_with_covariance_is_a_pose(tmp_path):
 @pytest.mark.parametrize(("pause", "count"), [(2.0, len(TIMES)), (0.0, 17)])
 def test_a_second_sender_takes_over_when_the_first_is_gone(tmp_path, pause, count):
     """A node that was started again is another connection; one that sends meanwhile is another."""
-    messages = [msg.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) for i, t in enumerate(TIMES)]
+    messages = [
+        encoding.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) for i, t in enumerate(TIMES)
+    ]
     path = write_raw(tmp_path / "a.bag", msg.POSE, messages, publishers=3, pause=pause)
     recording = read_recording(path)
     np.testing.assert_array_equal(recording.x, np.arange(count))
@@ -263,7 +266,12 @@ def test_empty_waypoint_arrays_are_passed_over(tmp_path, track):
     with BagWriter(path) as bag:
         for i, rows in enumerate(([], [[0.0] * 10])):
             bag._write(
-                "/global_waypoints", msg.WAYPOINTS, T0 + i, None, msg.encode_waypoints, ("", rows)
+                "/global_waypoints",
+                msg.WAYPOINTS,
+                T0 + i,
+                None,
+                encoding.encode_waypoints,
+                ("", rows),
             )
             if i == 0:
                 bag.waypoints(T0 + 0.5, waypoint_rows(track.raceline()))
@@ -276,7 +284,9 @@ def test_unusable_waypoints_do_not_hide_the_driving(tmp_path):
         if i == 0:
             rows = [[0.0] * 10, [1.0] * 10]
             values = ("", rows)
-            bag._write("/global_waypoints", msg.WAYPOINTS, t, None, msg.encode_waypoints, values)
+            bag._write(
+                "/global_waypoints", msg.WAYPOINTS, t, None, encoding.encode_waypoints, values
+            )
 
     recording = read_recording(write(tmp_path / "a.bag", fill))
     with pytest.raises(RacelineError, match="a.bag: /global_waypoints"):
@@ -366,7 +376,7 @@ def test_heading_of_waypoints_is_compared_with_their_points(tmp_path, track):
     rows[:, 2], rows[:, 3], rows[:, 6] = x, y, psi - math.pi / 2
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
-        bag._write("/w", msg.WAYPOINTS, T0, None, msg.encode_waypoints, ("", rows.tolist()))
+        bag._write("/w", msg.WAYPOINTS, T0, None, encoding.encode_waypoints, ("", rows.tolist()))
     findings = "; ".join(map(str, load_raceline(path).findings))
     assert "+y (north)" in findings
     assert "every speed is 0" in findings
@@ -469,7 +479,7 @@ def test_localizations_at_once_on_tf_are_said(tmp_path, spans, told):
                 if not begin <= i < end:
                     continue
                 at = int(t * 1e9) + 10**6 * k
-                data = msg.encode_transform(i, at, "map", "base_link", i + 0.5 * k, 0.0, 0.0)
+                data = encoding.encode_transform(i, at, "map", "base_link", i + 0.5 * k, 0.0, 0.0)
                 writer.write(line, at, data)
     said = [note for note in read_recording(tmp_path / "a.bag").notes if "at once" in note]
     expected = f"warning: /tf: map to base_link: sent by {told}"
@@ -562,3 +572,46 @@ def test_waypoints_in_another_frame_than_the_poses_are_doubted(
         note for note in notes if note.startswith("warning: /global_waypoints is in frame odom")
     ]
     assert bool(said) == doubted
+
+
+# -- frames of poses on one topic ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("frames", "counted", "frame", "said"),
+    [
+        (["odom", "map"], (2.0, 4.0), "map", "100 messages in frame odom left out"),
+        (["odom", "vesc"], (2.0, 4.0), "vesc", "100 messages in frame odom left out"),
+        (["map", "odom"], (0.0, 2.0), "map", "100 messages in another frame, odom, left out"),
+        (["map", "world"], (0.0, 2.0), "map", "100 messages in another frame, world, left out"),
+        (["odom", "map", "odom"], (2.0, 4.0), "map", "100 messages in frame odom left out"),
+        (["", "map", "/map"], (0.0, 6.0), "map", ""),
+    ],
+)
+def test_frames_that_follow_each_other_on_a_topic(tmp_path, frames, counted, frame, said):
+    """The one nearest to the map counts once the one before is gone, for 1 s as of nodes."""
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(100 * len(frames)):
+            at = T0 + 0.02 * i + (1.1 if i >= 100 and said else 0.0)
+            own = frames[i // 100]
+            bag.odometry(at, 0.02 * i, 0, 0, 1, 0, 0, topic="/odom", frame=own, received=at)
+    recording = read_recording(tmp_path / "run.bag")
+    assert recording.frame == frame
+    assert recording.x[[0, -1]].tolist() == pytest.approx([counted[0], counted[1] - 0.02])
+    warnings = [note for note in recording.notes if note.startswith("warning")]
+    assert bool(warnings) == bool(said)
+    assert any(said in warning for warning in warnings) or not said
+
+
+def test_odometry_that_was_localized_later_is_not_placed_twice(tmp_path):
+    """A topic in odom, beside its transform to the map, and later in the map itself."""
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(300):
+            at = T0 + 0.02 * i
+            bag.transform(at, 5.0, 0.0, 0.0, child="odom", received=at)
+            own = "odom" if i < 100 else "map"
+            bag.odometry(at, 0.02 * i, 0, 0, 1, 0, 0, topic="/odom", frame=own, received=at)
+    recording = read_recording(tmp_path / "run.bag")
+    assert recording.frame == "map" and recording.x[-1] == pytest.approx(5.98)
+    # It took a second to see that odom is gone.
+    assert recording.x[0] == pytest.approx(2.98, abs=0.03)

@@ -6,7 +6,7 @@ import pytest
 from map_racing.bags.reader import read_recording
 from map_racing.bags.records import BagFile
 from map_racing.bags.restamped import write_restamped
-from map_racing.bags.writer import BagWriter
+from map_racing.bags.writer import BagWriter, copy_bag
 from map_racing.errors import BagError
 from map_racing.evaluation.runs import evaluate
 from map_racing.track.files.waypoints import waypoint_rows
@@ -22,6 +22,7 @@ STAMPS = {
     "every tenth pose 0": (lambda t: 0 if t // 25000000 % 10 == 3 else t, lambda t: t),
     "command a year early": (lambda t: t, lambda t: t - 3 * 10**16),
     "command a second late": (lambda t: t, lambda t: t + 10**9),
+    "whole seconds at the start": (lambda t: t - (t < T0 + 3 * 10**9) * (t % 10**9), lambda t: t),
     "pose set ahead": (lambda t: t + (t > T0 + 3 * 10**9) * 5 * 10**9, lambda t: t),
     "pose set back": (lambda t: t - (t > T0 + 3 * 10**9) * 5 * 10**9, lambda t: t),
 }
@@ -61,6 +62,38 @@ def test_the_copy_evaluates_as_the_bag(tmp_path, track, stamps):
         assert [m.data[12:] for m in a.messages()] == [m.data[12:] for m in b.messages()]
     assert not any("stamp" in note for note in after.notes)
     assert not write_restamped(copy, tmp_path / "again.bag")
+
+
+def test_transforms_are_copied_as_they_are(tmp_path):
+    """They have no stamp where the other messages have theirs."""
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(400):
+            t = T0 + i * 25000000
+            bag.transform(t - t % 10**9, 0.1 * i, 0.0, 0.0, received=t)
+            bag.drive(0, 0.05, 4.0, received=t)
+    assert write_restamped(tmp_path / "run.bag", tmp_path / "copy.bag")
+    with BagFile(tmp_path / "run.bag") as a, BagFile(tmp_path / "copy.bag") as b:
+        transforms = [{m.data for m in bag.messages({0})} for bag in (a, b)]
+    assert transforms[0] == transforms[1] and len(transforms[0]) == 400
+
+
+def test_a_node_that_connected_twice_and_messages_of_a_lost_connection(tmp_path, track):
+    bag = bag_of(tmp_path / "run.bag", track, *STAMPS["pose 0"])
+
+    class Twice(BagFile):
+        """Each other pose is of a second connection of the same node, waypoints are of none."""
+
+        def messages(self, wanted=None):
+            self.connections[7] = self.connections[1]
+            for i, message in enumerate(super().messages()):
+                number = {0: 9, 1: (1, 7)[i % 2], 2: 2}[message.connection]
+                yield message._replace(connection=number)
+
+    with Twice(bag) as twice:
+        copy_bag(twice, tmp_path / "copy.bag", lambda place, message: message.data)
+    with BagFile(bag) as a, BagFile(tmp_path / "copy.bag") as b:
+        assert [m.data for m in a.messages({1, 2})] == [m.data for m in b.messages()]
+        assert len(b.connections) == 2
 
 
 def test_good_stamps_are_left_alone(tmp_path, race_bag):

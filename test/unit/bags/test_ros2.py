@@ -21,7 +21,7 @@ from ros2_bags import (
 )
 from rosbags import rosbag2
 
-from map_racing.bags import compression
+from map_racing.bags import compression, encoding
 from map_racing.bags import messages as msg
 from map_racing.bags.cdr import connection_of, layout_of_ros1
 from map_racing.bags.compression import decompress
@@ -130,12 +130,12 @@ def test_a_bag_of_ros_2_gives_the_same_laps(kind, made, expected, race_bag, tmp_
 NAMES = st.text(st.characters(min_codepoint=1, blacklist_categories=["Cs"]), max_size=12)
 NUMBERS = st.floats(-1e6, 1e6)
 ENCODED = {
-    msg.ODOMETRY: lambda name, other, v: msg.encode_odometry(0, T0_NS, name, other, *v[:6]),
-    msg.POSE: lambda name, other, v: msg.encode_pose(0, T0_NS, name, *v[:3]),
-    msg.ACKERMANN: lambda name, other, v: msg.encode_drive(0, T0_NS, name, *v[:5]),
-    msg.IMU: lambda name, other, v: msg.encode_imu(0, T0_NS, name, *v[:4]),
-    msg.TF: lambda name, other, v: msg.encode_transform(0, T0_NS, name, other, *v[:3]),
-    msg.WAYPOINTS: lambda name, other, v: msg.encode_waypoints(0, T0_NS, name, [v, v[::-1]]),
+    msg.ODOMETRY: lambda name, other, v: encoding.encode_odometry(0, T0_NS, name, other, *v[:6]),
+    msg.POSE: lambda name, other, v: encoding.encode_pose(0, T0_NS, name, *v[:3]),
+    msg.ACKERMANN: lambda name, other, v: encoding.encode_drive(0, T0_NS, name, *v[:5]),
+    msg.IMU: lambda name, other, v: encoding.encode_imu(0, T0_NS, name, *v[:4]),
+    msg.TF: lambda name, other, v: encoding.encode_transform(0, T0_NS, name, other, *v[:3]),
+    msg.WAYPOINTS: lambda name, other, v: encoding.encode_waypoints(0, T0_NS, name, [v, v[::-1]]),
 }
 TYPES = ros2_types()
 
@@ -219,6 +219,29 @@ def test_a_file_that_was_cut_off_gives_all_complete_messages(made, share, packed
     # Chunks hold a hundred messages; the first is the largest.
     assert len(messages) >= share * len(made) - 250
     assert read_recording(path).t.size > 0.2 * share * len(messages) - 1
+
+
+def test_a_file_that_was_cut_off_in_the_index_of_a_chunk_loses_no_messages(made, tmp_path):
+    """The index of the topic that is asked for may lie behind the cut."""
+    path = write_mcap(tmp_path / "run.mcap", made, per_chunk=2 * len(made), summary=False)
+    whole = path.read_bytes()
+    # Of each topic, and only of it, what is found in the whole file and where an index is cut.
+    with open_bag(path) as bag:
+        expected = {c.topic: len(list(bag.messages({n}))) for n, c in bag.connections.items()}
+    index = whole.index(b"\x07", len(write_mcap(path, made, index=False).read_bytes()) - 100)
+    for end in (index + 9, index + 100, (index + len(whole)) // 2, len(whole) - 80):
+        path.write_bytes(whole[:end])
+        with open_bag(path) as bag:
+            found = {c.topic: len(list(bag.messages({n}))) for n, c in bag.connections.items()}
+        assert found == expected
+
+
+def test_transforms_alone_are_no_doubt_about_what_was_read(tmp_path):
+    with BagWriter(tmp_path / "run.bag") as bag:
+        for i in range(400):
+            bag.transform(T0_NS + i * 25000000, 0.1 * i, 0.0, 0.0)
+    recording = read_recording(write_sqlite(tmp_path / "run", messages_of(tmp_path / "run.bag")))
+    assert recording.topic == "/tf" and not any("warning" in note for note in recording.notes)
 
 
 @pytest.fixture(scope="module")

@@ -161,6 +161,7 @@ def test_without_tuning_the_files_are_raced(shipped):
         (["--seeds", "1", "1"], "seeds: expected different seeds, got 1 twice"),
         (["--seeds", "-1"], "seeds: expected whole numbers from 0, got [-1]"),
         (["--conditions", "rain"], "nor one of the shipped experiments (full_scale, paper, "),
+        (["--conditions", "robustness"], "expected conditions of a track and its race days, such"),
         (["--track", "nowhere"], "nor one of the shipped tracks"),
         (["--plant", "nothing"], "nor one of the shipped plants"),
         (["--vehicle", "nobody"], "nor one of the shipped vehicles"),

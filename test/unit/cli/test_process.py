@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -37,6 +38,70 @@ def test_without_any_stream(bags, tmp_path):
     command = f'exec "{sys.executable}" -m map_racing evaluate "$0" --json "$1" <&- >&- 2>&-'
     subprocess.run(["sh", "-c", command, str(bags["map"]), str(report)], check=True)
     assert json.loads(report.read_text())["runs"][0]["summary"]["laps_completed"] == 2
+
+
+def unread():
+    """A pipe whose reader has ended."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    return writer
+
+
+@pytest.mark.parametrize(
+    ("words", "unbuffered"),
+    [("--help", ""), ("raceline --help", ""), ("evaluate BAG", ""), ("evaluate BAG", "1")],
+)
+def test_a_reader_that_ends_first_ends_it_silently(bags, words, unbuffered):
+    words = [str(bags["map"]) if word == "BAG" else word for word in words.split()]
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = program(*words, stdout=unread(), env=environment)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_a_table_to_a_reader_that_ends_first(bags):
+    done = program("evaluate", bags["map"], "--csv", "/dev/stdout", stdout=unread())
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_errors_that_nobody_reads(tmp_path):
+    done = program("evaluate", tmp_path / "none.bag", stderr=unread())
+    assert (done.returncode, done.stdout) == (141, b"")
+
+
+def test_an_output_on_a_full_disk_is_one_line():
+    with open("/dev/full", "w") as full:
+        done = program("raceline", "check", "reference", stdout=full)
+    assert (done.returncode, done.stderr) == (1, b"map-racing: No space left on device\n")
+
+
+SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
+
+
+def script(name, *arguments, **options):
+    """Run a script of a checkout that nobody installed."""
+    environment = {**os.environ, "PYTHONPATH": "", "PYTHONUNBUFFERED": ""}
+    command = [sys.executable, *arguments[:1], str(SCRIPTS / name), *arguments[1:]]
+    return subprocess.run(command, stderr=subprocess.PIPE, env=environment, check=False, **options)
+
+
+def test_scripts_where_libraries_are_missing():
+    names = [path.name for path in SCRIPTS.iterdir() if b"python3\n" in path.read_bytes()[:30]]
+    assert {"heats", "latency", "controller", "map-racing"} <= set(names)
+    for name in (*names, "benchmark.py"):
+        # -S: only what comes with Python.
+        done = script(name, "-S", *(["race", "--output", "a"] if name == "map-racing" else []))
+        lines = done.stderr.decode().splitlines()
+        assert len(lines) == 1 and "has no module" in lines[0], (name, lines)
+
+
+def test_scripts_whose_reader_ends_first():
+    done = script("laps_to_car", "-B", "--help", stdout=unread())
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_an_error_of_a_script_is_one_line(tmp_path):
+    done = script("false_stops", "-B", "--grid", str(tmp_path / "none.yaml"))
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
 
 
 def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):

@@ -126,6 +126,7 @@ def test_the_same_again_drives_nothing(folder, results, capsys):
         (GRID.replace("laps: 1", "laps: 0"), "laps: expected at least 1"),
         (GRID.replace("plant: nuc4", "plant: nuc5"), "nuc5: no such file"),
         (GRID + "day: 1\n", "unknown parameter day"),
+        ("track: reference\nplant: nuc4\n", "expected a grid of tracks and cars, such as"),
         (GRID.replace("plant: nuc4", "plant: [a]"), "of the shipped plants or a path, got ['a']"),
         (GRID.replace("as shipped: {}", "own: {vehicle: 5}"), "shipped vehicles or a path, got 5"),
     ],

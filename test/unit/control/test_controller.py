@@ -534,11 +534,11 @@ def test_a_raceline_without_speeds_is_refused_by_name():
     assert subject.raceline is REFERENCE
 
 
-@pytest.mark.parametrize("lookahead", [7.0, 50.0, 1e4])
+@pytest.mark.parametrize("lookahead", [7.0, 50.0])
 def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
     """The public search never ends there."""
     raceline = circle(3.0)
-    parameters = PLAIN.with_(m_m=lookahead, lookahead_max_m=2.0 * lookahead)
+    parameters = PLAIN.with_(lookahead_min_m=lookahead, lookahead_max_m=2.0 * lookahead)
     result = controller(parameters, raceline).step(on_track(raceline, 0.0))
     assert result.lookahead_distance == pytest.approx(6.0, abs=1e-3)
     assert (result.lookahead_x, result.lookahead_y) == pytest.approx((-3.0, 0.0), abs=0.2)

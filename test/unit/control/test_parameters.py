@@ -114,6 +114,23 @@ def test_unknown_names_are_refused_with_the_known_ones(tmp_path, name):
     assert "lookahead_max_m" in message
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("m_m", 30.0, "-25 to 25 m"),
+        ("q_s", 150.0, "-10 to 10 s"),
+        ("lookahead_min_m", 300.0, "more than 0 to 50 m"),
+        ("lookahead_max_m", 5000.0, "more than 0 to 500 m"),
+        ("v_max_mps", 1200.0, "more than 0 to 200 m/s"),
+        ("a_brake_max_mps2", 600.0, "more than 0 to 100 m/s^2"),
+    ],
+)
+def test_values_in_other_units_are_refused(tmp_path, name, value, expected):
+    """No car of any size has them: centimeters, milliseconds, millimeters, centimeters a second."""
+    message = refusal(written(tmp_path, **{name: value}))
+    assert f"{name}: expected {expected}, got {value:g}" in message
+
+
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.3", True, [0.3]])
 def test_what_is_no_number_is_refused_by_name(tmp_path, name, value):

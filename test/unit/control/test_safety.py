@@ -452,6 +452,7 @@ def test_a_clock_set_back_begins_anew_but_keeps_the_request():
     [
         {"max_jump_m": 0.0},
         {"max_pose_age_s": math.nan},
+        {"max_pose_age_s": 200.0},  # milliseconds
         {"recovery_s": 0.1},
         {"max_jump_m": True},
         {"hold_s": "2"},

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import FileFormatError, MapRacingError, ParameterError
+from map_racing.evaluation import laps as laps_module
 from map_racing.evaluation.lap_log import LapLog
 from map_racing.evaluation.live import LiveEvaluation
 from map_racing.evaluation.live_history import History
@@ -103,6 +104,45 @@ def test_live_laps_are_those_of_the_recording(line, drive, lag):
     assert [(number, result.summary) for number, result in taken.runs] == [(1, offline.summary)]
     lap = taken.laps[1]
     assert abs(lap.end_ns - poses[0][0] - 1e9 * lap.lap.end_time_s) <= 1
+
+
+def test_a_car_that_is_left_parked_fills_no_memory(line, drive, monkeypatch):
+    """Its lap is cut, and so is the way of one that never comes to the line, as of a recording."""
+    monkeypatch.setattr(laps_module, "_MOST_SAMPLES", 500)
+    recording, poses, commands = drive
+    step = int(1e9 / RATE)
+    at, still = len(poses) // 2, 2200
+
+    def later(entry, more):
+        return (entry[0] + more, *entry[1:])
+
+    parked = [later(poses[at], step * i) for i in range(still)]
+    moved = [later(pose, step * still) for pose in poses[at:]]
+    told = [command for command in commands if command[0] < poses[at][0]]
+    told += [(pose[0], 0.0, 0.0) for pose in parked]
+    told += [later(c, step * still) for c in commands if c[0] >= poses[at][0]]
+    driven, taken, most = [*poses[:at], *parked, *moved], Taken(line), 0
+    for pose, command in zip(driven, [*[None] * (len(driven) - len(told)), *told]):
+        taken.evaluation.add_pose(*pose, 0.0)
+        if command:
+            taken.evaluation.add_command(*command)
+        taken.evaluation.advance(0.0)
+        most = max(most, len(taken.evaluation._driven[0]))
+    taken.evaluation.finish()
+    stamps, x, y, v_x, v_y = map(np.array, zip(*driven))
+    at, speed, steering = map(np.array, zip(*told))
+    whole = Recording(
+        *((stamps - stamps[0]) * 1e-9, x, y, np.full(x.size, math.nan), v_x, v_y),
+        np.full(x.size, math.nan),
+        t0_ns=int(stamps[0]),
+        commands=Commands((at - stamps[0]) * 1e-9, steering, speed, "/drive"),
+    )
+    result = evaluate(whole, line)
+    same(taken.rows(), [lap.row() for lap in result.laps])
+    reasons = [lap.reason for lap in result.laps]
+    assert sum("cut after 500 samples" in reason for reason in reasons) > 3
+    assert reasons[0] == "out-lap" and result.laps[1].valid and most < 600
+    assert result.laps[1].end_time_s == result.laps[2].start_time_s
 
 
 @pytest.mark.once

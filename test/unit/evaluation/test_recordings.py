@@ -236,9 +236,17 @@ def test_frames_of_messages(csv, name):
     recording = read_csv_recording(csv(f"t,{name},x,y\n" + "\n".join(rows)))
     assert recording.frame == "map" and recording.x.tolist() == [1, 2, 4, 5, 7, 8]
     (said,) = [note for note in recording.notes if note.startswith("warning")]
-    assert "3 rows in another frame left out: only the first, map, counts" in said
+    assert "3 rows in another frame, odom, left out: only map counts" in said
     recording = read_csv_recording(csv(f"t,{name},x,y\n" + "\n".join(rows).replace("map", "odom")))
     assert recording.frame == "odom" and recording.x.size == 9
+
+
+def test_a_frame_of_odometry_gives_way_to_the_map(csv):
+    rows = [f"{0.5 * i},{'odom' if i < 5 else 'map'},{i},{2 * i}" for i in range(12)]
+    recording = read_csv_recording(csv("t,frame_id,x,y\n" + "\n".join(rows)))
+    assert recording.frame == "map" and recording.x.tolist() == [6, 7, 8, 9, 10, 11]
+    said = "; ".join(recording.notes)
+    assert "5 rows in frame odom and 1 in map left out: odom fell silent, and map took" in said
 
 
 def test_nanoseconds_since_1970_under_any_name(csv):

@@ -210,9 +210,32 @@ def a_velocity_of_the_map(bag, i, t):
     bag.odometry(T0 + t, x, y, psi, *moving, 0.8, received=T0 + t)
 
 
+def whole_seconds_until_the_clock_is_set(bag, i, t):
+    odometry(bag, t, place(t), float(math.floor(T0 + t)) if t < 5.0 else None)
+    bag.drive(T0 + t, steering(t), SPEED, received=T0 + t + 0.003)
+
+
+def whole_seconds_for_a_while_received_late(bag, i, t):
+    late = T0 + t + 0.1 + 0.008 * (i * 7 % 5) / 5
+    odometry(bag, t, place(t), float(math.floor(T0 + t)) if 7.0 < t < 12.0 else None, received=late)
+
+
+def some_stamps_missing_of_late_poses(bag, i, t):
+    odometry(bag, t, place(t), 0.0 if i % 10 == 3 else None, received=T0 + t + 0.1)
+
+
+def a_slower_localization_sent_again_with_its_stamp(bag, i, t):
+    at = TIMES[i - i % 3]
+    odometry(bag, at, place(at), received=T0 + t + 0.002)
+
+
 @pytest.mark.parametrize(
     ("fill", "said"),
     [
+        (whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
+        (whole_seconds_for_a_while_received_late, "times of receipt used instead, good to 0.006 s"),
+        (some_stamps_missing_of_late_poses, ""),
+        (a_slower_localization_sent_again_with_its_stamp, ""),
         (unstamped_commands_beside_poses_of_another_clock, "1.00"),
         (simulated_time_beside_commands_of_today, "days later than the poses'"),
         (poses_repeated_but_for_rounding, ""),

@@ -115,7 +115,7 @@ def test_impossible_conditions(changes, expected):
 
 def test_a_file_says_what_is_wrong_with_it(tmp_path):
     (tmp_path / "c.yaml").write_text("track: reference\nplant: nuc4\nsedes: [1]\n")
-    with pytest.raises(ParameterError, match="c.yaml: unknown parameter sedes"):
+    with pytest.raises(ParameterError, match="c.yaml: .* such as paper: unknown parameter sedes"):
         load_conditions(tmp_path / "c.yaml")
     with pytest.raises(ParameterError, match="of the shipped experiments .full_scale, paper, "):
         load_conditions("papr")

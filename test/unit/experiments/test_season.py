@@ -186,6 +186,23 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
 
 
+def test_tracks_of_one_name_are_told_apart_by_their_folders(tmp_path, ring, track):
+    """As the maps of a stack have: each its folder, all of them the same file name."""
+    lines = {"hall/map": ring, "arena/map": track.raceline()}
+    heat(tmp_path / "bags" / "a.bag", ring)
+    heat(tmp_path / "bags" / "b.bag", track.raceline(), T0 + 3600)
+    tracks = []
+    for folder, line in lines.items():
+        (tmp_path / folder).mkdir(parents=True)
+        tracks.append(str(tmp_path / folder / "reference.csv"))
+        save_raceline(line, tracks[-1])
+    rows = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tuple(tracks)).heats
+    assert [row["track"] for row in rows] == ["hall/map/reference", "arena/map/reference"]
+    # A shipped track keeps its name; a track that is given twice is one.
+    rows = evaluated(tmp_path / "bags", tmp_path / "out", tracks=(tracks[0], tracks[0])).heats
+    assert [row["track"] for row in rows] == ["map/reference", "track 1"]
+
+
 def test_a_track_that_has_changed_is_raced_anew(tmp_path, ring, track):
     """A raceline is optimized again under its old name; also a process that lives on sees it."""
     line = tmp_path / "hall.csv"

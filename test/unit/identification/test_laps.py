@@ -11,6 +11,7 @@ from map_racing.identification.car import identify_car
 from map_racing.identification.car_report import car_text, provenance
 from map_racing.identification.channels import SensorSetup
 from map_racing.identification.data import Signal
+from map_racing.identification.delay import estimate_delays
 from map_racing.identification.laps import tires_from_laps
 from map_racing.identification.replay import actuators_of, replay
 from map_racing.vehicle.parameters import linearized, load_vehicle
@@ -268,3 +269,22 @@ def test_refusals(low):
     without = {k: v for k, v in run.signals.items() if k != "steering"}
     with pytest.raises(IdentificationError, match="steering: expected"):
         tires_from_laps([dataclasses.replace(run, signals=without)], NUC4)
+
+
+@pytest.mark.parametrize("lag", [0.12, 0.3])
+@pytest.mark.parametrize("names", [("v_x",), ("yaw_rate", "v_y"), ("v_x", "v_y", "yaw_rate")])
+def test_a_twist_of_another_moment_than_its_poses_is_refused(low, names, lag):
+    """Its age would be taken for a delay of the steering, or for stiff tires."""
+    run, _ = low
+    late = {
+        name: Signal(signal.t, np.interp(signal.t - lag, *signal))
+        for name, signal in run.signals.items()
+        if name in names
+    }
+    run = dataclasses.replace(run, signals={**run.signals, **late})
+    with pytest.raises(IdentificationError, match=rf"comes {lag:.2f} s (after|later)"):
+        identify_car([run], NUC4)
+    delays = estimate_delays([run], NUC4)
+    assert any(
+        f"left out: the {'speed' if 'v_x' in names else 'yaw rate'}" in n for n in delays.notes
+    )

@@ -45,9 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lookup-table", metavar="CSV", help="steer with this table, not the vehicle's own"
     )
-    parser.add_argument(
-        "--speed-sectors", metavar="YAML", help="speed_scaling.yaml of race_stack"
-    )
+    parser.add_argument("--speed-sectors", metavar="YAML", help="speed_scaling.yaml of race_stack")
     parser.add_argument(
         "--faults",
         metavar="YAML",

@@ -17,17 +17,17 @@ __all__ = ["check_shape", "check_size", "check_stated"]
 # At a steering angle of 0.42 rad, the stop of a 1:10 car's servo, a wheelbase of 0.33 m turns on a
 # radius of 0.74 m.
 TIGHTEST = 1.4  # [1/m]
-# [m] of tracks for 1:10 cars; others may be in another unit, unless speeds or walls are those of
+# Lengths of tracks for 1:10 cars [m]; others may be in another unit, unless speeds or walls fit
 # larger cars.
 SHORTEST, LONGEST = 3.0, 2000.0
 # The largest lateral acceleration [m/s^2] of a lap in any car, the widest track [m], and the
 # narrowest of full-size cars.
 ACCELERATIONS, WIDEST, NARROWEST = (2.0, 60.0), 30.0, 4.0
-# Nobody races a lap that takes longer [s] and needs less lateral acceleration [m/s^2] at more than
-# walking pace [m/s], on a track that is wider [m], or on one that is shorter [m]: it is in another
-# unit.
+# A track is certainly in another unit if a lap needs less lateral acceleration [m/s^2], takes
+# longer [s] and is faster than walking [m/s]; if the track is wider than a field [m]; or if it is
+# shorter [m].
 CRAWLING, LONGEST_LAP, WALKING, FIELD, TINY = 0.2, 300.0, 2.0, 100.0, 0.5
-# Nor does anybody drive so much faster on straights than in bends that need so little [m/s^2].
+# Doubtful: speeds that vary by this factor although the bends need so little acceleration [m/s^2].
 PACED, EASY = 1.3, 0.6
 
 # Headings as files state them: code, severity, meaning, and the conversion to rad from +x.

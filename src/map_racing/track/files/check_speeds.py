@@ -14,6 +14,7 @@ __all__ = ["KMH", "check_accelerations", "check_stops"]
 
 GRIP = 20.0  # [m/s^2], beyond any 1:10 car on any floor, lateral or longitudinal
 KMH = 3.6  # [km/h] are 1 m/s
+WAY = 1.0  # [m] over which jitter of points and speeds is averaged
 
 
 def check_stops(draft: Draft) -> None:
@@ -38,13 +39,27 @@ def check_accelerations(draft: Draft) -> None:
     a_y = v**2 * np.abs(kappa)
     worst = int(np.argmax(a_y))
     if a_y[worst] > GRIP:
-        kmh = " (in km/h?)" if 3.0 * GRIP < a_y[worst] < KMH**2 * GRIP else ""
-        text = f"the speeds require a lateral acceleration of {a_y[worst]:.1f} m/s^2{kmh}"
+        text = f"the speeds require a lateral acceleration of {a_y[worst]:.1f} m/s^2"
+        # Another unit is too fast in all of a bend, jitter of points or speeds here and there.
+        lasting = float(np.max(_over_a_way(line, v**2 * draft.at.kappa)))
+        if lasting < min(GRIP, 0.7 * a_y[worst]):
+            text += f" ({lasting:.1f} m/s^2 over a meter: do points or speeds jitter?)"
+        elif 3.0 * GRIP < a_y[worst] < KMH**2 * GRIP:
+            text += " (in km/h?)"
         draft.add("too-fast", WARNING, text, [worst])
     worst = int(np.argmax(np.abs(a_x)))
     if abs(a_x[worst]) > GRIP:
         text = f"the speeds require a longitudinal acceleration of {a_x[worst]:.1f} m/s^2"
         draft.add("speed-jump", WARNING, text, [worst])
+
+
+def _over_a_way(line, values):
+    """Absolute means of values over the points within a meter, at least three."""
+    around = max(1, math.ceil(0.5 * WAY * values.size / line.length))
+    around = min(around, (values.size - 1) // 2)
+    turned = np.concatenate(([0.0], values[values.size - around :], values, values[:around]))
+    sums = np.cumsum(turned)
+    return np.abs(sums[2 * around + 1 :] - sums[: -2 * around - 1]) / (2 * around + 1)
 
 
 def _in_kmh(draft, stated, a_x):

@@ -15,12 +15,13 @@ from .draft import MOST_PLACES, Draft
 
 __all__ = ["check_distances", "check_polygons"]
 
-# Walls farther [m] than the first from those that a file shows besides, in either way, are others;
-# farther than the second, and many times as far as exchanged, they are exchanged. Three real files
-# have 0.02 to 0.06 m, and 0.25 to 1.7 m where the sides of a raceline are exchanged.
+# A file may also hold points on the walls. If the stated walls are farther than the first distance
+# [m] from these, as given and exchanged, the points are of other walls. The sides are exchanged if
+# the stated walls are farther than the second, and many times as far as the exchanged ones. Three
+# real files have 0.02 to 0.06 m, and 0.25 to 1.7 m if the sides are exchanged.
 _ELSEWHERE, _APART, _MANY = 0.15, 0.08, 3.0
-# A line that turns by this factor more than when it is smoothed over this share of the width of the
-# track jitters; real ones, and their centerlines, turn by up to 1.09 times as much.
+# A line jitters if it turns by this factor more than after smoothing over this share of the track's
+# width; real racelines and centerlines turn by up to 1.09 times as much.
 _JITTERS, _SMOOTHED = 1.2, 0.25
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 
@@ -116,9 +117,9 @@ def _wall(line, d):
 
 
 def _fits_exchanged(line, bounds):
-    """Whether the distances fit the walls that a file shows besides only when they are exchanged.
+    """Whether the distances fit the points on the walls in the file only if they are exchanged.
 
-    None if they fit in neither way, or nothing is shown.
+    None if they fit in neither way, or the file has no such points.
     """
 
     def off(left, right):
@@ -174,7 +175,7 @@ def _swapped(line):
 def _keeps_outside(line, difference):
     """Whether the line keeps to the outside of the bends of the track.
 
-    Its own bends do not tell: a line that weaves turns back wherever it is far out.
+    The bends of the line itself do not count: a line that weaves turns back where it is far out.
     """
     if np.std(difference) < 0.01 * np.mean(line.d_left + line.d_right):
         return False

@@ -158,14 +158,7 @@ def _csv_table(text, path, key=None):
         rows = [row[:-1] for row in rows]
     width = len(rows[0])
     header = _header(lines[:begin], width, path) if key is None else _given(key, width, path)
-    shown = header.names if header is not None else [""] * width
-    numbered = [f"{k} ({name})" if name else str(k) for k, name in enumerate(shown, 1)]
-    # Columns that are not used may hold anything.
-    picked = [k for k in range(width) if header is None or header.meanings[k].column not in "-?"]
-    rows = zip((number for number, _ in data), rows)
-    parsed, numbers, _ = parse_rows(path, rows, numbered, picked)
-    values = np.full((len(numbers), width), np.nan)
-    values[:, picked] = parsed
+    values, numbers = _values([number for number, _ in data], rows, header, path)
     if header is not None:
         how = "as given" if key is not None else "named in the file"
         columns = _named_columns(header, values.T, findings)
@@ -180,19 +173,22 @@ def _csv_table(text, path, key=None):
     if "alpha" in columns:
         with np.errstate(all="ignore"):  # what is not finite is found when it is checked
             columns = from_reference_line(columns)
-        findings.append(
-            Finding(
-                "reference-line",
-                NOTE,
-                "a reference line with shifts along its normals: walls measured from the track",
-            )
-        )
-    return RacelineTable(
-        columns,
-        layout=layout,
-        lines=np.array(numbers),
-        findings=tuple(findings),
-    )
+        text = "a reference line with shifts along its normals: walls measured from the track"
+        findings.append(Finding("reference-line", NOTE, text))
+    return RacelineTable(columns, layout=layout, lines=np.array(numbers), findings=tuple(findings))
+
+
+def _values(numbers, rows, header, path):
+    """Numbers of the cells, NaN in columns that are not used, and the line of each row."""
+    width = len(rows[0])
+    shown = header.names if header is not None else [""] * width
+    numbered = [f"{k} ({name})" if name else str(k) for k, name in enumerate(shown, 1)]
+    # Columns that are not used may hold anything.
+    picked = [k for k in range(width) if header is None or header.meanings[k].column not in "-?"]
+    parsed, kept, _ = parse_rows(path, zip(numbers, rows), numbered, picked)
+    values = np.full((len(kept), width), np.nan)
+    values[:, picked] = parsed
+    return values, kept
 
 
 class _Header(NamedTuple):

@@ -1,4 +1,4 @@
-"""Repair of racelines, as far as their own numbers show how."""
+"""Repair of racelines, where their own numbers show how."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def driven_columns(table: RacelineTable) -> RacelineTable:
 
 
 def repaired(table: RacelineTable) -> tuple[RacelineTable, list[str]]:
-    """Repair a table as far as its own numbers show how.
+    """Repair a table where its own numbers show how.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What follows from the points of a track, to recognize columns that state it."""
+"""Heading, arc length and bends of points, to recognize the columns that state them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _is_even(column):
 
 
 class Shape:
-    """Points of a track, to recognize what follows from them."""
+    """Points of a track, to recognize columns that follow from them."""
 
     def __init__(self, x, y):
         self.keep = distinct_points(x, y)

@@ -27,7 +27,7 @@ class RacelineTable(NamedTuple):
     findings : tuple of Finding
         What was noticed while reading.
     bounds : tuple of ndarray, shape (k, 2)
-        Points on both walls that the file has besides [m]; any of these sets may be wrong.
+        Sets of points on both walls that the file also holds [m]; any of them may be wrong.
     """
 
     columns: dict[str, np.ndarray]

@@ -1,8 +1,8 @@
 """Columns without names, told apart by their numbers.
 
 A column that turns with the points is their heading, whatever it is measured from; arc length and
-curvature are known alike. What is left is speed, distances to the walls, or height, and that is a
-guess, which is said.
+curvature are recognized in the same way. What is left is speed, distances to the walls, or height:
+a guess, which becomes a warning.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ _WORDS = {
 }
 
 
-# Correlation with the bends below which a column is one of speeds, see `Shape.falling`.
+# A column is a speed if its correlation with the bends is below this, see `Shape.falling`;
 _SLOWS = -0.6
-# Below this it is, whatever its size; the distance to one wall has down to -0.76.
+# and certainly if it is below this: the distance to one wall reaches -0.76.
 _SURELY = -0.8
-# Of two columns one that has this many times the other is a speed beside a width.
+# Of two columns, the one with values this many times as large is the speed, the other a width.
 _MANY = 3.0
 # A track is not wider than this share of its length: real ones have up to 0.075.
 _WIDE = 0.12
-# Nothing that a column may be is smaller, but for rounding; squares and inverses would overflow.
+# Smaller values are rounding errors, counted as 0: squares and inverses would overflow.
 _ROUNDING = 1e-12
 # A constant column below this is a height [m], not a speed [m/s] to race with.
 _SLOWEST_MPS = 0.5

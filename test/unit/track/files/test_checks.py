@@ -390,6 +390,16 @@ def test_speeds_beyond_grip_that_are_so_only_in_kmh():
     assert "in km/h?" in found["too-fast"].text
 
 
+@pytest.mark.parametrize(("points", "speeds"), [(0.0, 3.0), (0.004, 0.0)])
+def test_jitter_is_no_other_unit(points, speeds):
+    rng = np.random.default_rng(1)
+    x, y = (GOOD[name] + points * rng.normal(size=N) for name in ("x", "y"))
+    speed = np.maximum(GOOD["speed"] + speeds * rng.normal(size=N), 0.1)
+    found = codes(table(x=x, y=y, speed=speed, without=("ax", "s", "psi", "kappa")))
+    assert "do points or speeds jitter?" in found["too-fast"].text
+    assert "km/h" not in found["too-fast"].text
+
+
 def test_errors_leave_out_what_they_spoil():
     rows = np.arange(N)
     rows[[100, 102]] = rows[[102, 100]]

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from map_racing.angles import wrap
+from map_racing.bags import encoding
 from map_racing.bags import messages as msg
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError, FileFormatError, ParameterError, RacelineError
@@ -245,9 +246,9 @@ def encode_path(seq, stamp_ns, poses, oriented=True, frames=("map",)):
     body = []
     for number, (x, y, psi) in enumerate(poses):
         half = 0.5 * psi if oriented else 0.0
-        body.append(msg._header(number, 0, frames[number % len(frames)]))
+        body.append(encoding._header(number, 0, frames[number % len(frames)]))
         body.append(struct.pack("<7d", x, y, 0.3, 0.0, 0.0, math.sin(half), math.cos(half)))
-    return b"".join([msg._header(seq, stamp_ns, "map"), struct.pack("<I", len(poses)), *body])
+    return b"".join([encoding._header(seq, stamp_ns, "map"), struct.pack("<I", len(poses)), *body])
 
 
 POSES = np.stack((AT.x, AT.y, AT.psi), axis=1)

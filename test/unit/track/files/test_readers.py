@@ -245,12 +245,31 @@ def test_malformed_files(tmp_path, text, message):
 
 
 def test_files_that_are_no_text(tmp_path):
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81" * 9)
+    (tmp_path / "binary.csv").write_bytes(b"\xff\x81\x00\xfe" * 9)
     (tmp_path / "broken.csv.gz").write_bytes(gzip.compress(b"1,2\n" * 99)[:20])
     (tmp_path / "bent.csv.gz").write_bytes(gzip.compress(b"1,2\n" * 99)[:10] + b"\xff" * 30)
     for name in ("binary.csv", "broken.csv.gz", "bent.csv.gz", "missing.csv", "."):
         with pytest.raises(FileFormatError, match="cannot read|expected UTF-8"):
             read_raceline_file(tmp_path / name)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_unicode_text_of_windows_is_read(tmp_path, encoding):
+    path = write(tmp_path / "c.csv", ["x_m", "y_m"], separator="\t")
+    text = "\ufeff" + path.read_text().replace("\n", "\r\n")
+    (tmp_path / "wide.txt").write_bytes(text.encode(encoding))
+    (tmp_path / "wide.csv.gz").write_bytes(gzip.compress(text.encode(encoding)))
+    for name in ("wide.txt", "wide.csv.gz"):
+        assert np.array_equal(load_raceline(tmp_path / name).x, load_raceline(path).x)
+
+
+def test_other_encodings_are_named(tmp_path):
+    path = write(tmp_path / "c.csv", ["x_m", "y_m"])
+    (tmp_path / "old.csv").write_bytes(b"# L\xe4nge\n" + path.read_bytes())
+    (tmp_path / "bare.csv").write_bytes(path.read_text().encode("utf-16-le"))
+    for name in ("old.csv", "bare.csv"):
+        with pytest.raises(FileFormatError, match=name + ": expected UTF-8 text"):
+            load_raceline(tmp_path / name)
 
 
 def test_key_for_a_file_without_keys(tmp_path):
