@@ -174,24 +174,26 @@ def test_another_stack_is_refused(nodes_of):
 
 
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])
-def test_topics_of_a_stack(launch, stack, listen):
+def test_topics_of_a_stack(launch, stack, listen, tmp_path):
+    """And a saved controller keeps its speed: its file holds where the launch says nothing."""
     from nav_msgs.msg import Odometry
 
+    path = tmp_path / "tuned.yaml"
+    save_controller_parameters(load_controller_parameters("map").with_(speed_scale=0.55), path)
     odom, drive = STACKS[stack]
     odometry, commands = listen(odom, Odometry), listen(drive, AckermannDriveStamped)
-    car = {"plant": "public_simulator", "vehicle": "sim"}
-    launch("simulate.launch", stack=stack, clock_rate=3, **car, **BARE)
+    car = {"plant": "public_simulator", "vehicle": "sim", "controller": path}
+    race = launch("simulate.launch", stack=stack, clock_rate=3, **car, **BARE)
     odometry.wait(timeout=30.0)
     commands.wait(lambda m: m.drive.speed > 2.0, timeout=30.0)
-
-
-def test_a_topic_of_ones_own(launch):
-    race = launch("race.launch", track="reference", odom="/my/odom", **BARE)
-    wait_for(lambda: "no pose yet on /my/odom (nobody publishes it)" in race.output, 30.0)
+    wait_for(lambda: "~speed_scale = 0.55" in race.output, 30.0)
 
 
 def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
-    """A raceline, the laps and the bag; and a missing raceline ends the launch."""
+    """A raceline, the laps and the bag; and a missing raceline ends the launch.
+
+    With a topic of one's own.
+    """
     track = config_directory() / "tracks" / "reference.csv"
     (tmp_path / "mine.csv").write_text(track.read_text())
     environment = {**os.environ, "PWD": str(tmp_path)}
@@ -199,12 +201,14 @@ def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
     def run(track):
         command = ["roslaunch", "--wait", "map_racing", "race.launch", f"track:={track}"]
         options = ["record:=true", "record_to:=run", "csv:=laps.csv", "visualize:=false"]
+        options.append("odom:=/my/odom")
         return processes(["env", "-C", tmp_path, *command, *options], environment)
 
     race = run("mine.csv")
     wait_for(lambda: "raceline of /global_waypoints: 36.54 m" in race.output, 30.0)
     wait_for(lambda: list(tmp_path.glob("run*.bag*")), 20.0)
     wait_for((tmp_path / "laps.csv").is_file, 20.0)
+    wait_for(lambda: "no pose yet on /my/odom (nobody publishes it)" in race.output, 30.0)
     race.stop(30.0)
     other = run("other.csv")
     other.wait(60.0)
@@ -234,23 +238,21 @@ def test_a_replay_of_other_topics_says_so(launch, tmp_path):
     assert "run.bag: no pose on /pf/pose/odom: expected one of /car_state/odom" in replay.output
 
 
-def test_a_saved_controller_keeps_its_speed(launch, tmp_path):
-    """What a file says holds where the launch says nothing."""
-    path = tmp_path / "tuned.yaml"
-    save_controller_parameters(load_controller_parameters("map").with_(speed_scale=0.55), path)
-    process = launch("simulate.launch", controller=path, clock_rate=3, **BARE)
-    wait_for(lambda: "~speed_scale = 0.55" in process.output, 30.0)
-
-
-def test_three_laps_as_in_the_core(launch, listen, tmp_path):
-    bag, report = tmp_path / "core.bag", tmp_path / "core.json"
-    assert main(["race", "--laps", "3", "--speed-scale", "0.7", "--output", str(bag)]) == 0
+def laps_of(bag, report):
+    """Valid laps of a bag, as evaluated without ROS."""
     assert main(["evaluate", str(bag), "--json", str(report)]) == 0
     (run,) = json.loads(report.read_text())["runs"]
-    expected = [lap for lap in run["laps"] if lap["valid"]]
+    return [lap for lap in run["laps"] if lap["valid"]]
+
+
+def test_three_laps_as_in_the_core_recorded_in_a_bag_that_evaluates(launch, listen, tmp_path):
+    bag, report = tmp_path / "core.bag", tmp_path / "core.json"
+    assert main(["race", "--laps", "3", "--speed-scale", "0.7", "--output", str(bag)]) == 0
+    expected = laps_of(bag, report)
 
     inbox = listen("/lap_result", LapResult)
-    launch("simulate.launch", clock_rate=8, lockstep="true", csv=tmp_path / "laps.csv")
+    written = {"csv": tmp_path / "laps.csv", "record": "true", "record_to": tmp_path / "run"}
+    process = launch("simulate.launch", clock_rate=4, lockstep="true", **written)
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
     # The layouts for plots show topics that are really there.
     sent = dict(rospy.get_published_topics())
@@ -265,13 +267,6 @@ def test_three_laps_as_in_the_core(launch, listen, tmp_path):
     # Each lap is in the file when it is published.
     assert len((tmp_path / "laps.csv").read_text().splitlines()) == 1 + len(inbox)
 
-
-def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path, capsys):
-    inbox = listen("/lap_result", LapResult)
-    record = {"record": "true", "record_to": tmp_path / "run"}
-    process = launch("simulate.launch", clock_rate=4, lockstep="true", **record, **EVALUATED)
-    # The recorder may begin late and end early: of three laps it has one at least.
-    inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
     process.stop(30.0)
     (bag,) = tmp_path.glob("run*.bag")
     # What it was driven with is in it, and so is what the report needs to know of the car.
@@ -279,10 +274,8 @@ def test_the_launched_car_records_a_bag_that_evaluates(launch, listen, tmp_path,
     settings = parse_settings(remarks.settings[-1][1])
     assert settings.controller is not None and settings.vehicle is not None
     assert "driving" in [text for _, text in remarks.states]
-    report = tmp_path / "run.json"
-    assert main(["evaluate", str(bag), "--json", str(report)]) == 0
-    (run,) = json.loads(report.read_text())["runs"]
-    offline = [lap for lap in run["laps"] if lap["valid"]]
+    # The recorder may begin late and end early: of three laps it has one at least.
+    offline = laps_of(bag, report)
     assert offline
     for lap in offline:
         times = {abs(live.lap_time_s - lap["lap_time_s"]): live for live in inbox if live.valid}

@@ -2,10 +2,12 @@
 
 import dataclasses
 import gc
+import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from map_racing.bags.writer import BagWriter
 from map_racing.control.parameters import load_controller_parameters
@@ -22,6 +24,27 @@ from map_racing.vehicle.tires import PacejkaTire
 
 # The collector, left as it is, takes a twelfth of the time.
 gc.set_threshold(50000, 20, 20)
+
+
+# The examples are the same for all libraries: with the car's, a few show that the code runs there.
+settings.register_profile("car", max_examples=20)
+if sys.version_info < (3, 9):
+    settings.load_profile("car")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "rest_once: all cases but the first are marked `once`")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark cases before those to run are chosen by their marks."""
+    begun = set()
+    for item in items:
+        if item.get_closest_marker("rest_once") and not item.get_closest_marker("once"):
+            if item.function in begun:
+                item.add_marker(pytest.mark.once)
+            begun.add(item.function)
 
 
 def pytest_collection_finish():

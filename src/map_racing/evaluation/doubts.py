@@ -10,10 +10,10 @@ import numpy as np
 from ..bags.clocks import lag_of_effect
 from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
-from .late_speed import late_speed
-from .merged_times import to_and_fro
+from .pose_doubts import rounded, set_aside, to_and_fro
 from .results import Lap
 from .speed import CHORD_S, beyond_for_a_while, chords, speed_of
+from .speed_doubts import held_speed, late_speed
 
 __all__ = [
     "alternation",
@@ -53,11 +53,13 @@ _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
 _FOLLOWS, _LAGS = 0.6, np.arange(0.0, 0.61, 0.05)
 _TELLING, _VARIED, _EVENLY, _ENOUGH = 200, 0.2, 1e-9, 10000
 # Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
-# the motion of the poses, and nothing shortens it.
-_MOVING, _SLOWEST, _FASTEST = 0.5, 0.7, 1.1
+# the motion of the poses a little.
+_MOVING, _SLOWEST, _FASTEST = 0.5, 0.88, 1.1
 # For a while, over so many chords, a measured speed may be off by more where the wheels slip, and a
 # commanded one while the car brakes; both are compared above a speed [m/s].
 _WHILE, _SLIP, _DRIVES = 12, (0.65, 1.4), 1.0
+# Over fewer chords, no slip explains such a ratio.
+_SHORT, _NONSENSE = 2, (0.35, 2.5)
 _LONG_WHILE, _BRAKES = 16, 1.5
 # A single speed this much above that of the poses around it, in times and m/s, is none.
 _TOP_TIMES, _TOP_MORE = 2.0, 2.0
@@ -86,10 +88,15 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
         of_commands = [_command_for_a_while(recording, begin, end)]
     doubts = [
         frame_warning(topic, recording.frame),
-        alternation(topic, t, x, y) or to_and_fro(topic, t, x, y),
+        alternation(topic, t, x, y)
+        or to_and_fro(topic, t, x, y)
+        or set_aside(topic, t, x, y, begin, end),
+        rounded(topic, x, y),
         bunches(topic, t),
         time_jump(topic, t, x, y),
-        speed_warning(topic, t, x, y, v) or _speed_for_a_while(topic, t, x, y, v, begin, end),
+        speed_warning(topic, t, x, y, v)
+        or _speed_for_a_while(topic, t, x, y, v, begin, end)
+        or held_speed(topic, t, x, y, v, begin, end),
         late_speed(topic, t, x, y, v),
         command_clock(recording),
         *of_commands,
@@ -214,7 +221,9 @@ def _speed_for_a_while(topic, t, x, y, v, begin, end):
     at, moved, measured = chords(t, x, y, v)
     within = (at > begin) & (at < end) & (np.maximum(moved, measured) > _DRIVES)
     with np.errstate(divide="ignore"):
-        found = beyond_for_a_while(at[within], measured[within] / moved[within], _WHILE, *_SLIP)
+        ratio = measured[within] / moved[within]
+        found = beyond_for_a_while(at[within], ratio, _WHILE, *_SLIP)
+        found = found or beyond_for_a_while(at[within], ratio, _SHORT, *_NONSENSE)
     if found:
         return (
             f"{topic}: from {found[0]:.1f} to {found[1]:.1f} s the measured speed is "

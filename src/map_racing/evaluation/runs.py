@@ -11,7 +11,7 @@ from ..bags.samples import Recording
 from ..errors import EvaluationError
 from ..track.findings import WARNING, raceline_warnings
 from ..track.raceline import Raceline
-from .doubts import doubts_of, uncommanded
+from .doubts import alternation, doubts_of, uncommanded
 from .laps import NO_WALLS, LapEvaluator, LapLimits
 from .recordings import recorded_runs
 from .results import RunResult
@@ -163,9 +163,10 @@ def _check_followed(recording, result, progress, max_deviation):
     driven = _driven(recording.x.tolist(), recording.y.tolist())
     followed = result.summary.laps_completed or abs(progress) > 0.5 * driven
     if driven > 0.5 * raceline.length and not followed:
+        why = alternation(recording.topic, recording.t, recording.x, recording.y)
         raise EvaluationError(
             f"{recording.source}: the car drove elsewhere: of {driven:.0f} m it came "
-            f"{abs(progress):.0f} m along the raceline {_name(raceline)}"
+            f"{abs(progress):.0f} m along the raceline {_name(raceline)}{why and f' ({why})'}"
         )
 
 

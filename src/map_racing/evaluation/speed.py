@@ -21,7 +21,7 @@ _REPEATED = 0.25
 _VARIED, _REACH = 0.15, 4
 # Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top
 # speed by 2 %; longer chords [s] would shorten both.
-_NOISY, _LITTLE, _LONGEST_CHORD = 0.03, 0.005, 0.2
+_NOISY, _LITTLE, _LONGEST_CHORD = 0.012, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
 
@@ -137,7 +137,7 @@ def _differences(t, x, y):
         ends = np.arange(0, t.size, chord)
         ends = np.append(ends[:-1], t.size - 1) if ends.size > 1 else np.array([0, t.size - 1])
         line = np.hypot(np.diff(x[ends]), np.diff(y[ends]))
-        way, reach = np.interp(index, ends, np.append(0.0, np.cumsum(line))), chord
+        way, reach = np.interp(t, t[ends], np.append(0.0, np.cumsum(line))), chord
     before, behind = np.maximum(index - reach, 0), np.minimum(index + reach, t.size - 1)
     return (way[behind] - way[before]) / (t[behind] - t[before])
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..bags.samples import Recording
 from .doubts import speed_warning
-from .late_speed import late_speed
 from .speed import speed_of
+from .speed_doubts import late_speed
 
 __all__ = ["speed_driven", "turning_of"]
 

@@ -155,15 +155,16 @@ class SimulatedCar:
             acceleration = localization.measure_acceleration(plant.acceleration)
         return Observation(true, measured, now + self._latency, acceleration)
 
-    def advance(self, steering_angle, speed):
-        """Drive for one tick under the given commands [rad, m/s]."""
+    def advance(self, steering_angle, speed, ticks=1):
+        """Drive for so many ticks under the given commands [rad, m/s]."""
         faults = self.faults
         if faults is None or not faults.active:
-            self.plant.advance(steering_angle, speed)
+            self.plant.advance(steering_angle, speed, ticks)
         else:
-            self.plant.advance(*faults.commanded(steering_angle, speed))
-            faults.advanced()
-        self.tick += 1
+            for _ in range(ticks):
+                self.plant.advance(*faults.commanded(steering_angle, speed))
+                faults.advanced()
+        self.tick += ticks
 
 
 class DrivenCar:

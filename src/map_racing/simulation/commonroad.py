@@ -177,8 +177,12 @@ class CommonRoadCar(ActuatedCar):
             stiffer = max(factor, 1.0) * self.parameters.mu_scale
             self.slowest = stiffer * self._slowest(self._nominal)
 
-    def advance(self, steering_command, speed_command):
-        """Integrate one time step under the given commands."""
+    def advance(self, steering_command, speed_command, steps=1):
+        """Integrate so many time steps under the given commands."""
+        for _ in range(steps):
+            self._advance(steering_command, speed_command)
+
+    def _advance(self, steering_command, speed_command):
         step = self.time_step
         self._steps += 1
         self._steering_line.append(steering_command)
@@ -189,7 +193,7 @@ class CommonRoadCar(ActuatedCar):
             self._slide(angle)
             return
         rate = (angle - self._x[2]) / step
-        inputs = rate, self._drive(self._speed_line.popleft())
+        inputs = rate, self._drive(self._speed_line.popleft(), self.state.v_x)
         try:
             for _ in range(self.parameters.integration_steps):
                 self._integrate(inputs)

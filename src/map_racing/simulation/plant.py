@@ -178,12 +178,12 @@ class ActuatedCar:
         move = (target - angle) * self._servo_gain
         return angle + (slew if move > slew else -slew if move < -slew else move)
 
-    def _drive(self, target):
+    def _drive(self, target, v_x):
         """Longitudinal acceleration of the speed controller [m/s^2]; it never drives backwards."""
         vehicle = self.vehicle
         most, least = self._drive_limits
         target = 0.0 if target < 0.0 else vehicle.v_max if target > vehicle.v_max else target
-        wanted = (target - self.state.v_x) / self._drive_lag
+        wanted = (target - v_x) / self._drive_lag
         return most if wanted > most else least if wanted < least else wanted
 
 
@@ -209,57 +209,46 @@ class Plant(ActuatedCar):
         """Keep the rear axle in a place, at rest; time and actuators go on."""
         self.state = moved(CarState(self.state.t, x, y, psi, 0.0, 0.0, 0.0), self.vehicle.l_r)
 
-    def advance(self, steering_command, speed_command):
-        """Integrate one time step under the given commands."""
-        step = self.time_step
-        self._steering_line.append(steering_command)
-        self._speed_line.append(speed_command)
-        delta_start = self.steering_angle
-        delta_end = self._servo(delta_start, self._steering_line.popleft(), step)
-        a_long = self._drive(self._speed_line.popleft())
-
-        _, x, y, psi, v_x, v_y, r = self.state
-        delta_mid = 0.5 * (delta_start + delta_end)
+    def advance(self, steering_command, speed_command, steps=1):
+        """Integrate so many time steps under the given commands."""
+        step, servo, drive = self.time_step, self._servo, self._drive
         half, sixth = 0.5 * step, step / 6.0
-        v_mid, v_end = v_x + half * a_long, v_x + step * a_long
+        steering_line, speed_line = self._steering_line, self._speed_line
         derivatives, cos, sin = self._derivatives, math.cos, math.sin
+        _, x, y, psi, v_x, v_y, r = self.state
+        delta_end = self.steering_angle
+        for _ in range(steps):
+            steering_line.append(steering_command)
+            speed_line.append(speed_command)
+            delta_start = delta_end
+            delta_end = servo(delta_start, steering_line.popleft(), step)
+            a_long = drive(speed_line.popleft(), v_x)
+            delta_mid = 0.5 * (delta_start + delta_end)
+            v_mid, v_end = v_x + half * a_long, v_x + step * a_long
 
-        dv1, dr1 = derivatives(v_x, v_y, r, delta_start, a_long)
-        v_y2, r2, psi2 = v_y + half * dv1, r + half * dr1, psi + half * r
-        dv2, dr2 = derivatives(v_mid, v_y2, r2, delta_mid, a_long)
-        v_y3, r3, psi3 = v_y + half * dv2, r + half * dr2, psi + half * r2
-        dv3, dr3 = derivatives(v_mid, v_y3, r3, delta_mid, a_long)
-        v_y4, r4, psi4 = v_y + step * dv3, r + step * dr3, psi + step * r3
-        dv4, dr4 = derivatives(v_end, v_y4, r4, delta_end, a_long)
+            dv1, dr1 = derivatives(v_x, v_y, r, delta_start, a_long)
+            v_y2, r2, psi2 = v_y + half * dv1, r + half * dr1, psi + half * r
+            dv2, dr2 = derivatives(v_mid, v_y2, r2, delta_mid, a_long)
+            v_y3, r3, psi3 = v_y + half * dv2, r + half * dr2, psi + half * r2
+            dv3, dr3 = derivatives(v_mid, v_y3, r3, delta_mid, a_long)
+            v_y4, r4, psi4 = v_y + step * dv3, r + step * dr3, psi + step * r3
+            dv4, dr4 = derivatives(v_end, v_y4, r4, delta_end, a_long)
 
-        c1, s1, c2, s2 = cos(psi), sin(psi), cos(psi2), sin(psi2)
-        c3, s3, c4, s4 = cos(psi3), sin(psi3), cos(psi4), sin(psi4)
-        x += sixth * (
-            v_x * c1
-            - v_y * s1
-            + 2.0 * (v_mid * c2 - v_y2 * s2 + v_mid * c3 - v_y3 * s3)
-            + v_end * c4
-            - v_y4 * s4
-        )
-        y += sixth * (
-            v_x * s1
-            + v_y * c1
-            + 2.0 * (v_mid * s2 + v_y2 * c2 + v_mid * s3 + v_y3 * c3)
-            + v_end * s4
-            + v_y4 * c4
-        )
-        self._steps += 1
+            c1, s1, c2, s2 = cos(psi), sin(psi), cos(psi2), sin(psi2)
+            c3, s3, c4, s4 = cos(psi3), sin(psi3), cos(psi4), sin(psi4)
+            middle = v_mid * c2 - v_y2 * s2 + v_mid * c3 - v_y3 * s3
+            x += sixth * (v_x * c1 - v_y * s1 + 2.0 * middle + v_end * c4 - v_y4 * s4)
+            middle = v_mid * s2 + v_y2 * c2 + v_mid * s3 + v_y3 * c3
+            y += sixth * (v_x * s1 + v_y * c1 + 2.0 * middle + v_end * s4 + v_y4 * c4)
+            a_lat = dv1 + v_x * r
+            psi += sixth * (r + 2.0 * (r2 + r3) + r4)
+            v_x = v_end
+            v_y += sixth * (dv1 + 2.0 * (dv2 + dv3) + dv4)
+            r += sixth * (dr1 + 2.0 * (dr2 + dr3) + dr4)
+        self._steps += steps
         self.steering_angle = delta_end
-        self.acceleration = (a_long, dv1 + v_x * r)
-        self.state = CarState(
-            self._steps * step,
-            x,
-            y,
-            psi + sixth * (r + 2.0 * (r2 + r3) + r4),
-            v_end,
-            v_y + sixth * (dv1 + 2.0 * (dv2 + dv3) + dv4),
-            r + sixth * (dr1 + 2.0 * (dr2 + dr3) + dr4),
-        )
+        self.acceleration = (a_long, a_lat)
+        self.state = CarState(self._steps * step, x, y, psi, v_x, v_y, r)
 
 
 class Localization:

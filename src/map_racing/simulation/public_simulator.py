@@ -129,8 +129,12 @@ class PublicSimulator:
         """What the simulator publishes: speed along the heading and no lateral velocity."""
         return self.reference_state()._replace(v_x=self.speed, v_y=math.nan)
 
-    def advance(self, steering_command, speed_command):
-        """One Euler step of 10 ms under the given commands."""
+    def advance(self, steering_command, speed_command, steps=1):
+        """So many Euler steps of 10 ms under the given commands."""
+        for _ in range(steps):
+            self._advance(steering_command, speed_command)
+
+    def _advance(self, steering_command, speed_command):
         vehicle, dt = self.vehicle, self.time_step
         self._steering_line.append(steering_command)
         error = self._steering_line.popleft() - self.steering_angle

@@ -221,8 +221,7 @@ def race(
             decision = driver.watch(car.now)
             if decision is not None:
                 steering, speed = decision.steering_angle, decision.speed
-        for _ in range(_stride(car, driver, processor)):
-            car.advance(steering, speed)
+        car.advance(steering, speed, _stride(car, driver, processor))
     laps_driven = max(int(referee.driven / raceline.length) - 1, 0)
     work = None if slowdown is None else processor.work(controller)
     commands = list(driver.commands)

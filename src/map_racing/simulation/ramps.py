@@ -72,8 +72,9 @@ def drive_ramps(
                     )
                 if progress is not None and len(samples) % 40 == 0:
                     progress(car.now)
+            ticks = max(car.next_event - car.tick, 1)
             if command is None:
-                car.advance(0.0, 0.0)
+                car.advance(0.0, 0.0, ticks)
             else:
-                car.advance(command.steering_angle, command.speed)
+                car.advance(command.steering_angle, command.speed, ticks)
     return samples

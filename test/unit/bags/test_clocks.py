@@ -15,7 +15,7 @@ from map_racing.bags.topics import DRIVE_TOPIC
 from map_racing.bags.writer import BagWriter
 from map_racing.errors import BagError
 from map_racing.evaluation.doubts import doubts_of
-from map_racing.evaluation.merged_times import to_and_fro
+from map_racing.evaluation.pose_doubts import to_and_fro
 
 T0 = 1600000000.0
 COUNT = 200

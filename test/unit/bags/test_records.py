@@ -132,6 +132,7 @@ def whole(race_bag):
     return lambda compression: contents[compression]
 
 
+@pytest.mark.once
 @given(st.sampled_from([None, "lz4", "bz2"]), st.floats(0.0, 0.9999))
 @settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 def test_truncated_bag_gives_a_prefix_and_says_so(tmp_path, whole, compression, fraction):
@@ -260,6 +261,7 @@ def test_index_of_a_chunk_is_only_a_short_cut(tmp_path, fault, order):
         assert notes == [] or fault == "garbage"
 
 
+@pytest.mark.once
 @given(st.data())
 @settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 def test_arbitrary_damage_never_raises_anything_else(tmp_path, whole, data):

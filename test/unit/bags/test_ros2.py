@@ -434,6 +434,7 @@ def test_slow_decompression_of_messages_is_said_once(fast, monkeypatch, caplog):
     assert caplog.text.count("map_racing[zstd]") == (0 if fast else 1)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("rate", [10.0, 40.0, 100.0])
 @pytest.mark.parametrize("write", [write_sqlite, write_mcap])
 def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, write, rate):

@@ -3,6 +3,7 @@
 import dataclasses
 from argparse import ArgumentParser
 
+import pytest
 import yaml
 
 from map_racing.cli import main
@@ -59,6 +60,7 @@ def test_doubts_stand_beside_the_advice(bags, capsys):
     assert "warning: --vehicle is SIM, but the controller drove with NUC4" in said
 
 
+@pytest.mark.once
 def test_another_car_of_the_same_name_is_a_doubt(bags, tmp_path, capsys):
     car = load_vehicle("nuc4")
     for mu, other in ((car.mu, False), (0.9 * car.mu, True)):

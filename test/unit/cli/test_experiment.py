@@ -118,6 +118,7 @@ def test_the_car_is_identified_from_a_recording_of_the_plant(tires):
     assert recording.t[-1] > 60.0
 
 
+@pytest.mark.once
 def test_the_same_command_again_drives_nothing(run, tires, capsys):
     before = (tires / "table.csv").read_bytes()
     run("experiment", "tire-models", "--laps", 2, "--bags", "--output", tires)

@@ -63,6 +63,7 @@ def test_figures_and_report(identified):
     assert report["axles"]["front"]["peak_reached"] and not report["axles"]["rear"]["peak_reached"]
 
 
+@pytest.mark.once
 def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypatch):
     report = json.loads((identified / "r.json").read_text())
     (said,) = report["notes"]
@@ -286,6 +287,7 @@ def test_a_car_is_validated_by_replay(tmp_path, identified, capsys, refused):
     assert "--window: expected" in refused(*check, *vehicle, "--bag", bag, "--window", "0")
 
 
+@pytest.mark.once
 def test_a_servos_position_is_the_steering_angle(tmp_path, capsys, servo_bag):
     output = tmp_path / "a.yaml"
     arguments = ["--vehicle", "nuc4", "--output", str(output)]

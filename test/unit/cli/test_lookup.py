@@ -23,6 +23,7 @@ def test_generated_table_checks_against_its_vehicle(tmp_path, refused, capsys):
     assert "not a table of SIM" in refused("lookup", "check", path, "--vehicle", "sim")
 
 
+@pytest.mark.once
 def test_a_table_may_differ_from_its_vehicle_as_much_as_tires_do(tmp_path, refused, capsys):
     text = find_config("vehicles", "nuc4", (".yaml",)).read_text(encoding="utf-8")
     for mu in ("0.995", "0.98"):

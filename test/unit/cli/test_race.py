@@ -84,6 +84,7 @@ def test_a_fault_that_came_too_late_is_named(tmp_path, capsys):
     assert "pose_nan at 100 s: the race was over before" in capsys.readouterr().out
 
 
+@pytest.mark.once
 def test_same_seed_same_bag(tmp_path):
     for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
         output = str(tmp_path / f"{name}.bag")

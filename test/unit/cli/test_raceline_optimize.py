@@ -105,6 +105,7 @@ def test_the_given_path_is_kept_where_no_faster_one_is_found(tmp_path, capsys, m
     assert float(rows["optimized"][4]) == pytest.approx(float(rows["hall"][4]), abs=0.002)
 
 
+@pytest.mark.once
 def test_rows_of_one_name_are_told_apart(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
     track = load_raceline(str(source))
@@ -192,6 +193,7 @@ def test_doubts_about_lines_to_compare_with_and_about_the_table_are_told(tmp_pat
     assert "warning: lookup table: reaches " in printed
 
 
+@pytest.mark.once
 def test_several_lines_to_compare_with(tmp_path, capsys):
     source = centerline(tmp_path / "hall.csv")
     track = load_raceline(str(source))
@@ -256,7 +258,7 @@ def hall_map(folder):
     [
         (["--start", "-4.5,0,-1.57"], 1.0),
         pytest.param(["--start", "-4.5", "0", "1.57"], -1.0, marks=pytest.mark.once),
-        (["--start", "-4.5,0"], 1.0),
+        pytest.param(["--start", "-4.5,0"], 1.0, marks=pytest.mark.once),
     ],
 )
 def test_a_map_becomes_a_raceline_in_one_command(tmp_path, capsys, start, turn):
@@ -286,6 +288,7 @@ def test_starts_that_cannot_be(tmp_path, capsys, options, text):
     assert text in error and error.count("\n") == 1
 
 
+@pytest.mark.once
 def test_the_start_that_the_error_names_will_do(tmp_path, capsys):
     assert run(hall_map(tmp_path)) == 1
     start = re.search(r"such as --start (\S+), the widest", capsys.readouterr().err).group(1)
@@ -379,6 +382,7 @@ def race_lap(path, speed_scale=0.9):
     return crossings[2] - crossings[1]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "track, gain", [("reference", 1.1), pytest.param("club", 1.2, marks=pytest.mark.once)]
 )

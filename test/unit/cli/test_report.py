@@ -137,6 +137,7 @@ def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
     assert "beyond that not determined" in text
 
 
+@pytest.mark.once
 def test_a_vehicle_file_of_another_car_is_doubted(page, bags, tmp_path):
     assert "is it the file of this car" not in text_of(page)
     text = text_of(report(tmp_path, bags["map"], "--vehicle", "sim"))

@@ -193,6 +193,7 @@ def test_robust_tuning_refuses_what_it_would_ignore(tmp_path, capsys, option):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.once
 def test_a_bump_leaves_the_rest_of_the_line_where_it_is():
     line = load_raceline("reference")
     changed = bumped(line, place=0.35, length_m=2.5, offset_m=0.3)

@@ -8,6 +8,7 @@ import pytest
 from map_racing.control.parameters import load_controller_parameters, save_controller_parameters
 
 
+@pytest.mark.once
 def test_tuning_alone_finds_the_same(run, place, tires, capsys):
     output = place / "tuned"
     command = ["tune", "--controller", "map_paper", "--reuse", str(tires), "--output", str(output)]

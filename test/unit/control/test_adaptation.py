@@ -61,6 +61,7 @@ def drive():
 # -- what it finds -------------------------------------------------------------------------------
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "changes",
     [
@@ -91,6 +92,7 @@ def test_it_finds_tires_and_delay_of_a_car_that_it_does_not_know(changes):
         assert low - 0.5 * width < true < high + 0.5 * width
 
 
+@pytest.mark.once
 def test_poses_at_another_rate_and_without_lateral_velocity_tell_the_same():
     samples = driven({"mu_scale": 0.85, "measures_v_y": False}, rate=100.0)
     belief = learned(samples).belief
@@ -180,6 +182,7 @@ def test_a_curb_says_nothing(drive):
             assert hit.belief.factors == pytest.approx(plain.belief.factors, rel=5e-3)
 
 
+@pytest.mark.once
 def test_what_is_believed_stays_within_its_share():
     belief = learned(driven({"mu_scale": 0.7}), share=0.1).belief
     assert belief.friction == pytest.approx(0.9)
@@ -203,6 +206,7 @@ def test_the_delay_in_use_follows_the_believed_one_slowly():
 # -- down quickly, up slowly ---------------------------------------------------------------------
 
 
+@pytest.mark.once
 def test_the_grip_follows_down_within_a_bend_and_up_slowly():
     fall, rise = 10.0, 20.0
     samples = driven(duration=45.0, grip=lambda t: 0.8 if fall < t < rise else 1.0)
@@ -232,6 +236,7 @@ def test_the_grip_does_not_rise_without_evidence_near_the_limit():
 # -- live, replayed, forgotten -------------------------------------------------------------------
 
 
+@pytest.mark.once
 def test_a_race_is_replayed_to_the_last_bit():
     plant = Plant(PLANT)
     controller = build_controller(ADAPTIVE, NUC4, REFERENCE)
@@ -292,6 +297,7 @@ def test_the_believed_vehicle_is_the_files_with_other_tires(drive):
     assert f"from {adaptation.learned_s:.0f} s of driving" in text and "NUC4" in text
 
 
+@pytest.mark.once
 def test_it_starts_from_a_saved_vehicle_as_well(tmp_path):
     """What was learned in one run is the prior of the next, which then has little to learn."""
     samples = driven({"mu_scale": 0.85})
@@ -338,6 +344,7 @@ def test_a_cold_start_comes_close_to_one_that_was_told(changes):
     assert told[-1] < cold[-1] < 1.03 * told[-1]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("changes", [{"mu_scale": 1.12}, {"front_stiffness_scale": 1.16}], ids=str)
 def test_it_drives_a_plant_that_is_not_its_model(changes):
     """The public simulator's, whose servo steps and whose braking unloads the rear axle more."""
@@ -352,6 +359,7 @@ def test_it_drives_a_plant_that_is_not_its_model(changes):
     assert took[0] < 1.03 * took[1]
 
 
+@pytest.mark.once
 def test_a_sudden_loss_of_grip_ends_on_the_track():
     plant = dataclasses.replace(PLANT, grip_changes=[{"factor": 0.8, "after_s": 21.0}])
     slippery = dataclasses.replace(PLANT, mu_scale=0.8 * PLANT.mu_scale)
@@ -384,6 +392,7 @@ def test_switched_off_it_drives_as_without_and_on_again_it_knows_what_it_learned
     )
 
 
+@pytest.mark.once
 def test_another_delay_that_is_given_while_driving_counts_at_once(drive):
     controller = build_controller(ADAPTIVE, NUC4, REFERENCE)
     for state, _ in drive:
@@ -429,6 +438,7 @@ def test_the_adaptive_controller_is_the_default_that_learns():
 # -- speeds for any grip -------------------------------------------------------------------------
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("level", [0.64, 0.855, 1.05])
 def test_an_adaptive_plan_is_the_plan_of_its_level(level):
     steering = TireSteering(NUC4, 12.0)

@@ -201,6 +201,7 @@ def test_speed_scales_of_sectors_hold_where_the_car_is():
         assert result.speed == pytest.approx(0.9 * scale * REFERENCE.speed_at(s), abs=1e-3)
 
 
+@pytest.mark.once
 @settings(deadline=None)
 @given(
     s=st.floats(0.0, 40.0),
@@ -374,6 +375,7 @@ def test_missing_lateral_velocity_is_that_of_the_steady_circle(car, v_x, delta):
         assert found._replace(v_y=0.0) == state._replace(v_y=0.0)
 
 
+@pytest.mark.once
 @settings(deadline=None)
 @given(v_x=st.floats(-5.0, 15.0), r=st.floats(-30.0, 30.0))
 def test_the_estimate_is_odd_and_finite_beyond_what_tires_can_do(v_x, r):
@@ -407,6 +409,7 @@ walk = st.lists(
 )
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", ["map", "pure_pursuit_paper"])
 @settings(deadline=None, max_examples=60)
 @given(states=walk)
@@ -490,6 +493,7 @@ def test_two_infinities_do_not_cancel():
     assert controller().step(state).status is Status.INVALID_STATE
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=100)
 @given(state=st.tuples(*[st.floats()] * 7), name=st.sampled_from(["table", "ackermann"]))
 def test_no_numbers_at_all_make_it_fail(state, name):

@@ -156,6 +156,7 @@ def survives(controller, line, seed, times, offset):
     return driven >= 10.0
 
 
+@pytest.mark.once
 def test_cars_that_begin_too_fast_and_beside_the_line_stay_on_the_track():
     line = RACELINES["reference"]
     guarded, bold = (
@@ -165,6 +166,7 @@ def test_cars_that_begin_too_fast_and_beside_the_line_stay_on_the_track():
     assert guarded >= 23 and bold <= 18
 
 
+@pytest.mark.once
 def test_a_floor_with_a_third_less_grip_than_believed_is_survived():
     line = RACELINES["reference"]
     slippery = replace(PLANT, mu_scale=0.68)
@@ -175,6 +177,7 @@ def test_a_floor_with_a_third_less_grip_than_believed_is_survived():
     assert outcomes == [Outcome.COMPLETED, Outcome.CRASHED]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("track", ["reference", "club"])
 def test_noise_as_shipped_changes_speeds_by_millimeters_per_second(track):
     line = RACELINES[track]

@@ -73,6 +73,7 @@ def test_brakes_before_the_bend_and_within_its_limits():
     assert np.max(np.hypot(lateral, along)) < 1.01
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=25)
 @given(
     st.floats(0.1, 1.2),

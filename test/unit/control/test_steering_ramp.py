@@ -261,6 +261,7 @@ def farthest(start, sides, speed=3.0):
     return max(math.hypot(sample.true.x, sample.true.y) for sample in samples)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("start, fits", [(0.1, False), (0.14, True)])
 def test_the_first_circle_is_as_wide_as_said(start, fits):
     parameters = RampParameters(speed_mps=3.0, start_rad=start, sides="left")

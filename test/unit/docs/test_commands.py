@@ -75,7 +75,7 @@ SHORTER = {
 # The README prints what these give, so they run as they are.
 WHOLE = ("README.md",)
 # Run with all versions of the libraries; the commands have tests of their own, which are.
-EVERYWHERE = ("README.md", "doc/race_day.md")
+EVERYWHERE = ("README.md",)
 
 # Not run: what prepares the car's workspace or an environment of one's own, and what takes long, of
 # which other tests run a little.

@@ -111,6 +111,7 @@ def test_grip_used_is_speed_squared_times_curvature_over_the_limit(heat, referen
     assert most == pytest.approx(demand.max() / limit, rel=0.03)
 
 
+@pytest.mark.once
 def test_where_the_car_was_off_the_line_it_gets_no_faster(heat, reference):
     at = {}
     for height in (0.1, 0.25, 0.35):
@@ -160,6 +161,7 @@ def test_a_faster_sector_leaves_room_to_brake(heat, reference):
         assert fastest**2 - slow**2 <= 2.0 * 3.0 * 1.5 + 0.05
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("start_s", [0.0, 5.5])
 def test_the_file_gives_the_controller_these_scales(heat, reference, tmp_path, start_s):
     advice = advise(heat(0.75, start_s=start_s))
@@ -201,6 +203,7 @@ def told(line, scale, sectors=None, grip_use=0.0):
     return parse_settings(text)
 
 
+@pytest.mark.once
 def test_what_the_controller_holds_back_is_no_advice(heat, reference):
     """Its own limit is at 3 m/s everywhere: from there on a larger scale changes nothing."""
     ring = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
@@ -216,6 +219,7 @@ def test_what_the_controller_holds_back_is_no_advice(heat, reference):
     assert one.why == "step" and one.scale == pytest.approx(0.638, abs=0.001)
 
 
+@pytest.mark.once
 def test_where_the_slowest_place_is_held_back_the_row_says_so(heat, reference):
     advice = advise(heat(0.6, settings=told(reference, 0.6, grip_use=0.4)))
     said = {one.name: one.why for one in advice.sectors}
@@ -226,6 +230,7 @@ def test_where_the_slowest_place_is_held_back_the_row_says_so(heat, reference):
     assert not any("own limit" in note for note in free.notes)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("shift", [0.0, 0.001, -0.09, 0.1])
 def test_the_scale_of_a_driven_sector_is_not_that_of_its_neighbor(heat, reference, shift):
     """A file counts the points of the line that was loaded, a bag has them at other places."""

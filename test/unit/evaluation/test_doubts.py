@@ -140,7 +140,8 @@ def test_bunches():
     ("factor", "said"),
     [
         (1.0, ""),
-        (0.8, ""),
+        (0.8, "0.80 times"),
+        (0.92, ""),
         (1.05, ""),
         (1.12, "1.12 times"),
         (3.6, "in km/h?"),
@@ -303,6 +304,18 @@ def test_mean_and_top_speed_hold_where_poses_are_noisy(noise, every):
     assert np.max(v) < 4.8 * 1.002 + (0.2 + 25.0 * noise) * (noise > 0.0)
 
 
+@pytest.mark.parametrize("lost", [0.1, 0.5, 0.7])
+@pytest.mark.parametrize("noise", [0.001, 0.003, 0.01])
+def test_mean_and_top_speed_hold_where_poses_are_noisy_and_lost(noise, lost):
+    """Chords that shorten the noise are driven in time, not in numbers of poses: 1 to 3 m/s."""
+    rng = np.random.default_rng(4)
+    kept = rng.uniform(size=T.size) > lost
+    x, y = (v[kept] + noise * rng.normal(size=np.count_nonzero(kept)) for v in circling())
+    v = speed_of(T[kept], x, y, np.full(x.size, np.nan))
+    assert mean(v, np.diff(T[kept])) == pytest.approx(4.8, rel=0.01)
+    assert np.max(v) < 4.8 * 1.01 + 25.0 * noise
+
+
 def test_half_a_period_of_the_steering_is_no_lag():
     """Steering in step with the turning of a circle with waves."""
     theta = 0.8 * T
@@ -313,3 +326,77 @@ def test_half_a_period_of_the_steering_is_no_lag():
     unknown = np.full(T.size, np.nan)
     commands = Commands(T, np.arctan(0.32 * kappa), 4.8 + 0.0 * T, "/drive")
     assert command_clock(Recording(T, x, y, psi, *[unknown] * 3, commands=commands)) == ""
+
+
+def of_poses(x, y, v=None, t=T):
+    unknown = np.full(t.size, np.nan)
+    v = unknown if v is None else v
+    return Recording(t, x, y, unknown, v, unknown, unknown, topic="/odom")
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("by", [(0.3, 0.0), (0.0, 0.5), (1.5, 1.5)])
+def test_a_localization_that_is_corrected_at_once(noise, by):
+    """In one step between two poses, forwards, aside or both; not where poses are missing."""
+    rng = np.random.default_rng(1)
+    x, y = (v + noise * rng.normal(size=T.size) for v in circling())
+    assert doubts_of(of_poses(x, y), [(5.0, 20.0)]) == []
+    x[1200:], y[1200:] = x[1200:] + by[0], y[1200:] + by[1]
+    (doubt,) = doubts_of(of_poses(x, y), [(5.0, 20.0)])
+    assert "/odom: at 15.0 s the poses step aside by " in doubt
+    assert float(doubt.split(" by ")[1].split()[0]) == pytest.approx(np.hypot(*by), abs=0.05)
+    assert doubts_of(of_poses(x, y), [(15.5, 20.0)]) == []
+
+
+@pytest.mark.parametrize("lost", [0.2, 0.6])
+def test_poses_that_are_lost_at_random_do_not_step_aside(lost):
+    kept = np.random.default_rng(2).uniform(size=T.size) > lost
+    x, y = circling(3.0, 1.8)
+    assert doubts_of(of_poses(x[kept], y[kept], t=T[kept]), [(5.0, 20.0)]) == []
+
+
+@pytest.mark.parametrize("digits", [1, 2])
+def test_positions_that_were_rounded(digits):
+    doubts = doubts_of(of_poses(*(np.round(v, digits) for v in circling())), [])
+    assert [doubt for doubt in doubts if "rounded" in doubt] == (
+        ["/odom: positions are rounded to 0.1 m: errors are no better than that"]
+        if digits == 1
+        else []
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda v: 0.0 * v, "from 10.1 to 10.9 s the measured speed is 0.0"),
+        (lambda v: 9.0 * v, "from 10.1 to 10.9 s the measured speed is 9."),
+        (lambda v: 0.7 * v, ""),
+    ],
+)
+def test_a_speed_that_is_nonsense_for_a_second(wrong, said):
+    v = np.where((T >= 10.0) & (T <= 11.0), wrong(4.8 + 0.0 * T), 4.8)
+    doubts = doubts_of(of_poses(*circling(), v), [(5.0, 20.0)])
+    assert len(doubts) == bool(said) and all(said in doubt for doubt in doubts)
+
+
+def test_a_speed_that_is_held_while_the_car_goes_on():
+    v = 4.0 + 1.2 * np.sin(1.3 * T)
+    way = 4.0 * T - 1.2 / 1.3 * np.cos(1.3 * T)
+    x, y = 8.0 * np.cos(way / 8.0), 8.0 * np.sin(way / 8.0)
+    assert doubts_of(of_poses(x, y, v), [(5.0, 20.0)]) == []
+    v[(T > 12.0) & (T < 14.0)] = v[T > 12.0][0]
+    (doubt,) = doubts_of(of_poses(x, y, v), [(5.0, 20.0)])
+    assert "from 12.0 to 14.0 s the measured speed stays the same" in doubt
+    still = np.full(T.size, 4.8)
+    assert doubts_of(of_poses(*circling(), still), [(5.0, 20.0)]) == []
+
+
+def test_a_speed_that_is_late_from_some_time_on():
+    def wave(t):
+        return 4.0 + 1.2 * np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t)
+
+    t = np.arange(0.0, 90.0, 0.02)
+    way = 4.0 * t - 1.2 / 1.3 * np.cos(1.3 * t) - 0.5 / 3.1 * np.cos(3.1 * t)
+    x, y = 8.0 * np.cos(way / 8.0), 8.0 * np.sin(way / 8.0)
+    (doubt,) = doubts_of(of_poses(x, y, wave(t - 0.4 * (t > 60.0)), t), [(5.0, 80.0)])
+    assert "s the measured speed comes 0.40 s after the motion of the poses" in doubt

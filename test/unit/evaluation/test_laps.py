@@ -50,6 +50,7 @@ def reasons(result):
 # -- known answers ---------------------------------------------------------------------------------
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("spacing", [0.02, 0.1, 0.3, 0.7])
 @pytest.mark.parametrize("phase", [0.0, 0.011])
 def test_known_laps_at_any_waypoint_spacing(track, spacing, phase):
@@ -635,6 +636,7 @@ def as_bits(result):
     ]
 
 
+@pytest.mark.once
 @given(st.data())
 @settings(deadline=None, max_examples=25)
 def test_any_chunking_gives_identical_laps(drive, line, data):
@@ -943,6 +945,7 @@ def test_hangar_laps_agree_with_the_printout_of_its_own_tracker(shared_data):
     assert summary.mean_lap_time_s - np.mean(printed[1:]) == pytest.approx(0.06, abs=0.01)
 
 
+@pytest.mark.once
 def test_hangar_bag_on_another_track(shared_data):
     driven = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
     other = load_raceline(shared_data / "laps" / "ipz20" / "IPZ20_wp.csv")
@@ -964,6 +967,7 @@ def test_real_laps(shared_data):
     assert max(times) < 9.4
 
 
+@pytest.mark.once
 def test_a_lap_of_a_full_size_car_has_no_jumps():
     """50 m/s are a meter from pose to pose at 50 Hz; the speeds of the line say that cars do."""
     track = load_raceline("circuit")

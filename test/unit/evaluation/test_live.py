@@ -145,6 +145,7 @@ def test_a_car_that_is_left_parked_fills_no_memory(line, drive, monkeypatch):
     assert result.laps[1].end_time_s == result.laps[2].start_time_s
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=25)
 @given(
     lags=st.lists(st.integers(-40, 40), min_size=5, max_size=5),
@@ -414,12 +415,13 @@ def nothing(columns):
     pass
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
+        (stamps_in_bunches, "poses come in bunches, 0.10 s apart"),
         (nothing, None),
         (a_clock_that_is_set, "time jumps ahead by 0.15 s"),
-        (stamps_in_bunches, "poses come in bunches, 0.10 s apart"),
         (poses_of_two_nodes, "poses alternate between two places 0.3"),
         (a_second_sender_now_and_then, "poses lie beside those before and after"),
         (a_speed_in_kmh_for_a_while, "the measured speed is 3.6"),

@@ -7,6 +7,7 @@ from map_racing.simulation.plants import load_plant
 from map_racing.vehicle.parameters import load_vehicle
 
 
+@pytest.mark.once
 def test_the_shipped_identified_simulator_is_what_ramps_on_it_give(tmp_path):
     """Its tires hold the slip angles of the ramps; the file says how it was made."""
     shipped = load_vehicle("sim_identified")

@@ -112,6 +112,7 @@ def test_simulated_races_have_no_date_and_are_in_the_order_of_their_writing(ring
     assert [row["date"] for row in heats] == ["2025-06-15 15:06:40", *["simulated"] * 3]
 
 
+@pytest.mark.once
 def test_what_has_not_changed_is_not_read_again(bags, tmp_path, monkeypatch, ring):
     folder = tmp_path / "bags"
     shutil.copytree(str(bags), str(folder))

@@ -66,6 +66,7 @@ def test_error_is_the_mean_over_laps_of_completed_races():
     assert math.isinf(lap_error([raced(0.1), raced()]))
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.0, 1.3), st.floats(0.0, 0.4), st.floats(2.0, 6.0))
 def test_finds_the_bottom_of_a_valley(m, q, v):

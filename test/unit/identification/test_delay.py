@@ -76,6 +76,7 @@ def shipped():
     return driven("nuc4", weaving, seconds=18.0)
 
 
+@pytest.mark.once
 def test_of_the_shipped_car(shipped):
     delays = estimate_delays([shipped], NUC4)
     for part, true in (
@@ -116,6 +117,7 @@ def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
     assert delays.delay.low <= total <= delays.delay.high
 
 
+@pytest.mark.once
 def test_commands_that_are_stamped_with_the_pose_they_answer(tmp_path):
     """As the controller node does: they are sent when the pose has come."""
     raceline, parameters = load_raceline("reference"), load_controller_parameters("map")
@@ -221,6 +223,7 @@ def test_the_line_in_a_recording_of_the_public_simulator(shared_data):
     assert delays.delay.value == pytest.approx(0.05, abs=0.003)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "steering",
     [straight, lambda t: 0.2, lambda t: 0.3 * weaving(t), lambda t: 0.2 if t > 7.0 else 0.0],
@@ -299,6 +302,7 @@ def test_the_age_where_the_recorder_has_another_clock(tmp_path, offset, age):
     assert ("another one" in delays.pose_age.reason) == (offset != 0.0)
 
 
+@pytest.mark.once
 def test_an_age_that_nothing_tells_is_not_said_to_be_within(shipped):
     run = dataclasses.replace(shipped, pose_lag=(-0.98,) * 3)
     delays = estimate_delays([run], NUC4)
@@ -347,6 +351,7 @@ def test_the_command(tmp_path, capsys):
     assert "delay_s: not determined" in capsys.readouterr().out
 
 
+@pytest.mark.once
 def test_split_bags_are_joined(tmp_path):
     whole = find_config("recordings", "nuc4_ramps", (".bag",))
     halves = [tmp_path / f"ramps_{part}.bag" for part in (0, 1)]

@@ -109,6 +109,7 @@ def test_a_similar_car_of_another_size_is_identified_alike(ramps, found, scale):
         assert axle.pacejka.rejected_share == pytest.approx(one.rejected_share, abs=0.02)
 
 
+@pytest.mark.once
 def test_the_papers_front_force_overrates_this_model(ramps, found):
     paper = identify([ramps.run], ramps.base, front_force="paper")
     slip = found.axles["front"].pacejka.covered_slip
@@ -137,6 +138,7 @@ def test_what_is_returned(found, ramps):
     assert found.vehicle.a_lat_max == ramps.base.a_lat_max
 
 
+@pytest.mark.once
 def test_a_limit_of_the_vehicle_file_is_no_lower_than_what_was_held(found, ramps):
     limited = identify([ramps.run], dataclasses.replace(ramps.base, a_lat_max=3.0))
     for car in (limited.vehicle, limited.linear_vehicle):
@@ -217,6 +219,7 @@ def test_runs_left_out_are_predicted_by_the_others(ramps, tmp_path):
         leave_one_out(runs[:1], ramps.base)
 
 
+@pytest.mark.once
 def test_prediction_is_that_of_the_model(ramps, found):
     for hold in predict(ramps.true, found.motions, found.largest_a_y):
         expected = steady_acceleration(ramps.true, hold.v, abs(hold.delta))
@@ -238,6 +241,7 @@ def test_steady_acceleration_where_there_is_no_steady_state():
     assert most > steady_acceleration(loose, 3.0, 0.01) > 0.0
 
 
+@pytest.mark.once
 def test_a_fast_part_of_the_data_says_nothing_of_the_peak(ramps):
     slow = {
         name: Signal(s.t[s.t < 35.0], s.value[s.t < 35.0]) for name, s in ramps.run.signals.items()
@@ -264,6 +268,7 @@ def test_straight_driving_and_nothing_are_refused(ramps):
         identify([], ramps.base)
 
 
+@pytest.mark.once
 def test_one_bad_run_does_not_spoil_the_others(ramps, found):
     bad = dataclasses.replace(ramps.run, name="x/bad.bag", signals={})
     both = identify([ramps.run, bad], ramps.base)

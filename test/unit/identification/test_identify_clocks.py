@@ -56,6 +56,7 @@ def stiffness(found):
     return [axle.pacejka.parameters["stiffness_n_per_rad"].value for axle in found.axles.values()]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("topics", "seconds"),
     [
@@ -73,6 +74,7 @@ def test_they_are_found_said_and_repaired(ramps, right, shifted, topics, seconds
     assert stiffness(identify([run], ramps.base)) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("seconds", [-0.3, 0.1, 1.0])
 def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
     """A bag that was written anew by its stamps."""
@@ -82,6 +84,7 @@ def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
         identify([run], ramps.base, fix=True)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("seconds", [-0.3, pytest.param(-0.2, marks=pytest.mark.once)])
 def test_late_commands_of_ramps_are_told_by_the_steps_of_the_speed(ramps, right, shifted, seconds):
     """Ramps of the steering are so even that a shift only looks like other tires."""
@@ -94,6 +97,7 @@ def test_late_commands_of_ramps_are_told_by_the_steps_of_the_speed(ramps, right,
     assert stiffness(mended) == pytest.approx(right, rel=0.02)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("seconds", [0.2, 0.3])
 def test_a_speed_that_changes_before_its_commands_is_refused(ramps, shifted, seconds):
     run = shifted((DRIVE,), seconds, receipts=True)
@@ -108,6 +112,7 @@ def test_the_speed_of_a_real_car_begins_to_change_soon(shared_data):
         assert len(onsets) == 6 and np.median(onsets) == pytest.approx(0.06, abs=0.02)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("seconds", [-1.0, 1.0, 2.0])
 def test_commands_whose_receipts_are_shifted_too_are_refused(ramps, shifted, seconds):
     run = shifted((DRIVE,), seconds, receipts=True)

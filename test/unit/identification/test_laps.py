@@ -62,6 +62,7 @@ def test_combinations_and_friction_are_the_cars(low, found):
     assert found.vehicle.front.C == NUC4.front.C
 
 
+@pytest.mark.once
 def test_the_steering_has_one_delay(low):
     """In report and file: the one that `delay_s` is made of."""
     found = identify_car([low[0]], NUC4)
@@ -137,6 +138,7 @@ def test_without_lateral_velocity_or_imu(low):
     assert stiffness(found.vehicle, "front") == pytest.approx(stiffness(true, "front"), rel=0.06)
 
 
+@pytest.mark.once
 def test_an_imu_away_from_the_center_of_gravity():
     """The setup says where; it measures parts of the yaw acceleration and of the yaw rate, too."""
     run, true = laps_of(0.7, mu_scale=0.88, **QUIET)

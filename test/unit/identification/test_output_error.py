@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from map_racing.identification.channels import SensorSetup
 from map_racing.identification.laps import car_of
-from map_racing.identification.output_error import NAMES, simulate
+from map_racing.identification.output_error import NAMES, at_sensors, simulate
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.single_track import single_track_derivatives
 
@@ -103,3 +104,13 @@ def test_it_drives_as_the_equations_say(vehicle):
             for name, expected in zip(("r", "v_y", "a_y"), exact):
                 error = np.max(np.abs(found[name][:, i, column] - expected)) / np.ptp(expected)
                 assert error < (0.01 if name == "a_y" else 0.0015), (i, column, name)
+
+
+def test_sensors_away_from_the_center_of_gravity_measure_the_motion_of_their_place():
+    r = (0.3 + 0.8 * STEP * np.arange(STEPS + 1))[:, None, None]
+    setup = SensorSetup(pose_x_m=0.1, imu_x_m=NUC4.l_r + 0.2, imu_y_m=-0.1)
+    given = SimpleNamespace(step=STEP, drives=[SimpleNamespace(setup=setup)], drive=np.array([0]))
+    found = at_sensors(NUC4, given, {"r": r, "v_y": 0.0 * r, "a_y": 0.0 * r})
+    np.testing.assert_allclose(found["a_y"], 0.8 * 0.2 + 0.1 * r**2, rtol=1e-9)
+    np.testing.assert_allclose(found["v_y"], (0.1 - NUC4.l_r) * r, rtol=1e-9)
+    assert found["r"] is r

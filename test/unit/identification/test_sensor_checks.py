@@ -60,10 +60,8 @@ def test_a_run_in_order_has_nothing_to_repair(ramps):
     }
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [name if "turned" in name else pytest.param(name, marks=pytest.mark.once) for name in FAULTS],
-)
+@pytest.mark.once
+@pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_found_and_repaired(ramps, curve_error, fault):
     faults, name, expected = FAULTS[fault]
     run = spoiled(ramps.run, faults)
@@ -98,6 +96,7 @@ def test_axes_that_are_swapped(ramps, curve_error):
     assert curve_error(found, ramps.true, "front") < 0.03
 
 
+@pytest.mark.once
 def test_gravity_on_the_lateral_axis(ramps):
     signals = dict(ramps.run.signals)
     signals["a_z"], signals["a_y"] = signals["a_y"], signals["a_z"]
@@ -120,6 +119,7 @@ def test_an_imu_that_measures_nothing_can_be_done_without(ramps, curve_error):
     assert curve_error(found, ramps.true, "front") < 0.03
 
 
+@pytest.mark.once
 def test_an_imu_that_is_not_used_is_not_judged(ramps):
     run = spoiled(ramps.run, {"a_y": (-3.0, 1.0)})
     found = identify([run], ramps.base, acceleration="yaw_rate")
@@ -150,6 +150,7 @@ def test_the_point_of_the_pose(ramps):
     assert not any(f.contradiction for f in findings_of(stated, ramps.base))
 
 
+@pytest.mark.once
 def test_several_faults_at_once(ramps, curve_error):
     faults = {"yaw_rate": (-1.0, 0.0), "a_y": (-1.05, 0.3), "steering": (-0.9, 0.01)}
     found = identify([spoiled(ramps.run, faults)], ramps.base, fix=True)
@@ -197,6 +198,7 @@ def test_a_gain_beyond_the_lock_is_refused(ramps):
     assert any("beyond their lock of 0.300 rad" in text for text in texts)
 
 
+@pytest.mark.once
 def test_saturated_cornering_to_one_side_tells_no_gain(ramps):
     """Above 45 % of the largest acceleration understeer is not proportional to it."""
     run = spoiled(ramps.run, {"steering": (0.35, 0.0)})
@@ -297,7 +299,7 @@ def lobes():
     return Raceline(radius * np.cos(angle), radius * np.sin(angle))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.once)])
 @pytest.mark.parametrize("line", [load_raceline("reference"), lobes()], ids=["reference", "lobes"])
 @pytest.mark.parametrize("plant, scale", [("nuc4", 0.7), ("public_simulator", 0.7)])
 def test_few_moments_of_steady_cornering_in_laps_are_no_reason_to_repair(plant, scale, line, seed):

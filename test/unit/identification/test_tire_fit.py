@@ -77,6 +77,7 @@ def test_the_papers_front_force_has_the_cosine():
         axle_points(vehicle, *motion, front_force="theirs")
 
 
+@pytest.mark.once
 def test_errors_that_both_axles_share_are_told_by_the_rear():
     """Each third of the points with another error of the heading, and noise of it: not in front."""
     rng, rear_tire, count = np.random.default_rng(4), PacejkaTire(25.0, 1.3, 1.2, 0.4), 600
@@ -104,6 +105,7 @@ def test_exact_points_give_the_curve_back():
     assert fit.inlier.all() and fit.mean_residual_n < 1e-2 and fit.rejected_share == 0.0
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("seed", range(5))
 def test_curve_is_recovered_from_noise(seed):
     fit = fit_pacejka(measured(FRONT, force_noise=0.4, seed=seed))
@@ -113,6 +115,7 @@ def test_curve_is_recovered_from_noise(seed):
     assert peak.determined and peak.low < LOAD * FRONT.peak < peak.high
 
 
+@pytest.mark.once
 @given(st.floats(4.0, 15.0), st.floats(1.1, 1.5), st.floats(0.5, 1.3), st.floats(-1.0, 0.9))
 @settings(deadline=None, max_examples=15)
 def test_any_tire_within_the_bounds(B, C, D, E):
@@ -128,6 +131,7 @@ def test_a_shape_factor_beyond_the_bound_is_fitted_within_it():
     assert worst(tire, fit.tire, 0.4) < 0.03
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("seed", range(5))
 def test_a_quarter_of_gross_outliers(seed):
     points = measured(FRONT, force_noise=0.3, seed=seed)

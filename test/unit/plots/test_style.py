@@ -61,15 +61,14 @@ def expected(tmp_path, monkeypatch):
     return picture(here / "figures")
 
 
-@pytest.mark.parametrize("backend", ["nonsense", "module://no_such_module", ""])
-def test_any_backend(tmp_path, expected, backend):
+@pytest.mark.parametrize(
+    "backend, settings", [("nonsense", ""), ("module://no_such_module", ""), ("", SETTINGS)]
+)
+def test_any_backend_and_matplotlibrc(tmp_path, expected, backend, settings):
     assert expected
-    assert drawn(tmp_path, MPLBACKEND=backend)[0] == expected
-
-
-def test_any_matplotlibrc(tmp_path, expected):
-    (tmp_path / "elsewhere").write_text(SETTINGS)
-    assert drawn(tmp_path, MATPLOTLIBRC=str(tmp_path / "elsewhere"))[0] == expected
+    (tmp_path / "elsewhere").write_text(settings)
+    environment = {"MPLBACKEND": backend, "MATPLOTLIBRC": str(tmp_path / "elsewhere")}
+    assert drawn(tmp_path, **environment)[0] == expected
 
 
 def test_commands_draw_the_same_whatever_matplotlibrc_there_is(tmp_path):

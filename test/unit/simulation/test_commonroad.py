@@ -55,6 +55,7 @@ def test_without_the_package_one_line_says_which_install_brings_it(monkeypatch, 
     assert "pip install 'map_racing[rivals]'" in error
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("parameters", "speed", "amplitude", "frequency"),
     [
@@ -126,6 +127,7 @@ def test_from_standstill_the_car_rolls_on_its_geometry_and_hands_over_smoothly(m
     assert np.abs(np.diff(yaw)).max() < 0.02 * max(yaw)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("parameters", [BMW, F1TENTH], ids=["multi-body", "drift"])
 def test_the_car_brakes_to_a_stop_and_stands(models, parameters):
     plant = car(parameters, 8.0)
@@ -135,6 +137,7 @@ def test_the_car_brakes_to_a_stop_and_stands(models, parameters):
     assert state.x - plant.vehicle.l_r > 8.0**2 / (2.0 * parameters.a_brake_max_mps2) - 0.1
 
 
+@pytest.mark.once
 def test_half_the_grip_is_half_the_lateral_acceleration(models):
     limits = []
     for factor in (1.0, 0.5):

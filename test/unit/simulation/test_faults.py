@@ -288,6 +288,7 @@ def test_the_schedule_of_the_page_stops_the_car_as_it_says_and_is_completed(para
 # -- in a race -----------------------------------------------------------------------------------
 
 
+@pytest.mark.once
 def test_without_faults_supervision_changes_nothing(parameters):
     """Not one command of laps at the shipped speeds, nor a stop."""
     line = load_raceline("reference")

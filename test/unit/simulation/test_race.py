@@ -68,6 +68,7 @@ def evaluated(log, raceline, car_width=0.296):
 # -- laps ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("laps", [1, 3])
 def test_a_race_is_an_out_lap_and_the_laps_asked_for(laps):
     log = drive(plant=PLANT, seed=1, laps=laps, speed_scale=0.7)
@@ -90,6 +91,7 @@ def test_the_last_lap_of_a_fast_car_is_complete():
     assert sum(lap.valid for lap in evaluated(log, line).laps) == 1
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("latency", [0.02, 0.04, 0.1])
 def test_the_last_lap_is_complete_however_late_the_poses(latency):
     """At 12 m/s a car is 1.2 m farther when a pose that is 0.1 s old arrives."""
@@ -100,6 +102,7 @@ def test_the_last_lap_is_complete_however_late_the_poses(latency):
     assert sum(lap.valid for lap in evaluated(log, line).laps) == 1
 
 
+@pytest.mark.once
 def test_lap_time_on_a_circle_is_length_over_speed():
     """At a speed long since reached and without lateral error: to 1 ms."""
     raceline = circle(3.0, 3.0)
@@ -109,6 +112,7 @@ def test_lap_time_on_a_circle_is_length_over_speed():
     assert lap.lap_time_s == pytest.approx(raceline.length / 3.0, abs=1e-3)
 
 
+@pytest.mark.once
 def test_the_shipped_race_is_won_by_the_tires_as_they_are():
     """MAP follows closest, then MAP on linear tires, then pure pursuit; on a car of its own."""
     errors = {}
@@ -123,6 +127,7 @@ def test_the_shipped_race_is_won_by_the_tires_as_they_are():
     assert errors["map"] < 0.06
 
 
+@pytest.mark.once
 def test_same_seed_same_race_and_another_seed_another():
     first, again, other = (
         drive(plant=PLANT, seed=seed, speed_scale=0.6).true_path() for seed in (5, 5, 6)
@@ -133,6 +138,7 @@ def test_same_seed_same_race_and_another_seed_another():
     assert np.array_equal(first[0], other[0])
 
 
+@pytest.mark.once
 def test_the_mirrored_race_is_the_mirror_image():
     """Through controller, actuators, plant and walls."""
     mirrored = Raceline(
@@ -277,9 +283,10 @@ class _Witness(Plant):
         super().__init__(parameters)
         self.commands = []
 
-    def advance(self, steering_command, speed_command):
-        self.commands.append((self.state.t, steering_command))
-        super().advance(steering_command, speed_command)
+    def advance(self, steering_command, speed_command, steps=1):
+        for _ in range(steps):
+            self.commands.append((self.state.t, steering_command))
+            super().advance(steering_command, speed_command)
 
 
 @pytest.mark.parametrize("rate", [40.0, 50.0, 33.0, 500.0])
@@ -367,6 +374,7 @@ def test_the_shipped_map_halves_the_error_and_is_faster(shared_data, hangar, del
     assert clearance > 0.15
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "straight, radius, speed, most_error, most_lap",
     [
@@ -389,6 +397,7 @@ def test_the_shipped_map_where_the_tires_are_not_the_limit(
     assert error < most_error and lap_time < most_lap
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("hangar", HANGARS)
 def test_the_shipped_map_at_the_rate_of_the_authors_loop(shared_data, hangar):
     """With the bound of the other rates: the values are a compromise of many tracks and cars."""

@@ -59,6 +59,7 @@ def test_no_command_is_beyond_limit_lock_or_grip(scenario):
     assert bounds.beyond <= 1e-9
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("at", [8.0, 11.5])
 def test_a_stop_without_poses_brakes_and_steers_within_the_grip(at):
     """Of the true car, which accelerates out of a bend as its poses stop."""

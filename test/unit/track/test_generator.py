@@ -26,6 +26,7 @@ SHAPES = {
 draw_track = lru_cache(maxsize=None)(draw)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("kind", SHAPES)
 @pytest.mark.parametrize(
     "seed", [3, *(pytest.param(seed, marks=pytest.mark.once) for seed in (1, 2))]
@@ -57,6 +58,7 @@ def test_neither_line_nor_walls_cross(kind):
     assert across.min() > 0.95 * shape.width and across.max() < 1.3 * shape.width
 
 
+@pytest.mark.once
 def test_speeds_are_the_vehicles_limits_times_what_is_stated():
     plain, beyond = (draw_track(2, TrackShape(beyond=factor)) for factor in (1.0, 1.6))
     lateral = [np.max(np.abs(track.kappa) * track.speed**2) for track in (plain, beyond)]
@@ -66,6 +68,7 @@ def test_speeds_are_the_vehicles_limits_times_what_is_stated():
     np.testing.assert_array_equal(plain.x, beyond.x)
 
 
+@pytest.mark.once
 def test_left_and_right_are_mirror_images():
     left, right = (draw_track(6, TrackShape(left=side)) for side in (True, False))
     np.testing.assert_allclose(left.x, right.x, atol=1e-9)

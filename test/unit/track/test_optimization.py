@@ -103,6 +103,7 @@ def test_place_size_and_side_do_not_matter(angle, scale, mirror):
     )
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=25)
 @given(st.floats(0.0, 1.0), st.floats(0.5, 4.0), st.floats(-0.05, 0.05))
 def test_no_bump_that_keeps_clear_of_the_walls_lowers_the_curvature(place, wide, high):
@@ -188,6 +189,7 @@ def test_bounded_steps_are_those_of_another_solver(n, seed):
     assert costs[0] <= costs[1] + 1e-6 * (1.0 + costs[1])
 
 
+@pytest.mark.once
 def test_on_a_ring_the_narrowest_circle_is_fastest():
     """The lap takes 2 pi sqrt(R / a), though the widest circle bends least."""
     found = fastest_line(ring(5.0, 1.0), 0.25, LIMITS)
@@ -196,6 +198,7 @@ def test_on_a_ring_the_narrowest_circle_is_fastest():
     assert time == pytest.approx(2.0 * math.pi * math.sqrt(4.25 / 7.0), rel=1e-3)
 
 
+@pytest.mark.once
 def test_the_fastest_line_is_faster_and_bends_little_more():
     track = load_raceline("reference")
     least = minimum_curvature(track, 0.25)
@@ -210,6 +213,7 @@ def test_the_fastest_line_is_faster_and_bends_little_more():
     )
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_shipped_tracks_have_room_for_better(name):
     """Within the clearance that the shipped line keeps itself, both sums and times fall."""

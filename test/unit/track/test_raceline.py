@@ -138,6 +138,7 @@ def test_coordinates_far_from_the_origin_lose_nothing():
 # -- projection ----------------------------------------------------------------------------------
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=200)
 @given(st.floats(0.0, 1.0), st.floats(-0.4, 0.4))
 def test_projection_inverts_to_cartesian(part, d):
@@ -151,6 +152,7 @@ def test_projection_inverts_to_cartesian(part, d):
     assert 0.0 <= foot.s < WINDING.length
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=300)
 @given(st.floats(-15.0, 15.0), st.floats(-10.0, 10.0))
 def test_projection_is_the_closest_point_of_all(x, y):
@@ -197,6 +199,7 @@ def test_projection_at_the_center_of_curvature():
     assert foot.d == pytest.approx(5.0, abs=1e-7)
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=200)
 @given(st.floats(0.0, 1.0), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 def test_projection_from_a_guess(part, d, off):

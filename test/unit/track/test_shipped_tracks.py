@@ -69,6 +69,7 @@ def test_walls_leave_room_and_do_not_cross(name):
             assert side * foot.d == pytest.approx(widths[k], abs=1e-5)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_generator_makes_the_shipped_file(name):
     generator = load_generator()

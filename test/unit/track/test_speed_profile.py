@@ -69,6 +69,7 @@ def grip_used(kappa, square, a_long, limits):
     return np.hypot(np.abs(kappa) * square / value(limits["a_lat_max"], v), along)
 
 
+@pytest.mark.once
 @BOTH
 @settings(deadline=None, max_examples=60)
 @given(CURVATURES, st.floats(0.02, 0.5))
@@ -83,6 +84,7 @@ def test_nowhere_are_the_limits_exceeded_not_between_the_points_either(limits, k
         assert np.all(grip_used(bend, between, a_long, limits) <= 1.0 + 1e-6)
 
 
+@pytest.mark.once
 @BOTH
 @settings(deadline=None, max_examples=60)
 @given(CURVATURES, st.floats(0.02, 0.5))
@@ -104,6 +106,7 @@ def test_no_point_can_be_faster(limits, kappa, ds):
         assert faster[k] > 9.0 or broken(k - 1, faster**2) or broken(k, faster**2)
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=30)
 @given(CURVATURES, st.lists(st.floats(1.0, 3.0), min_size=60, max_size=60), st.floats(0.02, 0.5))
 def test_a_profile_within_lower_limits_is_nowhere_faster(kappa, slower, ds):
@@ -162,6 +165,7 @@ def test_tighter_bends_than_a_least_speed_allows_are_driven_at_it():
     np.testing.assert_array_equal(with_least, speed_profile(kappa, 0.1, **SPEED_DEPENDENT))
 
 
+@pytest.mark.once
 @BOTH
 @settings(deadline=None, max_examples=40)
 @given(CURVATURES, st.lists(st.floats(0.0, 9.0), min_size=60, max_size=60), st.floats(0.02, 0.5))

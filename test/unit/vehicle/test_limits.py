@@ -25,6 +25,7 @@ def test_scales_and_the_lower_top_speed():
         assert speed_limits(NUC4, table, v_max=v_max)["v_max"] == v_max
 
 
+@pytest.mark.once
 def test_a_car_faster_than_any_table():
     limits, ordinary = speed_limits(replace(NUC4, v_max=120.0)), speed_limits(NUC4)
     assert limits["v_max"] == 120.0

@@ -75,6 +75,7 @@ def equilibrium(car, v, delta, a_lat):
     return residual, np.column_stack((column(h, 0.0), column(0.0, h)))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("car", CARS, ids=lambda car: car.name)
 def test_table_equals_the_simulated_limit(car):
     table = steady_state_table(car, SPEEDS, ANGLES)
@@ -88,6 +89,7 @@ def test_every_cell_of_the_understeering_cars_has_a_steady_state():
         assert np.all(np.isfinite(steady_state_table(car, SPEEDS, ANGLES).a_lat))
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=60)
 @given(car=cars)
 def test_cells_are_stable_equilibria_of_the_equations(car):
@@ -133,6 +135,7 @@ def test_tires_that_peak_together_may_swing_just_beyond_their_peak():
         assert np.linalg.eigvals(jacobian).real.max() < 0.0
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=60)
 @given(car=cars)
 def test_a_branch_once_ended_does_not_begin_again(car):
@@ -140,6 +143,7 @@ def test_a_branch_once_ended_does_not_begin_again(car):
     assert np.array_equal(missing, np.logical_or.accumulate(missing, axis=0))
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=60)
 @given(car=cars)
 def test_no_acceleration_beyond_the_weaker_axle(car):
@@ -230,6 +234,7 @@ def test_impossible_axes_are_refused(speeds, angles, name):
         steady_state_table(NUC4, speeds, angles)
 
 
+@pytest.mark.once
 def test_a_growing_oscillation_is_no_steady_state():
     """A front tire far beyond its peak feeds the yaw motion; the equilibrium is no saddle."""
     car = dataclasses.replace(

@@ -304,6 +304,7 @@ def test_a_last_point_beside_the_first_closes_the_track():
         assert examination.raceline.length == pytest.approx(LINE.length, abs=1e-3)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("turned", ["line", "both", "other", "nothing"])
 @pytest.mark.parametrize("shown", ["markers", "line"])
 def test_a_file_that_shows_its_walls_tells_whether_they_are_exchanged(tmp_path, shown, turned):
@@ -342,6 +343,7 @@ def test_walls_in_other_units(unit):
     assert ("walls-far" in found) == (unit > 1.0)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("track", ["reference", "club"])
 def test_a_line_along_one_wall_is_not_taken_for_exchanged(track, side):

@@ -75,6 +75,7 @@ def same(read, track, columns=(), atol=1e-6):
     np.testing.assert_allclose(at[0].y, at[1].y, rtol=0.0, atol=atol)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("form", FORMATS)
 @settings(max_examples=6, deadline=None)
 @given(
@@ -473,6 +474,7 @@ REAL = {
 OTHER_CIRCUITS = tuple(f"tracks/{name}/" for name in MAPS[1:])
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("source", REAL)
 def test_real_files_are_read_right(shared_data, tmp_path, source):
     """Nothing is wrong with them, and what they state agrees with what is recomputed."""
