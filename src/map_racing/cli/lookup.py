@@ -183,7 +183,8 @@ def _describe_speeds(raceline, table, controller, vehicle):
     """Where a controller with this table would drive slower than the raceline."""
     parameters = load_controller_parameters(controller, vehicle).with_(speed_scale=1.0)
     if parameters.grip_use:
-        plan = SpeedPlan(raceline, parameters, table, top_speed=vehicle.v_max)
+        top_speed = math.inf if vehicle is None else vehicle.v_max
+        plan = SpeedPlan(raceline, parameters, table, top_speed=top_speed)
         print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")
     else:
         print(f"  {controller}, grip_use 0: drives the raceline's speeds, whatever the grip")
