@@ -17,6 +17,7 @@ __all__ = [
     "LATENCY_NS",
     "LONGEST_LAG_S",
     "Clock",
+    "coarse_note",
     "lag_of_effect",
     "mended",
     "rate_note",
@@ -262,6 +263,14 @@ def mended(
     early, usual, late = np.percentile(received[good] - stamps[good], (2.5, 50.0, 97.5))
     stamps = np.where(good, stamps, received - int(usual))
     return stamps, coarse, 1e-9 * float(late - early)
+
+
+def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
+    """Warning of stamps that were mended: of what, which, and how good they are, see `mended`."""
+    return (
+        f"warning: {what}: {np.count_nonzero(coarse)} of {coarse.size} stamps are too coarse, with "
+        f"several messages on each: times of receipt used instead, good to {spread:.3f} s"
+    )
 
 
 def _coarse(stamps, received, changed):

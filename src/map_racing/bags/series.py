@@ -7,7 +7,7 @@ from typing import Callable
 import numpy as np
 
 from .bag import Connection, Message
-from .clocks import LATENCY_NS, Clock, mended
+from .clocks import LATENCY_NS, Clock, coarse_note, mended
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
 from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usable
 
@@ -201,10 +201,7 @@ class Series:
         if unstamped:
             notes.append(f"{topic}: {unstamped} of {times.size} stamps are 0: receive time{good}")
         if coarse.any():
-            notes.append(
-                f"warning: {topic}: {np.count_nonzero(coarse)} of {times.size} stamps are too "
-                f"coarse, with several messages on each: times of receipt used instead{good}"
-            )
+            notes.append(coarse_note(topic, coarse, spread))
         return stamps, times, values
 
     def clock(self, use_receipt: bool) -> Clock:

@@ -12,7 +12,7 @@ import numpy as np
 from ..angles import wrap
 from ..transforms import TransformTree
 from .bag import Bag
-from .clocks import Clock
+from .clocks import Clock, coarse_note, mended
 from .messages import MD5, TF, decode_transforms
 from .samples import in_order, jump_back, usable
 from .series import PoseSeries, quaternion_note
@@ -42,10 +42,15 @@ class _Samples:
         pairs = ((one, other) for one, other in combinations(spans, 2) if other[0][0] < one[0][1])
         return sorted({name for pair in pairs for _, name in pair})
 
-    def columns(self):
-        """Stamps, times of receipt, and columns ``x y psi q``."""
+    def columns(self, notes=None, what=""):
+        """Stamps, mended, times of receipt, and columns ``x y psi q``."""
         stamps, times = (np.array(part, dtype=np.int64) for part in (self.stamps, self.times))
-        return stamps, times, list(np.array(self.values).reshape(-1, 4).T)
+        values = np.array(self.values).reshape(-1, 4)
+        changed = np.append(True, np.any(values[1:] != values[:-1], axis=1))[: times.size]
+        stamps, coarse, spread = mended(stamps, times, changed)
+        if notes is not None and coarse.any():
+            notes.append(coarse_note(what, coarse, spread))
+        return stamps, times, list(values.T)
 
     def good(self):
         """Stamps and times of receipt of poses that are finite."""
@@ -201,7 +206,7 @@ class RecordedTransforms:
             if (above, below) not in names:
                 continue
             what = f"{topic}: {above} to {below}"
-            stamps, times, columns = self._samples[key].columns()
+            stamps, times, columns = self._samples[key].columns(notes, what)
             offset = offsets.get((above, below), 0) if not static else 0
             if offset:
                 notes.append(

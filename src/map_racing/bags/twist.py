@@ -18,6 +18,8 @@ __all__ = ["lag_of_speed", "lag_of_turning", "when"]
 # Motion of the poses is told over this time to both sides of steps [s], where poses come at least
 # so often [s].
 _REACH, _STEP, _BARE = 0.1, 0.02, 0.25
+# Speeds and rates beyond this are of damaged files [m/s, rad/s].
+_FASTEST = 1e3
 # No lag [s]; and the least that are told, of what is measured late and early: filters look like
 # less, and wheels that slip while the car accelerates seem to be early.
 _NONE, _LATE, _EARLY = 0.02, 0.09, 0.11
@@ -63,10 +65,12 @@ def _lag(t, measured, at, poses, rate):
     grid = np.arange(max(t[0], at[0]) + _REACH, min(t[-1], at[-1]) - _REACH, _STEP)
     if grid.size < 2:
         return None
+    measured = np.clip(measured, -_FASTEST, _FASTEST)
     ahead, behind = ([np.interp(grid + by, at, p) for p in poses] for by in (_REACH, -_REACH))
     moved = rate(*(a - b for a, b in zip(ahead, behind))) / (2.0 * _REACH)
     next_one = np.clip(np.searchsorted(at, grid), 1, at.size - 1)
     moved[at[next_one] - at[next_one - 1] > _BARE] = math.nan
+    moved = np.clip(moved, -_FASTEST, _FASTEST)
     # A cause is held until the next: each value around its time.
     held = grid - 0.5 * _STEP, np.interp(grid, t, measured)
     lag = lag_of_effect(*held, grid, moved, _NONE, -_NONE, _BETTER)

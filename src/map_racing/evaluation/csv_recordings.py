@@ -111,9 +111,9 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     if "psi" in table.names:
         _check_heading(table)
     nan = np.full(len(table.lines), math.nan)
-    t, (x, y, psi, v_x, v_y, yaw_rate, steering, speed) = in_order(
+    t, (x, y, psi, v_x, v_y, yaw_rate) = in_order(
         table.values["t"],
-        [table.values.get(name, nan) for name in _ALIASES if name != "t"],
+        [table.values.get(name, nan) for name in ("x", "y", "psi", "v_x", "v_y", "yaw_rate")],
         table.notes,
         "rows",
         required=2,
@@ -123,7 +123,6 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
         raise FileFormatError(f"{path}: expected at least two rows with time and position{why}")
     start = t[0]
     t = t - start
-    given = [table.names[name] for name in ("steering", "speed_command") if name in table.names]
     return Recording(
         t,
         x,
@@ -137,9 +136,24 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
         topic="columns " + " ".join(table.names[name] for name in _REQUIRED),
         type="CSV",
         frame=frame,
-        commands=Commands(t, steering, speed, " ".join(given)) if given else None,
+        commands=_commands(table, start),
         notes=table.notes,
     )
+
+
+def _commands(table, start):
+    """Commands of all rows that have any: also of those without a pose, and held over others."""
+    names = [name for name in ("steering", "speed_command") if name in table.names]
+    if not names:
+        return None
+    told = np.isfinite(table.values["t"])
+    told &= np.any([np.isfinite(table.values[name]) for name in names], axis=0)
+    nan = np.full(np.count_nonzero(told), math.nan)
+    values = [
+        table.values[name][told] if name in names else nan for name in ("steering", "speed_command")
+    ]
+    t, values = in_order(table.values["t"][told], values, [], "")
+    return Commands(t - start, *values, " ".join(table.names[name] for name in names))
 
 
 def _bring_to_seconds(table):
@@ -292,6 +306,12 @@ def _locate(path, columns, doubts, names):
         found = next((alias for alias in aliases if alias in plain), None)
         if found is not None:
             where[name] = plain.index(found)
+            others = [alias for alias in aliases if alias in plain and alias != found]
+            if name in ("x", "y") and others:
+                doubts.append(
+                    f"warning: {name} is column {found}; {', '.join(others)} may be of the car, "
+                    f"too (--columns {name}={others[0]})"
+                )
             if plain.count(found) > 1:
                 doubts.append(f"warning: several columns are named {found}: the first is taken")
         elif name in _REQUIRED:

@@ -137,7 +137,7 @@ def _differences(t, x, y):
         ends = np.arange(0, t.size, chord)
         ends = np.append(ends[:-1], t.size - 1) if ends.size > 1 else np.array([0, t.size - 1])
         line = np.hypot(np.diff(x[ends]), np.diff(y[ends]))
-        way, reach = np.interp(index, ends, np.append(0.0, np.cumsum(line))), chord
+        way, reach = np.interp(t, t[ends], np.append(0.0, np.cumsum(line))), chord
     before, behind = np.maximum(index - reach, 0), np.minimum(index + reach, t.size - 1)
     return (way[behind] - way[before]) / (t[behind] - t[before])
 

@@ -304,6 +304,18 @@ def test_mean_and_top_speed_hold_where_poses_are_noisy(noise, every):
     assert np.max(v) < 4.8 * 1.002 + (0.2 + 25.0 * noise) * (noise > 0.0)
 
 
+@pytest.mark.parametrize("lost", [0.1, 0.5, 0.7])
+@pytest.mark.parametrize("noise", [0.001, 0.003, 0.01])
+def test_mean_and_top_speed_hold_where_poses_are_noisy_and_lost(noise, lost):
+    """Chords that shorten the noise are driven in time, not in numbers of poses: 1 to 3 m/s."""
+    rng = np.random.default_rng(4)
+    kept = rng.uniform(size=T.size) > lost
+    x, y = (v[kept] + noise * rng.normal(size=np.count_nonzero(kept)) for v in circling())
+    v = speed_of(T[kept], x, y, np.full(x.size, np.nan))
+    assert mean(v, np.diff(T[kept])) == pytest.approx(4.8, rel=0.01)
+    assert np.max(v) < 4.8 * 1.01 + 25.0 * noise
+
+
 def test_half_a_period_of_the_steering_is_no_lag():
     """Steering in step with the turning of a circle with waves."""
     theta = 0.8 * T

@@ -241,6 +241,27 @@ def test_frames_of_messages(csv, name):
     assert recording.frame == "odom" and recording.x.size == 9
 
 
+def test_commands_between_the_rows_of_poses(csv):
+    """As a table of two topics has them; where cells are empty the last command holds."""
+    rows = [f"{0.1 * i:.2f},{i},{2 * i},,\n{0.1 * i + 0.03:.2f},,,0.{i},{i}" for i in range(1, 9)]
+    recording = read_csv_recording(csv("t,x,y,steering,speed_command\n" + "\n".join(rows)))
+    assert recording.x.tolist() == list(range(1, 9))
+    commands = recording.commands
+    np.testing.assert_allclose(commands.t, 0.03 + 0.1 * np.arange(8), atol=1e-9)
+    assert commands.speed.tolist() == list(range(1, 9))
+    held = commands.held(recording.t, commands.speed)
+    assert np.isnan(held[0]) and held[1:].tolist() == list(range(1, 8))
+
+
+def test_two_columns_that_may_be_of_the_car(csv):
+    rows = "\n".join(f"{0.1 * i},{i},{2 * i},{i + 1},{2 * i}" for i in range(9))
+    recording = read_csv_recording(csv("t,pose_x,pose_y,x,y\n" + rows))
+    said = [note for note in recording.notes if note.startswith("warning")]
+    assert "x is column x; pose_x may be of the car, too (--columns x=pose_x)" in said[0]
+    chosen = read_csv_recording(csv("t,pose_x,pose_y,x,y\n" + rows), "x=pose_x,y=pose_y")
+    assert chosen.x.tolist() == list(range(9)) and chosen.notes == []
+
+
 def test_a_frame_of_odometry_gives_way_to_the_map(csv):
     rows = [f"{0.5 * i},{'odom' if i < 5 else 'map'},{i},{2 * i}" for i in range(12)]
     recording = read_csv_recording(csv("t,frame_id,x,y\n" + "\n".join(rows)))

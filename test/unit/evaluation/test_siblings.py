@@ -215,6 +215,10 @@ def whole_seconds_until_the_clock_is_set(bag, i, t):
     bag.drive(T0 + t, steering(t), SPEED, received=T0 + t + 0.003)
 
 
+def transforms_of_whole_seconds_until_the_clock_is_set(bag, i, t):
+    link(bag, t, place(t), "map", "base_link", float(math.floor(T0 + t)) if t < 5.0 else None)
+
+
 def whole_seconds_for_a_while_received_late(bag, i, t):
     late = T0 + t + 0.1 + 0.008 * (i * 7 % 5) / 5
     odometry(bag, t, place(t), float(math.floor(T0 + t)) if 7.0 < t < 12.0 else None, received=late)
@@ -233,6 +237,7 @@ def a_slower_localization_sent_again_with_its_stamp(bag, i, t):
     ("fill", "said"),
     [
         (whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
+        (transforms_of_whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
         (whole_seconds_for_a_while_received_late, "times of receipt used instead, good to 0.006 s"),
         (some_stamps_missing_of_late_poses, ""),
         (a_slower_localization_sent_again_with_its_stamp, ""),
