@@ -32,9 +32,9 @@ WALKING_PACE = 1.0
 # 0.2 %; long courses get longer ones, so that a plan takes about 10 ms on any of them.
 CELL, LONGEST_CELL, CELLS = 0.025, 0.1, 4000
 
-# Largest speed planned, as a share of the car's top speed. Commanded its top speed alone, a car whose
-# speed controller is proportional would reach it late; what is beyond cannot be driven, but the
-# public simulator's car goes on shifting its load at its top speed, and runs wide.
+# Largest speed planned, as a share of the car's top speed. Commanded its top speed alone, a car
+# whose speed controller is proportional would reach it late; what is beyond cannot be driven, but
+# the public simulator's car goes on shifting its load at its top speed, and runs wide.
 _BEYOND_TOP = 1.1
 
 # Share of the tires' usable grip below which no more margin is left at the steering lock.
