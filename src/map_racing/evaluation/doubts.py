@@ -36,8 +36,9 @@ _ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
 # lie so far beside the way [m], and so many times as far as most do, for one sample.
 _BLOCK, _APART_IN_BLOCK, _BESIDE, _MANY, _FEW = 200, 0.05, 0.05, 8.0, 4
 # A single one counts if it is farther off [m] and the way there and back takes more than a wall's
-# acceleration [m/s^2].
-_FAR, _FORCED = 0.1, 300.0
+# acceleration [m/s^2], and so many times as far as most: of tens of thousands, noise takes one or
+# two beyond the others' bound.
+_FAR, _FORCED, _MUCH = 0.1, 300.0, 12.0
 # Where most lie beside the way by this share of it, noise leads nowhere.
 _NOISY = 0.1
 # Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
@@ -186,7 +187,7 @@ def _beside(t, x, y):
     around = np.maximum(np.append(beside[1:], 0.0), np.append(0.0, beside[:-1]))
     far &= beside >= around
     far[[0, -1]] = False
-    impossible = far & (beside > _FAR) & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
+    impossible = far & (beside > max(_FAR, _MUCH * usually)) & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
     return int(np.count_nonzero(far)), int(np.count_nonzero(impossible))
 
 

@@ -101,6 +101,16 @@ def test_a_single_pose_that_is_wrong(noise):
     assert alternation("/pose", T, x, y) == ""
 
 
+def test_the_largest_of_twenty_thousand_errors_of_a_noisy_localization_is_no_wrong_pose():
+    """In one of many blocks most errors happen to be small, and one large."""
+    noise = np.random.default_rng(1)
+    t, errors = np.arange(400) / 40.0, 0.016 * noise.standard_normal((2, 400))
+    for aside, wrong in ((0.13, False), (0.25, True)):
+        errors[1, 200], errors[1, [199, 201]] = aside, 0.0
+        said = alternation("/p", t, 25.0 * t + errors[0], errors[1])
+        assert bool(said) == wrong
+
+
 @pytest.mark.parametrize("ahead", [0.0, 0.07, 0.15, 0.5])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_clock_that_is_set_while_the_car_drives(ahead, noise):
