@@ -187,7 +187,8 @@ def _beside(t, x, y):
     around = np.maximum(np.append(beside[1:], 0.0), np.append(0.0, beside[:-1]))
     far &= beside >= around
     far[[0, -1]] = False
-    impossible = far & (beside > max(_FAR, _MUCH * usually)) & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
+    far_off = far & (beside > max(_FAR, _MUCH * usually))
+    impossible = far_off & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
     return int(np.count_nonzero(far)), int(np.count_nonzero(impossible))
 
 
