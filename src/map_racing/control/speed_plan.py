@@ -244,14 +244,13 @@ class SpeedPlan(_Profile):
 
         if self.has_own_speeds:
             # Between the smallest of numbers, interpolation rounds to below 0.
-            requested = requested_speed(raceline, parameters, sectors)(self.s)
-            self.requested = np.clip(requested, 0.0, fastest)
+            self.requested = np.maximum(requested_speed(raceline, parameters, sectors)(self.s), 0.0)
         else:
             self.requested = parameters.speed_scale * limited(fastest)
             if sectors is not None:
                 self.requested *= [sectors.scale_at(s) for s in self.s.tolist()]
-            self.requested = np.minimum(self.requested, fastest)
-        self.speed = limited(self.requested)
+            self.requested = np.minimum(self.requested, parameters.v_max_mps)
+        self.speed = limited(np.minimum(self.requested, fastest))
         self._speed = self.speed.tolist() + self.speed[:2].tolist()
         self._per_ds = count / self.length
 

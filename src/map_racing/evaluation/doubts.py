@@ -12,8 +12,8 @@ from ..bags.samples import Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
 from .pose_doubts import rounded, set_aside, to_and_fro
 from .results import Lap
-from .speed import CHORD_S, beyond_for_a_while, chords, speed_of
-from .speed_doubts import held_speed, late_speed
+from .speed import beyond_for_a_while, chords, speed_of
+from .speed_doubts import speed_doubts
 
 __all__ = [
     "alternation",
@@ -22,7 +22,6 @@ __all__ = [
     "command_units",
     "doubts_of",
     "frame_warning",
-    "speed_warning",
     "time_jump",
     "uncommanded",
     "unfollowed",
@@ -53,17 +52,11 @@ _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
 # so many are not needed.
 _FOLLOWS, _LAGS = 0.6, np.arange(0.0, 0.61, 0.05)
 _TELLING, _VARIED, _EVENLY, _ENOUGH = 200, 0.2, 1e-9, 10000
-# Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
-# the motion of the poses a little.
-_MOVING, _SLOWEST, _FASTEST = 0.5, 0.88, 1.1
-# For a while, over so many chords, a measured speed may be off by more where the wheels slip, and a
-# commanded one while the car brakes; both are compared above a speed [m/s].
-_WHILE, _SLIP, _DRIVES = 12, (0.65, 1.4), 1.0
-# Over fewer chords, no slip explains such a ratio.
-_SHORT, _NONSENSE = 2, (0.35, 2.5)
+# Speed [m/s] of a car that drives.
+_MOVING = 0.5
+# For a while, over so many chords, a commanded speed may be off by more while the car brakes; it is
+# compared above a speed [m/s].
 _LONG_WHILE, _BRAKES = 16, 1.5
-# A single speed this much above that of the poses around it, in times and m/s, is none.
-_TOP_TIMES, _TOP_MORE = 2.0, 2.0
 
 
 def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> list[str]:
@@ -95,10 +88,7 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
         rounded(topic, x, y),
         bunches(topic, t),
         time_jump(topic, t, x, y),
-        speed_warning(topic, t, x, y, v)
-        or _speed_for_a_while(topic, t, x, y, v, begin, end)
-        or held_speed(topic, t, x, y, v, begin, end),
-        late_speed(topic, t, x, y, v),
+        *speed_doubts(topic, t, x, y, v, begin, end),
         command_clock(recording),
         *of_commands,
     ]
@@ -190,60 +180,6 @@ def _beside(t, x, y):
     far_off = far & (beside > max(_FAR, _MUCH * usually))
     impossible = far_off & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
     return int(np.count_nonzero(far)), int(np.count_nonzero(impossible))
-
-
-def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
-    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty.
-
-    Parameters
-    ----------
-    topic : str
-        Name of the poses.
-    t, x, y, v : ndarray, shape (n,)
-        Times [s], positions [m], and measured speeds [m/s].
-    """
-    if not (np.isfinite(v).all() and v.any()):
-        return ""
-    _, moved, measured = chords(t, x, y, v)
-    moving = (moved > _MOVING) | (measured > _MOVING)
-    if np.count_nonzero(moving) < 10:
-        return ""
-    with np.errstate(divide="ignore"):
-        ratio = float(np.median(measured[moving] / moved[moving]))
-    if _SLOWEST < ratio < _FASTEST:
-        return ""
-    hint = ": in km/h?" if abs(ratio / 3.6 - 1.0) < 0.1 else ""
-    return f"{topic}: the measured speed is {ratio:.2f} times the motion of the poses{hint}"
-
-
-def _speed_for_a_while(topic, t, x, y, v, begin, end):
-    """Doubt about a measured speed that is for a while, or once, not the motion of the poses."""
-    if not (np.isfinite(v).all() and v.any()):
-        return ""
-    at, moved, measured = chords(t, x, y, v)
-    within = (at > begin) & (at < end) & (np.maximum(moved, measured) > _DRIVES)
-    with np.errstate(divide="ignore"):
-        ratio = measured[within] / moved[within]
-        found = beyond_for_a_while(at[within], ratio, _WHILE, *_SLIP)
-        found = found or beyond_for_a_while(at[within], ratio, _SHORT, *_NONSENSE)
-    if found:
-        return (
-            f"{topic}: from {found[0]:.1f} to {found[1]:.1f} s the measured speed is "
-            f"{found[2]:.2f} times the motion of the poses"
-        )
-    if at.size < _WHILE:
-        return ""
-    around = np.max([np.roll(moved, k) for k in range(-3, 4)], axis=0)
-    around = np.interp(t, at, around)
-    near = np.abs(at[np.clip(np.searchsorted(at, t), 0, at.size - 1)] - t) < 2.0 * CHORD_S
-    over = np.where((t > begin) & (t < end) & near, v - _TOP_TIMES * around - _TOP_MORE, 0.0)
-    k = int(np.argmax(over))
-    if over[k] <= 0.0:
-        return ""
-    return (
-        f"{topic}: the measured speed reaches {v[k]:.1f} m/s at {t[k]:.1f} s, where the poses move "
-        f"at {around[k]:.1f} m/s"
-    )
 
 
 def bunches(topic: str, t: np.ndarray) -> str:

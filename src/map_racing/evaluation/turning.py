@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from ..bags.samples import Recording
-from .doubts import speed_warning
 from .speed import speed_of
-from .speed_doubts import late_speed
+from .speed_doubts import late_speed, speed_warning
 
 __all__ = ["speed_driven", "turning_of"]
 

@@ -13,11 +13,11 @@ from map_racing.evaluation.doubts import (
     command_units,
     doubts_of,
     frame_warning,
-    speed_warning,
     time_jump,
     unfollowed,
 )
 from map_racing.evaluation.speed import speed_of
+from map_racing.evaluation.speed_doubts import speed_warning
 from map_racing.evaluation.statistics import mean
 from map_racing.evaluation.turning import speed_driven
 
