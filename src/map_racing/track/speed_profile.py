@@ -34,8 +34,9 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
     v_max : float or array_like, shape (n,)
         Top speed [m/s]: of the car, or at each point, where it may be 0.
     v_min : float, optional
-        Points too tight for this speed [m/s] are driven at it, beyond the lateral limit. With 0
-        they are an error where they are too tight for any speed.
+        Points too tight for this speed [m/s] are driven at it, beyond the lateral limit, and up to
+        it the lateral share of the grip is at most ``(v / v_min)^2``. With 0 they are an error
+        where they are too tight for any speed.
 
     Returns
     -------
@@ -67,12 +68,11 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
             raise ParameterError(f"speed profile: expected {key} > 0, got {value}")
     if np.shape(v_max) not in ((), kappa.shape) or np.min(v_max) < 0.0:
         raise ParameterError("speed profile: expected one v_max >= 0, or one at each point")
-    limits = _Limits(a_lat_max, a_drive_max, a_brake_max, max(float(highest), v_min))
+    limits = _Limits(a_lat_max, a_drive_max, a_brake_max, max(float(highest), v_min), v_min)
     most = 1.0 / limits.radius(v_min) if v_min > 0.0 else math.inf
     tight = kappa > most
-    kappa = np.minimum(kappa, most)
     cell = np.maximum(kappa, np.roll(kappa, -1))
-    point = np.maximum(cell, np.roll(cell, 1))
+    point = np.minimum(np.maximum(cell, np.roll(cell, 1)), most)
     if np.any(point * limits.tightest > 1.0 + 1e-12):
         k = int(np.argmax(kappa))
         raise ParameterError(
@@ -132,11 +132,11 @@ class _Limits:
 
     _ENTRIES, _BETWEEN = 2049, 4
 
-    def __init__(self, a_lat_max, a_drive_max, a_brake_max, v_max):
+    def __init__(self, a_lat_max, a_drive_max, a_brake_max, v_max, v_min):
         given = {"a_lat_max": a_lat_max, "a_drive_max": a_drive_max, "a_brake_max": a_brake_max}
         constant = not any(callable(limit) for limit in given.values())
         entries = 2 if constant else self._ENTRIES
-        self._end = v_max**2
+        self._end, self._slow = v_max**2, v_min * v_min
         fine = np.linspace(0.0, self._end, (entries - 1) * self._BETWEEN + 1)
         # A lateral limit from geometry is 0 at standstill, where its radius is not.
         speed = np.sqrt(np.maximum(fine, 1e-6 * self._end / fine.size))
@@ -203,6 +203,8 @@ class _Limits:
         radius = self._radius
         per_entry = (len(radius) - 1) / self._end
         last = len(radius) - 2
+        slow = self._slow
+        most = 1.0 / slow if slow > 0.0 else math.inf
         reached = square[0]
         limited = [reached]
         for i in range(1, len(square)):
@@ -210,7 +212,8 @@ class _Limits:
             reached = square[i]
             if reached > begin:
                 # The limits at the end hold for the cell. With them fixed the ellipse is a
-                # quadratic equation; they change little with speed, and are read again.
+                # quadratic equation; they change little with speed, and are read again. `use` is
+                # the lateral share over the squared speed.
                 for _ in range(50):
                     entry = reached * per_entry
                     k = int(entry)
@@ -219,6 +222,8 @@ class _Limits:
                     part = entry - k
                     gain = double_ds * (a_long[k] + part * (a_long[k + 1] - a_long[k]))
                     use = tight * (radius[k] + part * (radius[k + 1] - radius[k])) / reached
+                    if reached <= slow and use > most:
+                        use = most
                     grip = 1.0 + use * use * (gain * gain - begin * begin)
                     end = begin
                     if grip > 0.0:

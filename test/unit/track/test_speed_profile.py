@@ -165,6 +165,22 @@ def test_tighter_bends_than_a_least_speed_allows_are_driven_at_it():
     np.testing.assert_array_equal(with_least, speed_profile(kappa, 0.1, **SPEED_DEPENDENT))
 
 
+def test_from_rest_in_a_bend_tighter_than_the_least_speed_allows():
+    """Up to that speed the lateral share is v^2 / v_min^2: d(v^2)/ds = 2 a sqrt(1 - v^4)."""
+    ds = 5e-4
+    s, kappa = ds * np.arange(400), np.full(400, 1.2)
+    v_max = np.where(s > 0.0, 9.0, 0.0)
+
+    def with_grip(most):
+        limits = {"a_lat_max": lambda v: np.minimum(v**2 / 0.7, most), "v_max": v_max}
+        return speed_profile(kappa, ds, **{**SPEED_DEPENDENT, **limits}, v_min=1.0)
+
+    less, more = with_grip(0.8), with_grip(1.3)  # the bend is too tight for 1 m/s with 0.8 alone
+    begin = s < 0.1
+    np.testing.assert_allclose(less[begin] ** 2, np.sin(2.0 * 6.0 * s[begin]), atol=5e-3)
+    assert np.all(less <= more + 1e-12) and less.max() <= 1.0 < more.max()
+
+
 @pytest.mark.once
 @BOTH
 @settings(deadline=None, max_examples=40)
