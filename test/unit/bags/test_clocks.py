@@ -115,7 +115,7 @@ def test_commands_of_two_nodes_that_nothing_names(every, other, said):
     angle = np.where(theirs, 0.0 if stops else angle + turn, angle)
     speed = np.where(theirs, 0.0 if stops else speed + faster, speed)
     doubt = commands_of_two("/drive", angle, speed)
-    assert said in doubt and "are unlike those before and after" in doubt
+    assert said in doubt and "differ from those before and after" in doubt
 
 
 def test_stamps_in_bunches_and_even_receipts(tmp_path):
@@ -381,12 +381,13 @@ def test_receipts_that_were_set_back_while_the_stamps_go_on(tmp_path, by, merged
     recording = drive_with_clocks(tmp_path / "run.bag", set_back(by), lambda t: t, merged)
     np.testing.assert_allclose(recording.t, 0.02 * np.arange(1500), atol=1e-6)
     assert np.max(np.hypot(np.diff(recording.x), np.diff(recording.y))) < 0.1
-    said = any("but the poses are one way in their order" in note for note in recording.notes)
+    said = any("but the path is continuous in their order" in note for note in recording.notes)
     assert said == (merged and by >= 1.0)
 
 
 @pytest.mark.parametrize(
-    ("by", "said"), [(0.07, "to and fro"), (0.4, "poses have the stamp of another up to 1.9 m")]
+    ("by", "said"),
+    [(0.07, "back and forth"), (0.4, "poses share the stamp of another up to 1.9 m")],
 )
 def test_both_clocks_set_back_and_the_recording_sorted_by_them(tmp_path, by, said):
     recording = drive_with_clocks(tmp_path / "run.bag", set_back(by), set_back(by), True)

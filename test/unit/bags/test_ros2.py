@@ -449,12 +449,12 @@ def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, 
     messages = sorted(messages_of(tmp_path / "a.bag"), key=lambda message: message[2])
     suffix = "" if write is write_sqlite else ".mcap"
     notes = read_recording(write(tmp_path / f"b{suffix}", messages)).notes
-    assert [note for note in notes if note.startswith("warning:") and "of two nodes?" in note]
+    assert [note for note in notes if note.startswith("warning:") and "from two nodes?" in note]
 
 
 def test_commands_of_one_node_are_not_doubted(made, tmp_path):
     notes = read_recording(write_sqlite(tmp_path / "b", made)).notes
-    assert not any("of two nodes?" in note for note in notes)
+    assert not any("from two nodes?" in note for note in notes)
 
 
 def test_an_error_in_a_compressed_file_names_the_file_that_was_given(made, tmp_path):

@@ -22,7 +22,7 @@ def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
     content = yaml.safe_load(file.read_text())
     scales = [content[f"Sector{i}"]["scaling"] for i in range(content["n_sectors"])]
     count = len(scales)
-    assert f"{count} sectors, that over the start line as two, for speed_scale 1" in said
+    assert f"{count} sectors, the one across the start line as two, for speed_scale 1" in said
     assert content["global_limit"] == 1.0
     assert max(scales) <= 0.7 * (1.0 + STEP) and min(scales) >= 0.7
     # The track has a point more than the bag, and no place is left without an advice.

@@ -207,5 +207,5 @@ def test_a_second_raceline_begins_a_second_run(tmp_path, track, capsys):
     errors = [[lap["rms_speed_error_mps"] for lap in r["laps"] if lap["valid"]] for r in runs]
     assert errors[0] == pytest.approx([0.0, 0.0], abs=1e-6)
     assert errors[1] == pytest.approx([1.0], abs=1e-6)
-    assert "warning: run 2 of 2: the raceline was another until" in capsys.readouterr().out
+    assert "warning: run 2 of 2: another raceline was used until" in capsys.readouterr().out
     assert runs[0]["bag"] == f"{path} (run 1)"

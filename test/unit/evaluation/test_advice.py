@@ -275,7 +275,7 @@ def test_without_commands_any_day_s_grip_is_taken(driving, reference, limits):
 
 
 def test_a_vehicle_file_of_another_car_is_noticed(heat):
-    assert any("not the file of this car" in note for note in advise(heat(1.1)).notes)
+    assert any("the file of another car" in note for note in advise(heat(1.1)).notes)
 
 
 # -- the drive -------------------------------------------------------------------------------------

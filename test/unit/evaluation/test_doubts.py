@@ -80,7 +80,7 @@ def test_a_second_sender_for_a_while():
         x, y = circling()
         x[part] += apart
         y[part] += apart
-        assert "of two nodes?" in alternation("/pose", T, x, y)
+        assert "from two nodes?" in alternation("/pose", T, x, y)
     late = T.copy()
     late[800:1200:7] -= 0.012
     x, y = 6.0 * np.cos(0.8 * late), 6.0 * np.sin(0.8 * late)
@@ -353,7 +353,7 @@ def test_a_localization_that_is_corrected_at_once(noise, by):
     assert doubts_of(of_poses(x, y), [(5.0, 20.0)]) == []
     x[1200:], y[1200:] = x[1200:] + by[0], y[1200:] + by[1]
     (doubt,) = doubts_of(of_poses(x, y), [(5.0, 20.0)])
-    assert "/odom: at 15.0 s the poses step aside by " in doubt
+    assert "/odom: at 15.0 s the poses jump sideways by " in doubt
     assert float(doubt.split(" by ")[1].split()[0]) == pytest.approx(np.hypot(*by), abs=0.05)
     assert doubts_of(of_poses(x, y), [(15.5, 20.0)]) == []
 

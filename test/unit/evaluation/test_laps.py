@@ -822,9 +822,9 @@ def test_commands_that_end_are_not_held_for_ever(drive, line):
     assert result.laps[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
     assert result.laps[3].speed_reference == "raceline"
     assert result.warnings == [
-        "no drive commands in laps 3: their speed error, if any, is to the raceline",
-        "drive commands are missing for a part of laps 2: their speed error and steering rate are "
-        "of the rest",
+        "no drive commands in laps 3: their speed error, if any, is relative to the raceline",
+        "drive commands are missing for a part of laps 2: their speed error and steering rate "
+        "cover only the rest",
     ]
 
 
@@ -904,7 +904,7 @@ def test_car_that_never_came_along_drove_elsewhere(track, line, share):
         return
     with pytest.raises(EvaluationError) as error:
         evaluate(circle, line)
-    found = re.search(r": of (\d+) m it came \d m along the raceline bean$", str(error.value))
+    found = re.search(r": (\d+) m, but only \d m along the raceline bean$", str(error.value))
     assert int(found.group(1)) == pytest.approx(share * track.length, rel=0.1)
 
 

@@ -352,7 +352,7 @@ def test_doubts_stand_beside_the_laps(track, drive):
     assert [lap.lap.valid for lap in taken.laps] == [False, True, True, False]
     missing = (
         "drive commands are missing for a part of laps {}: their speed error and steering rate "
-        "are of the rest"
+        "cover only the rest"
     )
     assert taken.laps[1].warnings == (*common, missing.format(1))
     assert set(taken.laps[2].warnings) == {
@@ -430,7 +430,7 @@ def nothing(columns):
         (commands_of_the_other_direction, "the speed commanded is -1.0"),
         (somebody_else_drives_for_a_while, "s the speed commanded is 0.00 times the motion"),
         (a_throttle, "does not follow the speed commanded"),
-        (commands_that_came_later, " before its steering commands: they are of another clock"),
+        (commands_that_came_later, " before its steering commands: they come from another clock"),
     ],
 )
 def test_what_driving_tells_is_doubted_live_as_offline(track, line, fault, said):
@@ -643,5 +643,5 @@ def test_other_files_are_left_alone(tmp_path, laps):
     with pytest.raises(MapRacingError, match="cannot write"):
         LapLog(tmp_path / "none" / "laps.csv", 3)
     for device in ("/dev/null", "/dev/full", tmp_path):
-        with pytest.raises(MapRacingError, match="cannot write: it is no file"):
+        with pytest.raises(MapRacingError, match="cannot write: it is not a file"):
             LapLog(device, 3)

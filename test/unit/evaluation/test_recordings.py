@@ -226,7 +226,7 @@ def test_files_of_rostopic_echo(csv, stamped):
     np.testing.assert_allclose(recording.psi, 0.5 * np.pi)
     assert (recording.v_x[0], recording.v_y[0], recording.yaw_rate[0]) == (3.0, 0.5, 0.25)
     notes = "; ".join(recording.notes)
-    assert "nanoseconds" in notes and "quaternions have not the length 1 but 2.83" in notes
+    assert "nanoseconds" in notes and "quaternions do not have length 1 but 2.83" in notes
     assert ("4 of 4 stamps are 0" in notes) != stamped
 
 
@@ -257,7 +257,7 @@ def test_two_columns_that_may_be_of_the_car(csv):
     rows = "\n".join(f"{0.1 * i},{i},{2 * i},{i + 1},{2 * i}" for i in range(9))
     recording = read_csv_recording(csv("t,pose_x,pose_y,x,y\n" + rows))
     said = [note for note in recording.notes if note.startswith("warning")]
-    assert "x is column x; pose_x may be of the car, too (--columns x=pose_x)" in said[0]
+    assert "x is column x; pose_x may be the car's, too (--columns x=pose_x)" in said[0]
     chosen = read_csv_recording(csv("t,pose_x,pose_y,x,y\n" + rows), "x=pose_x,y=pose_y")
     assert chosen.x.tolist() == list(range(9)) and chosen.notes == []
 

@@ -77,14 +77,14 @@ def test_a_wrong_rate_is_told_on_a_figure_eight_too(factor):
 def test_a_heading_that_was_never_filled_in_is_told_on_a_figure_eight():
     recording = changed(figure_eight(), yaw_rate=np.nan, psi=0.0)
     rate, notes = turning_of(recording)
-    assert np.isnan(rate).all() and "heading recorded does not change" in notes[0]
+    assert np.isnan(rate).all() and "recorded heading does not change" in notes[0]
 
 
 def test_a_rate_that_was_never_filled_in_is_told_on_a_figure_eight_too():
     recording = figure_eight()
     rate, notes = turning_of(changed(recording, yaw_rate=0.0))
     assert np.array_equal(rate, recording.yaw_rate)
-    assert notes == ["the yaw rate recorded does not change: that of the heading is used"]
+    assert notes == ["the recorded yaw rate does not change: the rate of the heading is used"]
     rate, notes = turning_of(recording)
     assert rate is recording.yaw_rate and notes == []
 
