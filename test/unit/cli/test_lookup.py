@@ -57,7 +57,7 @@ def test_a_published_table_checks_against_its_model_file_as_it_comes(tmp_path, c
     assert main(["lookup", "check", str(table), "--vehicle", str(path)]) == 0
     out = capsys.readouterr().out
     assert "largest difference 0.00e+00" in out
-    assert f"{path}: mu: 0.95 not used but 1" in out
+    assert f"{path}: mu: 0.95 ignored, 1 used" in out
     assert f"{path}: keys not used: C_0d, C_R" in out
 
 

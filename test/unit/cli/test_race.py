@@ -173,7 +173,7 @@ def test_notes_on_the_vehicle_of_a_plant_are_printed(tmp_path, capsys):
     bag = str(tmp_path / "run.bag")
     assert main(["race", "--plant", path, "--laps", "1", "--output", bag]) == 0
     printed = capsys.readouterr().out
-    assert f"{path}: its vehicle NUC4: no mu: taken as 1" in printed
+    assert f"{path}: its vehicle NUC4: no mu: 1 assumed" in printed
     assert "its vehicle NUC4: keys not used: C_R" in printed
 
 

@@ -129,4 +129,4 @@ def test_nothing_is_doubted_of_what_is_shipped(line, name):
     if name == "map":
         other = build_controller(load_law("map_linear", car), car, line)
         mixed = Controller(load_law("map", car), other.steering_map, car, line)
-        assert "of other tires, or of linear ones?" in doubts_of(mixed)[0]
+        assert "made for other tires, or linear ones?" in doubts_of(mixed)[0]

@@ -46,7 +46,7 @@ def test_units_behind_the_names(csv):
     assert (recording.x.tolist(), recording.y.tolist()) == ([1.0, 1.5], [2.0, 3.0])
     np.testing.assert_allclose(recording.psi, [np.pi, 0.5 * np.pi])
     np.testing.assert_allclose(recording.v_x, [10.0, 5.0])
-    assert recording.notes == ["warning: column r [rpm]: the unit is not understood: taken as SI"]
+    assert recording.notes == ["warning: column r [rpm]: unknown unit, SI assumed"]
 
 
 @pytest.mark.parametrize("cells", ["9,1,2", "[1, 2],3,4", "'1,2',3,4"])
@@ -152,7 +152,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
     assert recording.t.tolist() == [0.0, 1.5, 2.0, 4.0]
     assert recording.x.tolist() == [1.0, 7.0, 1.0, 0.0]
     notes = "; ".join(recording.notes)
-    assert "line 9, the last, is cut off" in notes
+    assert "line 9, the last, is truncated" in notes
     assert "2 of 7 without a finite pose" in notes
     assert "1 steps back in time" in notes
     assert "1 repeated time stamps" in notes

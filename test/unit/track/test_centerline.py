@@ -154,7 +154,7 @@ def test_a_threshold_that_is_missing_is_said(tmp_path):
     path = written(tmp_path, drawn(outside=UNKNOWN))
     path.write_text(path.read_text().replace("free_thresh", "free_tresh"))
     (finding,) = read_map_image(path).findings
-    assert finding.text == "free_thresh is missing: taken as 0.196"
+    assert finding.text == "free_thresh is missing: 0.196 assumed"
 
 
 def test_thin_walls_in_the_open_are_enough(tmp_path):
@@ -256,7 +256,7 @@ def test_a_gap_at_the_start_line_is_one_gap(tmp_path):
     for s in (9.5, 10.0, 10.1):
         track = track_of(tmp_path, gray, bean().position(s), float(bean().pose(s).psi))
         (text,) = [str(found) for found in track.findings if found.code == "openings"]
-        assert text.startswith("1 opening in the walls shorter")
+        assert text.startswith("1 opening in the walls, shorter")
         assert track.d_left.max() < HALF + 0.5
 
 

@@ -439,7 +439,8 @@ def test_a_cell_that_was_mistyped_is_refused():
     cells = table.a_lat.copy()
     i, j = np.argwhere((cells > 0.5) & (cells < 1.0))[10]
     cells[i, j] *= 10.0
-    with pytest.raises(ParameterError, match=f"at {table.speeds[j]:g} m/s and .* the cells beside"):
+    where = f"at {table.speeds[j]:g} m/s and .* the neighboring cells"
+    with pytest.raises(ParameterError, match=where):
         LookupTable(table.speeds, table.angles, cells)
 
 
@@ -473,15 +474,15 @@ def test_it_is_not_where_a_cell_beside_it_has_half_of_it(beside, swapped):
     one, other = ((2, 1), beside) if not swapped else (beside, (2, 1))
     ratio = rolling[one] / rolling[other]
     geometric({one: 40.0, other: 0.55 * 40.0 * ratio})
-    with pytest.raises(ParameterError, match="the cells beside"):
+    with pytest.raises(ParameterError, match="the neighboring cells"):
         geometric({one: 40.0, other: 0.45 * 40.0 * ratio})
 
 
 def test_far_above_geometry_is_three_times_and_more_than_1():
     geometric({(4, 3): 2.9})
-    with pytest.raises(ParameterError, match="the cells beside"):
+    with pytest.raises(ParameterError, match="the neighboring cells"):
         geometric({(4, 3): 3.1})
     once = math.tan(0.1) / 4.0
     geometric({(1, 0): 0.9 / once}, l_wb=4.0)
-    with pytest.raises(ParameterError, match="the cells beside"):
+    with pytest.raises(ParameterError, match="the neighboring cells"):
         geometric({(1, 0): 1.1 / once}, l_wb=4.0)

@@ -242,7 +242,7 @@ def test_mu_of_published_files_is_not_used_as_their_program_does_not(write, key)
     """Its single-track model has no friction coefficient: D holds it."""
     value = "NUC7" if key == "model_name" else 0.2
     car = load_vehicle(write({**PACEJKA, "mu": 0.95, key: value}))
-    assert car.mu == 1.0 and car.notes[0].startswith("mu: 0.95 not used but 1")
+    assert car.mu == 1.0 and car.notes[0].startswith("mu: 0.95 ignored, 1 used")
     # Where it is 1 there is nothing to say; in a file of our own it counts.
     assert not any(
         "mu" in note for note in load_vehicle(write({**PACEJKA, "mu": 1, key: value})).notes
@@ -253,7 +253,7 @@ def test_mu_of_published_files_is_not_used_as_their_program_does_not(write, key)
 
 def test_files_without_mu_or_tire_model(write):
     car = load_vehicle(write(without(PACEJKA, "mu", "tire_model")))
-    assert car.mu == 1.0 and car.notes == ("no mu: taken as 1",)
+    assert car.mu == 1.0 and car.notes == ("no mu: 1 assumed",)
     assert car.front == PacejkaTire(*PACEJKA["C_Pf"])
     assert load_vehicle(write(without(MINIMAL, "tire_model"))).front == LinearTire(4.7)
     both = without({**MINIMAL, **PACEJKA}, "tire_model")
@@ -308,7 +308,7 @@ def test_tires_of_two_floors_must_be_chosen(split):
     other = split / "pacejka" / "foyer"
     other.mkdir()
     (other / "default.yaml").write_text(yaml.safe_dump({**TIRES, "Df": 0.5, "Dr": 0.5}))
-    with pytest.raises(ParameterError, match=r"name one of .*foyer/default.yaml, .*hall/default"):
+    with pytest.raises(ParameterError, match=r"give one of .*foyer/default.yaml, .*hall/default"):
         load_vehicle(split / "car_model.yaml")
     assert load_vehicle(other / "default.yaml").front.D == 0.5
 

@@ -153,7 +153,9 @@ def test_a_table_that_was_cut_off_is_doubted():
     car = load_vehicle("sim")
     own = steady_state_table(car, np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.1, 41))
     (doubt,) = doubts_of_table(own, car)
-    assert doubt == "lookup table: ends at an angle of 0.1 rad, the wheels of SIM turn to 0.419 rad"
+    assert doubt == (
+        "lookup table: ends at a steering angle of 0.1 rad, but SIM steers up to 0.419 rad"
+    )
 
 
 def test_published_tables_are_of_their_cars(shared_data):
@@ -166,10 +168,10 @@ def test_published_tables_are_of_their_cars(shared_data):
     "rows, columns, value, said",
     [
         ((), (), 1.0, ""),
-        (5, slice(None), 2.0, "cells at 0.05 rad: 2 times what is beside"),
-        (slice(None), 11, 0.5, "cells at 4.84211 m/s: 0.5 times what is beside"),
-        (10, 11, 1.5, "cell at 4.84211 m/s and 0.1 rad: 1.5 times what is beside"),
-        (3, 11, np.nan, "cell at 4.84211 m/s and 0.03 rad: nan between others"),
+        (5, slice(None), 2.0, "cells at 0.05 rad: 2 times the neighbors"),
+        (slice(None), 11, 0.5, "cells at 4.84211 m/s: 0.5 times the neighbors"),
+        (10, 11, 1.5, "cell at 4.84211 m/s and 0.1 rad: 1.5 times the neighbors"),
+        (3, 11, np.nan, "cell at 4.84211 m/s and 0.03 rad: nan between valid cells"),
         (3, 11, -1.0, "cell at 4.84211 m/s and 0.03 rad: -0.9"),
     ],
 )
@@ -197,7 +199,7 @@ def test_a_table_of_linear_tires_is_doubted_for_a_car_whose_tires_have_a_peak():
     speeds, angles = np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.4, 41)
     table = steady_state_table(linearized(car), speeds, angles)
     (doubt,) = doubts_of_table(table, car)
-    assert "the tires of NUC4 7.06 m/s^2: of other tires, or of linear ones?" in doubt
+    assert "but the tires of NUC4 only 7.06 m/s^2: made for other tires, or linear" in doubt
     assert doubts_of_table(table, linearized(car)) == []
 
 
@@ -211,6 +213,6 @@ def test_a_table_whose_peak_no_rubber_has_is_doubted(grip, said):
     assert bool(doubts_of_peak(table)) == said
     assert bool(doubts_of_table(table, car)) == said
     if said:
-        assert "its peak is that of a friction of 1.8" in doubts_of_peak(table)[0]
+        assert "its peak takes a friction of 1.8" in doubts_of_peak(table)[0]
     linear = steady_state_table(load_vehicle("sim"), speeds, angles)
     assert np.nanmax(linear.a_lat) > 20.0 and doubts_of_peak(linear) == []

@@ -257,7 +257,7 @@ def test_what_has_not_settled_is_no_steady_state():
 
 
 def test_a_car_without_any_steady_state_is_refused_by_name():
-    with pytest.raises(ParameterError, match="^oversteer: its steady states form no table: a_lat"):
+    with pytest.raises(ParameterError, match="^oversteer: no table of steady states: a_lat"):
         steady_state_table(OVERSTEER, [11.0], ANGLES)
 
 
