@@ -25,7 +25,7 @@ def report(tmp_path, *arguments):
 
 
 def text_of(page):
-    """Text of a page, in one line."""
+    """Text of a page as one line."""
     body = page[page.index("<body>") : page.index("<script")]
     return " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())
 

@@ -242,7 +242,7 @@ def test_frames_of_messages(csv, name):
 
 
 def test_commands_between_the_rows_of_poses(csv):
-    """As a table of two topics has them; where cells are empty the last command holds."""
+    """As in a table of two topics; over empty cells, the last command holds."""
     rows = [f"{0.1 * i:.2f},{i},{2 * i},,\n{0.1 * i + 0.03:.2f},,,0.{i},{i}" for i in range(1, 9)]
     recording = read_csv_recording(csv("t,x,y,steering,speed_command\n" + "\n".join(rows)))
     assert recording.x.tolist() == list(range(1, 9))
@@ -353,7 +353,7 @@ def test_two_runs_in_one_file_are_refused(csv):
 
 
 def test_a_clock_that_is_set_back_while_the_car_drives(csv):
-    """Rows in a wrong order are none, nor are those of a car that stands."""
+    """Rows in the wrong order do not count, nor those of a standing car."""
     t, speed = 0.02 * np.arange(1000), 4.0
 
     def said(t, x):
