@@ -80,11 +80,11 @@ def test_modules_exist(page):
             assert (SOURCE / path).is_file() or (REPO / path).is_file(), path
 
 
-def test_every_room_is_described():
+def test_every_package_is_described():
     text = prose(ARCHITECTURE)
-    for package in SOURCE.rglob("__init__.py"):
-        room = package.parent.relative_to(SOURCE).as_posix()
-        assert room == "." or room.startswith("cli/") or f"| `{room}/` |" in text, room
+    for init in SOURCE.rglob("__init__.py"):
+        package = init.parent.relative_to(SOURCE).as_posix()
+        assert package == "." or package.startswith("cli/") or f"| `{package}/` |" in text, package
     for module in SOURCE.glob("*.py"):
         assert module.name == "__init__.py" or f"`{module.name}`" in text, module
 
