@@ -376,7 +376,10 @@ def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
     angle, speed : ndarray, shape (k,)
         Steering angles [rad] and speeds [m/s], in the order of time.
     """
-    of_angles, of_speeds = _to_and_fro(angle, _ANGLE[1]), _to_and_fro(speed, _SPEED[1])
+    of_angles, of_speeds = (
+        _alternating_share(angle, _ANGLE[1]),
+        _alternating_share(speed, _SPEED[1]),
+    )
     count = max(_far_off(angle, _FAR_ANGLE), _far_off(speed, _FAR_SPEED))
     if of_angles > _ANGLE[0] or of_speeds > _SPEED[0]:
         many = f"up to {max(of_angles, of_speeds):.0%}"
@@ -398,7 +401,7 @@ def _far_off(values, least):
         return int(np.count_nonzero((away > least) & (across < 0.5 * _AGREE * away)))
 
 
-def _to_and_fro(values, least):
+def _alternating_share(values, least):
     """Largest share in any block of values that differ from both neighbors."""
     if values.size < _BLOCK:
         return 0.0

@@ -77,8 +77,8 @@ def _write(arguments, found, left_out, validated):
     output = Path(arguments.output)
     save_vehicle(found.vehicle, output, provenance(found, validated))
     table.save(_table_path(output))
-    told = parameter_hash(found.vehicle)
-    print(f"vehicle written to {output} ({told}), table to {_table_path(output)}")
+    digest = parameter_hash(found.vehicle)
+    print(f"vehicle written to {output} ({digest}), table to {_table_path(output)}")
     if arguments.linear_output:
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
         print(f"vehicle with linear tires written to {arguments.linear_output}")

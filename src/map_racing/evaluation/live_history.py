@@ -73,8 +73,8 @@ class History:
         t, (x, y, psi, v) = in_order(columns[0], columns[1:], notes, self._pose_topic, required=2)
         nothing = np.full(t.size, math.nan)
         stamps = np.array(self._stamps, dtype=np.int64)
-        at, told = in_order(stamps, [np.array(column) for column in self._commands], [], "")
-        commands = Commands((at - t0_ns) * 1e-9, *told, self._drive_topic) if at.size else None
+        at, commanded = in_order(stamps, [np.array(column) for column in self._commands], [], "")
+        commands = Commands((at - t0_ns) * 1e-9, *commanded, self._drive_topic) if at.size else None
         driven = Recording(
             *(t, x, y, psi, v, nothing, nothing), topic=self._pose_topic, commands=commands
         )

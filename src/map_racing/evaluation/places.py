@@ -367,7 +367,7 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
         lost = float(loss[inside[first:last]].sum())
         if lost < _LEAST:
             continue
-        first, last = _bulk(loss[inside], first, last)
+        first, last = _without_tails(loss[inside], first, last)
         part = inside[first:last]
         end = (part[-1] + 1) % cells
         outward = -corner.side * (d[part] - reference.d[:cells][part])
@@ -399,13 +399,15 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
                 float(outward[widest]) if corner.side else 0.0,
                 where,
                 float(np.max(grip[part])),
-                _earlier(v[approach], reference.v[:cells][approach], track.length / cells),
+                _brakes_earlier_by(
+                    v[approach], reference.v[:cells][approach], track.length / cells
+                ),
             )
         )
     return sorted(places, key=lambda place: -place.loss_s)[:3]
 
 
-def _earlier(own, reference, step):
+def _brakes_earlier_by(own, reference, step):
     """Distance [m] by which one speed reaches mid-braking earlier than another."""
     low = int(np.argmin(reference))
     high, own_high = (int(np.argmax(v[: low + 1])) for v in (reference, own))
@@ -432,7 +434,7 @@ def _largest_sum(values):
     return begin, end
 
 
-def _bulk(values, begin, end):
+def _without_tails(values, begin, end):
     """The part without the ends, which add next to nothing."""
     share = np.cumsum(values[begin:end]) / np.sum(values[begin:end])
     first = np.flatnonzero(share >= _TAIL)[0]
