@@ -28,7 +28,7 @@ def report(tmp_path, *arguments):
 
 
 def text_of(page):
-    """Text of a page, in one line."""
+    """Text of a page as one line."""
     body = page[page.index("<body>") : page.index("<script")]
     return " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())
 
@@ -165,9 +165,9 @@ def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
 
 @pytest.mark.once
 def test_a_vehicle_file_of_another_car_is_doubted(page, bags, tmp_path):
-    assert "is it the file of this car" not in text_of(page)
+    assert "is it the file of another car" not in text_of(page)
     text = text_of(report(tmp_path, bags["map"], "--vehicle", "sim"))
-    assert "not determined: the end of what is looked for" in text
+    assert "not determined: at the end of the search range" in text
 
 
 def test_what_cannot_be_read_is_left_out(bags, tmp_path, capsys, refused):
