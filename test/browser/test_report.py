@@ -237,6 +237,18 @@ def test_names_are_text(opened):
     assert opened.find_elements(By.TAG_NAME, "img") == []
 
 
+def test_laps_of_a_recording_with_a_long_name(opened):
+    opened.execute_script(
+        "document.querySelectorAll('.laps span').forEach("
+        "(span) => { span.textContent = 'map_racing_2026-11-29-23-03-56_second_heat'; })"
+    )
+    name = opened.find_element(By.CSS_SELECTOR, ".laps span")
+    button = opened.find_element(By.CSS_SELECTOR, ".laps button")
+    assert name.rect["height"] <= 1.5 * 16 and button.rect["height"] <= 2.0 * 16
+    opened.refresh()
+    until_drawn(opened)
+
+
 def test_on_a_phone(opened):
     size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)

@@ -52,7 +52,7 @@ class PoseTiming(NamedTuple):
     Attributes
     ----------
     rate_hz : float
-        Poses per second, from the median of the times between them.
+        Poses per second, without the gaps.
     longest_gap_s : float
         Longest time between two poses [s].
     gaps : int
@@ -137,6 +137,8 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     """
     limits = limits or LapLimits()
     between = np.diff(recording.t)
+    # Not the median, which for times that alternate is one of the two.
+    usual = between[between <= limits.max_gap]
     moved = np.hypot(np.diff(recording.x), np.diff(recording.y))
     jumped = moved > limits.max_speed * between + limits.jump_margin
     age = oldest = math.nan
@@ -149,7 +151,7 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
         if not 0.0 < age < 1.0:
             age = oldest = math.nan
     return PoseTiming(
-        float(1.0 / np.median(between)),
+        float(1.0 / np.mean(usual if usual.size else between)),
         float(between.max()),
         int(np.count_nonzero(between > limits.max_gap)),
         int(np.count_nonzero(jumped)),

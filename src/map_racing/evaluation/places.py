@@ -355,35 +355,31 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
     cells = track.s.size - 1
     loss = np.diff(run.mean("time") - reference.time)
     v, d = run.mean("v")[:cells], run.mean("d")[:cells]
+    v_reference, d_reference = reference.v[:cells], reference.d[:cells]
+    kappa = track.kappa[:cells]
+    slower = _progress(v, d, kappa) <= _progress(v_reference, d_reference, kappa)
     grip = np.mean([profile.grip_used[:cells] for profile in run.counted], axis=0)
     places = []
     for corner in corners:
         inside = np.flatnonzero(corner.inside(track.s[:cells], track.length))
         if corner.begin >= corner.end:  # over the start line
-            inside = np.concatenate(
-                (inside[track.s[inside] >= corner.begin], inside[track.s[inside] < corner.begin])
-            )
+            inside = np.roll(inside, -np.count_nonzero(track.s[inside] < corner.begin))
         first, last = _largest_sum(loss[inside])
         lost = float(loss[inside[first:last]].sum())
         if lost < _LEAST:
             continue
         first, last = _without_tails(loss[inside], first, last)
         part = inside[first:last]
+        # Faster throughout: the loss is only noise of the poses.
+        if not slower[part].any():
+            continue
         end = (part[-1] + 1) % cells
-        outward = -corner.side * (d[part] - reference.d[:cells][part])
-        widest = int(np.argmax(np.abs(outward)))
-        apex = (corner.apex - track.s[part[0]]) % track.length
-        at = (track.s[part[widest]] - track.s[part[0]]) % track.length
-        near = 0.15 * len(part) * track.length / cells
-        inside_apex = apex <= (track.s[end] - track.s[part[0]]) % track.length
-        where = (
-            "apex" if inside_apex and abs(at - apex) <= near else ("entry" if at < apex else "exit")
-        )
+        wide, where = _deviation((d - d_reference)[part], part, corner, track)
         # Early braking may begin before the stretch.
         before = (inside[0] - np.arange(_BEFORE, 0, -1)) % cells
         approach = np.concatenate((before, inside))
         slow = part[int(np.argmin(v[part]))]
-        slow_reference = reference.v[:cells][part].min()
+        slow_reference = v_reference[part].min()
         places.append(
             Place(
                 corner,
@@ -396,15 +392,28 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
                 float(slow_reference),
                 float(v[end]),
                 float(reference.v[end]),
-                float(outward[widest]) if corner.side else 0.0,
+                wide,
                 where,
                 float(np.max(grip[part])),
-                _brakes_earlier_by(
-                    v[approach], reference.v[:cells][approach], track.length / cells
-                ),
+                _brakes_earlier_by(v[approach], v_reference[approach], track.length / cells),
             )
         )
     return sorted(places, key=lambda place: -place.loss_s)[:3]
+
+
+def _progress(v, d, kappa):
+    """Speed projected onto the raceline [m/s]; off the line, a bend has a different length."""
+    return v / np.maximum(1.0 - kappa * d, 0.1)
+
+
+def _deviation(left, part, corner, track):
+    """Largest deviation to the outside in a part of the lap [m], and where it is."""
+    cells, begin, widest = track.s.size - 1, track.s[part[0]], int(np.argmax(np.abs(left)))
+    apex, at = (corner.apex - begin) % track.length, (track.s[part[widest]] - begin) % track.length
+    near = 0.15 * len(part) * track.length / cells
+    inside_apex = apex <= (track.s[(part[-1] + 1) % cells] - begin) % track.length
+    where = "apex" if inside_apex and abs(at - apex) <= near else "entry" if at < apex else "exit"
+    return float(-corner.side * left[widest]), where
 
 
 def _brakes_earlier_by(own, reference, step):

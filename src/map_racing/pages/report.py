@@ -327,7 +327,10 @@ def _laps(runs):
         head += ["error RMS", "mean", "95 %", "largest", "clearance", "mean speed", "top speed"]
         head += ["speed error", "saturated", "counts"]
         saturated = {id(profile.lap): profile.saturated for profile in run.profile.laps}
-        rows = [[*_lap_cells(lap), _share([saturated.get(id(lap), math.nan)])] for lap in laps]
+        rows = [
+            [*_lap_cells(lap, run.followed), _share([saturated.get(id(lap), math.nan)])]
+            for lap in laps
+        ]
         rows = [[*row, "yes" if lap.valid else lap.reason] for row, lap in zip(rows, laps)]
         parts += [heading_of(run.name, runs), table(head, rows)]
     said = "Saturated: share of the time in which the steering was at its largest useful angle."
@@ -336,7 +339,7 @@ def _laps(runs):
     return "".join([*parts, f'<p class="hint">{said}</p></section>\n'])
 
 
-def _lap_cells(lap):
+def _lap_cells(lap, followed):
     return [
         lap.lap,
         _number(lap.lap_time_s, "{:.3f} s"),
@@ -348,7 +351,7 @@ def _lap_cells(lap):
         _number(lap.min_clearance_m, "{:.2f} m"),
         _number(lap.mean_speed_mps, "{:.2f} m/s"),
         _number(lap.max_speed_mps, "{:.2f} m/s"),
-        _number(lap.rms_speed_error_mps, "{:.2f} m/s"),
+        _number(lap.rms_speed_error_mps if followed else math.nan, "{:.2f} m/s"),
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 import numpy as np
@@ -108,6 +109,9 @@ def _lap(run, index):
     known = np.isfinite(time)
     total = float(time[known][-1]) if known.any() else 0.0
     even = total * track.s / track.length
+    values = dict(profile.values)
+    if not run.followed:  # it is no speed, such as a throttle
+        values["v_command"] = np.full(track.s.size, math.nan)
     return {
         "index": index,
         "number": lap.lap,
@@ -115,7 +119,7 @@ def _lap(run, index):
         "valid": lap.valid,
         "total": total,
         "residual": pack(time - even),
-        **{name: pack(profile.values[name]) for name in _CHARTED},
+        **{name: pack(values[name]) for name in _CHARTED},
     }
 
 

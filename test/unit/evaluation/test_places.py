@@ -11,6 +11,7 @@ from map_racing.evaluation.analysis import analyze, corner_rows, references, sam
 from map_racing.evaluation.places import (
     Corner,
     Place,
+    Reference,
     against_ideal,
     against_lap,
     against_run,
@@ -150,6 +151,26 @@ def test_the_same_driving_has_no_places(reference, driving):
     run = profile(driving, reference, lambda s: 4.0)
     found = costliest(run, against_run(run, "itself"), corners_of(run.track))
     assert found == []
+
+
+def test_who_is_faster_all_along_loses_nothing(reference, driving):
+    run = profile(driving, reference, lambda s: 4.0)
+    # Noise of the poses in one cell gives a lap of 3 m/s 4 ms less than this one.
+    time = run.mean("time")
+    slower = time * 4.0 / 3.0
+    slower[72:] -= 0.004 + (slower[72] - slower[71]) - (time[72] - time[71])
+    noisy = Reference("", slower, 0.75 * run.mean("v"), run.mean("d"))
+    assert costliest(run, noisy, corners_of(run.track)) == []
+
+
+def test_a_longer_way_costs_time_at_a_higher_speed(reference, driving):
+    good = profile(driving, reference, lambda s: 4.0)
+    wide = profile(
+        driving, reference, lambda s: 3.9, lambda s: -0.3 * bump(s, reference.length, 9.0, 14.0)
+    )
+    slow = Reference("", good.mean("time"), 0.95 * wide.mean("v"), good.mean("d"))
+    places = costliest(wide, slow, corners_of(wide.track))
+    assert [place.corner.name for place in places] == ["second left"]
 
 
 def test_a_place_over_the_start_line(reference, driving):
