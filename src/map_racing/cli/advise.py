@@ -50,8 +50,8 @@ def run(arguments):
 
 
 def _count(advice):
-    """How many sectors the file has: it cannot have one over the start line in one piece."""
+    """Number of sectors in the file, where a sector across the start line must be split."""
     count = len(advice.scales())
     if count == len(advice.sectors):
         return f"{count} sectors"
-    return f"{count} sectors, that over the start line as two"
+    return f"{count} sectors, the one across the start line as two"

@@ -41,7 +41,7 @@ def table_lines(comparison):
         for value in comparison.values:
             digits = DIGITS.get(value, 3)
             first, second, change = (row[f"{value}_{name}"] for name in ("a", "b", "change"))
-            # Of tuning what is missing is no race, but a parameter of another kind of controller.
+            # In tuning results, a missing value is a parameter of another law, not a missing race.
             missing = "-" if comparison.kind.startswith("tune") else "N.C."
             cells += [_number(number, digits, missing) for number in (first, second)]
             cells.append("-" if math.isnan(change) else f"{change:+.{digits}f}")

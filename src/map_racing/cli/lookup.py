@@ -97,7 +97,7 @@ def _check_options(arguments):
 
 
 def _replay(arguments, vehicle):
-    """Drive the vehicle by the commands of recordings."""
+    """Drive the vehicle with the commands of recordings."""
     channels = channel_map(arguments)
     runs = [load_run(path, channels) for path in arguments.bag]
     actuators = actuators_of(runs, vehicle)
@@ -153,7 +153,7 @@ def _describe(path, table):
 
 
 def _describe_corners(raceline, table):
-    """The speed at which each corner takes all that the table has."""
+    """Print the speed at which each corner reaches the table's limit."""
     found = corners(raceline, table)
     print(f"  corners of {raceline.name or 'the raceline'}, where they have the least to spare:")
     for corner in found:
@@ -180,7 +180,7 @@ def _describe_corners(raceline, table):
 
 
 def _describe_speeds(raceline, table, controller, vehicle):
-    """Where a controller with this table would drive slower than the raceline."""
+    """Print where a controller with this table would drive slower than the raceline."""
     parameters = load_controller_parameters(controller, vehicle).with_(speed_scale=1.0)
     if parameters.grip_use:
         top_speed = math.inf if vehicle is None else vehicle.v_max

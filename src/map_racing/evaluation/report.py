@@ -77,7 +77,7 @@ def write_csv(path: str | Path, results: Iterable[RunResult]) -> None:
 
 
 def write_rows(path: str | Path, columns: Sequence[str], rows: Iterable[dict]) -> None:
-    """Write rows that have values by the names of the columns, empty for NaN.
+    """Write rows, which map column names to values; NaN becomes an empty cell.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def write_rows(path: str | Path, columns: Sequence[str], rows: Iterable[dict]) -
 
 
 def lap_table(result: RunResult) -> str:
-    """Text table of one run: every lap or part of one, then the summary."""
+    """Text table of one run: every lap or partial lap, then the summary."""
     rows = [[title for _, title, _ in _LAP_COLUMNS]]
     for lap in result.laps:
         row = lap.row()
@@ -166,7 +166,7 @@ def aligned(rows: list[list[str]], left: int = 0) -> Iterator[str]:
     rows : list of list of str
         The titles, then the cells.
     left : int
-        Index of the column that is aligned to the left, the others to the right.
+        Index of the left-aligned column; the others are right-aligned.
 
     Yields
     ------

@@ -140,9 +140,7 @@ class Fault:
 
     fault: str = parameter("Its name", choices=tuple(KINDS))
     at_s: float = parameter("Simulated time at which it begins", "s", low=0.0, default=0.0)
-    for_s: float = parameter(
-        "Duration; by default until the end", "s", low=POSITIVE, default=1e9
-    )
+    for_s: float = parameter("Duration; by default until the end", "s", low=POSITIVE, default=1e9)
     from_m: float = parameter("Arc length at which its place begins", "m", low=0.0, default=0.0)
     to_m: float = parameter(
         "Arc length at which its place ends, less than `from_m` if it crosses the start line; if "

@@ -78,9 +78,7 @@ class Walls:
             )
             self.findings = (Finding("crossing-normals", NOTE, text),)
         if shared:
-            text = (
-                f"{shared} wall points are inside another stretch of the track: they bound both"
-            )
+            text = f"{shared} wall points are inside another stretch of the track: they bound both"
             self.findings += (Finding("shared-ground", WARNING, text),)
         self._begin, end = np.concatenate(begins), np.concatenate(ends)
         self._along = end - self._begin

@@ -39,7 +39,8 @@ def test_a_table_may_differ_from_its_vehicle_as_much_as_tires_do(tmp_path, refus
 
 
 def test_a_published_table_checks_against_its_model_file_as_it_comes(tmp_path, capsys):
-    """The table's program does not use the mu of the file, and leaves its corner cell as it was."""
+    """The program that made the table ignores the file's mu, and leaves the corner cell
+    uninitialized."""
     model = (
         "{C_0d: 0.5, C_R: 3.7, C_Pf: [4.8, 2.16, 0.65, 0.37], C_Pr: [20.0, 1.5, 0.62, 0.0], "
         "I_z: 0.058, h_cg: 0.014, l_f: 0.162, l_r: 0.145, m: 3.54, MODEL, mu: MU}"

@@ -163,7 +163,7 @@ def test_race_refuses_a_folder_that_is_not_there(tmp_path, refused):
 
 
 def test_notes_on_the_vehicle_of_a_plant_are_printed(tmp_path, capsys):
-    """A published model file in a plant file: what was assumed is said as for --vehicle."""
+    """A published model file in a plant file: assumptions are printed as with --vehicle."""
     values = yaml.safe_load(find_config("vehicles", "nuc4", (".yaml",)).read_text())
     del values["mu"]
     (tmp_path / "car.yaml").write_text(yaml.safe_dump({**values, "C_R": 2.0}))
@@ -201,7 +201,7 @@ def test_a_full_size_car_is_driven_by_the_shipped_controllers(tmp_path, capsys):
 
 
 def test_another_vehicle_than_the_plants_is_named_by_its_file(tmp_path, capsys):
-    """Both may have the same name inside."""
+    """Both files may contain the same name."""
     values = yaml.safe_load(find_config("vehicles", "nuc4", (".yaml",)).read_text())
     car = tmp_path / "heavy.yaml"
     car.write_text(yaml.safe_dump({**values, "m": 3.6}))

@@ -1,4 +1,4 @@
-"""Result directories: read back as written, compared where that makes sense."""
+"""Result directories: read back as written, compared if that makes sense."""
 
 import json
 import math
