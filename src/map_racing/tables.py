@@ -108,7 +108,7 @@ def read_columns(
         units, rows = _split_units(rows, len(names))
         words, index = {}, word(names) if word else None
         if index is not None:
-            rows = _keeping(words, index, rows)
+            rows = _collecting(words, index, rows)
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
     units = units or [_unit_of(name) for name in names]
@@ -199,7 +199,7 @@ def _split_units(rows, count):
     return None, chain([first], rows)
 
 
-def _keeping(words, index, rows):
+def _collecting(words, index, rows):
     """Pass rows through, and collect the cells of one column in `words` by line number."""
     for number, cells in rows:
         if index < len(cells):

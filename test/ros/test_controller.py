@@ -700,7 +700,7 @@ def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders
     assert "rejected" not in rig.node.output
     assert "~delay_s = 0.7 (Delay compensation" in rig.node.output
     assert "~hold_s = 2.0 (Time for which" in rig.node.output
-    assert "commanded to stand [s], default)" in rig.node.output
+    assert "sent commands of speed 0 [s], default)" in rig.node.output
 
 
 def test_sliders_are_those_of_the_parameters(rig):

@@ -356,7 +356,7 @@ controller.main()
     core.stop()
     wait_for(lambda: f"the ROS master at {uri} does not answer" in node.output, 30.0)
     master()
-    wait_for(lambda: "started again and does not know this node" in node.output, 30.0)
+    wait_for(lambda: "restarted and does not know this node" in node.output, 30.0)
     assert "stop" not in node.output.rpartition("[INFO] driving")[2]
     node.signal(signal.SIGINT)
     assert node.wait() == 0

@@ -435,7 +435,7 @@ def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car):
     car.drive()
     count = len(car.node._driven.sent)
     car.node._set_raceline(reversed_raceline(RACELINE))
-    assert "has to stand first" in car.said[-1] and len(car.node._driven.sent) == count
+    assert "has to stop first" in car.said[-1] and len(car.node._driven.sent) == count
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.OPPOSED_RACELINE)
     car.node._set_raceline(RACELINE)

@@ -54,15 +54,15 @@ def bearing(state: CarState, x: float, y: float) -> float:
     Parameters
     ----------
     state : CarState
-        A car that stands or rolls backwards counts as moving straight ahead; from there up to
-        0.5 m/s its direction blends into that of the velocity.
+        A car that stands or rolls backwards counts as moving straight ahead; up to 0.5 m/s this
+        direction blends into the velocity's.
     x, y : float
         Point in the map frame [m].
 
     Returns
     -------
     float
-        Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
+        Angle in [-pi, pi] [rad]; beyond +-pi/2 the point is behind the car.
     """
     # A car that rolls backwards will drive forwards, where its nose points.
     _, own_x, own_y, psi, v_x, v_y, _ = state

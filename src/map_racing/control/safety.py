@@ -204,7 +204,7 @@ class Supervisor:
         if trusted:
             if not frozen:
                 self._measure(now, v_x)
-            self._obeys(now, state)
+            self._check_obedience(now, state)
         return trusted
 
     def refuse(self, now: float) -> Decision:
@@ -240,7 +240,7 @@ class Supervisor:
         if self._opposed:
             self._seen[Reason.OPPOSED_RACELINE] = now
         if result is not None:
-            self._judge(now, result)
+            self._check_result(now, result)
             if result.status not in (Status.INVALID_STATE, Status.NO_RACELINE):
                 if math.isfinite(result.steering_angle + result.speed):
                     angle, wanted = result.steering_angle, result.speed
@@ -315,7 +315,7 @@ class Supervisor:
             or turned > self.limits.max_turn_rad + abs(last.r) * elapsed
         )
 
-    def _judge(self, now, result):
+    def _check_result(self, now, result):
         """Note reasons to stop that follow from the controller's result."""
         if result.status is Status.INVALID_STATE:
             self._seen[Reason.INVALID_POSE] = now
@@ -330,7 +330,7 @@ class Supervisor:
         elif now - self._saturated_since > self.limits.max_saturated_s:
             self._lost_grip = True
 
-    def _obeys(self, now, pose):
+    def _check_obedience(self, now, pose):
         """Note reasons to stop that follow from how the car answers its commands."""
         obedience, driving = self._obedience, self.mode is Mode.DRIVING
         onwards = pose.v_x >= -ROLLING

@@ -145,7 +145,7 @@ def driving_of(run: Run) -> Driving:
     if late:
         raise IdentificationError(late)
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
-    r, v = _turn_and_speed(setup, scaled, notes)
+    r, v = _yaw_rate_and_speed(setup, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
     commands_t, angle = scaled["steering"]
     begin = max(begin, float(commands_t[0]))
@@ -170,7 +170,7 @@ def driving_of(run: Run) -> Driving:
     usable = (smooth[0] > SLOWEST_MPS) & near(t, commands_t, LONGEST_HOLD_S)
     for name in measured:
         usable &= near(t, measured[name].t, LONGEST_GAP_S)
-    speed = _obeyed(scaled.get("speed_command"), t[usable], smooth[0, usable], notes)
+    speed = _speed_commands(scaled.get("speed_command"), t[usable], smooth[0, usable], notes)
     delay = setup.steering_delay_s
     return Driving(
         run.label,
@@ -187,7 +187,7 @@ def driving_of(run: Run) -> Driving:
     )
 
 
-def _obeyed(command, t, v, notes):
+def _speed_commands(command, t, v, notes):
     """The speed commands; None if there are none or part of them is in another unit."""
     if command is None or not t.size:
         return None
@@ -208,7 +208,7 @@ def _obeyed(command, t, v, notes):
     return command
 
 
-def _turn_and_speed(setup, scaled, notes):
+def _yaw_rate_and_speed(setup, scaled, notes):
     """Yaw rate and speed, each with its times: measured or otherwise derived from the poses."""
     r, v = scaled.get("yaw_rate"), scaled.get("v_x")
     if r is None:

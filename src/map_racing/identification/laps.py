@@ -344,7 +344,7 @@ def _mixture(base, drives, labels, prior, fitted):
         if windows.count < FEWEST_WINDOWS:
             continue
         own = fit_car(base, windows, believed(**prior), near=fitted)
-        common, alone = (_left(base, windows, values) for values in (fitted, own))
+        common, alone = (_residual(base, windows, values) for values in (fitted, own))
         if common > MIXED * alone:
             odd.append(f"{label}: {common:.3f} rad/s of yaw rate, its own {alone:.3f} rad/s")
     if not odd:
@@ -353,7 +353,7 @@ def _mixture(base, drives, labels, prior, fitted):
     return SensorFinding("runs", text, critical=True)
 
 
-def _left(base, windows, fitted):
+def _residual(base, windows, fitted):
     """Robust standard deviation of a fit's yaw rate residuals [rad/s]."""
     simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
     return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))

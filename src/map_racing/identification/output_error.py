@@ -37,10 +37,10 @@ NAMES = (
 
 ``front``, ``rear``, ``grip``, ``gain`` and ``inertia`` are logarithms of factors on the cornering
 stiffness of each axle, the grip, the steering gain and the moment of inertia. ``delay`` is the sum
-of dead time and lag of the steering [s], ``share`` the lag's share of it, ``offset`` that of the
-steering [rad], ``height`` the center of gravity's above the vehicle file's [m]. ``shape``, the
-logarithm of a factor on C of both tires, and ``bend``, added to their E, bend the curve between its
-slope at zero slip and its peak."""
+of dead time and lag of the steering [s], ``share`` the lag's share of it, ``offset`` the steering
+offset [rad], ``height`` the height of the center of gravity above the vehicle file's value [m].
+``shape``, the logarithm of a factor on C of both tires, and ``bend``, which is added to their E,
+change the curve between its slope at zero slip and its peak."""
 
 # Delays from which the search starts [s]; the better result is used.
 START_DELAYS = (0.03, 0.08)

@@ -3,7 +3,7 @@
 It uses the Levenberg-Marquardt method with the Huber loss. The model predicts for several sets of
 parameters at once, because one pass over time for all of them costs hardly more than one for a
 single set. Intervals follow from the disagreement between the windows (a sandwich covariance,
-clustered by window), so that persistent errors, such as those of a wrong model, widen them.
+clustered by window), so that persistent errors, such as from a wrong model, widen them.
 """
 
 from __future__ import annotations

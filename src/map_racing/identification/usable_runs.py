@@ -23,7 +23,7 @@ def reason_to_refuse(motion: ProcessedRun) -> str:
         return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
     if _diverged(motion):
         return "localization diverged: its speed or yaw rate has no constant ratio to the car's"
-    if _astray(motion):
+    if _misaligned(motion):
         return (
             "the poses do not move along their heading, nor at a constant angle to it: "
             "is an axis of the position inverted, or are the axes swapped?"
@@ -51,7 +51,7 @@ def reason_unsteady(motion: ProcessedRun) -> str:
 
 def is_localized(motion: ProcessedRun) -> bool:
     """Whether the car drove, and its poses can be compared with its sensors."""
-    return bool(motion.moving.any()) and not _diverged(motion) and not _astray(motion)
+    return bool(motion.moving.any()) and not _diverged(motion) and not _misaligned(motion)
 
 
 def _steady_driving(motion):
@@ -77,11 +77,11 @@ def _diverged(motion):
     return bool(
         _spread(ratio) > LARGEST_SPREAD
         or (turns.size > RATE_HZ and _spread(turns) > LARGEST_SPREAD)
-        or _astray(motion)
+        or _misaligned(motion)
     )
 
 
-def _astray(motion):
+def _misaligned(motion):
     """Whether the poses move in all directions relative to their own heading."""
     beta = motion.beta[motion.moving & (motion.path_speed > STANDSTILL_MPS)]
     if beta.size < RATE_HZ:

@@ -22,7 +22,7 @@ MOST_WAITING = 1000
 LAST_LINES_S = 1.0
 
 
-class _Beside(logging.Handler):
+class _Threaded(logging.Handler):
     """Passes records to a handler in a separate thread."""
 
     def __init__(self, handler):
@@ -54,6 +54,6 @@ def write_beside() -> None:
     others = logging.root.manager.loggerDict.values()
     for logger in [logging.root, *(o for o in others if isinstance(o, logging.Logger))]:
         for handler in list(logger.handlers):
-            if not isinstance(handler, (_Beside, RosOutHandler, logging.NullHandler)):
+            if not isinstance(handler, (_Threaded, RosOutHandler, logging.NullHandler)):
                 logger.removeHandler(handler)
-                logger.addHandler(_Beside(handler))
+                logger.addHandler(_Threaded(handler))

@@ -80,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _copies(bags, topics, folder):
-    """Copies, by name, of bags whose timestamps are not those of the evaluation."""
+    """Copies, by name, of bags whose timestamps the evaluation would replace."""
     copies = {}
     for number, bag in enumerate(bags):
         copy = Path(folder) / f"{number}.bag"

@@ -31,7 +31,7 @@ START_S = 0.3
 HEADWAY, PATIENCE = 0.5, 10.0
 
 # Longest interval between checks of the time limits [s].
-LOOK = 0.1
+CHECK_S = 0.1
 
 
 class Outcome(Enum):
@@ -202,13 +202,13 @@ def race(
             if supervised:
                 truth.append(taken.true)
             if faults is not None:
-                _take(driver, *faults.update(car.now, s))
+                _apply_faults(driver, *faults.update(car.now, s))
             grip.update(car.now, s, 1.0 if faults is None else faults.grip)
             answered = math.inf if faults is not None else samples[-1].true[0] if samples else 0.0
             outcome = referee.see(car.now, s, d, answered)
             if progress is not None and poses % 40 == 0:
                 progress(referee.driven / raceline.length)
-        outcome = outcome or referee.look_at_clock(car.now)
+        outcome = outcome or referee.check_clock(car.now)
         if outcome is not None:
             break
         for seen, result in processor.take(car.now, arrived):
@@ -231,7 +231,7 @@ def race(
 def _stride(car, driver, processor):
     """Ticks until the next event, or the next check of the time limits."""
     step = car.plant.time_step
-    stop = min(car.next_event, car.tick + round(LOOK / step))
+    stop = min(car.next_event, car.tick + round(CHECK_S / step))
     if driver.deadline is not None:
         stop = min(stop, math.ceil(driver.deadline / step - 1e-6))
     if processor.due is not None:
@@ -239,7 +239,7 @@ def _stride(car, driver, processor):
     return max(stop - car.tick, 1)
 
 
-def _take(driver, begun, ended):
+def _apply_faults(driver, begun, ended):
     for fault in begun:
         driver.begin(fault)
     for fault in ended:
@@ -275,7 +275,7 @@ class _Referee:
             return Outcome.COMPLETED
         return None
 
-    def look_at_clock(self, now):
+    def check_clock(self, now):
         """Outcome if the race has taken too long; otherwise None."""
         late = now > self._time_limit or now > self._headway_at + PATIENCE
         return Outcome.STALLED if late else None

@@ -94,7 +94,7 @@ def track_from_map(
 
     clear = _clearance(image, distance)
     half = 0.5 * passage
-    line, kept = _as_driven(_smooth(points, clear, half), start, psi)
+    line, kept = _oriented(_smooth(points, clear, half), start, psi)
     findings += kept
     widths, more = _widths(line, clear, half, 4.0 * float(distance.max()))
     findings += more
@@ -354,7 +354,7 @@ def _smooth(points, clear, half):
     return Raceline(at.x, at.y)
 
 
-def _as_driven(line, start, psi):
+def _oriented(line, start, psi):
     """The line in the direction of travel, beginning beside the start, and findings."""
     findings = []
     place = line.project(*start)

@@ -175,7 +175,7 @@ def _fitted(corners, shape, insist):
     size, shrink = shape.length / 5.0, 0.85
     side = 1.0 if shape.left else -1.0
     for _ in range(12):
-        drawn = _that_fit(
+        drawn = _with_fitting_radii(
             [
                 (size * away * math.cos(angle), side * size * away * math.sin(angle), radius)
                 for angle, away, radius in corners
@@ -196,7 +196,7 @@ def _fitted(corners, shape, insist):
     return None
 
 
-def _that_fit(corners):
+def _with_fitting_radii(corners):
     """The corners, with radii reduced so that each arc uses at most half of either side."""
     points = np.array([corner[:2] for corner in corners])
     sides = np.roll(points, -1, axis=0) - points

@@ -158,8 +158,8 @@ def doubts_of_cells(table: LookupTable) -> list[str]:
     """
     with np.errstate(invalid="ignore"):
         a = np.log(np.where(table.a_lat > SMALLEST, table.a_lat, np.nan))
-    by_angle = _off_the_cells_beside(a, table.angles)
-    by_speed = _off_the_cells_beside(a.T, table.speeds).T
+    by_angle = _off_neighbors(a, table.angles)
+    by_speed = _off_neighbors(a.T, table.speeds).T
     for off, axis, where in (
         (_medians(by_speed), table.speeds, "at {:g} m/s"),
         (_medians(by_angle.T), table.angles, "at {:g} rad"),
@@ -181,7 +181,7 @@ def doubts_of_cells(table: LookupTable) -> list[str]:
     return []
 
 
-def _off_the_cells_beside(a, axis):
+def _off_neighbors(a, axis):
     """Log ratio of each cell to the interpolation of its neighbors; 0 where it is unknown."""
     off = np.zeros(a.shape)
     with np.errstate(all="ignore"):

@@ -69,8 +69,8 @@ def axle_loads(vehicle, a_long):
 def fastest_mode(vehicle):
     """Decay rate of the faster mode of straight running at low speed, times the speed.
 
-    At higher speeds the rate times speed of an oversteering car is at most a few percent larger,
-    and that of other cars smaller.
+    At higher speeds this product is at most a few percent larger for an oversteering car, and
+    smaller for other cars.
 
     Parameters
     ----------
