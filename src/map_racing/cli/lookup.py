@@ -182,9 +182,10 @@ def _describe_corners(raceline, table):
 def _describe_speeds(raceline, table, controller, vehicle):
     """Print where a controller with this table would drive slower than the raceline."""
     parameters = load_controller_parameters(controller, vehicle).with_(speed_scale=1.0)
+    said = f"  {controller}, speed_scale 1, grip_use {parameters.grip_use:g}: "
     if parameters.grip_use:
         top_speed = math.inf if vehicle is None else vehicle.v_max
-        plan = SpeedPlan(raceline, parameters, table, top_speed=top_speed)
-        print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")
+        said += str(SpeedPlan(raceline, parameters, table, top_speed=top_speed))
     else:
-        print(f"  {controller}, grip_use 0: drives the raceline's speeds, whatever the grip")
+        said += "drives the raceline's speeds, whatever the grip"
+    print(said)
