@@ -161,7 +161,7 @@ class Clock(NamedTuple):
             where = " than the poses' for a part of the time"
         notes.append(
             f"warning: {topic}: the stamps are from another clock{where}"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            + (": shifted" if steady else ", with a varying offset: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
@@ -271,7 +271,7 @@ def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
     are."""
     return (
         f"warning: {what}: {np.count_nonzero(coarse)} of {coarse.size} stamps are too coarse, with "
-        f"several messages on each: times of receipt used instead, good to {spread:.3f} s"
+        f"several messages on each: times of receipt used instead, accurate to {spread:.3f} s"
     )
 
 
@@ -332,8 +332,8 @@ def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:
     if abs(rate - 1.0) < _RATE or np.max(off) > abs(slope):
         return ""
     return (
-        f"{topic}: {rate:.3f} s of its stamps pass in a second of receipt: lap times are those of "
-        "the stamps"
+        f"{topic}: its stamps advance by {rate:.3f} s per second of receipt: lap times follow the "
+        "stamps"
     )
 
 

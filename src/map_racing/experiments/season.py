@@ -267,14 +267,16 @@ def _runs(recording, options):
     if recording.waypoints is not None:
         return "", evaluate_runs(recording, **more)
     if not options.tracks:
-        raise EvaluationError(f"{recording.source}: no raceline in it; give its track by --tracks")
+        raise EvaluationError(
+            f"{recording.source}: no raceline in it; give its track with --tracks"
+        )
     for source in options.tracks:
         try:
             return source, evaluate_runs(recording, _track(source), source, **more)
         except EvaluationError:
             continue
     raise EvaluationError(
-        f"{recording.source}: no raceline in it, and it was driven on none of the tracks given"
+        f"{recording.source}: no raceline in it, and it was driven on none of the given tracks"
     )
 
 

@@ -184,7 +184,9 @@ class Session(Races):
         self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
         self.notes += [f"{conditions.plant}: its vehicle: {note}" for note in plant.vehicle.notes]
         if raceline.d_left is None:
-            self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
+            self.notes.append(
+                f"{conditions.track}: no walls are known, so crashes are not detected"
+            )
         if given is None:
             cars = self._identify(plant, conditions.identification_seed)
         else:
