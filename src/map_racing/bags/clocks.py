@@ -267,8 +267,7 @@ def mended(
 
 
 def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
-    """Warning of stamps that `mended` replaced: what they belong to, which, and how accurate they
-    are."""
+    """Warning of stamps that `mended` replaced; the arguments are a name and its results."""
     return (
         f"warning: {what}: {np.count_nonzero(coarse)} of {coarse.size} stamps are too coarse, with "
         f"several messages on each: times of receipt used instead, accurate to {spread:.3f} s"
@@ -276,8 +275,7 @@ def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
 
 
 def _coarse(stamps, received, changed):
-    """Which messages share a coarse stamp: they were received over the whole time until the next
-    stamp.
+    """Mask of messages with a coarse stamp: they were received over the whole time until the next.
 
     Repeated messages, from a localization that hangs, are not counted.
     """
@@ -299,8 +297,7 @@ def _coarse(stamps, received, changed):
 
 
 def _shared(stamps, received):
-    """Whether messages with the same stamp were received over the whole time until the next
-    stamp."""
+    """Whether messages with the same stamp were received over the whole time until the next."""
     order = np.argsort(stamps, kind="mergesort")
     stamps, received = stamps[order], received[order]
     steps = np.diff(stamps)

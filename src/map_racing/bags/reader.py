@@ -158,8 +158,7 @@ def _beliefs(believed, topic, clock, t0_ns, notes):
 
 
 def _commands(command, topic, clock, times, notes):
-    """The commands on the clock of the poses, whose times are given [ns]; warnings go to the
-    notes."""
+    """The commands on the clock of the poses with these times [ns]; warnings go to the notes."""
     at, (angle, speed) = command.columns(notes, topic, clock)
     stamps, received = command.stamps()
     own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)

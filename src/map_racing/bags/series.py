@@ -367,8 +367,7 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
 
 
 def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
-    """Warning of alternating commands, as from two nodes that the bag does not name; otherwise
-    empty.
+    """Warning of commands that alternate, as from two unnamed nodes; otherwise empty.
 
     Parameters
     ----------

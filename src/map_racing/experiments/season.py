@@ -210,8 +210,7 @@ def _without_name(reason, path):
 
 
 def _evaluate_bags(paths, options):
-    """Fingerprint of the code, and for each bag its rows and whether to store them; runs in any
-    process."""
+    """Fingerprint of the code, and each bag's rows and whether to store them; for any process."""
     return fingerprint_of_code(_DECISIVE), [_evaluate_bag(path, options) for path in paths]
 
 

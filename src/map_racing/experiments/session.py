@@ -296,8 +296,7 @@ class Session(Races):
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 
     def memory(self, laps: int, scale: float) -> dict[str, float]:
-        """For each controller, peak memory of a fresh process that races with it on one day
-        [MB]."""
+        """Peak memory of a fresh process that races with each controller on one day [MB]."""
         day = self.setting.day(self.setting.conditions.seeds[0])
         found = {}
         for label, controller in self.controllers.items():
