@@ -77,7 +77,7 @@ def test_what_is_learned_is_saved_started_from_and_forgotten(rig, ros, start, li
 
     # An existing file is kept, even if the node was started from it.
     again = rig.call(ros, "save")
-    assert not again.success and f"{vehicle} exists and is kept" in again.message
+    assert not again.success and f"{vehicle} exists, so nothing is saved" in again.message
     assert Path(vehicle).read_text() == head
 
     mark = len(beliefs)

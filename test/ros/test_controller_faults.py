@@ -113,8 +113,8 @@ def test_a_raceline_the_other_way_round_waits_for_the_car_to_stand(rig, advertis
     turned.wpnts = turned.wpnts[::-1]
     publisher.publish(turned)
     rig.wait_mode("stopped", "raceline against the motion")
-    assert "runs against the motion of the car: it has to stand first" in rig.node.output
-    # With good poses again, it drives on.
+    assert "runs against the motion of the car: it has to stop first" in rig.node.output
+    # With the original raceline again, it drives on.
     publisher.publish(message)
     rig.driving()
     assert_sane(rig)

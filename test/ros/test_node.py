@@ -64,7 +64,8 @@ def test_where_there_are_poses_is_told_if_they_do_not_come(publish, advertise):
     for kind in ("nav_msgs/Odometry", "geometry_msgs/PoseStamped"):
         assert why_silent("/odom", kind) == f"nobody publishes it; there is {found}"
     assert why_silent("/clock", "rosgraph_msgs/Clock") == "nobody publishes it"
-    assert why_silent("/pf/pose/odom", "nav_msgs/Odometry").endswith("it, but none came")
+    silent = why_silent("/pf/pose/odom", "nav_msgs/Odometry")
+    assert silent.endswith("it, but no message has arrived")
     odom = "/car_state/odom (nav_msgs/Odometry), "
     wrong = why_silent("/car_state/odom", "geometry_msgs/PoseStamped")
     assert wrong.startswith("/localization publishes nav_msgs/Odometry there")

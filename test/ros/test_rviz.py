@@ -116,7 +116,7 @@ def a_map():
 
 def test_a_computer_without_rviz_is_told_so(monkeypatch):
     monkeypatch.setattr(open_rviz.shutil, "which", lambda name: None)
-    with pytest.raises(MapRacingError, match="there is no rviz here: sudo apt install"):
+    with pytest.raises(MapRacingError, match="rviz is not installed: sudo apt install"):
         open_rviz._Opener._open(None)
 
 

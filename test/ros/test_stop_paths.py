@@ -349,7 +349,7 @@ def test_a_node_withdraws_its_own_stop_only(car, caplog):
     car.node._on_stop_topic(asked(False, "/referee"))
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
-    assert "false from /referee, but /obstacles asked for the stop" in caplog.text
+    assert "false from /referee, but /obstacles requested the stop" in caplog.text
     car.node._on_stop_topic(asked(True, "/referee"))
     car.node._on_stop_topic(asked(False, "/obstacles"))
     car.pose()

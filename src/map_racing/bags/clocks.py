@@ -161,7 +161,7 @@ class Clock(NamedTuple):
             where = " than the poses' for a part of the time"
         notes.append(
             f"warning: {topic}: the stamps are from another clock{where}"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            + (": shifted" if steady else ", with a varying offset: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
@@ -267,17 +267,15 @@ def mended(
 
 
 def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
-    """Warning of stamps that `mended` replaced: what they belong to, which, and how accurate they
-    are."""
+    """Warning of stamps that `mended` replaced; the arguments are a name and its results."""
     return (
         f"warning: {what}: {np.count_nonzero(coarse)} of {coarse.size} stamps are too coarse, with "
-        f"several messages on each: times of receipt used instead, good to {spread:.3f} s"
+        f"several messages on each: times of receipt used instead, accurate to {spread:.3f} s"
     )
 
 
 def _coarse(stamps, received, changed):
-    """Which messages share a coarse stamp: they were received over the whole time until the next
-    stamp.
+    """Mask of messages with a coarse stamp: they were received over the whole time until the next.
 
     Repeated messages, from a localization that hangs, are not counted.
     """
@@ -299,8 +297,7 @@ def _coarse(stamps, received, changed):
 
 
 def _shared(stamps, received):
-    """Whether messages with the same stamp were received over the whole time until the next
-    stamp."""
+    """Whether messages with the same stamp were received over the whole time until the next."""
     order = np.argsort(stamps, kind="mergesort")
     stamps, received = stamps[order], received[order]
     steps = np.diff(stamps)
@@ -332,8 +329,8 @@ def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:
     if abs(rate - 1.0) < _RATE or np.max(off) > abs(slope):
         return ""
     return (
-        f"{topic}: {rate:.3f} s of its stamps pass in a second of receipt: lap times are those of "
-        "the stamps"
+        f"{topic}: its stamps advance by {rate:.3f} s per second of receipt: lap times follow the "
+        "stamps"
     )
 
 
@@ -380,22 +377,22 @@ def lag_of_effect(
     known = np.interp(grid, at, finite.astype(float)) > 0.999
     effect = np.interp(grid, at[finite], effect[finite])
     last = np.searchsorted(t, wide, side="right") - 1
-    told = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
+    has_cause = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
     last = np.searchsorted(t[given], wide, side="right") - 1
     held = cause[given][np.maximum(last, 0)]
     # At the ends there is no centered average.
     edge = 0.5 * _SLOW * _STEP_S
     known &= (grid > grid[0] + edge) & (grid < grid[-1] - edge)
-    told &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
+    has_cause &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
     # A car usually turns in the direction of its wheels; if not, only the size counts.
-    both = known & told[most : most + grid.size]
+    both = known & has_cause[most : most + grid.size]
     a, b = held[most : most + grid.size][both], effect[both]
     signed = float(a @ b) > _LIKE * float(np.sqrt((a @ a) * (b @ b)))
     held, effect = (
         uniform_filter1d(values, _SMOOTH) - uniform_filter1d(values, _SLOW)
         for values in (held, effect)
     )
-    follows = _correlation(held, told, effect, known)
+    follows = _correlation(held, has_cause, effect, known)
     follows = follows if signed else np.abs(follows)
     lags = _STEP_S * np.arange(most, -most - 1, -1)
     possible = (lags >= earliest_s) & (lags <= longest_s)
@@ -411,7 +408,7 @@ def lag_of_effect(
     return float(lags[peak]) if 0 < peak < lags.size - 1 else None
 
 
-def _correlation(held, told, effect, known):
+def _correlation(held, has_cause, effect, known):
     """Correlation of an effect with every part of its cause of the same length."""
 
     def sums(one, other):
@@ -421,12 +418,12 @@ def _correlation(held, told, effect, known):
         product = np.fft.rfft(one, size) * np.conj(np.fft.rfft(other, size))
         return np.fft.irfft(product, size)[: one.size - other.size + 1]
 
-    held = np.where(told, held - (np.mean(held[told]) if told.any() else 0.0), 0.0)
+    held = np.where(has_cause, held - (np.mean(held[has_cause]) if has_cause.any() else 0.0), 0.0)
     effect = np.where(known, effect - (np.mean(effect[known]) if known.any() else 0.0), 0.0)
-    told, known = told.astype(float), known.astype(float)
-    count = np.maximum(sums(told, known), 1.0)
-    a, b = sums(held, known) / count, sums(told, effect) / count
-    variances = (sums(held**2, known) / count - a**2) * (sums(told, effect**2) / count - b**2)
+    has_cause, known = has_cause.astype(float), known.astype(float)
+    count = np.maximum(sums(has_cause, known), 1.0)
+    a, b = sums(held, known) / count, sums(has_cause, effect) / count
+    variances = (sums(held**2, known) / count - a**2) * (sums(has_cause, effect**2) / count - b**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         result = (sums(held, effect) / count - a * b) / np.sqrt(variances)
     enough = count > max(_FEWEST, 0.5 * float(np.max(count)))

@@ -77,8 +77,8 @@ def _write(arguments, found, left_out, validated):
     output = Path(arguments.output)
     save_vehicle(found.vehicle, output, provenance(found, validated))
     table.save(_table_path(output))
-    told = parameter_hash(found.vehicle)
-    print(f"vehicle written to {output} ({told}), table to {_table_path(output)}")
+    digest = parameter_hash(found.vehicle)
+    print(f"vehicle written to {output} ({digest}), table to {_table_path(output)}")
     if arguments.linear_output:
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
@@ -125,7 +125,7 @@ def _write_controller(path, found):
     delay = found.laps.delays.delay if found.laps else None
     if delay is None or delay.value is None:
         reason = delay.reason if delay else "it takes ordinary driving"
-        text = f"with its own delay_s of {parameters.delay_s:g} s, as none was determined: {reason}"
+        text = f"with its own delay_s of {parameters.delay_s:g} s (none was determined: {reason})"
     else:
         parameters = parameters.with_(delay_s=round(delay.value, 4))
         text = f"with delay_s of {parameters.delay_s:g} s"

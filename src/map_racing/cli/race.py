@@ -87,7 +87,7 @@ def print_stops(log, faults):
         print(f"stop at {t:.2f} s: {reason.value}; {until}")
     for fault in faults:
         if fault.at_s > log.duration:
-            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+            print(f"{fault.fault} at {fault.at_s:g} s: the race ended before")
 
 
 def print_end(arguments, log, raceline, scale):

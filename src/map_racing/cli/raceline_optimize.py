@@ -244,8 +244,7 @@ def start_of(words):
 
 
 def print_table(lines, track, limits, scale):
-    """Print key figures of each line, all computed in the same way; return lap times by name, inf
-    for none."""
+    """Print key figures of each line; return lap times by name, inf for none."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'to a wall':>10s} "
         f"{'lap time':>9s}\n"

@@ -73,7 +73,7 @@ def analyses(arguments, delays=False):
             car = settings.vehicle
         for number, (recording, result) in enumerate(runs, 1):
             if chosen is not None:
-                result = _only(result, chosen)
+                result = _with_laps(result, chosen)
             found.append(
                 analyze(
                     recording,
@@ -85,11 +85,11 @@ def analyses(arguments, delays=False):
                     delays=delays_of(recording, car) if delays and car is not None else None,
                 )
             )
-            found[-1].notes.extend(_other_car(vehicle, settings))
+            found[-1].notes.extend(_vehicle_warning(vehicle, settings))
     return found, failed
 
 
-def _other_car(given, settings):
+def _vehicle_warning(given, settings):
     """Warning if the controller drove with a vehicle other than the given one."""
     driven = settings and settings.vehicle
     if given is None or not driven or parameter_hash(given) == parameter_hash(driven):
@@ -107,12 +107,12 @@ def delays_of(recording, vehicle):
     return delay_data(estimate_delays([run_of(recording)], vehicle))
 
 
-def _only(result, chosen):
+def _with_laps(result, chosen):
     """A result with only the chosen laps."""
     laps = [lap for lap in result.laps if any(a <= lap.lap <= b for a, b in chosen)]
     if not laps:
         numbers = ", ".join(str(lap.lap) for lap in result.laps[:20])
-        raise ParameterError(f"--laps: {result.source} has none of them, but laps {numbers}")
+        raise ParameterError(f"--laps: {result.source} has none of them; it has laps {numbers}")
     return replace(result, laps=laps, summary=Summary.of(laps))
 
 

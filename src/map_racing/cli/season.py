@@ -35,7 +35,7 @@ def run(arguments):
         raise MapRacingError(f"{', '.join(arguments.folders)}: no bags below")
     for source in arguments.tracks:
         load_raceline(source)  # fail early if one cannot be read
-    tracks = tuple(_anywhere(source) for source in arguments.tracks)
+    tracks = tuple(_absolute_source(source) for source in arguments.tracks)
     options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
     make_folder(output)
     with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
@@ -63,7 +63,7 @@ def run(arguments):
     print(f"written to {output / 'season.csv'} and {output / 'season.html'}")
 
 
-def _anywhere(source):
+def _absolute_source(source):
     """A source with absolute paths, for processes with another working folder."""
     path, key = split_source(source)
     if not Path(path).exists():
@@ -84,8 +84,7 @@ def report_paths(bags, output):
 
 
 def link(bag, report, output):
-    """Path from the page to the report of a bag, which may also be beside the bag; empty without
-    one."""
+    """Path from the page to a bag's report, which may be beside the bag; empty without one."""
     for path in (report, bag.with_suffix(".html")):
         if path.is_file():
             return os.path.relpath(str(path), str(output)).replace(os.sep, "/")

@@ -146,13 +146,14 @@ def _commands(table, start):
     names = [name for name in ("steering", "speed_command") if name in table.names]
     if not names:
         return None
-    told = np.isfinite(table.values["t"])
-    told &= np.any([np.isfinite(table.values[name]) for name in names], axis=0)
-    nan = np.full(np.count_nonzero(told), math.nan)
+    commanded = np.isfinite(table.values["t"])
+    commanded &= np.any([np.isfinite(table.values[name]) for name in names], axis=0)
+    nan = np.full(np.count_nonzero(commanded), math.nan)
     values = [
-        table.values[name][told] if name in names else nan for name in ("steering", "speed_command")
+        table.values[name][commanded] if name in names else nan
+        for name in ("steering", "speed_command")
     ]
-    t, values = in_order(table.values["t"][told], values, [], "")
+    t, values = in_order(table.values["t"][commanded], values, [], "")
     return Commands(t - start, *values, " ".join(table.names[name] for name in names))
 
 

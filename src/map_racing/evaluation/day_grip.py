@@ -72,9 +72,9 @@ def grip_of_day(
         Without commands, speed or yaw rate, the prior for any day.
     """
     learner = Adaptation(vehicle, max(vehicle.v_max, 1.0), delay, share, behind)
-    told = _feed(learner, recording, laps)
+    fed = _feed(learner, recording, laps)
     level, belief = learner.level, learner.belief
-    if not told:
+    if not fed:
         width = np.exp(1.96 * PRIOR[0])
         return DayGrip(1.0, 1.0 / width, width, None, share)
     low, high = (

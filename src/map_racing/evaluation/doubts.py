@@ -102,14 +102,14 @@ def frame_warning(topic: str, frame: str) -> str:
     """Warning about poses in a frame other than the map; otherwise empty."""
     if is_odometry_frame(frame):
         return (
-            f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
-            "not those on the track"
+            f"{topic} is in frame {frame}, which drifts relative to the map: the lateral errors "
+            "are not those on the track"
         )
     if is_map_frame(frame):
         return ""
     return (
-        f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "
-        "both are the same"
+        f"{topic} is in frame {frame}, not map: the lateral errors are right only if both are the "
+        "same"
     )
 
 
@@ -136,7 +136,7 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     if apart:
         return f"{topic}: poses alternate between two places {apart:.2f} m apart: from two nodes?"
     pieces = [slice(max(b[0] - 2, 0), b[-1] + 3) for b in blocks]
-    found = [_beside(t[part], x[part], y[part]) for part in pieces]
+    found = [_off_path_counts(t[part], x[part], y[part]) for part in pieces]
     few = sum(count for count, _ in found if count >= _FEW) or sum(far for _, far in found)
     if few:
         lie, why = ("poses lie", "from two nodes?") if few > 1 else ("pose lies", "is it wrong?")
@@ -159,7 +159,7 @@ def _alternates(t, x, y, least):
     return apart if odd < -_ALIKE and even > _ALIKE else 0.0
 
 
-def _beside(t, x, y):
+def _off_path_counts(t, x, y):
     """Number of single poses beside the path of their neighbors, and of those no car could reach.
 
     Only the distance across the path counts: a late stamp shifts a pose along it. Two poses at each

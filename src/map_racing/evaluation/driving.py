@@ -137,7 +137,7 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     """
     limits = limits or LapLimits()
     between = np.diff(recording.t)
-    # Not the median, which for times that alternate is one of the two.
+    # Not the median: if times alternate, it is one of the two.
     usual = between[between <= limits.max_gap]
     moved = np.hypot(np.diff(recording.x), np.diff(recording.y))
     jumped = moved > limits.max_speed * between + limits.jump_margin

@@ -120,7 +120,7 @@ class LiveEvaluation:
         # Warnings of the run by kind, and those derived from its driving; times and commands of the
         # samples of the current lap; times of its first and last samples whose commands came too
         # late.
-        self._doubts, self._told = {}, []
+        self._doubts, self._from_driving = {}, []
         self._driven, self._late = ([], []), []
         if raceline is not None:
             self.set_raceline(raceline)
@@ -198,8 +198,7 @@ class LiveEvaluation:
     def add_command(
         self, stamp_ns: int, speed: float, steering_angle: float, lag_ns: int = 0
     ) -> None:
-        """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad], lag as for
-        poses.
+        """Add a drive command: stamp [ns], speed [m/s], steering angle [rad], lag as for poses.
 
         If its lag differs from the poses' by more than latency, and not because of a delay, it was
         stamped by another clock.
@@ -295,12 +294,12 @@ class LiveEvaluation:
                 f"drive commands came more than {self._patience:g} s after their poses: "
                 "speed error and steering rate are computed without them"
             )
-        doubts = (*self._doubts.values(), *self._told)
+        doubts = (*self._doubts.values(), *self._from_driving)
         return *raceline_warnings(self._raceline), *dict.fromkeys(doubts), *missing
 
     def _report(self, laps):
         if any(not math.isnan(lap.lap_time_s) for lap in laps):
-            self._look_back(laps)
+            self._warn_from_driving(laps)
         times = [(stamp - self._t0_ns) * 1e-9 for stamp in self._believed_ns] if laps else []
         for lap in laps:
             end_ns = self._t0_ns + int(round(lap.end_time_s * 1e9))
@@ -316,19 +315,19 @@ class LiveEvaluation:
             self._late = [at for at in self._late if at > laps[-1].end_time_s]
         self._reported += len(laps)
 
-    def _look_back(self, laps):
+    def _warn_from_driving(self, laps):
         """Derive warnings from the driving so far."""
         self._history.add_laps(laps)
-        self._told = self._history.doubts(self._t0_ns - self._clock.offset_ns)
+        self._from_driving = self._history.doubts(self._t0_ns - self._clock.offset_ns)
 
     def _end_run(self):
         result = self._evaluator.finish()
-        self._look_back([])
+        self._warn_from_driving([])
         self._report(result.laps[self._reported :])
         notes = tuple(f"warning: {doubt}" for doubt in self._warnings([]))
         self._on_run(self._run, replace(result, notes=notes))
         self._run += 1
         self._reported = 0
-        self._doubts, self._told, self._driven, self._late = {}, [], ([], []), []
+        self._doubts, self._from_driving, self._driven, self._late = {}, [], ([], []), []
         self._history.clear()
         self._t0_ns = self._last_ns = self._given_up_ns = None

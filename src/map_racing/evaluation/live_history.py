@@ -42,8 +42,7 @@ class History:
         self._earlier, self._latest = {}, {}
 
     def add_pose(self, *pose: float) -> None:
-        """Add a pose: time since the first pose [s], position [m], heading [rad] and speed
-        [m/s]."""
+        """Add a pose: time since the first [s], position [m], heading [rad] and speed [m/s]."""
         if len(self._poses[0]) >= 2 * _KEPT and len(self._earlier) < _MOST:
             self._earlier.update(self._latest)
         _append(self._poses, pose)
@@ -73,8 +72,8 @@ class History:
         t, (x, y, psi, v) = in_order(columns[0], columns[1:], notes, self._pose_topic, required=2)
         nothing = np.full(t.size, math.nan)
         stamps = np.array(self._stamps, dtype=np.int64)
-        at, told = in_order(stamps, [np.array(column) for column in self._commands], [], "")
-        commands = Commands((at - t0_ns) * 1e-9, *told, self._drive_topic) if at.size else None
+        at, commanded = in_order(stamps, [np.array(column) for column in self._commands], [], "")
+        commands = Commands((at - t0_ns) * 1e-9, *commanded, self._drive_topic) if at.size else None
         driven = Recording(
             *(t, x, y, psi, v, nothing, nothing), topic=self._pose_topic, commands=commands
         )

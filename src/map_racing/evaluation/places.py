@@ -367,8 +367,8 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
         lost = float(loss[inside[first:last]].sum())
         if lost < _LEAST:
             continue
-        part = inside[slice(*_bulk(loss[inside], first, last))]
-        # Who is faster all along loses nothing: it is noise of the poses.
+        part = inside[slice(*_without_tails(loss[inside], first, last))]
+        # Faster throughout: the loss is only noise of the poses.
         if not slower[part].any():
             continue
         end = (part[-1] + 1) % cells
@@ -393,14 +393,14 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
                 wide,
                 where,
                 float(np.max(grip[part])),
-                _earlier(v[approach], v_reference[approach], track.length / cells),
+                _brakes_earlier_by(v[approach], v_reference[approach], track.length / cells),
             )
         )
     return sorted(places, key=lambda place: -place.loss_s)[:3]
 
 
 def _progress(v, d, kappa):
-    """Speed along the raceline [m/s]; beside it, the way through a bend has another length."""
+    """Speed projected onto the raceline [m/s]; off the line, a bend has a different length."""
     return v / np.maximum(1.0 - kappa * d, 0.1)
 
 
@@ -414,7 +414,7 @@ def _deviation(left, part, corner, track):
     return float(-corner.side * left[widest]), where
 
 
-def _earlier(own, reference, step):
+def _brakes_earlier_by(own, reference, step):
     """Distance [m] by which one speed reaches mid-braking earlier than another."""
     low = int(np.argmin(reference))
     high, own_high = (int(np.argmax(v[: low + 1])) for v in (reference, own))
@@ -441,7 +441,7 @@ def _largest_sum(values):
     return begin, end
 
 
-def _bulk(values, begin, end):
+def _without_tails(values, begin, end):
     """The part without the ends, which add next to nothing."""
     share = np.cumsum(values[begin:end]) / np.sum(values[begin:end])
     first = np.flatnonzero(share >= _TAIL)[0]

@@ -58,7 +58,7 @@ def cold_start(job: RaceJob) -> Learned:
         Car, track, seed, initial tires, and the controller that knows the true ones; its scale and
         number of laps do not matter.
     """
-    return _beside(execute(_learning(job, LAPS)).result, LAPS, job)
+    return _compared(execute(_learning(job, LAPS)).result, LAPS, job)
 
 
 def loss_of_grip(job: RaceJob, factor: float = 0.8, at: float = 0.5) -> Learned:
@@ -77,12 +77,12 @@ def loss_of_grip(job: RaceJob, factor: float = 0.8, at: float = 0.5) -> Learned:
     before = execute(_learning(job, LOST_IN)).result
     lost = before.laps[LOST_IN - 1] if len(before.laps) >= LOST_IN else None
     if lost is None:
-        return _beside(before, COMPARED, job)
+        return _compared(before, COMPARED, job)
     change = {"factor": factor, "after_s": lost.start_time_s + at * lost.lap_time_s}
     changed = dataclasses.replace(plant, grip_changes=(change,))
     weak = dataclasses.replace(plant, mu_scale=factor * plant.mu_scale)
     result = execute(_learning(dataclasses.replace(job, plant=changed), COMPARED)).result
-    return _beside(result, COMPARED, dataclasses.replace(job, plant=weak))
+    return _compared(result, COMPARED, dataclasses.replace(job, plant=weak))
 
 
 def _learning(job, laps):
@@ -93,14 +93,14 @@ def _learning(job, laps):
     return dataclasses.replace(job, name=CONTROLLER, controller=settings, laps=laps)
 
 
-def _beside(result: RaceResult, lap: int, job: RaceJob) -> Learned:
+def _compared(result: RaceResult, lap: int, job: RaceJob) -> Learned:
     """Compare lap `lap` of a race with those of a controller that knows the job's car."""
-    told = [own.lap_time_s for own in execute(at_the_limit(job, *truth(job))).result.laps]
+    informed = [own.lap_time_s for own in execute(at_the_limit(job, *truth(job))).result.laps]
     found = [own.lap_time_s for own in result.laps][lap - 1 : lap]
     return Learned(
         result.outcome,
         found[0] if found else math.nan,
-        float(np.mean(told)) if told else math.nan,
+        float(np.mean(informed)) if informed else math.nan,
         max((part.max_abs_lateral_error_m for part in result.stretches), default=math.nan),
         min((part.min_clearance_m for part in result.stretches), default=math.nan),
     )

@@ -81,9 +81,8 @@ def _comparisons(run, runs):
     ]
 
 
-def _some(laps, most, best=None):
-    """All laps or, if there are many, the best, those that do not count and others at equal
-    steps."""
+def _selected_laps(laps, most, best=None):
+    """All laps or, of many, the best, those that do not count and others at equal steps."""
     if len(laps) <= most:
         return laps
     kept = [i for i, lap in enumerate(laps) if not lap.valid][: most // 2]
@@ -129,7 +128,7 @@ def _first_screen(runs, compared):
         summary, best = run.result.summary, run.profile.best
         rows.append(
             [
-                *([_breaking(run.name)] if len(runs) > 1 else []),
+                *([_breakable(run.name)] if len(runs) > 1 else []),
                 f"{summary.laps_completed} of {len(run.result.laps)}",
                 f"{best.lap.lap_time_s:.3f} s (lap {best.lap.lap})" if best else "none",
                 f"{run.ideal.time_s:.3f} s" if run.ideal else "–",
@@ -177,7 +176,7 @@ def _doubts(runs):
     return "".join(parts)
 
 
-def _breaking(name):
+def _breakable(name):
     """A name that may break into another line after its parts."""
     return Markup(re.sub("[_./-]", r"\g<0><wbr>", escape(name)))
 
@@ -219,7 +218,7 @@ def _lap_strip(runs):
         best = run.profile.best
         chips = []
         most = max(_MOST_BUTTONS // len(runs), 20)
-        for lap in _some(run.result.laps, most, best.lap if best else None):
+        for lap in _selected_laps(run.result.laps, most, best.lap if best else None):
             time = "" if math.isnan(lap.lap_time_s) else f" {lap.lap_time_s:.3f}"
             mark = "✓" if lap.valid else f"✗ {lap.reason}"
             kind = "valid" if lap.valid else "invalid"
@@ -320,7 +319,7 @@ def _laps(runs):
     most, left_out = max(_MOST_LAPS // len(runs), 20), 0
     for run in runs:
         best = run.profile.best
-        laps = _some(run.result.laps, most, best.lap if best else None)
+        laps = _selected_laps(run.result.laps, most, best.lap if best else None)
         left_out += len(run.result.laps) - len(laps)
         sectors = len(laps[0].sector_times_s) if laps else 0
         head = ["lap", "time", *(f"sector {i}" for i in range(1, sectors + 1))]

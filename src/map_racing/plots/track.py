@@ -78,13 +78,13 @@ def draw_distances(
     step = _round_step(line.length / most_marks)
     marks = np.arange(0.0, line.length - 0.2 * step, step)
     for distance in marks:
-        x, y = _beside(line, start_s + distance, side, 0.012 * size)
+        x, y = _outward(line, start_s + distance, side, 0.012 * size)
         axes.plot(x, y, color=START, lw=1.0, zorder=4)
-        x, y = _beside(line, start_s + distance, side, (room + 0.005) * size)
+        x, y = _outward(line, start_s + distance, side, (room + 0.005) * size)
         text = {"ha": "center", "va": "center", "fontsize": "x-small", "color": "0.25"}
         axes.text(x[1], y[1], f"{distance:g} m", clip_on=True, zorder=4, **text)
     for distance in marks[:: max(1, math.ceil(marks.size / 4))] + 0.5 * step:
-        x, y = _beside(line, start_s + distance, side, room * size)
+        x, y = _outward(line, start_s + distance, side, room * size)
         psi, reach = line.pose(start_s + distance).psi, 0.025 * size
         along = reach * math.cos(psi), reach * math.sin(psi)
         axes.annotate(
@@ -102,7 +102,7 @@ def _round_step(least):
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= least)
 
 
-def _beside(line, s, side, beyond):
+def _outward(line, s, side, beyond):
     """Points at a distance [m] outward from the wall of a side, or from the raceline."""
     wall = 0.0 if line.d_left is None else line.widths_at(s)[0 if side > 0.0 else 1]
     return line.to_cartesian(np.full(2, s), side * np.array([wall, wall + beyond]))

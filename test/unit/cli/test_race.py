@@ -84,7 +84,7 @@ def test_a_fault_that_came_too_late_is_named(tmp_path, capsys):
     faults.write_text("faults: [{fault: pose_nan, at_s: 100.0}]")
     arguments = ["--laps", "1", "--output", str(tmp_path / "a.bag"), "--faults", str(faults)]
     assert main(["race", *arguments]) == 0
-    assert "pose_nan at 100 s: the race was over before" in capsys.readouterr().out
+    assert "pose_nan at 100 s: the race ended before" in capsys.readouterr().out
 
 
 @pytest.mark.once

@@ -226,12 +226,12 @@ def test_more_laps_than_fit(tmp_path, monkeypatch, ring):
 
 def test_of_many_laps_the_best_and_those_that_do_not_count_are_listed():
     laps = [SimpleNamespace(lap=i, valid=i not in (3, 700)) for i in range(5000)]
-    some = pages._some(laps, 100, best=laps[1234])
+    some = pages._selected_laps(laps, 100, best=laps[1234])
     numbers = [lap.lap for lap in some]
     assert len(some) <= 101 and numbers == sorted(set(numbers))
     assert {0, 3, 700, 1234, 4999} <= set(numbers)
     assert max(b - a for a, b in zip(numbers, numbers[1:])) < 60
-    assert pages._some(laps[:100], 100) == laps[:100]
+    assert pages._selected_laps(laps[:100], 100) == laps[:100]
 
 
 @pytest.mark.once

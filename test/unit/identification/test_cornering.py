@@ -207,7 +207,7 @@ def test_refusals():
         signals = {name: s for name, s in run.signals.items() if name != missing}
         with pytest.raises(IdentificationError, match=expected):
             motion_of(dataclasses.replace(run, signals=signals), CAR)
-    with pytest.raises(IdentificationError, match="expected a second"):
+    with pytest.raises(IdentificationError, match="expected at least 1 s with all signals"):
         motion_of(circle(duration=0.6), CAR)
     with pytest.raises(ParameterError, match="cutoff_hz"):
         SteadyLimits(cutoff_hz=30.0)

@@ -120,7 +120,7 @@ def test_the_papers_front_force_overrates_this_model(ramps, found):
         np.abs(motion.delta[c]).max() for motion in found.motions for c in motion.segments()
     )
     assert ratio == pytest.approx(1.0 / math.cos(widest), rel=0.02)
-    assert f"promises up to {1.0 / math.cos(widest) - 1.0:.1%} more" in report_text(paper)
+    assert f"gives up to {1.0 / math.cos(widest) - 1.0:.1%} more" in report_text(paper)
 
 
 def test_what_is_returned(found, ramps):
@@ -402,8 +402,8 @@ def test_a_friction_that_no_floor_has_is_doubted(ramps):
     }
     found = identify_car([dataclasses.replace(ramps.run, signals=signals)], ramps.base)
     assert found.largest_a_y > 1.3 * 9.81
-    assert "expected at most 1.3 of rubber" in car_text(found)
-    held = f"warning: a friction of {found.largest_a_y / 9.80665:.2f}, which the "
-    held += f"{found.largest_a_y:.2f} m/s^2 that were held would take, expected"
+    assert "expected at most 1.3 for rubber" in car_text(found)
+    held = f"warning: a friction of {found.largest_a_y / 9.80665:.2f}, needed for the "
+    held += f"sustained {found.largest_a_y:.2f} m/s^2, expected"
     assert held in provenance(found)
     assert any(held in note for note in car_data(found)["notes"])

@@ -178,7 +178,7 @@ def test_wheels_that_turn_more_than_the_signal_on_one_side(ramps):
     t, value = half["steering"]
     half["steering"] = Signal(t, 0.6 * value)
     run = dataclasses.replace(ramps.run, signals=half)
-    with pytest.raises(IdentificationError, match="the wheels turn more than it says"):
+    with pytest.raises(IdentificationError, match="the wheels turn more than the signal"):
         identify([run], ramps.base)
 
 
@@ -220,7 +220,7 @@ def test_findings_that_contradict_each_other_are_reported_as_that(ramps):
     t, value = ramps.run.signals["steering"]
     a_y = np.interp(t, motion.t, np.abs(motion.v_x * motion.r))
     weak = np.where(a_y > 0.48 * np.percentile(a_y, 98.0), 0.5, 1.0) * value
-    with pytest.raises(IdentificationError, match="these contradict each other") as error:
+    with pytest.raises(IdentificationError, match="no gain and offset satisfy both") as error:
         identify([_with(ramps.run, steering=weak)], ramps.base, fix=True)
     assert "--fix" not in str(error.value)
 
@@ -264,7 +264,7 @@ def _with(run, **values):
 def test_a_mirrored_path_is_refused(ramps):
     x, y = (ramps.run.signals[name].value for name in ("x", "y"))
     for mirrored in (_with(ramps.run, y=-y), _with(ramps.run, x=y, y=x)):
-        with pytest.raises(IdentificationError, match="an axis of the position turned around"):
+        with pytest.raises(IdentificationError, match="an axis of the position inverted"):
             identify([mirrored], ramps.base)
 
 
