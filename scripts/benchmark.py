@@ -541,8 +541,7 @@ def compare_season(vehicle, raceline, folder, count=240, rounds=3):
 
 
 def timed_season(bags, workers):
-    """Wall time of a season on a new cluster; processor time of this process and of the workers
-    [s]."""
+    """Wall time of a season on a new cluster; processor times here and of the workers [s]."""
     options = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
     with LocalCluster(**options) as cluster, Client(cluster) as client, open_executor(
         scheduler=cluster.scheduler_address

@@ -11,7 +11,7 @@ import sys
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from typing import Iterator
 
-__all__ = ["printable", "printing"]
+__all__ = ["amount", "printable", "printing"]
 
 # C0, delete and C1; marks that change the writing direction; line separators.
 _CODES = (*range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F)
@@ -34,6 +34,11 @@ def printable(text: str, lines: bool = False) -> str:
     str
     """
     return text if text.isprintable() else text.translate(_TEXTS if lines else _NAMES)
+
+
+def amount(count: int, one: str, several: str = "") -> str:
+    """A number of things in words: "1 lap", "2 laps"."""
+    return f"{count} {one if count == 1 else several or one + 's'}"
 
 
 class _Harmless:

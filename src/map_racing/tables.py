@@ -132,7 +132,8 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
             zipped = file.read(2) == b"\x1f\x8b"
         open_as = gzip.open if zipped else open
         with open_as(str(path), "rb") as file:
-            first = file.read(2)
+            first = file.read(4)
+        image, first = first.startswith(_IMAGES), first[:2]
         wide = first in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         if b"\0" in first:  # UTF-16 without a mark, or not text
             raise FileFormatError(f"{path}: expected UTF-8 text, got zero bytes")
@@ -142,8 +143,9 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read: {reason}") from None
     except UnicodeDecodeError:
-        hint = "inside gzip (unpack bags first)" if zipped else '("CSV UTF-8" in Excel)'
-        raise FileFormatError(f"{path}: expected UTF-8 text {hint}") from None
+        hint = " inside gzip (unpack bags first)" if zipped else ' ("CSV UTF-8" in Excel)'
+        hint = ", got an image" if image else hint
+        raise FileFormatError(f"{path}: expected UTF-8 text{hint}") from None
 
 
 def _split_header(path, file, unnamed):
@@ -171,6 +173,8 @@ def _split_header(path, file, unnamed):
     return names, _rows(path, chain([first], data) if numeric else data, delimiter)
 
 
+# How images begin: PNG, JPEG, PGM and BMP.
+_IMAGES = (b"\x89PNG", b"\xff\xd8\xff", b"P5", b"BM")
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 

@@ -289,7 +289,8 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
     laps = rows(table)
     assert [row["valid"] for row in laps] == ["False", "True", "True", "False"]
     doubts = (
-        "/car_state/odom is in frame odom, which drifts against the map: the lateral errors are "
+        "/car_state/odom is in frame odom, which drifts relative to the map: the lateral errors "
+        "are "
         "not those on the track; /car_state/odom: messages in another frame, map, left out: only "
         "odom counts"
     )

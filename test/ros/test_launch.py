@@ -228,6 +228,18 @@ def test_a_missing_bag_is_one_line(launch, tmp_path):
     assert "Error reading" not in replay.output
 
 
+def test_a_replay_without_a_bag_or_a_place_for_its_laps_ends_with_the_reason(launch, tmp_path):
+    replay = launch("replay.launch", **BARE)
+    replay.wait(60.0)
+    assert "play: bag: expected its name, got none" in replay.output
+    bag = tmp_path / "run.bag"
+    assert main(["race", "--laps", "1", "--output", str(bag)]) == 0
+    replay = launch("replay.launch", bag=bag, csv=tmp_path / "none" / "laps.csv", **EVALUATED)
+    replay.wait(120.0)
+    assert f"{tmp_path / 'none' / 'laps.csv'}: cannot write: No such file" in replay.output
+    assert "did not subscribe" not in replay.output and "no time on /clock" not in replay.output
+
+
 def test_a_replay_of_other_topics_says_so(launch, tmp_path):
     """The bag of one stack on the topics of another."""
     bag = tmp_path / "run.bag"

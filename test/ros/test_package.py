@@ -66,7 +66,7 @@ def test_the_install_space_is_complete(roscore, request, tmp_path):
     assert where.startswith(f"{tmp_path}/install/")
     bag = tmp_path / "run.bag"
     installed(f"rosrun map_racing map-racing race --laps 1 --output {bag}")
-    assert "1 laps counted" in installed(f"rosrun map_racing map-racing evaluate {bag}")
+    assert "1 lap counted" in installed(f"rosrun map_racing map-racing evaluate {bag}")
     launched = installed("roslaunch --nodes map_racing simulate.launch rviz:=true")
     assert {"/simulator", "/controller", "/rviz"} <= set(launched.split())
     for node in ("controller", "lap_evaluator", "lookahead_visualizer", "raceline_publisher"):

@@ -82,7 +82,6 @@ class Bag(ABC):
 
 
 def time_span(spans) -> tuple[int, int]:
-    """First and last time [ns] of several (first, last) pairs, ignoring empty ones; 0 without
-    any."""
+    """First and last time [ns] of (first, last) pairs, ignoring empty ones; 0 without any."""
     known = [span for span in spans if span[1]]
     return (min(s for s, _ in known), max(e for _, e in known)) if known else (0, 0)

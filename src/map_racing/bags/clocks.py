@@ -161,7 +161,7 @@ class Clock(NamedTuple):
             where = " than the poses' for a part of the time"
         notes.append(
             f"warning: {topic}: the stamps are from another clock{where}"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            + (": shifted" if steady else ", with a varying offset: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
@@ -267,17 +267,15 @@ def mended(
 
 
 def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
-    """Warning of stamps that `mended` replaced: what they belong to, which, and how accurate they
-    are."""
+    """Warning of stamps that `mended` replaced; the arguments are a name and its results."""
     return (
         f"warning: {what}: {np.count_nonzero(coarse)} of {coarse.size} stamps are too coarse, with "
-        f"several messages on each: times of receipt used instead, good to {spread:.3f} s"
+        f"several messages on each: times of receipt used instead, accurate to {spread:.3f} s"
     )
 
 
 def _coarse(stamps, received, changed):
-    """Which messages share a coarse stamp: they were received over the whole time until the next
-    stamp.
+    """Mask of messages with a coarse stamp: they were received over the whole time until the next.
 
     Repeated messages, from a localization that hangs, are not counted.
     """
@@ -299,8 +297,7 @@ def _coarse(stamps, received, changed):
 
 
 def _shared(stamps, received):
-    """Whether messages with the same stamp were received over the whole time until the next
-    stamp."""
+    """Whether messages with the same stamp were received over the whole time until the next."""
     order = np.argsort(stamps, kind="mergesort")
     stamps, received = stamps[order], received[order]
     steps = np.diff(stamps)
@@ -332,8 +329,8 @@ def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:
     if abs(rate - 1.0) < _RATE or np.max(off) > abs(slope):
         return ""
     return (
-        f"{topic}: {rate:.3f} s of its stamps pass in a second of receipt: lap times are those of "
-        "the stamps"
+        f"{topic}: its stamps advance by {rate:.3f} s per second of receipt: lap times follow the "
+        "stamps"
     )
 
 

@@ -143,7 +143,7 @@ def _waypoints(collected, pose_frame, clock, t0_ns, notes):
     if not is_map_frame(frame) and frame != pose_frame:
         notes.append(
             f"warning: {first.topic} is in frame {frame}, the poses in {pose_frame or 'map'}: "
-            "the lateral errors are those on the track only if both are the same"
+            "the lateral errors are right only if both are the same"
         )
     later = collected.later.get(first.topic, [])
     at = np.array([received for received, _ in later], dtype=np.int64)
@@ -158,8 +158,7 @@ def _beliefs(believed, topic, clock, t0_ns, notes):
 
 
 def _commands(command, topic, clock, times, notes):
-    """The commands on the clock of the poses, whose times are given [ns]; warnings go to the
-    notes."""
+    """The commands on the clock of the poses with these times [ns]; warnings go to the notes."""
     at, (angle, speed) = command.columns(notes, topic, clock)
     stamps, received = command.stamps()
     own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)
@@ -169,7 +168,7 @@ def _commands(command, topic, clock, times, notes):
     notes += [f"warning: {doubt}"] if doubt else []
     if at.size and (at[-1] < times[0] or at[0] > times[-1]):
         when = "before" if at[-1] < times[0] else "after"
-        notes.append(f"warning: {topic}: all {at.size} commands lie {when} the poses")
+        notes.append(f"warning: {topic}: all {at.size} commands are {when} the poses")
     return Commands((at - int(times[0])) * 1e-9, angle, speed, topic, shifted, lag)
 
 

@@ -73,8 +73,7 @@ class Ros2Bag(Bag):
             self._temporary.cleanup()
 
     def _read_metadata(self):
-        """Contents of the ``metadata.yaml`` that the recorder writes when it closes the bag, or
-        empty."""
+        """Contents of ``metadata.yaml``, written when the recorder closes the bag; else empty."""
         folder = self.path if self.path.is_dir() else self.path.parent
         path = folder / METADATA
         if not path.is_file():

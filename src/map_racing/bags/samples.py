@@ -197,7 +197,7 @@ def is_map_frame(frame: str) -> bool:
 
 
 def is_odometry_frame(frame: str) -> bool:
-    """Whether a frame is one of wheel odometry, which drifts against the map."""
+    """Whether a frame is one of wheel odometry, which drifts relative to the map."""
     return "odom" in frame.rpartition("/")[2].lower()
 
 

@@ -199,7 +199,7 @@ class Series:
         if notes is None:
             return stamps, times, values
         unstamped = np.count_nonzero(given == 0)
-        good = f", good to {spread:.3f} s" if spread else ""
+        good = f", accurate to {spread:.3f} s" if spread else ""
         if unstamped:
             notes.append(f"{topic}: {unstamped} of {times.size} stamps are 0: receive time{good}")
         if coarse.any():
@@ -234,7 +234,7 @@ class Series:
         by_receipt = clock is not None and clock.use_receipt
         stamps, times, values = self._all(topic, None if by_receipt else notes)
         if self._broken:
-            notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
+            notes.append(f"{topic}: {self._broken} messages that do not match their type left out")
         if clock is not None:
             stamps = clock.times(stamps, times, notes, topic, self._delay_ns)
         if self._senders is not None:
@@ -367,8 +367,7 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
 
 
 def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
-    """Warning of alternating commands, as from two nodes that the bag does not name; otherwise
-    empty.
+    """Warning of commands that alternate, as from two unnamed nodes; otherwise empty.
 
     Parameters
     ----------

@@ -40,8 +40,7 @@ _INDEX_OP, _CHUNK_INDEX_OP, _STATISTICS_OP, _LAST_OP = 7, 8, 11, 15
 
 
 class Topic(NamedTuple):
-    """A topic of a file; ``rearrange`` is False if a converter kept messages in the ROS 1
-    layout."""
+    """A topic of a file; ``rearrange`` is False if its messages are in the ROS 1 layout."""
 
     name: str
     type: str

@@ -196,7 +196,7 @@ class RecordedTransforms:
         TransformTree
         """
         if self._broken:
-            notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
+            notes.append(f"{topic}: {self._broken} messages that do not match their type left out")
         offsets = {} if received else _offsets(self.links(parent, child))
         lengths = []
         tree = TransformTree()
@@ -343,7 +343,7 @@ def _say_frozen(frozen, times, x, y, notes, topic):
             at, until = ((bound - times[0]) * 1e-9 for bound in (begin, end))
             notes.append(
                 f"warning: {topic}: {name[0]} to {name[1]} stays the same from {at:.1f} to "
-                f"{until:.1f} s, in which the car drove {way:.0f} m: without localization?"
+                f"{until:.1f} s, while the car drove {way:.0f} m: localization lost?"
             )
 
 

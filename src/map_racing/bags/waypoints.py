@@ -135,8 +135,7 @@ class WaypointCollection:
 
 
 def _connections(bag, topic, accept):
-    """Accepted connections and their topics: on the given topic or, without one, on any not
-    local."""
+    """Accepted connections by number: on the given topic or, without one, on any not local."""
     wanted = "/" + topic.lstrip("/") if topic else None
     return {
         number: connection.topic

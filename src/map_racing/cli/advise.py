@@ -18,7 +18,7 @@ def run(arguments):
             f"{len(arguments.recordings)}: the next heat follows from one"
         )
     if arguments.reverse:
-        raise ParameterError("--reverse: speed sectors count the raceline's points as it is driven")
+        raise ParameterError("--reverse: speed sectors refer to the raceline in its own direction")
     inputs = [*arguments.recordings, arguments.raceline, arguments.vehicle]
     check_outputs([arguments.speed_sectors], inputs)
     runs, failed = analyses(arguments)

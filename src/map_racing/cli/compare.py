@@ -20,7 +20,7 @@ def run(arguments):
         if keys:
             print(f"only in {name}: " + ", ".join(f"{label} {scale:g}" for scale, label in keys))
     if comparison.differences:
-        print("What differs in provenance:")
+        print("Differences in provenance:")
         rows = [["", "a", "b"], *map(list, comparison.differences)]
         print("\n".join(f"  {line}" for line in aligned(rows)))
     else:

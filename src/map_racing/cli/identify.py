@@ -125,7 +125,7 @@ def _write_controller(path, found):
     delay = found.laps.delays.delay if found.laps else None
     if delay is None or delay.value is None:
         reason = delay.reason if delay else "it takes ordinary driving"
-        text = f"with its own delay_s of {parameters.delay_s:g} s, as none was determined: {reason}"
+        text = f"with its own delay_s of {parameters.delay_s:g} s (none was determined: {reason})"
     else:
         parameters = parameters.with_(delay_s=round(delay.value, 4))
         text = f"with delay_s of {parameters.delay_s:g} s"

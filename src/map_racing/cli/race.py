@@ -11,6 +11,7 @@ from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..control.steering import build_steering_maps
 from ..errors import ParameterError
+from ..printing import amount
 from ..simulation.faults import load_faults
 from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
@@ -86,7 +87,7 @@ def print_stops(log, faults):
         print(f"stop at {t:.2f} s: {reason.value}; {until}")
     for fault in faults:
         if fault.at_s > log.duration:
-            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+            print(f"{fault.fault} at {fault.at_s:g} s: the race ended before")
 
 
 def print_end(arguments, log, raceline, scale):
@@ -100,7 +101,7 @@ def print_end(arguments, log, raceline, scale):
         where = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
     print(
         f"{Path(arguments.output)}: {arguments.controller} on {raceline.name or arguments.track} "
-        f"at {scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
+        f"at {scale:.0%} speed: {log.outcome.value} after {amount(log.laps, 'timed lap')}, "
         f"{log.duration:.1f} s{where}"
     )
 

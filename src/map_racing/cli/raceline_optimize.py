@@ -90,6 +90,7 @@ def run_optimize(arguments):
     count = int(round(found.raceline.length / arguments.step))
     print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
+    print(f"  lap times: at the highest speeds of {vehicle.name}, whatever speeds a file has")
     times = print_table(lines, track, limits, arguments.speed_scale)
     tell_slower(lines, times, track, clearance, vehicle)
 
@@ -191,7 +192,7 @@ def load(arguments, vehicle):
     else:
         for option in ("start", "passage", "speckle"):
             if getattr(arguments, option) is not None:
-                raise ParameterError(f"--{option}: expected a map, {source} is a track")
+                raise ParameterError(f"--{option}: expected the YAML file of a map, got {source}")
         track = load_raceline(source)
         findings = [finding for finding in track.findings if finding.severity != NOTE]
         for finding in findings:
@@ -243,8 +244,7 @@ def start_of(words):
 
 
 def print_table(lines, track, limits, scale):
-    """Print key figures of each line, all computed in the same way; return lap times by name, inf
-    for none."""
+    """Print key figures of each line; return lap times by name, inf for none."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'to a wall':>10s} "
         f"{'lap time':>9s}\n"

@@ -112,7 +112,7 @@ def _with_laps(result, chosen):
     laps = [lap for lap in result.laps if any(a <= lap.lap <= b for a, b in chosen)]
     if not laps:
         numbers = ", ".join(str(lap.lap) for lap in result.laps[:20])
-        raise ParameterError(f"--laps: {result.source} has none of them, but laps {numbers}")
+        raise ParameterError(f"--laps: {result.source} has none of them; it has laps {numbers}")
     return replace(result, laps=laps, summary=Summary.of(laps))
 
 

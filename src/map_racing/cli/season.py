@@ -84,8 +84,7 @@ def report_paths(bags, output):
 
 
 def link(bag, report, output):
-    """Path from the page to the report of a bag, which may also be beside the bag; empty without
-    one."""
+    """Path from the page to a bag's report, which may be beside the bag; empty without one."""
     for path in (report, bag.with_suffix(".html")):
         if path.is_file():
             return os.path.relpath(str(path), str(output)).replace(os.sep, "/")

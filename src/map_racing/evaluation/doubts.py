@@ -102,14 +102,14 @@ def frame_warning(topic: str, frame: str) -> str:
     """Warning about poses in a frame other than the map; otherwise empty."""
     if is_odometry_frame(frame):
         return (
-            f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
-            "not those on the track"
+            f"{topic} is in frame {frame}, which drifts relative to the map: the lateral errors "
+            "are not those on the track"
         )
     if is_map_frame(frame):
         return ""
     return (
-        f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "
-        "both are the same"
+        f"{topic} is in frame {frame}, not map: the lateral errors are right only if both are the "
+        "same"
     )
 
 

@@ -108,8 +108,7 @@ def _moving(x, y, size):
 
 
 def _best_passages(t, xy, size):
-    """Crossing times of the gate with the most usual laps, on the straightest path, and lap
-    lengths."""
+    """Crossing times and lap lengths for the gate with the most usual laps."""
     if len(xy) < 8:
         return None
     steps = np.diff(xy, axis=0)
@@ -132,8 +131,7 @@ def _best_passages(t, xy, size):
 
 
 def _passages(t, s, xy, course, row, size):
-    """Times and distances at which the path crosses the gate at a row, in the direction of that
-    row."""
+    """Times and distances at which the path crosses the gate at a row in its direction."""
     along, across = math.cos(course[row]), math.sin(course[row])
     half = _HALF_GATE * size.length
     dx, dy = (xy - xy[row]).T

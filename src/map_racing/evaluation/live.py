@@ -198,8 +198,7 @@ class LiveEvaluation:
     def add_command(
         self, stamp_ns: int, speed: float, steering_angle: float, lag_ns: int = 0
     ) -> None:
-        """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad], lag as for
-        poses.
+        """Add a drive command: stamp [ns], speed [m/s], steering angle [rad], lag as for poses.
 
         If its lag differs from the poses' by more than latency, and not because of a delay, it was
         stamped by another clock.

@@ -42,8 +42,7 @@ class History:
         self._earlier, self._latest = {}, {}
 
     def add_pose(self, *pose: float) -> None:
-        """Add a pose: time since the first pose [s], position [m], heading [rad] and speed
-        [m/s]."""
+        """Add a pose: time since the first [s], position [m], heading [rad] and speed [m/s]."""
         if len(self._poses[0]) >= 2 * _KEPT and len(self._earlier) < _MOST:
             self._earlier.update(self._latest)
         _append(self._poses, pose)

@@ -356,10 +356,9 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
     loss = np.diff(run.mean("time") - reference.time)
     v, d = run.mean("v")[:cells], run.mean("d")[:cells]
     v_reference, d_reference = reference.v[:cells], reference.d[:cells]
-    kappa = track.kappa[:cells]
+    kappa, places = track.kappa[:cells], []
     slower = _progress(v, d, kappa) <= _progress(v_reference, d_reference, kappa)
     grip = np.mean([profile.grip_used[:cells] for profile in run.counted], axis=0)
-    places = []
     for corner in corners:
         inside = np.flatnonzero(corner.inside(track.s[:cells], track.length))
         if corner.begin >= corner.end:  # over the start line
@@ -368,8 +367,7 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
         lost = float(loss[inside[first:last]].sum())
         if lost < _LEAST:
             continue
-        first, last = _without_tails(loss[inside], first, last)
-        part = inside[first:last]
+        part = inside[slice(*_without_tails(loss[inside], first, last))]
         # Faster throughout: the loss is only noise of the poses.
         if not slower[part].any():
             continue
@@ -411,8 +409,8 @@ def _deviation(left, part, corner, track):
     cells, begin, widest = track.s.size - 1, track.s[part[0]], int(np.argmax(np.abs(left)))
     apex, at = (corner.apex - begin) % track.length, (track.s[part[widest]] - begin) % track.length
     near = 0.15 * len(part) * track.length / cells
-    inside_apex = apex <= (track.s[(part[-1] + 1) % cells] - begin) % track.length
-    where = "apex" if inside_apex and abs(at - apex) <= near else "entry" if at < apex else "exit"
+    inside = apex <= (track.s[(part[-1] + 1) % cells] - begin) % track.length
+    where = "apex" if inside and abs(at - apex) <= near else "entry" if at < apex else "exit"
     return float(-corner.side * left[widest]), where
 
 

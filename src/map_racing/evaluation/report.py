@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Iterable, Iterator, Sequence
 
 from ..files import replacing
+from ..printing import amount
 from .results import RunResult
 
 __all__ = [
@@ -131,15 +132,15 @@ def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
 
 def _sentence(result):
     summary = result.summary
-    counted = f"{summary.laps_completed} laps counted, {summary.laps_not_counted} stretches not"
+    counted = f"{amount(summary.laps_completed, 'lap')} counted, "
+    counted += f"{amount(summary.laps_not_counted, 'stretch', 'stretches')} not"
     if not summary.laps_completed:
         driven = [lap for lap in result.laps if not math.isnan(lap.lap_time_s)]
         if not driven:
             return f"{counted}; lap time N.C. (not completed)"
         off = sum("off track" in lap.reason for lap in driven)
-        laps = "1 lap" if len(driven) == 1 else f"{len(driven)} laps"
         why = f", {off} of them off track: --max-deviation sets another limit" if off else ""
-        return f"{counted}; {laps} driven, but none counts{why}"
+        return f"{counted}; {amount(len(driven), 'lap')} driven, but none counts{why}"
     time = _spread(summary.mean_lap_time_s, summary.std_lap_time_s)
     error = _spread(summary.mean_rms_lateral_error_m, summary.std_rms_lateral_error_m)
     return (

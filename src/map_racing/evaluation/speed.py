@@ -175,8 +175,7 @@ def fresh(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _apart(t):
-    """Indices of samples at the usual spacing; all of them if only the ends (crossings) are
-    closer."""
+    """Indices of samples at the usual spacing; all if only the ends (crossings) are closer."""
     steps = np.diff(t[1:-1])
     bunched = 0.05 * float(np.mean(np.diff(t)))
     apart = steps[steps >= bunched]

@@ -100,8 +100,7 @@ def _turned(recording, rate):
 
 
 def _apart(x, y):
-    """Indices of samples, each far enough from the previous one that noise hardly turns the
-    course."""
+    """Indices of samples far enough apart that noise hardly turns the course."""
     kept = [0]
     for i in range(1, len(x)):
         if math.hypot(x[i] - x[kept[-1]], y[i] - y[kept[-1]]) > _LEAST_STEP:

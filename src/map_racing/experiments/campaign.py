@@ -164,8 +164,7 @@ class _Campaign:
         )
 
     def show(self, bar):
-        """Show progress; races found on disk took no time and must not affect the estimate of the
-        rest."""
+        """Show progress; races found on disk must not affect the estimate of the rest."""
         bar.total = self.expected
         bar.initial = self.found
         bar.n = sum(self._done)

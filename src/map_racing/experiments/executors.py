@@ -76,7 +76,8 @@ def carried_out(
                 job = draw()
                 if job is None:
                     break
-                running[executor.submit(*job[1:])] = job[0]
+                with _interruptions_later():
+                    running[executor.submit(*job[1:])] = job[0]
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -84,6 +85,19 @@ def carried_out(
     finally:
         for future in running:
             future.cancel()
+
+
+@contextmanager
+def _interruptions_later():
+    """Hold Ctrl-C back, also from a process that starts here and cannot yet ignore it."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _result(future):

@@ -214,7 +214,7 @@ def compare(a: Results, b: Results) -> Comparison:
         If they are of different experiments or tracks, or have no row in common.
     """
     if a.kind != b.kind:
-        raise ParameterError(f"cannot compare {a.kind} with {b.kind}")
+        raise ParameterError(f"cannot compare {a.kind} with {b.kind}: expected one experiment")
     tracks = [results.provenance["track"] for results in (a, b)]
     if tracks[0]["sha256"] != tracks[1]["sha256"]:
         names = [track.get("name") or "a track without name" for track in tracks]

@@ -277,7 +277,7 @@ class Grid:
             if finding.severity == WARNING
         ]
         notes += [
-            f"{source}: no walls are known, so no crash is seen"
+            f"{source}: no walls are known, so crashes are not detected"
             for source, track in self.loaded.items()
             if track.d_left is None
         ]

@@ -210,8 +210,7 @@ def _without_name(reason, path):
 
 
 def _evaluate_bags(paths, options):
-    """Fingerprint of the code, and for each bag its rows and whether to store them; runs in any
-    process."""
+    """Fingerprint of the code, and each bag's rows and whether to store them; for any process."""
     return fingerprint_of_code(_DECISIVE), [_evaluate_bag(path, options) for path in paths]
 
 
@@ -267,14 +266,16 @@ def _runs(recording, options):
     if recording.waypoints is not None:
         return "", evaluate_runs(recording, **more)
     if not options.tracks:
-        raise EvaluationError(f"{recording.source}: no raceline in it; give its track by --tracks")
+        raise EvaluationError(
+            f"{recording.source}: no raceline in it; give its track with --tracks"
+        )
     for source in options.tracks:
         try:
             return source, evaluate_runs(recording, _track(source), source, **more)
         except EvaluationError:
             continue
     raise EvaluationError(
-        f"{recording.source}: no raceline in it, and it was driven on none of the tracks given"
+        f"{recording.source}: no raceline in it, and it was driven on none of the given tracks"
     )
 
 

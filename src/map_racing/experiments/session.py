@@ -184,7 +184,9 @@ class Session(Races):
         self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
         self.notes += [f"{conditions.plant}: its vehicle: {note}" for note in plant.vehicle.notes]
         if raceline.d_left is None:
-            self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
+            self.notes.append(
+                f"{conditions.track}: no walls are known, so crashes are not detected"
+            )
         if given is None:
             cars = self._identify(plant, conditions.identification_seed)
         else:
@@ -294,8 +296,7 @@ class Session(Races):
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 
     def memory(self, laps: int, scale: float) -> dict[str, float]:
-        """For each controller, peak memory of a fresh process that races with it on one day
-        [MB]."""
+        """Peak memory of a fresh process that races with each controller on one day [MB]."""
         day = self.setting.day(self.setting.conditions.seeds[0])
         found = {}
         for label, controller in self.controllers.items():

@@ -349,8 +349,7 @@ def tune_robust(jobs_for, controller, size=ONE_TENTH):
                 break
     if math.isinf(best.error):
         raise MapRacingError(
-            "tuning: nothing around the given values completes all races; lower grip_use or the "
-            "speed"
+            "tuning: no values near the given ones complete all races; lower grip_use or the speed"
         )
     return [best, *(c for c in candidates.values() if c is not best)]
 

@@ -60,7 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
     bags = [o for o in options if not o.startswith("-") and ":=" not in o]
     for bag in bags:
         if not os.path.isfile(bag):
-            print(f"play: bag: {bag or 'none given'}: no such file in {os.getcwd()}")
+            missing = f"{bag}: no such file in {os.getcwd()}"
+            print(f"play: bag: {missing if bag else 'expected its name, got none'}")
             return 1
         try:
             BagFile(bag).close()

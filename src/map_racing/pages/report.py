@@ -82,8 +82,7 @@ def _comparisons(run, runs):
 
 
 def _selected_laps(laps, most, best=None):
-    """All laps or, if there are many, the best, those that do not count and others at equal
-    steps."""
+    """All laps or, of many, the best, those that do not count and others at equal steps."""
     if len(laps) <= most:
         return laps
     kept = [i for i, lap in enumerate(laps) if not lap.valid][: most // 2]

@@ -143,8 +143,8 @@ def test_a_bag_played_slowly_and_recorded_again_keeps_its_stamps(tmp_path):
     assert not any(note.startswith("warning") for note in recording.notes)
     np.testing.assert_array_equal(recording.commands.t, recording.t)
     assert (
-        "/car_state/odom: 0.200 s of its stamps pass in a second of receipt: lap times are those "
-        "of the stamps"
+        "/car_state/odom: its stamps advance by 0.200 s per second of receipt: lap times follow "
+        "the stamps"
     ) in recording.notes
 
 
@@ -184,7 +184,7 @@ def test_commands_that_no_receipt_brings_to_the_poses_are_named(tmp_path):
             bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0)
             bag.drive(t - 100.0, 0.0, 1.0)
     recording = read_recording(tmp_path / "a.bag")
-    assert f"warning: {DRIVE_TOPIC}: all {COUNT} commands lie before the poses" in recording.notes
+    assert f"warning: {DRIVE_TOPIC}: all {COUNT} commands are before the poses" in recording.notes
 
 
 @pytest.mark.parametrize(

@@ -515,7 +515,7 @@ def test_messages_of_tf_that_cannot_be_decoded_are_counted(tmp_path):
     path.write_bytes(data)
     recording = read_recording(path)
     assert recording.t.size == len(TIMES) - 1
-    assert "/tf: 1 messages that are not of their type left out" in recording.notes
+    assert "/tf: 1 messages that do not match their type left out" in recording.notes
 
 
 def test_a_sound_bag_without_a_pose_does_not_look_damaged(tmp_path, shared_data):

@@ -127,7 +127,7 @@ def test_a_known_delay_of_the_steering_takes_its_bias_away(identified, tmp_path)
 def test_race_with_the_result(identified, capsys):
     arguments = ["--vehicle", str(identified / "my_car.yaml"), "--laps", "1"]
     assert main(["race", *arguments, "--output", str(identified / "race.bag")]) == 0
-    assert "completed after 1 timed laps" in capsys.readouterr().out
+    assert "completed after 1 timed lap," in capsys.readouterr().out
 
 
 def test_corners_of_a_raceline(identified, refused, capsys):

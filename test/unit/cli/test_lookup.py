@@ -94,6 +94,7 @@ def test_doubts_about_the_raceline_stand_above_its_corners(tmp_path, capsys):
     assert main(["lookup", "check", table, "--raceline", str(tmp_path / "line.csv")]) == 0
     printed = capsys.readouterr().out
     assert printed.index("line.csv: 4 unnamed columns") < printed.index("corners of line")
+    assert "  map, speed_scale 1, grip_use 0.88: " in printed
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,7 @@ def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys
     assert table_of(printed)["wave"][4] == "-"
     row, told = printed.splitlines()[-2:]
     assert row.split()[0] == "optimized"
+    assert "  lap times: at the highest speeds of NUC4, whatever speeds a file has\n" in printed
     assert told.startswith("  wave: no lap time: speed profile: s = ")
 
 
@@ -350,7 +351,7 @@ def test_exchanged_walls_are_refused(tmp_path, capsys):
         (["--margin", "nan"], "--margin"),
         (["--step", "0"], "--step"),
         (["--lateral-scale", "0"], "--lateral-scale"),
-        (["--start", "0,0"], "--start: expected a map"),
+        (["--start", "0,0"], "--start: expected the YAML file of a map"),
         (["--margin", "2"], "too narrow"),
         (["--vehicle", "none"], "none: no such file"),
         (["--output", "line.txt"], "line.txt"),

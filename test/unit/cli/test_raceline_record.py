@@ -113,7 +113,11 @@ def test_a_lap_along_a_wall_is_told(by_hand, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("frame", "factor", "said"),
     [
-        ("odom", 1.0, "warning: /car_state/odom is in frame odom, which drifts against the map"),
+        (
+            "odom",
+            1.0,
+            "warning: /car_state/odom is in frame odom, which drifts relative to the map",
+        ),
         ("map", 1.3, "warning: /car_state/odom: the measured speed is 1.30 times the motion"),
     ],
 )

@@ -238,7 +238,10 @@ def a_slower_localization_sent_again_with_its_stamp(bag, i, t):
     [
         (whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
         (transforms_of_whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
-        (whole_seconds_for_a_while_received_late, "times of receipt used instead, good to 0.006 s"),
+        (
+            whole_seconds_for_a_while_received_late,
+            "times of receipt used instead, accurate to 0.006 s",
+        ),
         (some_stamps_missing_of_late_poses, ""),
         (a_slower_localization_sent_again_with_its_stamp, ""),
         (unstamped_commands_beside_poses_of_another_clock, "1.00"),

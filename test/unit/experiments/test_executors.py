@@ -55,6 +55,24 @@ def test_serial_keeps_errors_for_whoever_asks():
         future.result()
 
 
+def test_an_interruption_does_not_reach_a_process_that_starts(tmp_path):
+    """Before it has loaded what would make it ignore the interruption."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, signal\n"
+        "from map_racing.experiments.executors import carried_out, open_executor\n"
+        "if __name__ == '__main__':\n"
+        "    jobs = iter([('one', abs, -1), ('two', abs, -2)])\n"
+        "    with open_executor(jobs=2) as (executor, capacity):\n"
+        "        done = carried_out(executor, capacity, lambda: next(jobs, None))\n"
+        "        print(sorted(done))\n"
+        "else:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert done.stdout == "[('one', 1), ('two', 2)]\n" and done.stderr == ""
+
+
 def test_processes_have_one_thread_each_and_the_environment_stays_as_it_was(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")

@@ -181,7 +181,7 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks).heats
     assert row["track"] == "bean" and row["laps"] == 2 and row["reason"] == ""
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks[:1]).heats
-    assert "driven on none of the tracks given" in row["reason"] and row["date"]
+    assert "driven on none of the given tracks" in row["reason"] and row["date"]
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out").heats
     assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
 

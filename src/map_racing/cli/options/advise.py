@@ -12,7 +12,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "A speed scale for each sector of the raceline for the next heat, and the predicted lap "
         "time. They follow from the grip used in the last heat, the distance to the walls and the "
-        "lateral error. Drive them at speed_scale 1."
+        "lateral error. Drive these scales at speed_scale 1."
     )
     add_evaluation_options(parser)
     add_car_options(parser)

@@ -253,6 +253,17 @@ def test_files_that_are_no_text(tmp_path):
             read_raceline_file(tmp_path / name)
 
 
+def test_an_image_is_called_one(tmp_path):
+    """Of a map, in place of its YAML file."""
+    for name, data in (
+        ("hall.png", b"\x89PNG\r\n\x1a\n\0"),
+        ("hall.pgm", b"P5\n2 1\n255\n\xfe\xcd"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(FileFormatError, match=name + ": expected UTF-8 text, got an image"):
+            load_raceline(tmp_path / name)
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_unicode_text_of_windows_is_read(tmp_path, encoding):
     path = write(tmp_path / "c.csv", ["x_m", "y_m"], separator="\t")
