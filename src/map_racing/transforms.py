@@ -3,7 +3,7 @@
 Live and recorded transforms are looked up by the same rules. As in tf, nothing is extrapolated.
 Unlike in tf, a frame may have several parents, such as a laser with a static mount and a particle
 filter that sends ``map`` to ``laser``, or a car with two localizations; any path that connects two
-frames is used, in either direction. Also unlike in tf, gaps in the transforms are not interpolated.
+frames is used, in either direction. Also unlike in tf, long gaps are not interpolated.
 """
 
 from __future__ import annotations

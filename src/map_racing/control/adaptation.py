@@ -53,7 +53,7 @@ NO_POSE, SLOW, STRAIGHT = "no earlier pose", "too slow", "too little grip in use
 SLIDING, UNLIKELY = "sliding", "a pose that the belief cannot explain"
 
 # A yaw rate that stays this many standard deviations short of the model's, on average over about
-# 0.1 s, means that the floor has changed: the deviation of log friction is reset to CHANGED.
+# 0.1 s, means that the floor has changed: the deviation of log friction is raised to CHANGED.
 SHORT, MEMORY, CHANGED = 1.0, 0.25, 0.10
 
 # The speeds use the grip at this many standard deviations below the belief.

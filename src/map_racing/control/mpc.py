@@ -205,7 +205,7 @@ class ModelPredictiveController:
         return speeds, accelerations, self._read(self._kappa, places), rates
 
     def _after_delay(self, state):
-        """State when the next command takes effect, and the steering angle until then."""
+        """State when the next command takes effect, and the steering angle at that time."""
         delay, commands = self.parameters.delay_s, self._commands
         last = commands[-1][1] if commands else 0.0
         if not delay:

@@ -39,8 +39,8 @@ STANDSTILL = 0.3
 # Interval between commands while there are no poses [s].
 PERIOD = 0.02
 
-# After a gap in the commands the ramp does not catch up at once: its first step, and any other,
-# cover at most this time [s].
+# After a gap in the commands the ramp does not catch up at once: its first step and any later one
+# cover at most these times [s].
 FIRST_STEP, LONGEST_STEP = 0.05, 0.1
 
 # When a stop begins, the car is assumed to have kept accelerating since the last pose as it did

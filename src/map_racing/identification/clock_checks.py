@@ -121,7 +121,7 @@ def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
 
 
 def late_twist(run: Run) -> str:
-    """Text if speed or yaw rate lag behind the poses of the same messages; empty if not."""
+    """Text if speed or yaw rate are late or early for the poses in their messages; empty if not."""
     if not {"x", "y", "psi"} <= set(run.signals) or run.pose_clock:
         return ""
     (t, x), y, psi = run.signals["x"], run.signals["y"].value, run.signals["psi"].value
