@@ -128,7 +128,7 @@ class Controller:
         self.apply(self._completed(setup))
         self.reset()
 
-    # -- what it drives with -------------------------------------------------------------------
+    # -- settings --------------------------------------------------------------------------------
 
     def prepare(self, **changes):
         """Prepare a change; it takes effect when it is applied.

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Supervisor"]
 
-# A car that did not move as commanded, or not to where its pose points, rests for this long [s]
-# before it tries again.
+# A car that did not move as commanded, or not along its heading, rests for this long [s] before it
+# tries again.
 REST = 3.0
 
 # Largest plausible speed [m/s] (or twice the controller's largest, if more) and yaw rate [rad/s].

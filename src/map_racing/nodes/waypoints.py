@@ -136,7 +136,7 @@ class RacelineSubscriber:
 
     def __init__(self, topic: str, on_raceline: Callable, on_error: Callable):
         self._on_raceline, self._on_error = on_raceline, on_error
-        sender = get_parameter("waypoints_from", "", "node whose racelines count; empty: the first")
+        sender = get_parameter("waypoints_from", "", "node to take racelines from; empty: first")
         self._only = rospy.resolve_name(sender) if sender else ""
         self._content = self._sender = None
         self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
