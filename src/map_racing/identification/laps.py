@@ -101,7 +101,7 @@ class LapTires:
     explained : float
         Share of the variance of the yaw rate.
     widest : float
-        Largest angle asked of the wheels [rad]: 99th percentile.
+        Largest angle asked of the wheels, with the gain and offset found [rad]: 99th percentile.
     noise : dict of str to float
         Standard deviation of what the model leaves, by quantity [SI].
     fitted : Fitted
@@ -165,10 +165,10 @@ class LapTires:
             f"{offset.value:+.4f} rad ({offset.low:+.4f} to {offset.high:+.4f}); the "
             "table is for the angle of the wheels"
         )
-        if gain.value * self.widest > LOCK_MARGIN * self.base.delta_max:
+        if self.widest > LOCK_MARGIN * self.base.delta_max:
             return SensorFinding(
                 "steering",
-                f"{text}; but that is {gain.value * self.widest:.3f} rad, beyond their lock of "
+                f"{text}; but that is {self.widest:.3f} rad, beyond their lock of "
                 f"{self.base.delta_max:.3f} rad (delta_max), so another reason must be found",
             )
         return SensorFinding(
@@ -243,7 +243,8 @@ def tires_from_laps(
             f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "
             "one clock (--steering-delay takes a known delay)?"
         )
-    angles = [drive.steering.value for drive in drives]
+    commands = np.concatenate([drive.steering.value for drive in drives])
+    angles = math.exp(fitted["gain"]) * commands + fitted["offset"]
     vehicle = holding(car_of(base, fitted), demonstrated)
     vehicle = replace(vehicle, name=name or base.name + "_identified")
     return LapTires(
@@ -255,7 +256,7 @@ def tires_from_laps(
         parameters=_parameters(vehicle, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
-        widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
+        widest=float(np.percentile(np.abs(angles), 99.0)),
         noise=fitted.noise,
         fitted=fitted,
         runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,

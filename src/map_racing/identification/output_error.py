@@ -183,8 +183,10 @@ def _wheels(vehicle, windows, theta):
     """Angle of the wheels at each step, and its mean over the step less that."""
     total, share, gain, offset = theta[:, 3], theta[:, 4], np.exp(theta[:, 5]), theta[:, 6]
     command = windows.commands("steering", total * (1.0 - share))
-    command = gain[:, None] * np.clip(command, -vehicle.delta_max, vehicle.delta_max)
-    command += offset[:, None]
+    # The lock is that of the wheels, which commands that turn them less, or shifted ones, pass only
+    # in number.
+    lock = (vehicle.delta_max * np.maximum(gain, 1.0) + np.abs(offset))[:, None]
+    command = np.clip(gain[:, None] * command + offset[:, None], -lock, lock)
     lag = np.maximum(total * share, 1e-6)[:, None]
     follow = -np.expm1(-windows.step / lag)
     # Of an exponential approach; a turn at full rate is halfway on average.

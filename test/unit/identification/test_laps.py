@@ -216,6 +216,26 @@ def test_not_beyond_their_lock(low):
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("gain, offset", [(0.7, 0.0), (1.0, -0.15)])
+def test_commands_whose_numbers_alone_are_beyond_the_lock(low, found, gain, offset):
+    """The same tires come out as of commands in the angle of the wheels."""
+    run, _ = low
+    t, angle = run.signals["steering"]
+    wrong = Signal(t, (angle - offset) / gain)
+    run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
+    other = identify_car([run], NUC4)
+    (finding,) = [f for f in other.findings if f.text.startswith("steering: in ordinary")]
+    right = found.parameters["gain"].value
+    assert finding.fix["steering_gain"] == pytest.approx(gain * right, rel=0.005)
+    added = right * offset + found.parameters["offset_rad"].value
+    assert finding.fix["steering_offset_rad"] == pytest.approx(added, abs=0.001)
+    for axle in ("front", "rear"):
+        name = f"{axle}_stiffness_n_per_rad"
+        value = other.laps.parameters[name].value
+        assert value == pytest.approx(found.parameters[name].value, rel=0.02)
+
+
+@pytest.mark.once
 def test_the_wrong_shape_of_a_curve_does_not_pass_for_friction(low):
     run, true = low
     C, E = 1.5, 0.9  # bends late, and then sharply
