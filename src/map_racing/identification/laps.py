@@ -36,7 +36,8 @@ from .driving import (
 )
 from .filters import low_passed
 from .kinematic_checks import LOCK_MARGIN
-from .output_error import believed, fit_car, simulate
+from .one_floor import mixed_parts, mixed_runs
+from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE, Fitted
 from .sensor_findings import SensorFinding
 from .tire_fit import Parameter
@@ -65,9 +66,6 @@ DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 
 # Friction is never taken from a drive that used less than this share of it, whatever the fit says:
 # at small slip the curve of a tire bends so little that errors of its assumed shape decide.
 LEAST_USE = 0.5
-# Runs are not of one car on one floor where the common fit leaves this many times what a fit of one
-# run alone does.
-MIXED = 1.5
 # Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
 # The shape of the curves is the file's unless that moves the logarithm of the friction by more than
@@ -106,7 +104,7 @@ class LapTires:
         Standard deviation of what the model leaves, by quantity [SI].
     fitted : Fitted
     runs_finding : SensorFinding or None
-        That the runs are not of one car on one floor.
+        That the runs, or parts of one, are not of one car on one floor.
     """
 
     vehicle: Vehicle
@@ -165,6 +163,8 @@ class LapTires:
             f"{offset.value:+.4f} rad ({offset.low:+.4f} to {offset.high:+.4f}); the "
             "table is for the angle of the wheels"
         )
+        if off[0]:
+            text += f"; or {self.base.l_wb:.3f} m is not the car's wheelbase"
         if self.widest > LOCK_MARGIN * self.base.delta_max:
             return SensorFinding(
                 "steering",
@@ -218,7 +218,8 @@ def tires_from_laps(
     labels = [run.label for run in used]
     if not drives:
         raise IdentificationError("; ".join(notes))
-    windows = windows_of(drives, excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
+    cut = {"excited": "r", "least": LEAST_TURNING_RADPS, "most": MOST_WINDOWS}
+    windows = windows_of(drives, **cut)
     if windows.count < FEWEST_WINDOWS:
         raise IdentificationError(
             f"{', '.join(labels)}: expected at least {FEWEST_WINDOWS} s in which the yaw rate "
@@ -229,7 +230,7 @@ def tires_from_laps(
     if not isinstance(base.front, PacejkaTire):
         prior.update(grip=0.0, shape=0.0, bend=0.0)  # linear tires have neither
     demonstrated = _demonstrated(drives)
-    free, fitted, unknown = _fitted(base, windows, prior, demonstrated)
+    free, fitted, unknown, prior = _fitted(base, windows, prior, demonstrated)
     explained = _explained(windows, fitted)
     if explained < LEAST_EXPLAINED:
         raise IdentificationError(
@@ -243,6 +244,10 @@ def tires_from_laps(
             f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "
             "one clock (--steering-delay takes a known delay)?"
         )
+    mixed = mixed_runs(base, drives, labels, prior, fitted, **cut) if len(drives) > 1 else None
+    if mixed is None:
+        odd = mixed_parts(base, windows, believed(**prior), free, used)
+        mixed = SensorFinding("runs", f"runs: {odd}", critical=True) if odd else None
     commands = np.concatenate([drive.steering.value for drive in drives])
     angles = math.exp(fitted["gain"]) * commands + fitted["offset"]
     vehicle = holding(car_of(base, fitted), demonstrated)
@@ -259,7 +264,7 @@ def tires_from_laps(
         widest=float(np.percentile(np.abs(angles), 99.0)),
         noise=fitted.noise,
         fitted=fitted,
-        runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,
+        runs_finding=mixed,
     )
 
 
@@ -298,7 +303,7 @@ def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:
 
 
 def _fitted(base, windows, prior, demonstrated):
-    """The fit with all that is uncertain, the one that counts, and the names not determined.
+    """The fit with all that is uncertain, the one that counts, the names not determined, the prior.
 
     In the one that counts what is not determined stays as believed.
     """
@@ -325,39 +330,16 @@ def _fitted(base, windows, prior, demonstrated):
         unknown |= {"grip", "shape", "bend"}
     held = {**prior, **dict.fromkeys(unknown, 0.0)}
     if held == prior:
-        return free, free, unknown
+        return free, free, unknown, prior
     fitted = fit_car(base, windows, beliefs(held), near=free)
     if "grip" not in unknown and abs(fitted["grip"] - free["grip"]) > SHAPE_MATTERS:
         # With the file's shape the data ask for another friction: then the shape is wrong.
         if free.deviation({"grip": 1.0}) <= SURE:
-            return free, free, unknown - {"shape", "bend"}
+            return free, free, unknown - {"shape", "bend"}, prior
         unknown = unknown | {"grip"}
         held["grip"] = 0.0
         fitted = fit_car(base, windows, beliefs(held), near=free)
-    return free, fitted, unknown
-
-
-def _mixture(base, drives, labels, prior, fitted):
-    """The finding that fits of their own explain some runs much better than the common one."""
-    odd = []
-    for drive, label in zip(drives, labels):
-        windows = windows_of([drive], excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
-        if windows.count < FEWEST_WINDOWS:
-            continue
-        own = fit_car(base, windows, believed(**prior), near=fitted)
-        common, alone = (_left(base, windows, values) for values in (fitted, own))
-        if common > MIXED * alone:
-            odd.append(f"{label} {common:.3f} rad/s of its yaw rate, one of its own {alone:.3f}")
-    if not odd:
-        return None
-    text = "runs: not of one car on one floor: the common fit leaves of " + "; of ".join(odd)
-    return SensorFinding("runs", text, critical=True)
-
-
-def _left(base, windows, fitted):
-    """Standard deviation of what a fit leaves of the yaw rate, without outliers [rad/s]."""
-    simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
-    return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))
+    return free, fitted, unknown, prior
 
 
 def _limit(vehicle: Vehicle) -> float:

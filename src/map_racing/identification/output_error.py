@@ -16,9 +16,9 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
 from .driving import LONGEST_DELAY_S, Windows
-from .robust_fit import Believed, Fitted, fit
+from .robust_fit import Believed, Fitted, fit, own_fits
 
-__all__ = ["NAMES", "at_sensors", "believed", "fit_car", "simulate"]
+__all__ = ["NAMES", "at_sensors", "believed", "fit_car", "own_errors", "simulate"]
 
 NAMES = (
     "front",
@@ -265,12 +265,45 @@ def fit_car(
     Fitted
         Parameters are `NAMES`.
     """
+    starts = [{"delay": delay} for delay in START_DELAYS]
+    if near is not None:
+        starts = [dict(zip(near.names, near.values))]
+    observed = windows.observed
+    return fit(_predictor(vehicle, windows), observed, beliefs or believed(), starts, NOISE)
+
+
+def own_errors(
+    vehicle: Vehicle,
+    windows: Windows,
+    beliefs: dict[str, Believed],
+    fitted: Fitted,
+    parts: list[np.ndarray],
+) -> list[tuple[float, float]]:
+    """What a fit leaves of the yaw rate in parts of the windows, and what fits of their own would.
+
+    Parameters
+    ----------
+    vehicle, windows, beliefs
+        As of `fit_car`.
+    fitted : Fitted
+        To all windows.
+    parts : list of ndarray of bool, shape (n,)
+        Windows of each part.
+
+    Returns
+    -------
+    list of tuple of float
+        Standard deviations without outliers [rad/s].
+    """
+    predict = _predictor(vehicle, windows)
+    return own_fits(predict, windows.observed, beliefs, fitted, "r", parts)
+
+
+def _predictor(vehicle, windows):
+    """What `fit` needs: the measurements that parameters predict."""
 
     def predict(lanes):
         found = at_sensors(vehicle, windows, simulate(vehicle, windows, lanes))
         return {name: windows.at(name, found[name]) for name in windows.observed}
 
-    starts = [{"delay": delay} for delay in START_DELAYS]
-    if near is not None:
-        starts = [dict(zip(near.names, near.values))]
-    return fit(predict, windows.observed, beliefs or believed(), starts, NOISE)
+    return predict
