@@ -99,8 +99,10 @@ def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mi
 def test_floors_of_one_drive_are_no_silent_mixture(scale, mu_scale, change, half):
     """A spill, or the other carpet behind the second bend, made soft tires and late steering."""
     run, _ = laps_of(scale, mu_scale=mu_scale, grip_changes=[change])
-    (doubt,) = [f.text for f in identify_car([run], NUC4).findings if f.critical]
-    assert doubt.startswith(f"runs: laps.bag is not of one car on one floor: of its {half} the")
+    doubt = tires_from_laps([run], NUC4).runs_finding
+    assert doubt.critical
+    text = f"runs: laps.bag is not of one car on one floor: of its {half} the common fit leaves"
+    assert doubt.text.startswith(text)
     found = estimate_delays([run], NUC4)
     for part in (found.steering, found.delay, found.speed_lookahead):
         assert part.value is None
