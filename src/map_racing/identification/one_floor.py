@@ -15,9 +15,9 @@ from .sensor_findings import SensorFinding
 
 __all__ = ["mixed_parts", "mixed_runs"]
 
-# Runs or parts are not of one car on one floor where the common fit leaves this many times what a
-# fit of one of them alone does. Halves of drives of simulated and real cars: 0.5 to 1.3 times; with
-# 0.5 to 0.8 of the grip in a part of the drive or of the track: 1.5 to 3.3 times.
+# Runs or parts differ in car or floor if the residual of the common fit exceeds this many times
+# that of a fit to one of them alone. Halves of drives of simulated and real cars: 0.5 to 1.3 times;
+# with 0.5 to 0.8 of the grip in a part of the drive or of the track: 1.5 to 3.3 times.
 MIXED = 1.5
 # Fewer windows tell nothing.
 FEWEST_WINDOWS = 5
@@ -31,7 +31,7 @@ def mixed_runs(
     fitted: Fitted,
     **cut: float,
 ) -> SensorFinding | None:
-    """The finding that fits of their own explain some runs much better than the common one.
+    """Finding that the runs differ in car or floor, if some run's own fit is much better.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ def mixed_runs(
         if windows.count < FEWEST_WINDOWS:
             continue
         own = fit_car(base, windows, believed(**prior), near=fitted)
-        common, alone = (_left(base, windows, values) for values in (fitted, own))
+        common, alone = (_residual(base, windows, values) for values in (fitted, own))
         if common > MIXED * alone:
-            odd.append(f"{label} {common:.3f} rad/s of its yaw rate, one of its own {alone:.3f}")
+            odd.append(f"{label}: {common:.3f} rad/s of yaw rate, its own {alone:.3f} rad/s")
     if not odd:
         return None
-    text = "runs: not of one car on one floor: the common fit leaves of " + "; of ".join(odd)
+    text = "runs: not of one car on one floor: residuals of the common fit: " + "; ".join(odd)
     return SensorFinding("runs", text, critical=True)
 
 
@@ -92,18 +92,21 @@ def mixed_parts(
     halves, names = [], []
     for index, run in enumerate(runs):
         own = windows.drive == index
-        if np.count_nonzero(own) < 2 * FEWEST_WINDOWS:
+        if not own.any():
             continue
         for pair, values in _places(run, windows.begin).items():
             lower = values < np.median(values[own])
+            if min(np.count_nonzero(own & lower), np.count_nonzero(own & ~lower)) < FEWEST_WINDOWS:
+                continue
             halves += [own & lower, own & ~lower]
             names += [f"{run.label} is not of one car on one floor: of its {name}" for name in pair]
-    found = own_errors(vehicle, windows, beliefs, fitted, halves)
-    gains = [common / alone for common, alone in found]
-    k = int(np.argmax(gains)) if gains else -1
-    if k < 0 or gains[k] <= MIXED:
+    if not halves:
         return ""
+    found = own_errors(vehicle, windows, beliefs, fitted, halves)
+    k = max(range(len(found)), key=lambda k: found[k][0] / max(found[k][1], 1e-9))
     common, alone = found[k]
+    if common <= MIXED * alone:
+        return ""
     return (
         f"{names[k]} the common fit leaves {common:.3f} rad/s of the yaw rate, one of its own "
         f"about {alone:.3f}"
@@ -121,7 +124,7 @@ def _places(run, begin):
     return places
 
 
-def _left(base, windows, fitted):
-    """Standard deviation of what a fit leaves of the yaw rate, without outliers [rad/s]."""
+def _residual(base, windows, fitted):
+    """Robust standard deviation of a fit's yaw rate residuals [rad/s]."""
     simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
     return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))

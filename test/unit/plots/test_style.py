@@ -22,7 +22,7 @@ backend: TkAgg
 
 
 COMMAND = ["raceline", "check", "club", "--plots"]
-# Draws by itself what takes less time.
+# A separate program with a quick drawing.
 PROGRAM = """
 from map_racing.plots.style import finished, new_figure, own_settings, save
 with own_settings():
@@ -33,7 +33,7 @@ with own_settings():
 
 
 def drawn(folder, arguments=("-c", PROGRAM), **environment):
-    """Bytes of a figure of a program that runs in a folder; its output if it fails."""
+    """Bytes of a figure drawn by a program in a folder; fails with its output."""
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     run = subprocess.run(
         [sys.executable, *arguments],
@@ -53,7 +53,7 @@ def picture(folder):
 
 @pytest.fixture
 def expected(tmp_path, monkeypatch):
-    """As this process draws it."""
+    """The figure as drawn by this process."""
     here = tmp_path / "here"
     (here / "figures").mkdir(parents=True)
     monkeypatch.chdir(here)
