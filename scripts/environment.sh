@@ -72,3 +72,9 @@ ready() {
         printf '%s\n' "$wanted" >"$folder/ready"
     fi
 }
+
+# ready_current: make the environment `current`. Tests, linter, site and the browser's tests share
+# it: each of their own would install the same libraries. What is imported is compiled then.
+ready_current() {
+    ready current "$(find_python)" --no-compile -e '.[test,rivals,docs]' ruff==0.17.6 selenium
+}
