@@ -78,6 +78,7 @@ def test_one_step_per_millisecond_is_converged(models, parameters, speed, amplit
     np.testing.assert_allclose(coarse, fine, rtol=0.0, atol=5e-5)
 
 
+@pytest.mark.once
 def test_the_drift_model_turns_as_its_cornering_stiffness_says(models):
     plant, v, delta = car(F1TENTH, 4.0), 4.0, 0.01
     # A drive that holds the speed: the commanded one lies above it by the cornering drag.
