@@ -29,7 +29,7 @@ templates_path = ["_templates"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
-# The API reference is made of the docstrings; what ROS and catkin bring need not be installed.
+# The API reference comes from the docstrings; modules of ROS and catkin need not be installed.
 autodoc_mock_imports = [
     "ackermann_msgs",
     "diagnostic_msgs",
@@ -51,9 +51,9 @@ autodoc_mock_imports = [
     "tf2_msgs",
     "visualization_msgs",
 ]
-# Two modules may use one name; which is meant follows from the page.
+# Two modules may use the same name; the page shows which is meant.
 suppress_warnings = ["ref.python"]
-# One page for each room, with all its modules.
+# One page for each package, with all its modules.
 autosummary_context = {
     "packages": [
         module.name

@@ -29,7 +29,7 @@ TABLE = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def with_tables(text: str) -> str:
-    """The text of a page with its tables as they are now."""
+    """The text of a page with up-to-date tables."""
     return TABLE.sub(lambda found: f"{found[1]}\n{KINDS[found[2]]}\n{found[3]}", text)
 
 

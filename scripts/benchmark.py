@@ -1,9 +1,9 @@
 """Speed of map_racing against naive references, measured in one run; called by scripts/benchmark.
 
-Each reference is the obvious way to do the same work, written here from its description. Where two
-programs are compared they take turns, and medians are taken, so that other load on the machine
-weighs on both alike; for the same reason all times are processor time, of one core, except for a
-season on several.
+Each reference is the obvious way to do the same work, written here from its description. Two
+programs that are compared take turns, and medians are used, so that other load on the machine
+affects both equally; for the same reason all times are processor time on one core, except for the
+season.
 """
 
 import json
@@ -47,13 +47,13 @@ with without_traceback():
     from map_racing.vehicle.parameters import load_vehicle
     from map_racing.vehicle.steady_state import steady_state_table
 
-    # Bags of ROS 2 are made as in the tests.
+    # ROS 2 bags are made as in the tests.
     sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "unit" / "bags"))
     from ros2_bags import messages_of, write_mcap, write_sqlite
 
-SYSTEM_PYTHON = "/usr/bin/python3"  # where Debian's and ROS's rosbag package is
-EVALUATE = "--evaluate"  # how this program calls itself, to evaluate a bag in a new process
-SPEED_SCALE = 0.7  # a pace at which the shipped controllers lap the reference track cleanly
+SYSTEM_PYTHON = "/usr/bin/python3"  # has the rosbag package of Debian or ROS
+EVALUATE = "--evaluate"  # this program calls itself with it, to evaluate a bag in a new process
+SPEED_SCALE = 0.7  # the shipped controllers lap the reference track cleanly at this speed
 
 
 def main(only=None, recording=None):
@@ -94,7 +94,7 @@ def main(only=None, recording=None):
 
 
 def timed(function, *arguments):
-    """Processor time that a call takes [s], and its result."""
+    """Processor time of a call [s], and its result."""
     begin = process_time()
     result = function(*arguments)
     return process_time() - begin, result
@@ -127,7 +127,7 @@ def integrate_cell(vehicle, v, delta):
 
 
 def compare_table(vehicle):
-    """Table on the published grid, against integrating each cell."""
+    """Table on the published grid, compared with integrating each cell."""
     speeds, angles = published_grid()
     ours, reference, apart = [], 0.0, 0.0
     for i, delta in enumerate(angles):
@@ -159,10 +159,11 @@ def compare_table(vehicle):
 
 
 class NaiveController:
-    """MAP on vertices and the nearest column of the table, in numpy, as public controllers do it.
+    """MAP on vertices and the nearest column of the table, in numpy, like public controllers.
 
-    The position is copied once per point to take the distances; the lookahead point is the first
-    vertex so far from the nearest one; the angle comes from the two nearest cells of the column.
+    The position is copied once per point to compute distances; the lookahead point is the first
+    vertex at the lookahead distance from the nearest one; the angle comes from the two nearest
+    cells of the column.
     """
 
     def __init__(self, parameters, table, raceline, count, delta_max):
@@ -208,7 +209,7 @@ class NaiveController:
 
 
 def compare_controller(vehicle, raceline):
-    """A controller step, against the naive one and on a far denser raceline."""
+    """A controller step, compared with the naive one and on a far denser raceline."""
     parameters = load_controller_parameters("map").with_(speed_scale=SPEED_SCALE)
     states = [sample.measured for sample in drive(vehicle, raceline, laps=7).samples]
 
@@ -266,10 +267,10 @@ def compare_controller(vehicle, raceline):
 
 
 def times_in_turns(controllers, states, turn, passes):
-    """Times of a step of each of three controllers [s], one for each turn.
+    """Step times of three controllers [s], one for each turn.
 
-    In turns of five seconds of driving, so that what one program leaves in the caches for the
-    others hardly counts; and each comes as often behind either of the others.
+    Turns last five seconds of driving, so that the caches left by another program hardly matter;
+    each controller follows each of the others equally often.
     """
     times = [[], [], []]
     for number in range(passes):
@@ -283,7 +284,7 @@ def times_in_turns(controllers, states, turn, passes):
 
 
 def compare_adaptation(vehicle, raceline):
-    """What learning the day adds to a controller step."""
+    """What adaptation adds to a controller step."""
     states = [sample.measured for sample in drive(vehicle, raceline, laps=7).samples]
     parameters = load_controller_parameters("map_adaptive").with_(speed_scale=SPEED_SCALE)
     both = [
@@ -344,7 +345,7 @@ print(time.process_time() - begin)
 
 
 def evaluate_bag(path):
-    """In a process of its own: evaluate a bag, print what it took as JSON."""
+    """In a separate process: evaluate a bag, and print time, memory and laps as JSON."""
 
     def work():
         recording = load_recording(path)
@@ -363,7 +364,7 @@ def evaluate_bag(path):
 
 
 def run(command):
-    """What a program prints as JSON."""
+    """JSON output of a program."""
     return json.loads(subprocess.check_output([str(word) for word in command]))
 
 
@@ -373,11 +374,11 @@ def run_evaluation(path):
 
 
 def compare_recording(vehicle, raceline, folder, recording=None):
-    """Evaluating a bag (by default of a simulated race), against only reading its poses."""
+    """Evaluating a bag (by default of a simulated race), compared with only reading its poses."""
     bag, what = recording, f"{recording}"
     if recording is None:
         bag, what = folder / "race.bag", "a simulated race"
-        # As many poses as a recording of some twelve laps with a pose at 100 Hz.
+        # As many poses as in some twelve laps at 100 Hz.
         write_race_bag(bag, drive(vehicle, raceline, laps=15), raceline)
     can_rosbag = [SYSTEM_PYTHON, "-c", "import rosbag"]
     has_rosbag = (
@@ -411,7 +412,7 @@ def compare_recording(vehicle, raceline, folder, recording=None):
 
 
 def compare_hour(raceline, folder):
-    """An hour at 100 Hz."""
+    """Evaluation and report of an hour at 100 Hz."""
     bag = folder / "hour.bag"
     count, v = 360000, 5.0
     t = np.arange(count) / 100.0
@@ -457,7 +458,7 @@ def compare_hour(raceline, folder):
 
 
 def compare_formats(vehicle, raceline, folder):
-    """A bag of ROS 2, against the same run in one of ROS 1."""
+    """A ROS 2 bag, compared with the same run in a ROS 1 bag."""
     ros1 = folder / "formats.bag"
     write_race_bag(ros1, drive(vehicle, raceline, laps=7), raceline)
     messages = list(messages_of(ros1))
@@ -495,7 +496,7 @@ def evaluated(bag):
 
 
 def compare_season(vehicle, raceline, folder, count=240, rounds=3):
-    """All bags of a season on a local Dask cluster, with twice as many workers each time."""
+    """A season's bags on a local Dask cluster, doubling the workers each time."""
     bags = folder / "season"
     bags.mkdir()
     one = folder / "heat.bag"
@@ -527,9 +528,9 @@ def compare_season(vehicle, raceline, folder, count=240, rounds=3):
         )
     remark = (
         "season: wall time on a local Dask cluster with one thread a worker, in turns, the best of "
-        f"{rounds}, from the first bag to the table; the workers run and have evaluated a bag "
-        "each before. 1,000 bags in 3 minutes on two cores are 0.36 s a bag and core. Other load "
-        "on the machine counts here"
+        f"{rounds}, from the first bag to the table; the workers are running and have each "
+        "evaluated a bag before. 1,000 bags in 3 minutes on two cores are 0.36 s a bag and core. "
+        "Other load on the machine counts here"
     )
     if beside:
         remark += (
@@ -540,7 +541,7 @@ def compare_season(vehicle, raceline, folder, count=240, rounds=3):
 
 
 def timed_season(bags, workers):
-    """Seconds for a season on a cluster of its own; processor time here, and of its workers [s]."""
+    """Wall time of a season on a new cluster; processor times here and of the workers [s]."""
     options = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
     with LocalCluster(**options) as cluster, Client(cluster) as client, open_executor(
         scheduler=cluster.scheduler_address
@@ -565,7 +566,7 @@ def drive(vehicle, raceline, laps):
 
 
 def compare_simulation(vehicle, raceline):
-    """Plant, localization and controller in closed loop, against real time."""
+    """Plant, localization and controller in closed loop, compared with real time."""
     runs = [timed(drive, vehicle, raceline, 7) for _ in range(3)]
     seconds = statistics.median(run[0] for run in runs)
     duration = runs[0][1].duration
@@ -578,8 +579,8 @@ def compare_simulation(vehicle, raceline):
         duration >= 50.0 * seconds,
     )
     remark = (
-        "simulation: plant at 500 Hz, localization and controller at 40 Hz, one core, with the "
-        "time to make the controller's table; median of three races."
+        "simulation: plant at 500 Hz, localization and controller at 40 Hz, one core, including "
+        "the time to make the controller's table; median of three races."
     )
     return [row], [remark]
 

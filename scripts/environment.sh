@@ -1,12 +1,12 @@
-# Sourced by demo, test, test_ros and benchmark, in the checkout: make Python environments out of
-# whatever Python 3.8 or newer is here.
+# Sourced by demo, test, test_ros, test_browser and benchmark, in the checkout: make Python
+# environments from whatever Python 3.8 or newer is installed.
 
-# What they make lies in $cache, not in the checkout: rosrun searches all of a package's folder for
-# executables, and that may be this folder, in the workspace of a car. Deleting it is safe.
+# They are in $cache, not in the checkout: rosrun searches the whole folder of a package for
+# executables, and this may be that folder, in a car's workspace. Deleting $cache is safe.
 caches=${XDG_CACHE_HOME:-$HOME/.cache}/map_racing
 cache=$caches/$(cksum <<<"$PWD" | cut -d ' ' -f 1)
 if [ ! -d "$cache" ]; then
-    # Those of checkouts that are gone go, too.
+    # Also delete those of checkouts that no longer exist.
     for other in "$caches"/*/checkout; do
         [ ! -f "$other" ] || [ -d "$(cat "$other")" ] || rm -rf "${other%/checkout}"
     done
@@ -30,7 +30,7 @@ find_python() {
     die "map_racing needs Python 3.8 or newer, and found none (set PYTHON=/path/to/python3)"
 }
 
-# make_venv PYTHON FOLDER: an environment with pip, also where Debian splits venv from Python.
+# make_venv PYTHON FOLDER: an environment with pip, even if Debian splits venv from Python.
 make_venv() {
     local python=$1 folder=$2 site
     rm -rf "$folder"
@@ -38,7 +38,7 @@ make_venv() {
     rm -rf "$folder"
     "$python" -m virtualenv -q "$folder" >/dev/null 2>&1 && return
     rm -rf "$folder"
-    # venv without ensurepip (python3-venv is missing), but with a pip to put pip there.
+    # venv without ensurepip (python3-venv is missing), but with a pip that can install pip there.
     if "$python" -m pip --version >/dev/null 2>&1 &&
         "$python" -m venv --without-pip "$folder" >/dev/null 2>&1; then
         site=$("$folder/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
@@ -50,16 +50,16 @@ make_venv() {
         { as_root apt-get -qq update && as_root apt-get -qq install -y python3-venv; } \
             >/dev/null </dev/null && "$python" -m venv "$folder" >/dev/null && return
     fi
-    die "$python can make no environment; on Debian or Ubuntu: sudo apt install python3-venv"
+    die "$python cannot make an environment; on Debian or Ubuntu: sudo apt install python3-venv"
 }
 
-# as_root COMMAND...: run as root where that needs no password.
+# as_root COMMAND...: run as root if that needs no password.
 as_root() {
     if [ "$(id -u)" = 0 ]; then "$@"; else sudo -n "$@" 2>/dev/null; fi
 }
 
-# ready NAME PYTHON PIP-ARGUMENT...: make the environment $cache/NAME and install into it, once; again
-# when the interpreter, the arguments or the project's metadata have changed.
+# ready NAME PYTHON PIP-ARGUMENT...: make the environment $cache/NAME and install into it; only
+# again if the interpreter, the arguments or the project's metadata have changed.
 ready() {
     local folder=$cache/$1 python=$2 wanted
     shift 2
@@ -67,14 +67,15 @@ ready() {
     if [ "$wanted" != "$(cat "$folder/ready" 2>/dev/null)" ]; then
         say "preparing $folder with $("$python" -V) ..."
         make_venv "$python" "$folder"
-        "$folder/bin/python" -m pip install -q --disable-pip-version-check "$@" ||
+        # Behind the nodes' tests, which drive in real time.
+        nice -n 5 "$folder/bin/python" -m pip install -q --disable-pip-version-check "$@" ||
             die "could not install the dependencies with pip (is there a network?)"
         printf '%s\n' "$wanted" >"$folder/ready"
     fi
 }
 
-# ready_current: make the environment `current`. Tests, linter, site and the browser's tests share
-# it: each of their own would install the same libraries. What is imported is compiled then.
+# ready_current: make the environment `current`, which tests, linter, site and the browser's tests
+# share: three would get the same libraries. Modules are compiled when they are imported.
 ready_current() {
     ready current "$(find_python)" --no-compile -e '.[test,rivals,docs]' ruff==0.17.6 selenium
 }

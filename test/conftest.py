@@ -15,5 +15,5 @@ def shared_data():
 
 @pytest.fixture(scope="session")
 def shared_cases(shared_data):
-    """Folder of small inputs of kinds that went wrong; what is right stands in its README."""
+    """Folder of small inputs of kinds that went wrong; its README has the right answers."""
     return shared_data.parent / "cases"

@@ -5,12 +5,12 @@
   const FONT = getComputedStyle(document.body).fontFamily;
   const INK = "#1a1a1a", GRAY = "#8a8a8a", PALE = "#c4c4c4";
   const A = "#0072b2", B = "#d55e00", GREEN = "#009e73", PURPLE = "#a0568a";
-  // Viridis, and a scale whose middle is gray, since white would hide the line.
+  // Viridis, and a diverging scale with gray in the middle, because white would hide the line.
   const RISING = ["#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725"];
   const SIGNED = ["#d55e00", "#e08f52", "#bdbdbd", "#5b9bc4", "#0072b2"];
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
-  // Plotly reads tags in the texts that it draws.
+  // Plotly interprets tags in texts.
   const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
   function unpack(packed) {
@@ -61,7 +61,7 @@
     lap.limit = run.limit ? each(lap.v, (v) => limitAt(run.limit, v)) : null;
     lap.grip = lap.limit && both(lap.a_lat, lap.limit, (a, most) => (100 * Math.abs(a)) / most);
     lap.understeer = both(lap.steering, lap.steering_table, (own, table) => own - table);
-    // Positive where a bend needs more steering than the table has, to either side.
+    // Positive if the car steers more than the table, in either direction.
     lap.understeer = lap.understeer.map((u, i) =>
       u === null ? null : u * Math.sign(lap.a_lat[i] || 1));
     lap.speedError = both(lap.v, lap.v_command, (v, command) => v - command);
@@ -86,7 +86,7 @@
     if (others.length) {
       state.b = lapOf(others[0], data.runs[others[0]].best);
     } else {
-      // The median lap against the best one; one that does not count only if no other does.
+      // The median lap against the best; laps that do not count only if there are no others.
       const run = data.runs[first];
       let whole = run.laps.map((_, k) => k)
         .filter((k) => run.laps[k].time !== null && k !== run.best)
@@ -177,7 +177,7 @@
   const narrow = () => window.innerWidth < 600;
 
   function layout() {
-    // Above each chart is its title with the legend, on a phone each in a line of its own.
+    // Above each chart are its title and legend, on a phone on separate lines.
     const room = (narrow() ? 2.7 : 1.7) * fontSize(), bottom = 40;
     const gap = room / (byId("charts").clientHeight - room - bottom);
     const height = (1 - gap * (CHARTS.length - 1)) / CHARTS.length;
@@ -208,7 +208,7 @@
   }
 
   function legend(result, height, gap) {
-    // Words beside the lines that are not one of the two laps.
+    // Labels for the lines that are not one of the two laps.
     const say = (i, entries) => {
       const text = entries.filter((e) => e).map(([color, name]) =>
         `<span style="color:${color}">${name}</span>`).join("   ");
@@ -231,7 +231,7 @@
   const nearestWall = () => Math.min(...state.a.track.left.concat(state.a.track.right)
     .filter((x) => x !== null));
 
-  // Deviations up to this are shown: with the nearest wall, unless that flattened the line.
+  // Largest deviation shown: up to the nearest wall, unless that would flatten the line.
   function deviationShown() {
     const d = state.a.d.concat(state.b.d).filter((x) => x !== null);
     const most = Math.max(0.1, ...d.map(Math.abs));
@@ -347,7 +347,7 @@
     place();
   }
 
-  // Values with others between them, so that the marks of few places touch.
+  // Values with interpolated ones in between, so that the marks of few places touch.
   function dense(values) {
     const parts = Math.ceil(600 / values.length), all = [];
     for (let i = 0; i + 1 < values.length; i++) {
@@ -359,7 +359,7 @@
     return all;
   }
 
-  // To which side of the line a label has more room: away from the middle of the track.
+  // Side of the line with more room for a label: away from the middle of the track.
   function inward(track, k) {
     const mx = track.x.reduce((p, q) => p + q) / track.n, my = track.y.reduce((p, q) => p + q) / track.n;
     const left = (mx - track.x[k]) * -track.sin[k] + (my - track.y[k]) * track.cos[k];
@@ -379,7 +379,7 @@
       const limits = at.map((v) => limitAt(limit, v));
       const same = Math.max(...limits) - Math.min(...limits) < 0.05 * limits[1];
       at.forEach((v, i) => {
-        if (same && i !== 1) return; // one line, where speed hardly matters
+        if (same && i !== 1) return; // one line if speed hardly matters
         const most = limits[i], x = [], y = [];
         for (let k = 0; k <= 120; k++) {
           const angle = (k * Math.PI) / 60, up = Math.sin(angle);
@@ -519,7 +519,7 @@
         drawAll();
       });
     }
-    // Paper has another width than the screen.
+    // The paper's width differs from the screen's.
     window.addEventListener("beforeprint", () => resize(680, 850));
     window.addEventListener("afterprint", () => resize());
   }
@@ -574,7 +574,7 @@
         if (first < 0) return;
         const begin = Number(button.dataset.begin), end = Number(button.dataset.end);
         const length = state.a.track.length, around = 0.15 * (end - begin) + 0.5;
-        // A place over the start line: its longer part.
+        // A place across the start line: its longer part.
         const [from, to] = end <= length ? [begin, end]
           : end - length > length - begin ? [0, end - length] : [begin, length];
         moveTo((from + to) / 2);
@@ -584,7 +584,7 @@
     fillReferences();
   }
 
-  // -- all of it -------------------------------------------------------------------------------
+  // -- start -----------------------------------------------------------------------------------
 
   function drawAll() {
     const runs = comparable(state.a.run);

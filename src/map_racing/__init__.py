@@ -4,7 +4,7 @@ Conventions, everywhere in the package:
 
 - SI units and radians.
 - REP-103: x forward, y left, yaw counter-clockwise. Steering angle, lateral acceleration, lateral
-  deviation ``d`` and curvature are therefore positive to the left.
+  error ``d`` and curvature are therefore positive to the left.
 - Names at the boundaries (files, tables, messages, command line) carry their unit: ``s_m``,
   ``vx_mps``, ``lap_time_s``; equations use the field's symbols.
 - ``base_link`` is the center of the rear axle; the state of the single-track model is at the center

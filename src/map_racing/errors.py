@@ -4,13 +4,13 @@ from .printing import printable
 
 
 class MapRacingError(Exception):
-    """Base of all errors: one line for the user that says what was expected, what came, and where.
+    """Base of all errors: one line for the user with what was expected, what was found, and where.
 
     The command line prints it and exits with code 1; nodes log it.
     """
 
     def __str__(self):
-        # Names of files and keys may hold line breaks.
+        # Names of files and keys may contain line breaks.
         return printable(" ".join(super().__str__().splitlines()))
 
 

@@ -69,8 +69,8 @@ _IN_WORDS = {"NoneType": "nothing", "str": "a text", "list": "a list"}
 class _UniqueKeyLoader(yaml.SafeLoader):
     """Safe loader that reads 1e-3 as a number, as YAML 1.2 does.
 
-    It refuses duplicate keys, and numbers that YAML 1.1 takes for another than they look like:
-    0105, which is octal, and 1:30, which is 90.
+    It refuses duplicate keys, and numbers that YAML 1.1 reads differently than they look: 0105,
+    which is octal, and 1:30, which is 90.
     """
 
     def construct_mapping(self, node, deep=False):
@@ -86,7 +86,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
 
 def _decimal(kind):
-    """Constructor of numbers of a kind, ``int`` or ``float``."""
+    """Constructor for numbers of a kind, ``int`` or ``float``."""
     construct = getattr(yaml.SafeLoader, f"construct_yaml_{kind}")
 
     def checked(loader, node):
@@ -109,10 +109,10 @@ _UniqueKeyLoader.add_implicit_resolver(
 
 @contextmanager
 def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
-    """Open a file for writing that appears under its name only when it is complete.
+    """Open a file for atomic writing: it appears under its name only when it is complete.
 
-    It is written under a temporary name beside it and renamed at the end; after an error an
-    existing file is unchanged. The target of a link is replaced; devices and pipes are written
+    It is written under a temporary name in the same folder and renamed at the end; after an error
+    an existing file is unchanged. The target of a link is replaced; devices and pipes are written
     directly.
 
     Parameters
@@ -138,7 +138,7 @@ def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
             yield file
         if not special:
             os.replace(str(temporary), str(target))
-    except BrokenPipeError:  # of /dev/stdout, as `| head`
+    except BrokenPipeError:  # writing to /dev/stdout with `| head`
         raise
     except OSError as error:
         raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
@@ -149,7 +149,7 @@ def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
 
 
 def write_json(path: str | Path, content: object, indent: int | None = 1) -> None:
-    """Write `for_json` of content; an existing file is replaced in one step.
+    """Write content as JSON, see `for_json`; an existing file is replaced atomically.
 
     Parameters
     ----------
@@ -164,12 +164,12 @@ def write_json(path: str | Path, content: object, indent: int | None = 1) -> Non
         If the file cannot be written.
     """
     with replacing(path) as file:
-        # In one piece, which takes a tenth of the time of json.dump without indentation.
+        # One dumps takes a tenth of the time of json.dump without indentation.
         file.write(json.dumps(for_json(content), indent=indent, allow_nan=False) + "\n")
 
 
 def for_json(content: object) -> object:
-    """Content as JSON can hold it: numpy scalars as Python's, NaN and infinity as None."""
+    """Content that JSON can represent: numpy scalars as Python's, NaN and infinity as None."""
     if isinstance(content, dict):
         return {key: for_json(value) for key, value in content.items()}
     if isinstance(content, (list, tuple)):
@@ -206,7 +206,7 @@ def make_folder(path: str | Path) -> Path:
 
 
 def refuse_special(path: str | Path) -> None:
-    """Refuse pipes and devices, since reading may never end, and an empty name."""
+    """Refuse pipes and devices, because reading them may never end, and an empty name."""
     if not str(path):
         raise FileFormatError("'': expected the name of a file")
     path = Path(path)

@@ -1,7 +1,7 @@
-"""Texts of files on a terminal: control characters are shown, not obeyed.
+"""Safe output to a terminal: control characters are shown as text, not executed.
 
-A topic, a column or a file may be named such that a terminal deletes what it shows, changes its
-title, or writes text from right to left.
+The name of a topic, column or file may contain sequences that make a terminal erase its contents,
+change its title, or write from right to left.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import sys
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from typing import Iterator
 
-__all__ = ["printable", "printing"]
+__all__ = ["amount", "printable", "printing"]
 
-# C0, delete and C1; marks that turn the direction of writing; separators of lines.
+# C0, delete and C1; marks that change the writing direction; line separators.
 _CODES = (*range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F)
 _CODES += (*range(0x2028, 0x202F), *range(0x2066, 0x206A))
 _NAMES = {code: chr(code).encode("unicode_escape").decode("ascii") for code in _CODES}
@@ -36,8 +36,13 @@ def printable(text: str, lines: bool = False) -> str:
     return text if text.isprintable() else text.translate(_TEXTS if lines else _NAMES)
 
 
+def amount(count: int, one: str, several: str = "") -> str:
+    """A number of things in words: "1 lap", "2 laps"."""
+    return f"{count} {one if count == 1 else several or one + 's'}"
+
+
 class _Harmless:
-    """A stream that prints texts by `printable`."""
+    """A stream that passes text through `printable`."""
 
     def __init__(self, stream):
         self._stream = stream
@@ -47,7 +52,7 @@ class _Harmless:
 
     def write(self, text: str) -> int:
         """Write a text; its length."""
-        # Progress bars return to the begin of their line, which hides nothing of this text.
+        # Progress bars return to the start of their line, which is harmless.
         inner = text.strip("\r")
         if not inner.isprintable():
             text = text.replace(inner, printable(inner, lines=True))
@@ -57,7 +62,7 @@ class _Harmless:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Print harmlessly on stdout and stderr, any characters on any terminal."""
+    """Make stdout and stderr safe for any characters on any terminal."""
     with ExitStack() as stack:
         for stream, redirect in ((sys.stdout, redirect_stdout), (sys.stderr, redirect_stderr)):
             if stream is None:

@@ -1,4 +1,4 @@
-"""What the package has on disk: data files (vehicles, tracks, controllers, ...) and code."""
+"""Files of the package: shipped data (vehicles, tracks, controllers, ...) and code."""
 
 from __future__ import annotations
 
@@ -83,12 +83,12 @@ def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Pat
 
 @lru_cache(maxsize=None)
 def fingerprint_of_code(parts: tuple[str, ...]) -> str:
-    """Sixteen hexadecimal digits of the version and the sources of rooms and modules.
+    """Sixteen hexadecimal digits that identify the version and the source code of some parts.
 
     Parameters
     ----------
     parts : tuple of str
-        Their paths in the package; of a folder the modules in it, not those further below.
+        Paths of modules or folders in the package; subfolders of a folder do not count.
     """
     package = Path(__file__).resolve().parent
     digest = hashlib.sha256(__version__.encode())

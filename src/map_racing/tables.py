@@ -1,4 +1,4 @@
-"""Delimited text: recordings, racelines and lookup tables are read with these functions."""
+"""Reading delimited text: recordings, racelines and lookup tables."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ class Columns(NamedTuple):
     values : dict of str to ndarray, shape (n,)
         Empty cells are NaN.
     names : dict of str to str
-        Name in the file of each column.
+        Name of each column in the file.
     lines : list of int, length n
         Line number of each row.
     notes : list of str
         What was left out.
     units : dict of str to str
-        Of `UNITS`, from a row of units below the names or in brackets behind them; empty where the
-        file does not say.
+        Units of the columns, as in `UNITS`, from a row of units below the names or from brackets
+        after them. Columns without a stated unit are missing.
     words : list of str
-        Cells of the column of words that was asked for, of each row; empty without one.
+        Cells of the requested column of words, one per row; empty if none was requested.
     """
 
     values: dict
@@ -78,21 +78,20 @@ def read_columns(
 ) -> Columns:
     """Read some columns of a CSV file, which may be gzipped.
 
-    Lines that begin with ``#`` are comments. The names of the columns are in the first other line
-    or, if that holds numbers, in the last comment before it. A row of units may follow. Cells are
-    separated by semicolon, tab, comma or else blanks; a comma between other separators is a decimal
-    comma. A last line that was cut off is left out.
+    Lines that begin with ``#`` are comments. The column names are in the first other line or, if
+    that contains numbers, in the last comment before it. A row of units may follow. Cells are
+    separated by semicolons, tabs, commas or otherwise blanks; with another separator, a comma is a
+    decimal comma. A truncated last line is left out.
 
     Parameters
     ----------
     path : str or pathlib.Path
     locate : callable
-        Given the names of the columns, returns the index of each column to read under the key that
-        it has in the result.
+        Given the column names, returns the index of each column to read, by its key in the result.
     unnamed : dict of int to sequence of str, optional
-        Names of the columns of a file without names, by their number.
+        Column names of a file without names, by the number of columns.
     word : callable, optional
-        Given the names, returns the index of a column of words to read besides, or None.
+        Given the column names, returns the index of an additional column of words, or None.
 
     Returns
     -------
@@ -109,23 +108,23 @@ def read_columns(
         units, rows = _split_units(rows, len(names))
         words, index = {}, word(names) if word else None
         if index is not None:
-            rows = _keeping(words, index, rows)
+            rows = _collecting(words, index, rows)
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
     units = units or [_unit_of(name) for name in names]
     stated = {key: units[index] for key, index in where.items() if units[index] in UNITS}
     for key, name in named.items():
         if key not in stated and units[where[key]]:
-            notes.append(f"warning: column {name}: the unit is not understood: taken as SI")
+            notes.append(f"warning: column {name}: unknown unit, SI assumed")
     said = [words.get(line, "") for line in lines] if words else []
     return Columns(dict(zip(where, table.T)), named, lines, notes, stated, said)
 
 
 @contextmanager
 def open_text(path: str | Path) -> Iterator[TextIO]:
-    """Open a text file, which may be gzipped; errors while it is read name the file.
+    """Open a text file, which may be gzipped; errors while reading name the file.
 
-    It is UTF-8, or UTF-16 with a byte order mark, as "Unicode text" of Windows programs.
+    It may be UTF-8, or UTF-16 with a byte order mark, such as "Unicode text" of Windows programs.
     """
     refuse_special(path)
     try:
@@ -133,9 +132,10 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
             zipped = file.read(2) == b"\x1f\x8b"
         open_as = gzip.open if zipped else open
         with open_as(str(path), "rb") as file:
-            first = file.read(2)
+            first = file.read(4)
+        image, first = first.startswith(_IMAGES), first[:2]
         wide = first in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        if b"\0" in first:  # UTF-16 without a mark, or no text
+        if b"\0" in first:  # UTF-16 without a mark, or not text
             raise FileFormatError(f"{path}: expected UTF-8 text, got zero bytes")
         with open_as(str(path), "rt", encoding="utf-16" if wide else "utf-8-sig") as file:
             yield file
@@ -143,12 +143,13 @@ def open_text(path: str | Path) -> Iterator[TextIO]:
         reason = getattr(error, "strerror", None) or error
         raise FileFormatError(f"{path}: cannot read: {reason}") from None
     except UnicodeDecodeError:
-        hint = "inside of gzip (bags are read unpacked)" if zipped else '("CSV UTF-8" in Excel)'
-        raise FileFormatError(f"{path}: expected UTF-8 text {hint}") from None
+        hint = " inside gzip (unpack bags first)" if zipped else ' ("CSV UTF-8" in Excel)'
+        hint = ", got an image" if image else hint
+        raise FileFormatError(f"{path}: expected UTF-8 text{hint}") from None
 
 
 def _split_header(path, file, unnamed):
-    """Names of the columns, and numbered rows of cells of an open file."""
+    """Column names and numbered rows of cells of an open file."""
     comment = ""
     lines = ((number, line.strip()) for number, line in enumerate(file, 1))
     lines = ((number, line) for number, line in lines if line)
@@ -172,16 +173,18 @@ def _split_header(path, file, unnamed):
     return names, _rows(path, chain([first], data) if numeric else data, delimiter)
 
 
+# How images begin: PNG, JPEG, PGM and BMP.
+_IMAGES = (b"\x89PNG", b"\xff\xd8\xff", b"P5", b"BM")
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 
 def without_unit(name: str) -> str:
-    """Name of a column without the unit in brackets behind it."""
+    """Name of a column without the unit in brackets after it."""
     return _UNIT.sub("", name) or name
 
 
 def _unit_of(name):
-    """Unit in brackets behind the name of a column; empty without."""
+    """Unit in brackets after a column name; empty if there is none."""
     found = _UNIT.search(name)
     unit = found.group(1).strip().lower() if found and found.start() else ""
     return "" if unit in ("-", "1") else unit
@@ -200,8 +203,8 @@ def _split_units(rows, count):
     return None, chain([first], rows)
 
 
-def _keeping(words, index, rows):
-    """Rows as they are, while the cells of one column are kept by the number of the line."""
+def _collecting(words, index, rows):
+    """Pass rows through, and collect the cells of one column in `words` by line number."""
     for number, cells in rows:
         if index < len(cells):
             words[number] = cells[index].strip().strip('"')
@@ -209,7 +212,7 @@ def _keeping(words, index, rows):
 
 
 def _delimiter(line):
-    """Delimiter of a line, None for blanks; what stands in quotes is no delimiter."""
+    """Delimiter of a line, ignoring quoted text; None for blanks."""
     bare = re.sub(r'"[^"]*"', "", line)
     return next((mark for mark in ";\t," if mark in bare), None)
 
@@ -220,7 +223,7 @@ def _cells(path, number, line, delimiter):
 
 
 def _rows(path, lines, delimiter):
-    """Numbered rows of cells; a quoted cell may hold delimiters and even ends of lines."""
+    """Numbered rows of cells; a quoted cell may contain delimiters and even line breaks."""
     if delimiter is None:
         yield from ((number, line.replace(",", ".").split()) for number, line in lines)
         return
@@ -241,7 +244,7 @@ def _rows(path, lines, delimiter):
 
 
 def _with_point(cell):
-    """A number with a point instead of a decimal comma; other texts as they are."""
+    """A number with a decimal point instead of a comma; other text unchanged."""
     number = cell.replace(",", ".", 1)
     return number if is_number(number.strip('" ')) else cell
 
@@ -254,7 +257,7 @@ def column_index(path: str | Path, names: list[str], column: str) -> int:
 
 
 def some_names(names: list[str]) -> str:
-    """The first names, for an error."""
+    """The first names, for an error message."""
     return ", ".join(names[:16]) + (", ..." if len(names) > 16 else "")
 
 
@@ -265,7 +268,7 @@ def parse_rows(
     picked: Sequence[int] | None = None,
     recorded: bool = False,
 ) -> tuple[np.ndarray, list[int], list[str]]:
-    """Numbers in rows of cells.
+    """Parse rows of cells into numbers.
 
     Parameters
     ----------
@@ -278,8 +281,8 @@ def parse_rows(
     picked : sequence of int, optional
         Indices of the columns to read; all by default.
     recorded : bool, optional
-        Whether the table was recorded: cells may be empty (NaN) or quoted, rows may end with empty
-        cells, and the last may be short, since the recorder was stopped while writing it.
+        Whether the table is a recording: cells may be empty (NaN) or quoted, rows may end with
+        empty cells, and the last row may be short, because the recorder was stopped while writing.
 
     Returns
     -------
@@ -319,13 +322,13 @@ def parse_rows(
         table.append(values)
         lines.append(number)
     else:
-        notes = [f"line {short[0]}, the last, is cut off: left out"] if short else []
+        notes = [f"line {short[0]}, the last, is truncated: left out"] if short else []
         return np.array(table, dtype=float).reshape(len(table), len(picked)), lines, notes
     raise FileFormatError(f"{path}:{short[0]}: expected {len(names)} columns, got {short[1]}")
 
 
 def _number(path, line, name, cell, recorded):
-    """Value of a cell that is not simply a number: quoted, empty or wrong."""
+    """Value of a cell that is not a plain number: quoted, empty or invalid."""
     text = cell.strip()
     if recorded:
         text = text.strip('"').strip()

@@ -1,9 +1,9 @@
-"""The little of tf that a car in the plane needs: poses of frames in each other over time.
+"""The part of tf that a car in the plane needs: poses of frames in each other over time.
 
 Live and recorded transforms are looked up by the same rules. As in tf, nothing is extrapolated.
-Unlike in tf, a frame may have several parents: a particle filter that sends ``map`` to ``laser``
-beside the static mount of the laser, or a second localization. Whatever connects two frames counts,
-in either direction. Nor is a time without transforms bridged, however long tf would.
+Unlike in tf, a frame may have several parents, such as a laser with a static mount and a particle
+filter that sends ``map`` to ``laser``, or a car with two localizations; any path that connects two
+frames is used, in either direction. Also unlike in tf, long gaps are not interpolated.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Iterator, NamedTuple, Sequence
 
 __all__ = ["TransformTree"]
 
-# A transform older than the last by more than this [ns] was sent after a clock was set back.
+# A transform older than the last by more than this [ns] means that the clock was set back.
 _BACKWARDS_NS = 5 * 10**8
-# Shorter times without transforms [ns] are always bridged, of slow senders three of their periods.
+# Gaps up to this long [ns], or up to this many periods of a slow sender, are interpolated.
 _BRIDGED_NS, _BRIDGED_PERIODS = 25 * 10**7, 3
-# Ways from one frame to another that are looked at, and frames on the search for them.
+# Most paths considered between two frames, and most steps of the search for them.
 _MOST_PATHS, _MOST_STEPS = 8, 2000
 
 
@@ -32,7 +32,7 @@ class _Link:
         self.static, self.times, self.poses = static, [], []
 
     def add(self, stamp, pose, kept_ns):
-        """Add a pose; true if time was set back, so that the earlier ones are gone."""
+        """Add a pose; true if time was set back and the earlier poses were dropped."""
         times, poses = self.times, self.poses
         back = bool(times) and stamp < times[-1] - _BACKWARDS_NS
         if self.static or back:
@@ -47,14 +47,14 @@ class _Link:
         return back and not self.static
 
     def bridged(self):
-        """Longest time between two poses that is interpolated [ns]."""
+        """Longest gap between two poses that is interpolated [ns]."""
         times = self.times
         if len(times) < 2:
             return _BRIDGED_NS
         return max(_BRIDGED_NS, _BRIDGED_PERIODS * (times[-1] - times[0]) // (len(times) - 1))
 
     def at(self, stamp):
-        """Pose at a time, linear between the two around it; None where it is not known."""
+        """Pose at a time, interpolated between the two around it; None if unknown."""
         if self.static:
             return self.poses[-1]
         times = self.times
@@ -74,7 +74,7 @@ class _Link:
         return x_1 + part * (x_2 - x_1), y_1 + part * (y_2 - y_1), psi_1 + part * turn
 
     def borders(self):
-        """Times around those that are not bridged."""
+        """Times at both ends of each gap that is not interpolated."""
         times, most = self.times, self.bridged()
         for before, after in zip(times, times[1:]):
             if after - before > most:
@@ -83,7 +83,7 @@ class _Link:
 
 
 class _Step(NamedTuple):
-    """A link on the way from a frame to another, up to the parent or down to the child."""
+    """A link on the path between two frames, up to the parent or down to the child."""
 
     link: _Link
     down: bool
@@ -96,7 +96,7 @@ class TransformTree:
     Parameters
     ----------
     kept_ns : int, optional
-        How far back the history of a frame goes [ns]; without it, all is kept.
+        How far back the history of a frame is kept [ns]; by default all of it.
     """
 
     def __init__(self, kept_ns: int | None = None):
@@ -115,11 +115,11 @@ class TransformTree:
     ) -> None:
         """Add the pose ``(x, y, psi)`` of `child` in `parent` at a time [ns].
 
-        A static pose does not replace what a localization sends.
+        A static pose does not replace a moving one between the same frames.
         """
         link = self._link(parent, child, static)
         if link.static == static and link.add(stamp, pose, self._kept_ns):
-            # Another parent from before the clock was set back would be the latest forever.
+            # Another parent's poses from before the reset would stay the latest forever.
             for name in [n for n, other in self._links.items() if n[1] == child]:
                 if name[0] != parent and not self._links[name].static:
                     del self._links[name]
@@ -144,7 +144,7 @@ class TransformTree:
         link = self._links.get(name)
         if link is None or (link.static and not static):
             link = self._links[name] = _Link(static)
-            # Perception may name all that it sees anew: a new frame is on no way but its own.
+            # Perception may keep adding frames. Keep the known paths unless one may use this frame.
             new = [frame for frame in name if frame not in self._frames]
             if not new or any(frame in ends for frame in new for ends in self._paths):
                 self._paths.clear()
@@ -160,13 +160,13 @@ class TransformTree:
         ----------
         parent, child : str
         stamp : int, optional
-            Time [ns]; by default the latest that all transforms in between are known for.
+            Time [ns]; by default the latest at which all transforms in between are known.
 
         Returns
         -------
         (stamp, x, y, psi) or None
-            None where they are not connected, or not at that time. Where all transforms are
-            static the latest time is 0.
+            None if the frames are not connected at that time. If all transforms are static, the
+            latest time is 0.
         """
         found = None
         for path in self.paths(parent, child):
@@ -187,9 +187,9 @@ class TransformTree:
     ) -> tuple[list[int], list[tuple[float, float, float]], list[list[_Step]]]:
         """All poses of a frame in another.
 
-        They have the times of the link that is sent most often; the others are interpolated. Where
-        several ways lead from one frame to the other, the one with the most poses counts, and the
-        next where that has none.
+        They have the times of the link that is sent most often; other links are interpolated. If
+        several paths connect the frames, the one with the most poses is used, and the next ones
+        fill its gaps.
 
         Parameters
         ----------
@@ -202,8 +202,8 @@ class TransformTree:
         poses : list of (float, float, float), length n
             ``x, y, psi``.
         used : list of list
-            Ways that poses came from, the most important first; each step has the names of the
-            ``parent`` and ``child``.
+            Paths that poses came from, the most important first; each step has the names of its
+            parent and child.
         """
         runs = [(_run(path), path) for path in self.paths(parent, child)]
         runs = [(run, path) for run, path in runs if run]
@@ -221,7 +221,7 @@ class TransformTree:
         return list(times), list(poses), used
 
     def paths(self, parent: str, child: str) -> list[list[_Step]]:
-        """Ways from `child` to `parent`, the shortest first; at most a few."""
+        """Paths from `child` to `parent`, the shortest first; at most 8."""
         key = parent, child
         if key not in self._paths:
             self._paths[key] = list(self._search(parent, child))
@@ -248,7 +248,7 @@ class TransformTree:
 
 
 def _along(path, stamp):
-    """Pose at the end of a path of the frame at its beginning; None where it is not known."""
+    """Pose of a path's first frame in its last one; None if unknown."""
     x = y = psi = 0.0
     for link, down, _ in path:
         pose = link.at(stamp)
@@ -279,7 +279,7 @@ def _run(path):
 
 
 def _in_hole(times, stamp):
-    """Whether a time is where others are missing for longer than is bridged."""
+    """Whether a time falls into a gap of other times that is too long to interpolate."""
     index = bisect_left(times, stamp)
     before = times[index - 1] if index else -math.inf
     after = times[index] if index < len(times) else math.inf

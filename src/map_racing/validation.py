@@ -1,9 +1,8 @@
-"""Parameters of files and nodes: each has its meaning, unit and range in one place, its field.
+"""Parameters of files and nodes: a dataclass field defines the meaning, unit and range of each.
 
-A class of parameters is a dataclass whose fields are made by `parameter`; `check` in its
-``__post_init__`` compares the values with the fields, `documented` writes its docstring, and
-`parameter_table` the table of a page. The nodes' logs and ``config/Controller.cfg`` use the same
-fields.
+The fields are made by `parameter`. `check`, called in ``__post_init__``, compares the values with
+them, `documented` writes the docstring of the class, and `parameter_table` the table of a page. The
+nodes' logs and ``config/Controller.cfg`` use the same fields.
 """
 
 from __future__ import annotations
@@ -31,19 +30,19 @@ __all__ = [
     "read_parameters",
 ]
 
-FARTHEST = 1e8  # No coordinate on earth, nor a speed, is larger [m]; damaged data may be.
+FARTHEST = 1e8  # Larger than any coordinate on earth [m] or any speed; damaged data may exceed it.
 
-# Beyond these a parameter is a typing error, and would overflow somewhere.
+# A parameter out of this range is a typing error, and would overflow somewhere.
 POSITIVE, _LARGEST = 1e-9, 1e9
 
 
 def finite(name: str, value: object) -> float:
-    """The value as a float, if it is a number of a credible size.
+    """The value as a float, if it is a finite number of plausible size.
 
     Parameters
     ----------
     name : str
-        What it is, for the error.
+        Name for the error message.
     value : object
         Anything, such as a value read from a file.
 
@@ -54,7 +53,7 @@ def finite(name: str, value: object) -> float:
     Raises
     ------
     ParameterError
-        If it is something else, such as a text or a truth value, or beyond 1e9.
+        If it is something else, such as a text or a truth value, or exceeds 1e9.
     """
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     # Compare before float(): huge integers overflow.
@@ -66,7 +65,7 @@ def finite(name: str, value: object) -> float:
 
 
 def positive(name: str, value: object) -> float:
-    """The same, if it is not negative, zero or below 1e-9."""
+    """The value as a float, as `finite`, if it is at least 1e-9."""
     value = finite(name, value)
     if value < POSITIVE:
         raise ParameterError(f"{name}: expected a positive number, got {value:g}")
@@ -91,22 +90,23 @@ def parameter(
         Its meaning in one sentence, then advice.
     unit : str, optional
     low, high : float, optional
-        Valid range, bounds included; a `low` of `POSITIVE` stands for more than 0.
+        Valid range, bounds included; a `low` of `POSITIVE` means more than 0.
     choices : tuple of str, optional
         Valid values of a text.
     tuning : tuple of float, optional
-        Range of the slider in live tuning, of a switch False and True; without it there is none.
+        Range of the slider in live tuning, or ``(False, True)`` for a switch; without it the
+        parameter cannot be tuned live.
     default : optional
-        Without one the parameter is required.
+        Without one, the parameter is required.
     """
     metadata = dict(text=text, unit=unit, low=low, high=high, choices=choices, tuning=tuning)
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def check(values: object) -> None:
-    """Check the fields of a dataclass made by `parameter`; numbers of float fields become floats.
+    """Check the fields of a dataclass made by `parameter`; numbers in float fields become floats.
 
-    Fields of other types than `parameter` knows are left alone.
+    Fields of types that `parameter` does not handle are ignored.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def check(values: object) -> None:
 
 
 def _kind(field):
-    """Name of a field's type; an annotation may be a text."""
+    """Name of a field's type; annotations may be strings."""
     return field.type if isinstance(field.type, str) else getattr(field.type, "__name__", "")
 
 
@@ -155,7 +155,7 @@ def _expected(field):
 
 
 def meaning(field: dataclasses.Field, advice: bool = False) -> str:
-    """Text of a field with its unit, as in ``Dead time [s]``; on request with the advice."""
+    """Text of a field with its unit, as in ``Dead time [s]``, optionally with the advice."""
     text, unit = field.metadata["text"], field.metadata["unit"]
     first, dot, rest = text.partition(". ")
     first += f" [{unit}]" if unit else ""
@@ -163,7 +163,7 @@ def meaning(field: dataclasses.Field, advice: bool = False) -> str:
 
 
 def documented(cls: type) -> type:
-    """Class decorator: append the numpydoc sections of the fields to the docstring."""
+    """Class decorator that appends numpydoc sections for the fields to the docstring."""
     lines = [inspect.cleandoc(cls.__doc__), "", "Parameters", "----------"]
     for field in fields(cls):
         choices = ", ".join(f'"{choice}"' for choice in field.metadata["choices"])
@@ -183,12 +183,12 @@ def parameter_table(kind: type, prefix: str = "") -> str:
     kind : type
         Dataclass whose fields are made by `parameter`, such as ``ControllerParameters``.
     prefix : str, optional
-        Put before each name, such as ``~`` for parameters of a node.
+        Prefix of each name, such as ``~`` for parameters of a node.
 
     Returns
     -------
     str
-        Head and one row for each: name, default (empty if required), valid values, meaning.
+        Header and one row per field: name, default (empty if required), valid values, meaning.
     """
     rows = ["| parameter | default | valid | meaning |", "|---|---|---|---|"]
     for field in fields(kind):
@@ -199,10 +199,10 @@ def parameter_table(kind: type, prefix: str = "") -> str:
 
 
 def read_parameters(path, kind: type, values: dict | None = None, what: str = ""):
-    """Read one dataclass from a YAML mapping of the same names; unknown names are an error.
+    """Read a dataclass from a YAML mapping of the same names; unknown names are an error.
 
-    With `values`, the mapping that was read already, `path` is only for the texts of errors, and so
-    is `what`, which says what the file should be.
+    If the mapping has already been read, pass it as `values`; `path` is then only for error
+    messages, as is `what`, which says what the file should be.
     """
     if values is None:
         values = read_yaml_mapping(path, what)

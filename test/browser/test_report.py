@@ -1,4 +1,4 @@
-"""The report in a real browser: what a person does with it, and that it needs nothing else."""
+"""The report in a real browser: what a user does with it, and that it loads nothing else."""
 
 import json
 import math
@@ -74,7 +74,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def opened(browser, page):
-    """The page at 1280 x 720, drawn; what it asked for and complained about is looked at last."""
+    """The drawn page at 1280 x 720; its requests and errors are checked at the end."""
     size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     browser.get(page.as_uri())
@@ -92,7 +92,7 @@ def until_drawn(browser):
 
 
 def requests(browser):
-    """Addresses beyond the file itself that the page asked for."""
+    """Addresses other than the file itself that the page requested."""
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     sent = [m for m in messages if m["method"] == "Network.requestWillBeSent"]
     addresses = {m["params"]["request"]["url"] for m in sent}
@@ -190,7 +190,7 @@ def test_zoom_by_dragging_and_by_a_place(opened):
     length = whole[1]
     assert low / length == pytest.approx(0.25, abs=0.03)
     assert high / length == pytest.approx(0.75, abs=0.03)
-    # All charts have one axis, so all have zoomed; the button goes back.
+    # The charts share one axis, so all have zoomed; the button zooms out.
     axes = opened.execute_script(
         "return Object.keys(document.getElementById('charts')._fullLayout)"
         ".filter((k) => /^xaxis/.test(k))"
@@ -240,6 +240,18 @@ def test_names_are_text(opened):
     assert opened.title.startswith(EVIL)
     assert opened.find_element(By.TAG_NAME, "h1").text.startswith(EVIL)
     assert opened.find_elements(By.TAG_NAME, "img") == []
+
+
+def test_laps_of_a_recording_with_a_long_name(opened):
+    opened.execute_script(
+        "document.querySelectorAll('.laps span').forEach("
+        "(span) => { span.textContent = 'map_racing_2026-11-29-23-03-56_second_heat'; })"
+    )
+    name = opened.find_element(By.CSS_SELECTOR, ".laps span")
+    button = opened.find_element(By.CSS_SELECTOR, ".laps button")
+    assert name.rect["height"] <= 1.5 * 16 and button.rect["height"] <= 2.0 * 16
+    opened.refresh()
+    until_drawn(opened)
 
 
 def test_on_a_phone(opened):

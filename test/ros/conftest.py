@@ -26,9 +26,9 @@ from map_racing.errors import MapRacingError
 
 
 def default_signals():
-    """Let the process be interrupted, even where a script runs the tests in the background.
+    """Let the process be interrupted, even if a script runs the tests in the background.
 
-    There the shell has SIGINT ignored, which a child inherits.
+    In the background, the shell ignores SIGINT, which a child inherits.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.signal(signal.SIGQUIT, signal.SIG_DFL)
@@ -41,7 +41,7 @@ class Process:
     ----------
     command : list of str
     log : pathlib.Path
-        Takes its standard output and error.
+        Receives its standard output and error.
     environment : dict of str to str, optional
     forked : bool, optional
         The command is a node's script, which is run in a fork instead of a new interpreter.
@@ -68,7 +68,7 @@ class Process:
 
     @property
     def output(self):
-        """All that it has printed so far."""
+        """Its output so far."""
         return self.log.read_text(errors="replace")
 
     @property
@@ -76,18 +76,18 @@ class Process:
         return self._process.poll() is None
 
     def wait(self, timeout=20.0):
-        """Wait for its end; the exit code."""
+        """Wait for its end; return the exit code."""
         try:
             return self._process.wait(timeout)
         except subprocess.TimeoutExpired:
             pytest.fail(f"still running after {timeout:g} s: {self.command}\n{self.output}")
 
     def signal(self, number):
-        """Send a signal to it alone."""
+        """Send a signal to this process only."""
         self._process.send_signal(number)
 
     def stop(self, timeout=10.0):
-        """End it as Ctrl-C would, at last by force; the exit code."""
+        """End it as Ctrl-C would, finally by force; return the exit code."""
         if self.running:
             self._process.send_signal(signal.SIGINT)
         try:
@@ -144,9 +144,9 @@ def ros(roscore):
 
 @pytest.fixture(autouse=True)
 def _clean_parameters(roscore):
-    """Nothing that one test sets on the parameter server reaches the next one.
+    """Clear the parameter server, so that no test's parameters reach the next one.
 
-    Nodes of several tests run at once: with real-time priority they would starve the others.
+    Nodes of several tests run in parallel: with real-time priority they would starve the others.
     """
     import rosgraph
 
@@ -155,11 +155,11 @@ def _clean_parameters(roscore):
         master.setParam(f"/{name}/realtime_priority", 0)
     policy = os.sched_getscheduler(0)
     yield
-    # Nor may this process have it: all that it starts would.
+    # This process may not have it either: all its children would inherit it.
     assert os.sched_getscheduler(0) == policy
     for name in master.getParamNames():
         if not name.startswith(("/ros", "/run_id")):
-            # It may have gone with its namespace.
+            # It may have been deleted with its namespace.
             with suppress(rosgraph.MasterError):
                 master.deleteParam(name)
 
@@ -179,7 +179,7 @@ def processes(tmp_path):
     for process in reversed(started):
         process.stop()
     for process in started:
-        # pytest shows this below a test that failed.
+        # pytest shows this for a failed test.
         print(f"-- {' '.join(process.command)}\n{process.output}")
 
 
@@ -199,8 +199,7 @@ def start(roscore, processes):
     python : path, optional
         Interpreter; by default the node is a fork, see `forked`.
     wait : bool, optional
-        Wait until the node is registered and has subscribed to the clock or the like, that is,
-        until the master knows it.
+        Wait until the master knows the node, with its subscriptions.
 
     Returns
     -------
@@ -212,7 +211,7 @@ def start(roscore, processes):
 
         name = name or node
         master = rosgraph.Master("/test")
-        # On the server rather than the command line: all types arrive as they are.
+        # On the server rather than the command line, to preserve all types.
         for key, value in (params or {}).items():
             master.setParam(f"/{name}/{key}", value)
         command = [ROOT / "scripts" / node, f"__name:={name}"]
@@ -236,7 +235,7 @@ def start(roscore, processes):
 
 @pytest.fixture
 def refusal(start):
-    """``refusal("controller", {"vehicle": "none"})``: what a node says that refuses to start."""
+    """``refusal("controller", {"vehicle": "none"})``: message of a node that refuses to start."""
 
     def run(node, params):
         process = start(node, params, wait=False)
@@ -249,16 +248,16 @@ def refusal(start):
 
 @pytest.fixture
 def refused(no_master, monkeypatch):
-    """As `refusal`, but made in this process, which takes a hundredth of the time."""
+    """As `refusal`, but in this process, which takes a hundredth of the time."""
 
     def run(node, params):
-        # This process takes no priority, which all nodes that it starts later would have.
+        # This process must not take the priority: nodes that it starts later would inherit it.
         given = {"realtime_priority": 0, **params}
         no_master.params.update({f"~{key}": value for key, value in given.items()})
         module = importlib.import_module(f"map_racing.nodes.{node}")
         made = []
         monkeypatch.setattr(module, "run", lambda _, make: made.append(make))
-        # What else it sets is that of the process.
+        # Other settings are those of the whole process.
         monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
         module.main()
         with pytest.raises(MapRacingError) as error:
@@ -341,7 +340,7 @@ def rig(ros, start, advertise, listen):
     cars = []
 
     def make(params=None, **options):
-        # A busy computer holds back the poses of this process; where age matters, the default does.
+        # A busy computer delays the poses of this process; tests of the age set the default.
         given = {"raceline": "reference", "max_pose_age_s": 0.8, **(params or {})}
         node = start("controller", {k: v for k, v in given.items() if v is not None})
         publisher = advertise("/odom", Odometry)
@@ -355,7 +354,7 @@ def rig(ros, start, advertise, listen):
 
 
 class Published:
-    """A publisher that keeps what is published."""
+    """A publisher that records its messages."""
 
     def __init__(self, name, kind, **options):
         self.name, self.sent = name, []
@@ -369,7 +368,7 @@ class Published:
 
 @pytest.fixture
 def no_master(monkeypatch):
-    """Lets nodes be made in this process without a master; their parameters, and what they log."""
+    """Create nodes in this process without a master; gives their parameters and logs."""
     import rospy
 
     params, said = {}, []

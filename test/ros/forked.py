@@ -1,7 +1,7 @@
-"""Nodes as forks of a process that has imported what they import: half of a start is that.
+"""Nodes as forks of a process that has already made their imports, which take half of a start.
 
-A node is a process of its own all the same, from its script on. That each imports what it needs
-itself is seen where they are launched.
+Each node is still a separate process that runs its script. Tests that launch nodes check that each
+makes all its imports itself.
 """
 
 import atexit
@@ -21,7 +21,7 @@ _context.set_forkserver_preload([f"map_racing.nodes.{name}" for name in NODES])
 
 
 class Forked:
-    """A script that runs in a fork, with what the tests use of `subprocess.Popen`.
+    """A script that runs in a fork, with the part of `subprocess.Popen` that the tests use.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Forked:
 
 
 def _run(command, log, environment, folder):
-    """What an interpreter that is started does, less the imports."""
+    """Do what a new interpreter does, without the imports."""
     import rospy
 
     os.setsid()
@@ -67,7 +67,7 @@ def _run(command, log, environment, folder):
     os.environ.clear()
     os.environ.update(environment)
     sys.argv[:] = command
-    rospy.names.reload_mappings(command)  # it reads them when it is imported
+    rospy.names.reload_mappings(command)  # rospy reads them on import
     try:
         runpy.run_path(command[0], run_name="__main__")
     finally:

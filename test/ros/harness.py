@@ -1,4 +1,4 @@
-"""What tests of several nodes have alike: waiting, and a car for the controller to drive."""
+"""Shared by tests of several nodes: waiting, and a car for the controller to drive."""
 
 import math
 import threading
@@ -23,7 +23,7 @@ RATE = 50.0
 
 
 class HandClock:
-    """The clock of a node that is run call by call; a test sets its time."""
+    """The clock of a node that runs call by call; a test sets its time."""
 
     START = 100.0
 
@@ -37,7 +37,7 @@ class HandClock:
 def wait_for(condition, timeout=30.0, what="the condition"):
     """Wait until ``condition()`` is true, and return its value; fail the test after `timeout` [s].
 
-    The time limits of these tests are only there to end them: nothing is measured by them.
+    The timeouts only end a failing test; nothing is measured with them.
     """
     end = time.monotonic() + timeout
     while True:
@@ -50,7 +50,7 @@ def wait_for(condition, timeout=30.0, what="the condition"):
 
 
 class Car:
-    """Poses of a car that drives along the reference track whatever it is told.
+    """Poses of a car that drives along the reference track, whatever the commands.
 
     A thread publishes them; `change` alters each message on its way.
     """
@@ -97,7 +97,7 @@ class Car:
 
 
 class Rig:
-    """Controller, car, and all that the controller says."""
+    """Controller, car, and all output of the controller."""
 
     def __init__(self, car, node, listen):
         self.car, self.node = car, node
@@ -110,7 +110,7 @@ class Rig:
         self.wait_mode("driving")
 
     def more(self, count):
-        """Wait for so many more commands; return them."""
+        """Wait for this many more commands; return them."""
         mark = len(self.drive)
         wait_for(lambda: len(self.drive) >= mark + count, what=f"{count} more commands")
         return self.drive[mark:]
@@ -126,7 +126,7 @@ class Rig:
         )
 
     def stops(self, reason):
-        """Wait for the stop; the messages of its ramp, and its deceleration [m/s^2]."""
+        """Wait for the stop; return the messages of its ramp, and its deceleration [m/s^2]."""
         self.wait_mode("stopped", reason)
         # The diagnosis may overtake the last command.
         wait_for(lambda: self.drive[-1].drive.speed == 0.0, what="the last command")
@@ -139,10 +139,10 @@ class Rig:
         ramp = [m for m in messages[begin + 1 : end + 1] if m.drive.speed < 2.0]
         assert len(ramp) > 5, [m.drive.speed for m in messages[end - 10 : end + 2]]
         assert messages[end + 1].drive.speed == 0.0
-        # What could have been braked in a gap, which a busy computer makes, is not made up for.
+        # After a gap, caused by a busy computer, missed braking is not made up for.
         stamps = [m.header.stamp.to_sec() for m in ramp]
         took = np.cumsum([min(b - a, LONGEST_STEP) for a, b in zip(stamps[:1] + stamps, stamps)])
-        # Nor does a stamp that comes late after its step count.
+        # A step that is stamped late does not count either.
         return ramp, -theilslopes([m.drive.speed for m in ramp], took)[0]
 
     def call(self, ros, service):

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 FOLDER = Path(__file__).resolve().parents[2] / "config" / "layouts"
 
-# What the nodes send in the stack race_stack; `test_launch` compares it with running nodes.
+# Topics of the nodes with the stack race_stack; `test_launch` compares them with running nodes.
 TYPES = {
     "/car_state/odom": "nav_msgs/Odometry",
     "/course_markers": "visualization_msgs/MarkerArray",
@@ -19,7 +19,7 @@ TYPES = {
     "/raceline_markers": "visualization_msgs/MarkerArray",
     "/tracking": "map_racing/Tracking",
 }
-# Of map_server.
+# From map_server.
 OTHERS = {"/map"}
 
 

@@ -1,4 +1,4 @@
-"""Write a message-only stand-in for ``ackermann_msgs`` into a test workspace.
+"""Write a message-only substitute for ``ackermann_msgs`` into a test workspace.
 
 Debian and Ubuntu have no such package. On a car the real one is a dependency of its drivers.
 """
@@ -31,7 +31,7 @@ catkin_package(CATKIN_DEPENDS message_runtime std_msgs)
 
 
 def main(folder):
-    """Write the package; files that are right already keep their date."""
+    """Write the package; unchanged files keep their date."""
     files = {"package.xml": PACKAGE, "CMakeLists.txt": CMAKE}
     for name, definition in DEFINITIONS.items():
         package, _, message = name.split("/")

@@ -1,4 +1,4 @@
-"""What the controller learns while it drives: switched, told, shown, saved, forgotten."""
+"""Adaptation in the node: switching, publishing, showing, saving and forgetting."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def test_what_is_learned_is_saved_started_from_and_forgotten(rig, ros, start, li
     rig = rig({"controller": "map_adaptive", "speed_scale": 0.6, **files})
     beliefs = listen("/map_racing/belief", Belief)
     rig.driving()
-    prior = PRIOR[0] * 3.92  # width of the interval of 95 %
+    prior = PRIOR[0] * 3.92  # width of the 95 % interval
 
     def width(belief):
         return (belief.friction_high - belief.friction_low) / belief.friction
@@ -65,7 +65,7 @@ def test_what_is_learned_is_saved_started_from_and_forgotten(rig, ros, start, li
     controller, vehicle = saved.message.split(", ")
     assert saved.success
     assert (controller, vehicle) == (str(tmp_path / "table.yaml"), str(tmp_path / "day/NUC4.yaml"))
-    rig.more(20)  # the belief of that moment was published by now
+    rig.more(20)  # the estimate of that moment has been published by now
     believed, shipped = load_vehicle(vehicle), load_vehicle("nuc4")
     factors = [b.friction for b in list(beliefs)]
     assert min(factors) <= believed.mu / shipped.mu <= max(factors)
@@ -75,9 +75,9 @@ def test_what_is_learned_is_saved_started_from_and_forgotten(rig, ros, start, li
     head = Path(vehicle).read_text()
     assert "# Tires learned by map_racing" in head and "the vehicle was nuc4." in head
 
-    # What is there is kept, also where the node was started from it.
+    # An existing file is kept, even if the node was started from it.
     again = rig.call(ros, "save")
-    assert not again.success and f"{vehicle} exists and is kept" in again.message
+    assert not again.success and f"{vehicle} exists, so nothing is saved" in again.message
     assert Path(vehicle).read_text() == head
 
     mark = len(beliefs)

@@ -1,4 +1,4 @@
-"""The core's bags as ROS's own rosbag reads them; how it plays them is in test_lap_evaluator."""
+"""The package's bags, read by ROS's own rosbag; test_lap_evaluator plays them."""
 
 import subprocess
 

@@ -1,4 +1,4 @@
-"""Simulated time that is set back, on the running nodes."""
+"""Simulated time set back under the running nodes."""
 
 import threading
 import time
@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 
 
 class Simulated:
-    """Time on /clock, which runs as the wall clock does until it is set."""
+    """Time on /clock, which runs like the wall clock until it is set."""
 
     def __init__(self, rospy, publish):
         self._rospy, self._publish = rospy, publish
@@ -44,7 +44,7 @@ def clock(ros, advertise):
 
 
 def assert_stops(commands, mark):
-    """From the command after `mark` on there is a ramp down to 0."""
+    """From the command after `mark` on, the speed ramps down to 0."""
     commands.wait(lambda _: any(m.drive.speed == 0.0 for m in commands[mark:]))
     speeds = [m.drive.speed for m in commands[mark:]]
     ramp = speeds[: speeds.index(0.0)]
@@ -60,7 +60,7 @@ def test_the_controller_begins_anew(rig, clock):
     rig.car.s += 15.0
     wait_for(lambda: "time was set back" in rig.node.output, what="the new beginning")
     rig.driving()
-    # The watchdog has outlived it.
+    # The watchdog has survived.
     rig.car.silent = True
     rig.wait_mode("stopped", "pose too old")
 

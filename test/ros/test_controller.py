@@ -44,7 +44,7 @@ def test_each_pose_makes_one_command_with_its_header(rig, listen):
     rig.driving()
     rig.car.silent = True
     (publish,) = rig.car.publishers
-    # One at a time: what comes while it computes, it may pass over for what is newer.
+    # One at a time: the node may skip poses that arrive while it computes.
     sent = []
     for _ in range(20):
         message = rig.car.message()
@@ -64,7 +64,7 @@ def test_each_pose_makes_one_command_with_its_header(rig, listen):
 
 
 def test_the_commands_are_those_of_the_core(rig, listen):
-    """Guidance's own state, sent through the core again, gives the same command."""
+    """The controller outside ROS gives the same command for the state in the guidance."""
     from map_racing.control.guidance import bearing, lateral_acceleration
     from map_racing.control.state import CarState
 
@@ -100,7 +100,7 @@ def test_numbers_for_plots(rig, listen):
     }
     tracking = listen("/tracking", Tracking)
     rig.driving()
-    # Poses from before the car was put aside may come first.
+    # Poses from before the car was moved aside may come first.
     beside = inboxes["lateral_error"].wait(lambda m: m.data > 0.05)
     assert beside.data == pytest.approx(0.1, abs=1e-6)
     last = tracking.wait(lambda m: m.speed_command > 1.0 and m.lateral_error > 0.05)
@@ -111,7 +111,7 @@ def test_numbers_for_plots(rig, listen):
     assert abs(last.lateral_acceleration) < 20.0 and 0.0 < last.pose_age < 5.0
     wait_for(lambda: len(inboxes["latency"]) > 50)
     assert inboxes["speed_error"]
-    # In seconds; how long it takes is for scripts/latency.
+    # Only the unit (seconds): scripts/latency measures the value.
     assert all(0.0 < m.data < 5.0 for m in [*inboxes["latency"], inboxes["pose_age"].wait()])
 
 
@@ -127,7 +127,7 @@ def test_what_is_learned_while_driving_is_published(rig, listen):
 
     wait_for(lambda: published[-1].header.stamp in answered(), what="the last one's command")
     stamps = answered()
-    # Commands are heard from when their connection stands, which may be later than that of beliefs.
+    # The connection for commands may be established later than the one for estimates.
     for belief in (b for b in published if b.header.stamp >= min(stamps)):
         assert belief.header.stamp in stamps and belief.header.frame_id == "map"
         for name in ("friction", "front_stiffness", "rear_stiffness"):
@@ -186,10 +186,10 @@ def test_other_sources_of_the_pose(ros, start, advertise, listen, source):
 
 @pytest.mark.parametrize("point", ["rear_axle", "center_of_gravity"])
 def test_reference_point_of_the_pose(rig, listen, point):
-    """It is the rear axle that is on the line, whatever the pose is the pose of."""
+    """The rear axle is on the line, whatever point the pose refers to."""
     rig = rig({"reference_point": point, "delay_s": 0.0, "speed_scale": 0.5})
     errors = listen("/lateral_error", Float64)
-    # Poses of the center of gravity, as the simulators of that kind send them.
+    # Poses of the center of gravity, as such simulators send them.
     distance = load_vehicle("nuc4").l_r if point == "center_of_gravity" else 0.0
 
     def shift(message):
@@ -207,7 +207,7 @@ def test_reference_point_of_the_pose(rig, listen, point):
 
 
 def test_lookup_table_from_a_file(rig, listen, tmp_path):
-    """A table that knows less grip is the one that steers."""
+    """The table from the file, which has less grip, steers."""
     path = tmp_path / "weak.csv"
     vehicle = load_vehicle("nuc4")
     table = steady_state_table(replace(vehicle, mu=0.5 * vehicle.mu), *default_grid(vehicle))
@@ -220,7 +220,7 @@ def test_lookup_table_from_a_file(rig, listen, tmp_path):
     assert last.a_lat_max == pytest.approx(weak, rel=1e-6)
 
 
-# The raceline's speeds, read where the car is.
+# The raceline's speeds at the car.
 AS_ASKED = {"speed_scale": 1.0, "speed_lookahead_s": 0.0, "delay_s": 0.0}
 
 
@@ -233,7 +233,7 @@ def test_speed_sectors(rig, listen, tmp_path):
         f"Sector0: {{start: 0, end: {half - 1}, scaling: 0.25}}\n"
         f"Sector1: {{start: {half}, end: {len(raceline.s_points)}, scaling: 1.0}}\n"
     )
-    # The car of this test drives faster than it is told.
+    # The car of this test drives faster than commanded.
     rig = rig({**AS_ASKED, "sectors": str(path), "grip_use": 0.0, "max_overspeed_mps": 10.0})
     told(rig, "speed sectors: 25 to 100 % of the raceline's speed")
     guidance = listen("/guidance", Guidance)
@@ -258,7 +258,7 @@ def test_sectors_of_another_raceline_are_doubted(rig, tmp_path):
 
 
 def planned(raceline, **changes):
-    """Speeds of the plan that the shipped `map` makes of a raceline."""
+    """Planned speeds of the shipped `map` on a raceline."""
     parameters = load_controller_parameters("map").with_(speed_scale=1.0, **changes)
     return build_controller(parameters, load_vehicle("nuc4"), raceline).plan
 
@@ -296,10 +296,10 @@ def test_speeds_within_the_grip_are_told_published_driven_and_changed(rig, liste
     assert f"grip_use 0.5: {less}" in rig.node.output
     mark = len(guidance)
     wait_for(lambda: len(guidance) > mark + 20, what="guidance")
-    # A pose that a busy computer delivers late is no driving.
+    # A pose that a busy computer delivers late stops the car.
     for message in [m for m in guidance[mark + 5 :] if m.mode == "driving"]:
         assert message.speed == pytest.approx(less.speed_at(message.s), abs=1e-6)
-    # What does not change the speeds is not told again.
+    # A change that does not affect the speeds is not logged again.
     client.update_configuration({"table_m_m": 0.25})
     client.update_configuration({"grip_use": 0.05})
     told(rig, "reconfigure rejected: grip_use: expected 0 (off) or 0.1 to 1.2")
@@ -368,7 +368,7 @@ def test_poses_that_stop_coming(rig):
     ramp, deceleration = rig.stops("pose too old")
     assert deceleration == pytest.approx(3.0, rel=0.02)
     assert len({m.drive.steering_angle for m in ramp}) == 1
-    # In the end nothing is sent, and nothing done.
+    # Finally nothing more is sent.
 
     def silence():
         sent = len(rig.drive)
@@ -423,7 +423,7 @@ def test_stop_requested(rig, ros, advertise, how):
         assert rig.call(ros, "stop").success
     ramp, deceleration = rig.stops("stop requested")
     assert deceleration == pytest.approx(3.0, rel=0.02)
-    # Steering goes on meanwhile, and the car stays where it is until it is let go.
+    # Steering continues, and the car stands until it is resumed.
     assert len({m.drive.steering_angle for m in ramp}) > 1
     assert {m.drive.speed for m in rig.more(50)} == {0.0}
     assert "stopping: stop requested" in rig.node.output
@@ -436,7 +436,7 @@ def test_stop_requested(rig, ros, advertise, how):
 
 
 def test_grip_exceeded_for_long(rig, ros):
-    # A car that points across the line asks for more than there is.
+    # A car that points across the line demands more grip than it has.
     rig = rig({"max_saturated_s": 0.5, "max_turn_rad": 1.5}, speed=3.0)
     rig.driving()
 
@@ -478,13 +478,13 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
     message = waypoints(raceline)
     publisher.publish(message)
     rig.driving()
-    # The same again and again makes no difference, not even to the log.
+    # Repeating the same raceline changes nothing, not even the log.
     mark = len(rig.drive)
     for _ in range(5):
         publisher.publish(message)
         time.sleep(0.1)
     assert rig.node.output.count("raceline of /global_waypoints") == 1
-    # Nor does the same line with other points, but for its 0.1 mm.
+    # The same line with other points changes nothing either, except for 0.1 mm.
     publisher.publish(waypoints(raceline, points=211))
     wait_for(lambda: rig.node.output.count("raceline of /global_waypoints") == 2)
     rig.more(15)
@@ -506,7 +506,7 @@ def test_raceline_by_topic_missing_nonsense_changed_and_repeated(rig, advertise)
 
 
 def test_two_nodes_with_different_racelines(rig, start):
-    """The car keeps to one of them, and the log names both; it changes when that one has gone."""
+    """The car follows one of them, and the log names both; when that node is gone, it switches."""
     rig = rig({"raceline": None})
     first = start("raceline_publisher", {"raceline": "reference", "period": 0.2}, name="first")
     rig.driving()
@@ -552,7 +552,7 @@ def test_shutdown_tells_the_car_to_stop(rig):
 
 
 def test_the_car_stops_when_the_controller_is_killed(start, listen):
-    """Without a last word: the silence is what stops the car."""
+    """It sends nothing more: the missing commands stop the car."""
     start("simulator")
     node = start("controller", {"raceline": "reference"})
     truth = listen("/ground_truth/odom", Odometry)
@@ -562,7 +562,7 @@ def test_the_car_stops_when_the_controller_is_killed(start, listen):
     stood = truth.wait(
         lambda m: m.header.stamp > killed and abs(m.twist.twist.linear.x) < 0.05, 10.0
     )
-    # 0.2 s of silence, and a second to brake from no more than 6 m/s.
+    # 0.2 s without commands, and a second to brake from at most 6 m/s.
     assert (stood.header.stamp - killed).to_sec() < 2.0
 
 
@@ -641,7 +641,7 @@ def test_tuning_and_saving(rig, ros, listen, tmp_path):
     )
     heard = listen(SETTINGS_TOPIC, String)
     heard.wait()
-    # Also of a value that no speed depends on.
+    # Also for a value that does not affect the speeds.
     client.update_configuration({"table_q_s": 0.22})
     client.update_configuration({"table_q_s": 0.21})
     wait_for(lambda: len(heard) >= 3)
@@ -662,7 +662,7 @@ def test_tuning_and_saving(rig, ros, listen, tmp_path):
     assert saved["q_s"] == shipped["pure_pursuit"].q_s
     rig.driving()
 
-    # An impossible change is rejected, and the answer has the values in use.
+    # An impossible change is rejected; the answer has the values in use.
     answer = client.update_configuration({"lookahead_min_m": 4.0, "lookahead_max_m": 1.0})
     assert answer["lookahead_min_m"] == shipped["map"].lookahead_min_m
     assert "reconfigure rejected" in rig.node.output
@@ -672,7 +672,7 @@ def test_tuning_and_saving(rig, ros, listen, tmp_path):
 
 
 def test_values_beyond_their_sliders_are_rejected_and_those_in_use_stay(rig):
-    """9.5 for 0.95 must not drive at the limit of the slider, beyond the tires."""
+    """9.5 instead of 0.95 must not be clamped to the end of the slider, beyond the grip."""
     rig = rig({"controller": "map"})
     client = Client("/controller/tuning", timeout=10.0)
     held = client.get_configuration(timeout=10.0)
@@ -681,7 +681,7 @@ def test_values_beyond_their_sliders_are_rejected_and_those_in_use_stay(rig):
     for one in offered:
         if one["type"] == "double":
             for value in (10.0 * one["max"] + 0.1, one["min"] - 0.1):
-                # Nor is any other change of the same request made.
+                # Other changes of the same request are rejected, too.
                 answer = client.update_configuration({"max_jump_m": 0.6, one["name"]: value})
                 assert all(answer[name] == held[name] for name in names), one["name"]
                 bounds = f"{one['name']}: expected {one['min']:g} to {one['max']:g}, got {value:g}"
@@ -690,7 +690,7 @@ def test_values_beyond_their_sliders_are_rejected_and_those_in_use_stay(rig):
 
 
 def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders(ros, rig):
-    """Whatever an earlier run left on the parameter server; no slider clamps another value."""
+    """Leftovers on the parameter server are ignored, and sliders clamp no other values."""
     ros.set_param("/controller/tuning/speed_scale", 1.5)
     rig = rig({"delay_s": 0.7, "speed_scale": 0.6})
     client = Client("/controller/tuning", timeout=10.0)
@@ -700,7 +700,7 @@ def test_tuning_starts_with_the_values_in_use_and_keeps_those_beyond_its_sliders
     assert "rejected" not in rig.node.output
     assert "~delay_s = 0.7 (Delay compensation" in rig.node.output
     assert "~hold_s = 2.0 (Time for which" in rig.node.output
-    assert "commanded to stand [s], default)" in rig.node.output
+    assert "sent commands of speed 0 [s], default)" in rig.node.output
 
 
 def test_sliders_are_those_of_the_parameters(rig):
@@ -720,7 +720,7 @@ def test_sliders_are_those_of_the_parameters(rig):
 
 
 def test_the_latency_script(roscore, processes, request):
-    """Only that it measures; whether a busy machine keeps to the limits is no matter of a test."""
+    """It runs and measures; a busy machine may exceed the limits."""
     script = request.config.rootpath / "scripts" / "latency"
     options = ["--seconds", "1", "--tuning", "--dropouts", "1", "--load", "1"]
     run = processes([sys.executable, script, *options])
@@ -731,7 +731,7 @@ def test_the_latency_script(roscore, processes, request):
 
 
 def test_the_soak_script(roscore, processes, request):
-    """Only that it measures; what grows takes an hour to show."""
+    """It runs and measures; growth would take an hour to show."""
     script = request.config.rootpath / "scripts" / "soak"
     run = processes([sys.executable, script, "--minutes", "0.1", "--samples", "2"])
     assert run.wait(120.0) in (0, 1)

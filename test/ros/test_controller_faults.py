@@ -1,4 +1,4 @@
-"""The running controller among neighbors that do what they should not."""
+"""The running controller with faulty neighbors."""
 
 import itertools
 import math
@@ -19,7 +19,7 @@ from map_racing.track.files.load import load_raceline
 
 
 def assert_sane(rig, v_max=12.0):
-    """Nothing that was commanded or logged so far is nonsense."""
+    """All commands and log lines so far are sane."""
     for message in list(rig.drive):
         speed, angle = message.drive.speed, message.drive.steering_angle
         assert 0.0 <= speed <= v_max * (1.0 + 1e-6), speed
@@ -46,7 +46,7 @@ def poses_only(ros, start, advertise, listen):
 
 
 def test_frozen_poses_without_velocity(poses_only):
-    """With fresh stamps, and then without any."""
+    """First with fresh stamps, then with none."""
     rig = poses_only()
     rig.driving()
     for stamped in (True, False):
@@ -60,14 +60,15 @@ def test_frozen_poses_without_velocity(poses_only):
             return message
 
         rig.car.change = freeze
-        # The ramp is tested call by call: poses that a busy computer holds back leave gaps in it.
+        # The ramp itself is tested call by call: on a busy computer, delayed poses leave gaps in
+        # it.
         rig.wait_mode("stopped", "pose frozen while moving")
         rig.car.change = lambda message: message
         rig.driving()
 
 
 def test_poses_of_two_nodes(rig, start):
-    """A second localization, elsewhere: the car keeps to the first, and the log names both."""
+    """With a second localization elsewhere, the car follows the first, and the log names both."""
     rig = rig()
     rig.driving()
     start("simulator", {"start_s": 20.0})
@@ -79,7 +80,7 @@ def test_poses_of_two_nodes(rig, start):
 
 
 def test_quaternions_of_any_length(rig, listen):
-    """Some stacks fill in w alone, or round: the heading is the same, and it is reported."""
+    """Some stacks fill in only w, or round: the heading is the same, and the log reports it."""
     rig = rig()
     lengths = itertools.cycle((0.5, 1.05, 2.0, 3.0))
 
@@ -94,7 +95,7 @@ def test_quaternions_of_any_length(rig, listen):
     wait_for(lambda: len(guidance) > 100)
     raceline = rig.car.raceline
     for message in list(guidance):
-        # The state is the one after the delay: the car is then somewhere else on the line.
+        # The state is predicted over the delay, so it is at another place on the line.
         along = raceline.pose(message.s).psi
         assert abs(math.remainder(message.psi - along, math.tau)) < 0.1
     assert "quaternions of length" in rig.node.output
@@ -112,8 +113,8 @@ def test_a_raceline_the_other_way_round_waits_for_the_car_to_stand(rig, advertis
     turned.wpnts = turned.wpnts[::-1]
     publisher.publish(turned)
     rig.wait_mode("stopped", "raceline against the motion")
-    assert "runs against the motion of the car: it has to stand first" in rig.node.output
-    # Back again, it drives on.
+    assert "runs against the motion of the car: it has to stop first" in rig.node.output
+    # With the original raceline again, it drives on.
     publisher.publish(message)
     rig.driving()
     assert_sane(rig)
@@ -167,7 +168,7 @@ def test_nonsense_by_live_tuning(rig):
 
 
 def test_absurd_speeds_of_a_raceline(rig, advertise):
-    """What can be a number of meters per second is limited, what cannot stops the car."""
+    """Large speeds are limited; values that are no speeds stop the car."""
     rig = rig({"raceline": None, "v_max_mps": 2.5})
     message = waypoints(load_raceline("reference"))
     publisher = advertise("/global_waypoints", waypoint_array_class()[0])
@@ -196,7 +197,7 @@ def test_a_huge_raceline_while_driving(rig, advertise):
 
 
 def test_another_frame(rig):
-    """The wheels' odometry in place of the pose in the map; what its name is does no harm."""
+    """Wheel odometry instead of the pose in the map; a nasty frame name does no harm."""
     rig = rig()
 
     def in_odom(message):
@@ -258,7 +259,7 @@ controller.main()
 
 @pytest.mark.parametrize("step", [3600.0, -2.0])
 def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step):
-    """All nodes of a computer jump; the car is not told to stop dead."""
+    """The clock of all nodes jumps; the car must not stop abruptly."""
     ros.set_param("/controller/raceline", "reference")
     ros.set_param("/controller/max_pose_age_s", 0.8)
     file = tmp_path / "step"
@@ -275,7 +276,7 @@ def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step
         car.now = lambda: now() + ros.Duration.from_sec(step)
         rig.more(50)
         rig.driving()
-        # A stop begins at the speed that the car has, if it was told to be faster.
+        # A stop begins at the measured speed if the command was higher.
         speeds = [min(m.drive.speed, car.speed) for m in rig.drive]
         begin = next(k for k, v in enumerate(speeds) if v > 1.0)
         falls = [a - b for a, b in zip(speeds[begin:], speeds[begin + 1 :])]
@@ -286,7 +287,7 @@ def test_the_wall_clock_is_set(ros, processes, advertise, listen, tmp_path, step
 
 
 def test_an_interrupt_while_it_asks_the_master(processes, roscore):
-    """As Ctrl-C in the first second, which is spent on questions to the master."""
+    """Ctrl-C in the first second, which is spent on requests to the master."""
     code = """
 import os, signal, threading, xmlrpc.client
 request, count = xmlrpc.client.Transport.single_request, [0]
@@ -315,7 +316,7 @@ def test_without_a_master_it_says_so_and_can_be_interrupted(processes, roscore):
 
 
 def test_an_interrupt_while_it_looks_for_a_master(processes, roscore):
-    """rosgraph takes any exception, KeyboardInterrupt too, for a master that does not answer."""
+    """rosgraph treats any exception, even KeyboardInterrupt, as a master that does not answer."""
     code = """
 import os, signal, rosgraph
 def interrupted(self):
@@ -331,7 +332,7 @@ controller.main()
 
 
 def test_the_master_goes_and_comes_again(roscore, processes, tmp_path):
-    """What is connected stays so: the car drives on, and the log tells what does not work now."""
+    """Existing connections stay: the car drives on, and the log says what no longer works."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -355,7 +356,7 @@ controller.main()
     core.stop()
     wait_for(lambda: f"the ROS master at {uri} does not answer" in node.output, 30.0)
     master()
-    wait_for(lambda: "started again and does not know this node" in node.output, 30.0)
+    wait_for(lambda: "restarted and does not know this node" in node.output, 30.0)
     assert "stop" not in node.output.rpartition("[INFO] driving")[2]
     node.signal(signal.SIGINT)
     assert node.wait() == 0

@@ -1,4 +1,4 @@
-"""Messages to the core's types and back; no master is needed here but for the subscriber."""
+"""Messages to the package's types and back; only the subscriber needs a master."""
 
 import io
 import math
@@ -102,7 +102,7 @@ def test_lateral_velocity_that_is_never_sent_is_unknown():
 
 
 def test_a_transform_without_rotation_is_no_pose(ros, advertise, start, listen):
-    """Zeros that nobody filled in are no heading along x."""
+    """Zeros that were never filled in are not a heading along x."""
     start("controller", {"raceline": "reference", "pose_source": "tf"})
     publisher, diagnostics = advertise("/tf", TFMessage), listen("/diagnostics", DiagnosticArray)
     transform = TransformStamped(child_frame_id="base_link")
@@ -120,7 +120,7 @@ def test_a_transform_without_rotation_is_no_pose(ros, advertise, start, listen):
 
 
 class Received:
-    """What rospy hands to a subscriber of AnyMsg."""
+    """A message as rospy passes it to a subscriber of AnyMsg."""
 
     def __init__(self, message, kind="f110_msgs/WpntArray", definition=None):
         buffer = io.BytesIO()

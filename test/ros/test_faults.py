@@ -8,13 +8,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness import wait_for
 from map_racing.srv import InjectFault
 
-# A schedule with a fault at the start that is over before the car moves.
+# A schedule whose fault ends before the car moves.
 SCHEDULE = "faults: [{fault: pose_nan, at_s: 0.1, for_s: 0.2}]\n"
 
 
 @pytest.fixture
 def nodes(ros, start, listen, tmp_path):
-    """Simulator and controller in real time; what the controller says, and the service."""
+    """Simulator and controller in real time; gives the controller's messages, and the service."""
     path = tmp_path / "faults.yaml"
     path.write_text(SCHEDULE)
     diagnostics = listen("/diagnostics", DiagnosticArray)
@@ -59,7 +59,7 @@ def test_faults_by_name(nodes):
     assert inject("", 0.0, 0.0).message == "all faults end"
     wait_mode("driving")
 
-    # Another publisher is another node: the first counts, the log names both.
+    # The second publisher is another node: the first counts, the log names both.
     assert inject("second_publisher", 0.0, 3.0).success
     text = "/odom: /simulator_second publishes it, too; only /simulator counts"
     wait_for(lambda: text in controller.output, 20.0, "the error")

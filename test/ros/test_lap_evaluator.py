@@ -1,4 +1,4 @@
-"""The live evaluator: the same laps as those of the recording, however the messages come."""
+"""The live evaluator: the same laps as from the recording, however the messages arrive."""
 
 import csv
 import math
@@ -27,7 +27,7 @@ from map_racing.track.files.waypoints import waypoint_rows
 from map_racing.vehicle.parameters import load_vehicle
 
 REMAPS = {"odom": "/car_state/odom", "pose": "/car_state/pose", "drive": DRIVE_TOPIC}
-# The evaluator without the node that draws.
+# The evaluator without the visualizer.
 ALONE = {"visualize": "false"}
 SAME = 1e-6
 T0 = 1600000000.0
@@ -77,7 +77,7 @@ def offline(path, **options):
 
 
 def differences(laps, others):
-    """Largest differences of the numbers of two lists of laps by column; texts must be equal."""
+    """Largest numeric differences of two lists of laps by column; texts must be equal."""
     assert [row["lap"] for row in laps] == [row["lap"] for row in others]
     largest = {}
     for row, other in zip(laps, others):
@@ -118,8 +118,8 @@ def evaluator(start):
 
 
 def playing(processes, bag, rate=20):
-    """Begin to play a bag."""
-    # A queue that holds what a busy computer cannot take at once: nothing may be lost.
+    """Start playing a bag."""
+    # A long queue for a busy computer: nothing may be lost.
     options = ["--quiet", "--clock", "--queue=10000", "--delay=1", f"--rate={rate}"]
     return processes(["rosbag", "play", *options, bag])
 
@@ -131,7 +131,7 @@ def play(processes, bag):
 
 
 def stop(node):
-    """End the node as roslaunch does, after it has had the time to read what was sent."""
+    """End the node as roslaunch does, after it has had time to read all messages."""
     time.sleep(1.0)
     assert node.stop() == 0, node.output
     return node.output
@@ -146,25 +146,25 @@ def test_replay_is_offline(race_bag, evaluator, processes, tmp_path):
 
 
 def test_live_is_replay_is_offline(launch, listen, tmp_path):
-    """The lap of a simulated race: as it was driven, from its bag, and offline."""
+    """The lap of a simulated race: live, from a replay of its bag, and offline."""
     table = tmp_path / "live.csv"
-    # A busy computer would stop the car for late poses, or be later than laps wait for a command:
-    # time waits for the controller, and laps wait longer.
+    # On a busy computer, late poses would stop the car, and commands come later than laps wait for
+    # them: so time waits for the controller, and laps wait longer.
     rosgraph.Master("/test").setParam("/lap_evaluator/patience", 30.0)
     record = {"record": "true", "record_to": tmp_path / "race"}
     paced = {"clock_rate": 2, "lockstep": "true"}
     race = launch("simulate.launch", speed_scale=0.8, csv=table, **record, **paced, **ALONE)
     listen("/lap_result", LapResult).wait(lambda result: result.laps_completed == 1, 90.0)
     time.sleep(1.0)
-    # Longer than roslaunch waits before it uses force, so that it can name the node.
+    # Longer than roslaunch waits before it kills a node, so that it can name the node.
     assert race.stop(30.0) == 0, race.output
     assert "escalating" not in race.output, race.output
     (bag,) = tmp_path.glob("race*.bag")
     expected = offline(bag)
     assert [row["valid"] for row in expected] == [False, True, False]
     assert expected[1]["speed_reference"] == "command"
-    # The recorder and the node did not begin and end with the same pose: only laps can be equal,
-    # counted in time from their own beginnings.
+    # Recorder and node did not begin and end with the same pose: only complete laps can be equal,
+    # with times relative to their beginnings.
     assert_same([relative(rows(table)[1])], [relative(expected[1])])
 
     table = tmp_path / "replay.csv"
@@ -174,7 +174,7 @@ def test_live_is_replay_is_offline(launch, listen, tmp_path):
 
 
 def test_a_replay_without_stamps_is_offline(log, launch, tmp_path):
-    """Poses and commands with stamp 0: the times are those of receipt, to the nanosecond."""
+    """Poses and commands with stamp 0: times are those of receipt, to the nanosecond."""
     bag, table = tmp_path / "race.bag", tmp_path / "laps.csv"
     line = load_raceline("reference")
     with BagWriter(bag) as writer:
@@ -194,7 +194,7 @@ def test_a_replay_without_stamps_is_offline(log, launch, tmp_path):
 
 
 def relative(row):
-    """A lap without its place in the run."""
+    """A lap without its position in the run."""
     return {name: v for name, v in row.items() if name not in ("start_time_s", "end_time_s")}
 
 
@@ -220,7 +220,7 @@ def test_a_bag_in_a_loop_is_run_after_run(race_bag, launch, listen, tmp_path):
         assert_same(rows(table, run), expected)
         assert [r.lap for r in results if r.run == run] == [0, 1, 2, 3]
     replay.stop()
-    # The lap that the shutdown cuts off is published, written and summed up, too.
+    # The lap cut off by the shutdown is published, written and included in the summary, too.
     last = max(int(row["run"]) for row in all_rows(table))
     written = [int(row["lap"]) for row in rows(table, last)]
     wait_for(lambda: [r.lap for r in results if r.run == last] == written, what="the last lap")
@@ -272,7 +272,7 @@ def test_a_start_line_beyond_the_lap_is_refused(race_bag, evaluator, processes):
 
 
 def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, listen, tmp_path):
-    """Poses in a frame of odometry, and some in another frame in between."""
+    """Poses in an odometry frame, and some in another frame in between."""
     bag, table = tmp_path / "odom.bag", tmp_path / "laps.csv"
     line, v = load_raceline("reference"), 6.0
     with BagWriter(bag) as writer:
@@ -289,7 +289,8 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
     laps = rows(table)
     assert [row["valid"] for row in laps] == ["False", "True", "True", "False"]
     doubts = (
-        "/car_state/odom is in frame odom, which drifts against the map: the lateral errors are "
+        "/car_state/odom is in frame odom, which drifts relative to the map: the lateral errors "
+        "are "
         "not those on the track; /car_state/odom: messages in another frame, map, left out: only "
         "odom counts"
     )
@@ -300,7 +301,7 @@ def test_what_makes_laps_doubtful_stands_beside_them(evaluator, processes, liste
 
 
 def test_poses_that_are_in_the_map_only_later(evaluator, processes, tmp_path):
-    """A new run begins, with the laps that the bag has; those in the frame before were another."""
+    """A new run begins, with the laps of the bag; those in the earlier frame were another run."""
     bag, table = tmp_path / "run.bag", tmp_path / "laps.csv"
     line, v = load_raceline("reference"), 6.0
     with BagWriter(bag) as writer:
@@ -362,7 +363,7 @@ def test_no_lap_is_lost_when_the_node_is_killed(race_bag, evaluator, processes, 
 
 
 def test_what_was_sent_is_evaluated_before_the_end(race_bag, evaluator, processes, tmp_path):
-    """The node, held up as by a busy computer, has not read it all when it is told to end."""
+    """The node, delayed as on a busy computer, has not read everything when it is told to end."""
     table = tmp_path / "laps.csv"
     node = evaluator({"csv": str(table)})
     player = playing(processes, race_bag, rate=10)

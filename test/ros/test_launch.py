@@ -32,7 +32,7 @@ STACKS = {
     "f1tenth_simulator": ("/odom", "/drive"),
 }
 NEEDED = {"replay": ["bag:=run.bag"], "identify": []}
-# Launches start what they are about: each node takes most of a second to start.
+# Start only the nodes that a test is about: each takes most of a second.
 BARE = {"evaluate": "false", "visualize": "false"}
 EVALUATED = {"visualize": "false"}
 MAIN_NODE = {
@@ -79,13 +79,13 @@ def test_every_argument_is_documented(folder):
     assert {file.stem for file in files} == {*MAIN_NODE, "nodes"}
     for file in files:
         for argument in ElementTree.parse(file).getroot().iter("arg"):
-            # Those with a value pass on or work out, and cannot be set.
+            # Arguments with a value are passed on or computed, and cannot be set.
             if "value" not in argument.attrib:
                 assert argument.get("doc"), f"{file.name}: {argument.get('name')}"
 
 
 def test_every_argument_that_counts_is_listed(folder):
-    """roslaunch --ros-args lists what a file declares itself, not what it passes on."""
+    """roslaunch --ros-args lists only what a file itself declares."""
     topics = {"odom", "pose", "drive", "waypoints"}
     expected = {
         "race": {*topics, "imu", "reference_point", "vehicle", "car_width"},
@@ -96,7 +96,7 @@ def test_every_argument_that_counts_is_listed(folder):
     for file, names in expected.items():
         own = ElementTree.parse(folder / f"{file}.launch").getroot().findall("arg")
         assert names <= {argument.get("name") for argument in own}, file
-        # What cannot be set is not listed as an argument to set.
+        # Arguments that cannot be set are not listed.
         assert not [argument.get("name") for argument in own if "value" in argument.attrib]
         listed = get_args([str(folder / f"{file}.launch")])
         assert names <= set(listed), file
@@ -122,7 +122,7 @@ def test_laps_and_drawing_are_of_the_car_that_is_named(config_of):
 
 
 def test_a_misspelled_argument_is_refused(launch):
-    """roslaunch ignores it: the car would drive at the speed of the controller's file."""
+    """roslaunch ignores it, and the car would drive at the speed of the controller's file."""
     race = launch("race.launch", speedscale=0.3)
     race.wait(60.0)
     told = "lists, got speedscale (like speed_scale)"
@@ -137,7 +137,7 @@ def test_arguments_that_a_file_has_are_not_refused(folder, file):
     check_launch_arguments([*words, *(f"{one.get('name')}:=1" for one in own), "__ns:=a"])
     with pytest.raises(ParameterError, match=f"roslaunch {file}.launch: .* got nonsense"):
         check_launch_arguments([*words, "nonsense:=1"])
-    # What launches other files may have others.
+    # Other launch files may have other arguments.
     check_launch_arguments([*words[:3], "my_car", "race.launch", "nonsense:=1"])
     check_launch_arguments([*words[:3], "my.launch", "nonsense:=1"])
     check_launch_arguments(["bash", "map_racing", f"{file}.launch", "nonsense:=1"])
@@ -148,10 +148,10 @@ def test_arguments_that_a_file_has_are_not_refused(folder, file):
     [("race", "drive_car:=false"), ("race", "drive_topic:=/drive"), ("rviz", "track:=club")],
 )
 def test_an_argument_that_does_not_count_is_refused(file, word):
-    """A launch file sets it on its way, works it out or does not pass it on."""
+    """A launch file overrides it, computes it or does not pass it on."""
     with pytest.raises(ParameterError, match=f"got {word.partition(':')[0]}"):
         check_launch_arguments(["roslaunch", "map_racing", f"{file}.launch", word])
-    # One that is passed on counts.
+    # An argument that is passed on counts.
     check_launch_arguments(["roslaunch", "map_racing", "race.launch", "evaluate:=false"])
 
 
@@ -175,7 +175,7 @@ def test_another_stack_is_refused(nodes_of):
 
 @pytest.mark.parametrize("stack", ["f1tenth_system", "f1tenth_simulator"])
 def test_topics_of_a_stack(launch, stack, listen, tmp_path):
-    """And a saved controller keeps its speed: its file holds where the launch says nothing."""
+    """And a saved controller keeps its speed unless the launch sets one."""
     from nav_msgs.msg import Odometry
 
     path = tmp_path / "tuned.yaml"
@@ -190,9 +190,9 @@ def test_topics_of_a_stack(launch, stack, listen, tmp_path):
 
 
 def test_relative_paths_are_those_of_the_shell(roscore, processes, tmp_path):
-    """A raceline, the laps and the bag; and a missing raceline ends the launch.
+    """Raceline, laps and bag; and a missing raceline ends the launch.
 
-    With a topic of one's own.
+    With a custom topic.
     """
     track = config_directory() / "tracks" / "reference.csv"
     (tmp_path / "mine.csv").write_text(track.read_text())
@@ -228,6 +228,18 @@ def test_a_missing_bag_is_one_line(launch, tmp_path):
     assert "Error reading" not in replay.output
 
 
+def test_a_replay_without_a_bag_or_a_place_for_its_laps_ends_with_the_reason(launch, tmp_path):
+    replay = launch("replay.launch", **BARE)
+    replay.wait(60.0)
+    assert "play: bag: expected its name, got none" in replay.output
+    bag = tmp_path / "run.bag"
+    assert main(["race", "--laps", "1", "--output", str(bag)]) == 0
+    replay = launch("replay.launch", bag=bag, csv=tmp_path / "none" / "laps.csv", **EVALUATED)
+    replay.wait(120.0)
+    assert f"{tmp_path / 'none' / 'laps.csv'}: cannot write: No such file" in replay.output
+    assert "did not subscribe" not in replay.output and "no time on /clock" not in replay.output
+
+
 def test_a_replay_of_other_topics_says_so(launch, tmp_path):
     """The bag of one stack on the topics of another."""
     bag = tmp_path / "run.bag"
@@ -239,7 +251,7 @@ def test_a_replay_of_other_topics_says_so(launch, tmp_path):
 
 
 def laps_of(bag, report):
-    """Valid laps of a bag, as evaluated without ROS."""
+    """Valid laps of a bag, evaluated without ROS."""
     assert main(["evaluate", str(bag), "--json", str(report)]) == 0
     (run,) = json.loads(report.read_text())["runs"]
     return [lap for lap in run["laps"] if lap["valid"]]
@@ -254,7 +266,7 @@ def test_three_laps_as_in_the_core_recorded_in_a_bag_that_evaluates(launch, list
     written = {"csv": tmp_path / "laps.csv", "record": "true", "record_to": tmp_path / "run"}
     process = launch("simulate.launch", clock_rate=4, lockstep="true", **written)
     inbox.wait(lambda lap: lap.laps_completed == 3, 90.0)
-    # The layouts for plots show topics that are really there.
+    # The layouts for plots show topics that really exist.
     sent = dict(rospy.get_published_topics())
     assert {topic: sent.get(topic) for topic in TYPES} == TYPES
     laps = [lap for lap in inbox if lap.valid]
@@ -264,17 +276,17 @@ def test_three_laps_as_in_the_core_recorded_in_a_bag_that_evaluates(launch, list
         assert live.lap_time_s == pytest.approx(core["lap_time_s"], rel=0.01)
         assert live.rms_lateral_error_m == pytest.approx(core["rms_lateral_error_m"], abs=0.01)
         assert live.max_abs_lateral_error_m < core["max_abs_lateral_error_m"] + 0.05
-    # Each lap is in the file when it is published.
+    # Each lap is in the file by the time it is published.
     assert len((tmp_path / "laps.csv").read_text().splitlines()) == 1 + len(inbox)
 
     process.stop(30.0)
     (bag,) = tmp_path.glob("run*.bag")
-    # What it was driven with is in it, and so is what the report needs to know of the car.
+    # The bag has the settings, and what the report needs to know about the car.
     remarks = read_remarks(bag, load_recording(bag))
     settings = parse_settings(remarks.settings[-1][1])
     assert settings.controller is not None and settings.vehicle is not None
     assert "driving" in [text for _, text in remarks.states]
-    # The recorder may begin late and end early: of three laps it has one at least.
+    # The recorder may begin late and end early: it has at least one of three laps.
     offline = laps_of(bag, report)
     assert offline
     for lap in offline:

@@ -1,4 +1,4 @@
-"""A log that nobody takes must not hold up the nodes that drive, nor fail them."""
+"""A blocked or closed log must neither delay nor stop the nodes that drive."""
 
 import fcntl
 import os
@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 
 def clog(write):
     """Fill a pipe."""
-    # Another description of it: the node's own still blocks.
+    # A separate file description: the node's own stays blocking.
     other = os.open(f"/proc/self/fd/{write}", os.O_WRONLY | os.O_NONBLOCK)
     try:
         while True:
@@ -26,7 +26,7 @@ def clog(write):
 
 @pytest.fixture(params=["stuck", "closed"])
 def piped(request, roscore):
-    """``piped("controller")`` starts a node that logs to a pipe, and returns what breaks it."""
+    """``piped("controller")`` starts a node that logs to a pipe, with a way to break the pipe."""
     nodes = []
 
     def start(name, *arguments):

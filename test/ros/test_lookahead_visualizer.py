@@ -1,4 +1,4 @@
-"""The visualizer draws the guidance that it is told of, and cleans up after itself."""
+"""The visualizer draws the guidance that it receives, and cleans up after itself."""
 
 import itertools
 import math
@@ -73,7 +73,7 @@ def drawing(start, listen, advertise, ros):
     publisher = advertise("/guidance", Guidance)
     while not any(topic == "/lookahead_markers" for topic, _ in ros.get_published_topics()):
         ros.sleep(0.05)
-    # Markers are made only for those who look: wait until the node knows of this test.
+    # Markers are made only for subscribers: wait until the node knows this one.
     probe = guidance(0)
     while not (inbox and point):
         probe.header.stamp += ros.Duration(0.1)
@@ -85,7 +85,7 @@ def drawing(start, listen, advertise, ros):
         assert node.running, node.output
         for message in messages:
             publisher.publish(message)
-            # Slower than the node, which shows the latest and may leave out what is old.
+            # Slower than the node, which shows the latest message and may skip old ones.
             time.sleep(0.01)
         inbox.wait(lambda _: inbox[-1].markers[0].pose.position.x == message.lookahead_x)
         return Screen(inbox)
@@ -218,7 +218,7 @@ def test_the_raceline_of_whoever_publishes_it_is_drawn(start, listen):
     for one, other in zip(drawn[1:], expected[1:]):
         assert len(one.points) == len(other.points)
         for p, q in zip(one.points, other.points):
-            # The curve through the published points is not exactly that through the file's.
+            # The curve through the published points differs slightly from the file's.
             assert math.hypot(p.x - q.x, p.y - q.y) < (1e-3 if one.ns == "raceline" else 5e-3)
 
 
@@ -244,9 +244,9 @@ def test_the_raceline_has_the_colors_of_the_speeds_that_are_driven(start, listen
         line = next(m for m in drawn[-1].markers if m.ns == "raceline")
         return {(round(c.r, 2), round(c.g, 2), round(c.b, 2)) for c in line.colors}
 
-    # Two speeds, and where they change those between two waypoints.
+    # Two speeds, and interpolated ones where they change.
     wait_for(lambda: drawn and len(colors()) <= 8, what="the colors of two speeds")
-    # Speeds on another course are none of this one.
+    # Speeds of another track do not apply to this one.
     topics["driven_waypoints"].publish(array(wpnts=driven.wpnts[:100]))
     wait_for(lambda: len(colors()) > 20, what="the colors of the raceline's own speeds")
 
@@ -264,7 +264,7 @@ def test_what_cannot_be_is_one_line(parameters, text, refused):
 
 
 def test_slashes_before_frames_are_none(no_master):
-    """RViz knows no frame of such a name."""
+    """RViz knows no frames with a leading slash."""
     no_master.params.update({"~map_frame": "/map", "~base_frame": "/car/base_link"})
     node = lookahead_visualizer.LookaheadVisualizer()
     node._draw_raceline(load_raceline("reference"))

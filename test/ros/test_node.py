@@ -26,8 +26,8 @@ def simulated_time(ros):
 
 
 def test_simulated_time_that_does_not_run_is_named(simulated_time, start):
-    """Left on the parameter server by a simulation, it makes everything wait."""
-    # Interpreters of their own, in which each has to import all that it needs.
+    """A simulation may leave it on the parameter server; then everything waits."""
+    # Separate interpreters, in which each node must make all its imports.
     nodes = {name: start(name, python=sys.executable) for name in NODES}
     text = "/use_sim_time is true, but there is no time on /clock (nobody publishes it)"
     for name, node in nodes.items():
@@ -36,7 +36,7 @@ def test_simulated_time_that_does_not_run_is_named(simulated_time, start):
 
 @pytest.fixture
 def publish(ros):
-    """``publish("/odom", "nav_msgs/Odometry")``: as far as the master knows, another node does."""
+    """``publish("/odom", "nav_msgs/Odometry")`` registers another node's topic with the master."""
     uri, topics = "http://localhost:1/", []
     master = rosgraph.Master("/localization")
 
@@ -50,7 +50,7 @@ def publish(ros):
 
 
 def test_where_there_are_poses_is_told_if_they_do_not_come(publish, advertise):
-    """As the topics of a bag are when it is evaluated."""
+    """As for the topics of a bag during evaluation."""
     assert why_silent("/odom", "nav_msgs/Odometry") == "nobody publishes it"
     advertise("/driven_poses", Odometry, subscribers=0)
     assert why_silent("/odom", "nav_msgs/Odometry") == "nobody publishes it", "its own are none"
@@ -64,7 +64,8 @@ def test_where_there_are_poses_is_told_if_they_do_not_come(publish, advertise):
     for kind in ("nav_msgs/Odometry", "geometry_msgs/PoseStamped"):
         assert why_silent("/odom", kind) == f"nobody publishes it; there is {found}"
     assert why_silent("/clock", "rosgraph_msgs/Clock") == "nobody publishes it"
-    assert why_silent("/pf/pose/odom", "nav_msgs/Odometry").endswith("it, but none came")
+    silent = why_silent("/pf/pose/odom", "nav_msgs/Odometry")
+    assert silent.endswith("it, but no message has arrived")
     odom = "/car_state/odom (nav_msgs/Odometry), "
     wrong = why_silent("/car_state/odom", "geometry_msgs/PoseStamped")
     assert wrong.startswith("/localization publishes nav_msgs/Odometry there")

@@ -29,7 +29,7 @@ def test_package_and_python_have_one_version(request):
 
 
 def test_catkin_lint():
-    # The folder in the workspace: that of the checkout may have any name.
+    # Use the folder in the workspace: the checkout may have any name.
     output = run(
         *("/usr/bin/catkin_lint", "-W2", "--offline"),
         run("rospack", "find", "map_racing").strip(),
@@ -39,7 +39,7 @@ def test_catkin_lint():
 
 
 def test_the_install_space_is_complete(roscore, request, tmp_path):
-    """Built and installed apart from the checkout, it finds its data and its nodes run."""
+    """Installed outside of the checkout, the package finds its data and its nodes run."""
     root = request.config.rootpath
     source = tmp_path / "src" / "map_racing"
     source.mkdir(parents=True)
@@ -48,13 +48,13 @@ def test_the_install_space_is_complete(roscore, request, tmp_path):
     for name in ("config", "launch", "msg", "scripts", "src", "srv"):
         shutil.copytree(str(root / name), str(source / name))
     build = f"catkin_make install --cmake-args -DPYTHON_EXECUTABLE={sys.executable} -Wno-dev"
-    # Messages for Python alone: other languages are not what is installed here.
+    # Messages for Python only: other languages are not tested here.
     languages = {"ROS_LANG_DISABLE": "genlisp:geneus:gennodejs:gencpp"}
     run("bash", "-c", f"cd '{tmp_path}' && {build}", env={**os.environ, **languages})
     shutil.rmtree(str(tmp_path / "src"))
     shutil.rmtree(str(tmp_path / "devel"))
 
-    # A shell of its own: what the workspace of the tests has set must not help.
+    # A clean shell: the environment of the test workspace must not help.
     environment = {key: os.environ[key] for key in ("HOME", "ROS_MASTER_URI", "ROS_IP", "LANG")}
     environment["PATH"] = os.environ["PATH"]
 
@@ -66,7 +66,7 @@ def test_the_install_space_is_complete(roscore, request, tmp_path):
     assert where.startswith(f"{tmp_path}/install/")
     bag = tmp_path / "run.bag"
     installed(f"rosrun map_racing map-racing race --laps 1 --output {bag}")
-    assert "1 laps counted" in installed(f"rosrun map_racing map-racing evaluate {bag}")
+    assert "1 lap counted" in installed(f"rosrun map_racing map-racing evaluate {bag}")
     launched = installed("roslaunch --nodes map_racing simulate.launch rviz:=true")
     assert {"/simulator", "/controller", "/rviz"} <= set(launched.split())
     for node in ("controller", "lap_evaluator", "lookahead_visualizer", "raceline_publisher"):

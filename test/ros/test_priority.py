@@ -31,7 +31,7 @@ def test_all_threads_of_the_controller_have_it_where_it_is_permitted(start, list
     node = start("controller", {"raceline": "reference", "realtime_priority": wanted})
     granted = wanted and permitted()
     expected = KeyValue("priority", "real-time 1" if granted else "ordinary")
-    # On a busy computer the last words of the controller before come late.
+    # On a busy computer, the last messages of the previous controller come late.
     diagnostics.wait(
         lambda m: m.status[0].name == "controller: state" and expected in m.status[0].values
     )
@@ -41,7 +41,7 @@ def test_all_threads_of_the_controller_have_it_where_it_is_permitted(start, list
 
 @pytest.fixture
 def scheduler(monkeypatch, no_master):
-    """What is asked of the operating system, and what it answers."""
+    """Requests to the operating system, and its answers."""
     asked, answers = [], {}
 
     def take(thread, policy, parameter):
@@ -60,7 +60,7 @@ def test_each_thread_is_asked_for(scheduler):
     other = threading.Thread(target=waiting.wait)
     other.start()
     try:
-        # Threads may end meanwhile.
+        # Threads may have ended meanwhile.
         answers[other.native_id] = ProcessLookupError()
         assert priority.take_priority(7) == ""
     finally:

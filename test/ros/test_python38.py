@@ -1,7 +1,7 @@
-"""The nodes under the Python of a Noetic car, 3.8, where that interpreter exists.
+"""The nodes under Python 3.8, as on a Noetic car, if that interpreter exists.
 
-rospy and the messages are plain Python, so those of another Python serve; only packages that are
-plain Python are lent, so that a node that needed a compiled one would fail.
+rospy and the messages are plain Python, so another Python's can be used. Only pure-Python packages
+are shared, so a node that needs a compiled one would fail.
 """
 
 import importlib.util
@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 from map_racing.msg import LapResult
 
-# All of them are plain Python. rosservice, which dynamic_reconfigure needs, brings rosbag and what
-# that uses.
+# All pure Python. dynamic_reconfigure needs rosservice, which needs rosbag and its dependencies.
 LENT = (
     *("catkin", "dynamic_reconfigure", "genmsg", "genpy", "rosbag", "roscpp", "rosgraph"),
     *("roslib", "rosmsg", "rospkg", "rospy", "rosservice", "rostopic", "rosparam"),
@@ -27,7 +26,7 @@ LENT = (
 
 @pytest.fixture(scope="module")
 def car_python():
-    """The car's interpreter and libraries, as ./scripts/test prepares them beside these."""
+    """The car's interpreter and libraries, as prepared by ./scripts/test."""
     python = Path(sys.prefix).parent / "car" / "bin" / "python"
     version = "import sys; print('%d.%d' % sys.version_info[:2])"
     if not python.exists():
@@ -38,7 +37,7 @@ def car_python():
 
 @pytest.fixture
 def environment(tmp_path, roscore):
-    """Environment in which it finds ROS."""
+    """Environment in which the interpreter finds ROS."""
     folder = tmp_path / "lent"
     folder.mkdir()
     for name in LENT:

@@ -1,5 +1,5 @@
-"""RViz opens on the track that is driven and shows what a driver wants to see: a real one, on a
-screen in memory, looked at through a screenshot."""
+"""RViz opens on the track and shows what a driver needs: a real RViz on a virtual screen, checked
+in a screenshot."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ from map_racing.track.files.load import load_raceline, save_raceline
 from map_racing.track.raceline import Raceline
 
 SIZE = 1400, 760
-# Fewest pixels of each color. Lines are a pixel or two wide where they have it.
+# Fewest pixels of each color. Lines are one or two pixels wide at full color.
 EXPECTED = {
     "slow raceline": 20,
     "raceline": 40,
@@ -41,14 +41,14 @@ def near(picture, color, tolerance=0.06):
 
 
 def shaded(picture, color):
-    """Number of pixels of a color of which light and shadow made any brightness above a third."""
+    """Number of pixels of a color, shaded to any brightness above a third."""
     brightness = picture @ np.array(color) / np.dot(color, color)
     away = np.abs(picture - brightness[..., None] * np.array(color)).max(axis=2)
     return int(np.count_nonzero((away < 0.12 * brightness) & (brightness > 0.33)))
 
 
 def found(picture):
-    """Pixels of each thing."""
+    """Number of pixels of each item."""
 
     def speed(fraction):
         color = gradient(fraction)
@@ -69,7 +69,7 @@ def found(picture):
 
 @pytest.fixture
 def screen(processes, monkeypatch):
-    """A screen in memory as DISPLAY."""
+    """A virtual screen as DISPLAY."""
     read, write = os.pipe()
     os.set_inheritable(write, True)
     server = subprocess.Popen(
@@ -94,7 +94,7 @@ def extent(picture, color, tolerance=0.06):
 
 
 def elsewhere():
-    """The track reference, a quarter larger and at another place."""
+    """The track reference, 25 % larger and at another place."""
     line = load_raceline("reference")
     return Raceline(
         *(1.25 * line.x + 40.0, 1.25 * line.y - 25.0),
@@ -116,7 +116,7 @@ def a_map():
 
 def test_a_computer_without_rviz_is_told_so(monkeypatch):
     monkeypatch.setattr(open_rviz.shutil, "which", lambda name: None)
-    with pytest.raises(MapRacingError, match="there is no rviz here: sudo apt install"):
+    with pytest.raises(MapRacingError, match="rviz is not installed: sudo apt install"):
         open_rviz._Opener._open(None)
 
 
@@ -131,7 +131,7 @@ def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path)
     path = tmp_path / "rviz.png"
     for _ in range(20):
         subprocess.run(["import", "-window", "root", path], check=True)
-        # Behind menus and panels: only what is drawn in the map.
+        # Only the map view, without menus and panels.
         picture = imread(path)[70:-40, 370:-20, :3]
         counts = found(picture)
         if all(counts[name] >= EXPECTED[name] for name in EXPECTED):
@@ -140,7 +140,7 @@ def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path)
     print(f"{path}: pixels {counts}")
     missing = [name for name in EXPECTED if counts[name] < EXPECTED[name]]
     assert not missing, (missing, counts, str(path))
-    # The text above the whole track, which is as large as the window allows.
+    # The text is above the whole track, which is as large as the window allows.
     height, width = picture.shape[:2]
     beneath = extent(picture, LAP_TEXT_COLOR, 0.02)[1] + 10
     top, bottom, left, right = extent(picture[beneath:], WALL)

@@ -1,4 +1,4 @@
-"""The simulator against what it promises: time, commands, walls, and the core's own race."""
+"""The simulator keeps its promises: time, commands, walls, and the same race as without ROS."""
 
 import math
 
@@ -42,7 +42,7 @@ def command(speed, angle=0.0):
 
 @pytest.fixture
 def drive(ros, advertise):
-    """Drive under a constant command, as a controller at the poses' rate would."""
+    """Drive under a constant command, sent at the rate of the poses."""
     subscribers = []
 
     def begin(speed, angle=0.0):
@@ -87,8 +87,8 @@ def test_real_time_is_the_wall_clock(start, listen):
     start("simulator")
     odometry.wait(lambda _: len(odometry) > 40)
     subscriber.unregister()
-    # The plant's latency is 20 ms; a pose may be younger by no more than a step, and older only
-    # where this computer is busy.
+    # The plant's latency is 20 ms; a pose may be younger by at most a step, and older only if this
+    # computer is busy.
     assert 0.0175 < min(ages) < 1.0
 
 
@@ -101,7 +101,7 @@ def test_the_car_does_as_told_and_stops_when_nobody_does(start, listen, drive, t
     stopped = odometry.wait(
         lambda m: m.header.stamp > fast.header.stamp and m.twist.twist.linear.x < 0.05
     )
-    # 0.2 s of patience, then a time constant of 0.1 s, of which 2 m/s take some four.
+    # 0.2 s timeout, then a time constant of 0.1 s, of which stopping from 2 m/s takes about four.
     assert 0.2 < (stopped.header.stamp - fast.header.stamp).to_sec() < 1.5
 
 
@@ -122,7 +122,7 @@ def test_walls_and_the_way_back(start, listen, drive, advertise):
     hit = odometry[-1].header.stamp
     subscriber.unregister()
     still = odometry.wait(lambda m: (m.header.stamp - hit).to_sec() > 0.5)
-    assert abs(still.twist.twist.linear.x) < 0.3  # that is noise
+    assert abs(still.twist.twist.linear.x) < 0.3  # only noise
 
     start_pose = load_raceline("reference").pose(START_S)
     put = PoseWithCovarianceStamped()
@@ -154,7 +154,7 @@ def test_an_absurd_initial_pose_moves_nothing(start, listen, advertise, x):
 
 
 def test_lockstep_is_the_race_of_the_core(start, ros, advertise, listen):
-    """The same controller, car and noise give the same laps; only commands are float32 here."""
+    """The same controller, car and noise give the same laps, except that commands are float32."""
     raceline, vehicle = load_raceline("reference"), load_vehicle("nuc4")
     parameters = load_controller_parameters("map").with_(speed_scale=0.7)
     plant_parameters = load_plant("nuc4")

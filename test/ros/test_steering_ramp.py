@@ -27,7 +27,7 @@ def field(start, tmp_path):
 
 @pytest.fixture
 def hold(ros, advertise):
-    """Hold the dead-man button, as a joystick with repetition does, until told otherwise."""
+    """Hold the dead-man button, like a joystick with autorepeat, until released."""
     timers = []
 
     def begin(topic, kind, message):
@@ -169,7 +169,7 @@ def test_the_area_is_around_the_first_pose_that_is_one(poses, listen, ros):
 
 
 def test_a_pose_that_stays_while_the_car_moves_stops_it(poses, listen):
-    """Else the area would bound nothing."""
+    """Otherwise the car could leave the area unnoticed."""
     commands = listen("/drive", AckermannDriveStamped)
     speed = [0.0]
 

@@ -1,6 +1,6 @@
-"""Every way to a stop through the steering ramp node, call by call.
+"""Every code path to a stop in the steering ramp node, call by call.
 
-Here the node has neither a master nor threads; test_steering_ramp.py runs it as a process.
+Here the node has neither master nor threads; test_steering_ramp.py runs it as a process.
 """
 
 import math
@@ -25,7 +25,7 @@ FAST = {"~settle_s": 0.5, "~acceleration_mps2": 8.0, "~rate_radps": 0.1}
 
 
 class Hand:
-    """The wall clock, by which a hand holds the button."""
+    """The wall clock for the dead-man button."""
 
     def __init__(self, monkeypatch):
         self.time = 1000.0
@@ -33,7 +33,7 @@ class Hand:
 
 
 class Car:
-    """The node, and a car that does at once what it is told, on circles without slip."""
+    """The node, and a car that follows commands instantly, without slip."""
 
     def __init__(self):
         self.node = steering_ramp.SteeringRampNode()
@@ -104,7 +104,7 @@ def make(monkeypatch, no_master, hand):
 
 @pytest.fixture
 def car(make):
-    """It drives, with the button held."""
+    """A driving car, with the button held."""
     car = make(dead_man_timeout=1e6)
     car.node._on_enable(Bool(True))
     assert car.drive()[1] == 2.0 and car.state == (Mode.DRIVING, Reason.NONE)
@@ -112,9 +112,9 @@ def car(make):
 
 
 def assert_ramped(car, reason, **changes):
-    """The car stops by a ramp from 2 m/s, for this reason, and steers no harder than before.
+    """The car ramps down from 2 m/s for this reason, without steering more than before.
 
-    Where it is asked to, it brakes as hard as its grip allows (`a_brake_max_mps2` of ``map``).
+    On request it checks for the full braking of ``map`` (`a_brake_max_mps2`).
     """
     hardest = load_controller_parameters("map").a_brake_max_mps2
     hardest = hardest if reason is Reason.STOP_REQUESTED else 4.0
@@ -131,7 +131,7 @@ def assert_ramped(car, reason, **changes):
 
 
 def test_commands_are_stamped_in_order(car, monkeypatch):
-    """A stop without poses is stamped later than the late pose that comes after it."""
+    """A stop without poses has a later stamp than the late pose that follows."""
     monkeypatch.setattr(
         rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(car.clock.time))
     )
@@ -264,7 +264,7 @@ def test_a_rear_that_breaks_away_ends_the_ramp(make):
     car = make(dead_man=False, sides="left", radius=100.0)
     car.drive(1.0)
     assert car.node._phase is Phase.RAMPING
-    # Twice as fast as it turned when it settled.
+    # Twice the settled yaw rate.
     for _ in range(30):
         car.pose(turns=2.0 * car.speed * car.angle / 0.3)
     assert car.node._ramp.completed == 1 and car.angle < 0.2
@@ -287,7 +287,7 @@ def test_poses_that_the_controller_refuses_stop_this_as_well(car, changes, reaso
     assert f"{Mode.STOPPING.value}: {reason.value}" in "\n".join(
         text.replace("%s: %s ", "").replace(" ", ": ", 1) for text in car.said
     )
-    # It rests, and then begins the ramp anew.
+    # It stands, and then starts the ramp over.
     car.drive(1.0)
     assert car.drive()[1] == 2.0
 
@@ -342,7 +342,7 @@ def test_time_that_is_set_back_begins_the_ramp_anew(car, by):
     elif by != "pose":
         car.pose(frame="map")
         car.clock.time += 1.0
-    # A stop as any other, and from standstill on no step to where it was.
+    # An ordinary stop; from standstill, no step back to the former state.
     speeds = [car.speed] + [car.pose()[0].drive.speed for _ in range(20)]
     assert car.node._phase is Phase.STARTING and min(speeds) == 0.0
     hardest = load_controller_parameters("map").a_brake_max_mps2

@@ -1,7 +1,7 @@
-"""Every way to a stop through the controller node and the watchdog, call by call.
+"""Every code path to a stop in the controller node and the watchdog, call by call.
 
-Here the nodes have neither a master nor threads, so that faults can be put between any two calls;
-the other tests run them as processes.
+Here the nodes have neither master nor threads, so that faults can be inserted between any two
+calls; the other tests run them as processes.
 """
 
 import threading
@@ -121,13 +121,13 @@ def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
     ((latency, result),) = steps.calls
     assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._guidance.sent
     assert command.header.stamp.to_sec() == START and command.header.frame_id == "map"
-    # The step itself, for what was left; then the node, once the command is out.
+    # First the step itself for pending learning, then the node after sending the command.
     assert len(learns.calls) == 2
     assert car.state == (Mode.DRIVING, Reason.NONE) and command.drive.speed > 1.0
 
 
 def test_commands_are_stamped_in_order(car, monkeypatch):
-    """A stop without poses is stamped later than the late pose that comes after it."""
+    """A stop without poses has a later stamp than the late pose that follows."""
     monkeypatch.setattr(
         rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(car.clock.time))
     )
@@ -140,7 +140,7 @@ def test_commands_are_stamped_in_order(car, monkeypatch):
     assert stamps == sorted(set(stamps)) and len(stamps) > 10
     assert stamps[-1] == stamps[-2] + 1
     assert command.header.stamp.to_sec() == pytest.approx(late + 0.02)
-    # Nor is the header of the pose another one; and a clock that was set back is followed.
+    # The pose keeps its header, and a clock that was set back is followed.
     assert car.node._guidance.sent[-1]["header"].stamp.to_sec() == pytest.approx(late)
     for stamp in (START - 50.0, START - 51.0, START - 51.0):
         (command,) = car.pose(stamp=stamp)
@@ -178,7 +178,7 @@ def test_steps_of_the_clock_are_taken_from_the_stamps(car):
 
 
 def test_simulated_time_may_arrive_after_the_pose_of_that_time(car, monkeypatch):
-    """The pose waits for it, but no longer than one patience where stamps are in the future."""
+    """The pose waits for the clock, but only once if stamps stay in the future."""
 
     def at(t):
         monkeypatch.setattr(rospy.rostime, "_rostime_current", rospy.Time.from_sec(t))
@@ -194,7 +194,7 @@ def test_simulated_time_may_arrive_after_the_pose_of_that_time(car, monkeypatch)
     at(START)
     car.drive()
     assert car.state == (Mode.DRIVING, Reason.NONE)
-    assert car.node._supervisor.pose_age == 0.0 and len(waits) == 15  # all but the first
+    assert car.node._supervisor.pose_age == 0.0 and len(waits) == 15  # all except the first
     monkeypatch.setattr(time, "sleep", waits.append)
     monkeypatch.setattr(controller, "CLOCK_PATIENCE_S", 0.0)
     car.drive(0.25)
@@ -215,7 +215,7 @@ def test_stamps_in_the_future_hold_up_one_pose_until_time_follows_again(car, mon
         rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(at[0] + 0.01 * len(waits)))
     )
     car.pose(stamp=START + 50.0)
-    assert waits == []  # real time does not wait for anybody
+    assert waits == []  # no waiting in real time
     monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: False)
     counts = []
     for stamp in (START + 50.0, START + 50.0, START - 1.0, START + 50.0):
@@ -242,7 +242,7 @@ def test_a_failure_of_the_controller_stops_by_a_ramp_until_resumed(car, monkeypa
     assert command.drive.speed == SPEED - 4.0 * PERIOD
     assert "the control step failed: ZeroDivisionError" in car.said[-2]
     assert "(test_stop_paths.py:" in car.said[-2] and "in failing)" in car.said[-2]
-    # The controller works again, but is not asked.
+    # The controller works again, but is not called.
     steps = Spy(monkeypatch, car.node._controller, "step")
     car.drive(3.0)
     assert car.state == (Mode.STOPPED, Reason.FAILURE) and not steps.calls
@@ -320,7 +320,7 @@ def test_a_clock_that_is_set_back_stops_the_car_where_no_more_poses_come(car, mo
     assert speeds[0] == SPEED - 4.0 * 0.05 and speeds[-1] == 0.0
     assert car.state == (Mode.STOPPED, Reason.NO_POSE)
     assert car.last[0] == pytest.approx(angle, abs=0.1)
-    # Nor is it forgotten at the end that it drove.
+    # At the end, the node still remembers that it drove.
     count = len(car.sent)
     car.node._end()
     assert [message.drive.speed for message in car.sent[count:]] == [0.0] * 5
@@ -343,13 +343,13 @@ def asked(stop, sender="/referee"):
 
 
 def test_a_node_withdraws_its_own_stop_only(car, caplog):
-    """Several may watch over the car, and publish false as long as nothing is wrong."""
+    """Several nodes may supervise the car, and publish false as long as nothing is wrong."""
     car.drive()
     car.node._on_stop_topic(asked(True, "/obstacles"))
     car.node._on_stop_topic(asked(False, "/referee"))
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.STOP_REQUESTED)
-    assert "false from /referee, but /obstacles asked for the stop" in caplog.text
+    assert "false from /referee, but /obstacles requested the stop" in caplog.text
     car.node._on_stop_topic(asked(True, "/referee"))
     car.node._on_stop_topic(asked(False, "/obstacles"))
     car.pose()
@@ -371,7 +371,7 @@ def test_the_topic_stops_and_lets_drive(car):
     car.node._on_stop(None)
     car.node._on_stop_topic(asked(False))
     car.pose()
-    assert car.state[1] is Reason.STOP_REQUESTED  # by the service, still
+    assert car.state[1] is Reason.STOP_REQUESTED  # still stopped by the service
     car.node._on_resume(None)
     car.pose()
     assert car.state == (Mode.DRIVING, Reason.NONE)
@@ -435,7 +435,7 @@ def test_a_raceline_the_other_way_round_waits_and_is_then_announced(car):
     car.drive()
     count = len(car.node._driven.sent)
     car.node._set_raceline(reversed_raceline(RACELINE))
-    assert "has to stand first" in car.said[-1] and len(car.node._driven.sent) == count
+    assert "has to stop first" in car.said[-1] and len(car.node._driven.sent) == count
     car.pose()
     assert car.state == (Mode.STOPPING, Reason.OPPOSED_RACELINE)
     car.node._set_raceline(RACELINE)
@@ -464,7 +464,7 @@ def test_each_transform_is_one_pose(make):
 
 @pytest.mark.parametrize("source", ["odom", "pose", "tf"])
 def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
-    """A queue of them, or a delay to fill a packet, would make all poses old."""
+    """A queue of poses, or a delay to fill packets, would make all poses old."""
     subscribed = {}
     monkeypatch.setattr(
         rospy,
@@ -483,7 +483,7 @@ def test_the_latest_pose_is_the_one_that_is_taken(make, monkeypatch, source):
 
 
 class PosesOnly(Car):
-    """It has a localization that reports no velocity."""
+    """A car whose localization reports no velocity."""
 
     def pose(self, **changes):
         odometry = self.message(**changes)
@@ -503,7 +503,7 @@ def test_poses_without_velocity(make):
 
 @pytest.mark.parametrize("stamp", [{}, {"stamp": 0.0}], ids=["fresh", "no"])
 def test_frozen_poses_without_velocity(make, stamp):
-    """With fresh stamps, or without any, the car stops by a ramp from the speed that it had."""
+    """With fresh stamps or none, the car ramps down from its last speed."""
     car = make(PosesOnly, pose_source="pose", speed_scale=0.5)
     car.drive(1.0)
     at, ramp = car.s, []
@@ -524,7 +524,7 @@ def test_frozen_poses_without_velocity(make, stamp):
 
 @pytest.fixture
 def guard(monkeypatch):
-    """Run the watchdog for some rounds: times of its calls, and how long it slept after them."""
+    """Run the watchdog for some rounds; return the times of its calls and its sleeps."""
     threads = []
     monkeypatch.setattr(threading.Thread, "start", lambda thread: threads.append(thread))
 

@@ -22,11 +22,11 @@ from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 from map_racing.vehicle.tires import PacejkaTire
 
-# The collector, left as it is, takes a twelfth of the time.
+# With default settings, the garbage collector takes a twelfth of the time.
 gc.set_threshold(50000, 20, 20)
 
 
-# The examples are the same for all libraries: with the car's, a few show that the code runs there.
+# Hypothesis: with the car's libraries, a few examples are enough to show that the code runs.
 settings.register_profile("car", max_examples=20)
 if sys.version_info < (3, 9):
     settings.load_profile("car")
@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What has been imported stays: the collector need not go through it again and again."""
+    """Exclude imported objects from garbage collection: they stay anyway."""
     gc.collect()
     gc.freeze()
 
@@ -121,7 +121,7 @@ def race_bag(tmp_path_factory, track):
 
 @pytest.fixture(scope="session", autouse=True)
 def ramps_once():
-    """Drive the ramps that experiments identify a car on once for each car and seed."""
+    """Cache the identification ramps of experiments for each car and seed."""
     driven = {}
 
     def drive(*arguments):
@@ -154,7 +154,7 @@ def ring():
 
 @pytest.fixture(scope="session")
 def job_of(ring):
-    """Make a job; what is not given is that of a race that is completed."""
+    """Make a job; defaults are those of a race that is completed."""
     plant, vehicle = load_plant("nuc4"), load_vehicle("nuc4")
     controller = load_controller_parameters("map_paper").with_(m_m=0.3, q_s=0.1)
 
@@ -175,7 +175,7 @@ def job_of(ring):
 
 
 def moderate(vehicle):
-    """The car on tires that are neither its own nor the plant's."""
+    """The car with tires that are neither its own nor the plant's."""
     return dataclasses.replace(
         vehicle,
         name="base",
@@ -186,7 +186,7 @@ def moderate(vehicle):
 
 @pytest.fixture(scope="session")
 def ramps(tmp_path_factory):
-    """Ramps of the shipped plant, with its noise and delays, as samples, as bag and as run."""
+    """Ramps of the shipped plant, with its noise and delays, as samples, bag and run."""
     parameters = load_plant("nuc4")
     samples = drive_ramps(parameters, [RampParameters(speed_mps=v) for v in SPEEDS], seed=5)
     path = tmp_path_factory.mktemp("ramps") / "ramps.bag"

@@ -1,4 +1,4 @@
-"""Who may import whom: arrows run down the list of rooms, and ROS stays outside."""
+"""Which packages may import which: one direction along a list, and ROS only in the nodes."""
 
 import ast
 import subprocess
@@ -9,7 +9,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "map_racing"
 
-# What each room may import besides itself and the ground floor: only rooms above it in this list.
+# What each package may import besides itself and the top-level modules: only packages above it in
+# this list.
 ALLOWED = {
     "bags": set(),
     "vehicle": set(),
@@ -31,12 +32,12 @@ ALLOWED = {
         *("track", "track/files", "vehicle", "bags"),
     },
 }
-GROUND = {
+TOP_LEVEL = {
     *("printing", "errors", "angles", "files", "resources", "tables", "transforms"),
     "validation",
     "__version__",
 }
-# Starting points of the programs, above all rooms.
+# Starting points of the programs; they may import all packages.
 ENTRIES = ("start.py", "__main__.py")
 ROS = ("rospy", "rosbag", "genpy", "tf2_ros", "roslib")
 # What the extras bring.
@@ -50,52 +51,52 @@ def modules():
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def room_of(parts):
-    """Name of the room of a module, empty on the ground floor."""
+def package_of(parts):
+    """Package of a module; empty for a top-level module."""
     return "/".join(parts[:2]) if parts[:2] == ("track", "files") else parts[0]
 
 
 def imported(path):
     """Absolute dotted names of what a module imports."""
-    package = ("map_racing", *path.relative_to(PACKAGE).parent.parts)
+    parent = ("map_racing", *path.relative_to(PACKAGE).parent.parts)
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            base = ".".join(parent[: len(parent) - node.level + 1]) if node.level else ""
             if node.module:
                 yield f"{base}.{node.module}".strip(".")
             else:
                 yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
-def test_the_list_of_rooms_is_in_order():
+def test_the_list_of_packages_is_in_order():
     above = set()
-    for room, allowed in ALLOWED.items():
-        assert allowed <= above, room
-        above.add(room)
+    for package, allowed in ALLOWED.items():
+        assert allowed <= above, package
+        above.add(package)
 
 
 @pytest.mark.once
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_run_one_way(path):
     inside = path.relative_to(PACKAGE).parts
-    room = room_of(inside) if len(inside) > 1 else ""
+    package = package_of(inside) if len(inside) > 1 else ""
     for name in imported(path):
         parts = tuple(name.split("."))
         if parts[0] in ROS:
-            assert room == "nodes", name
+            assert package == "nodes", name
         if parts[0] == "rosbags":
             assert inside[0] == "bags", name
         if parts[0] == "matplotlib":
-            assert room == "plots", name
+            assert package == "plots", name
         if parts[:2] in (("scipy", "signal"), ("scipy", "stats")):
-            # Nodes start in a quarter less time without.
-            assert room in ("identification", "evaluation"), name
+            # Without these imports, nodes start 25 % faster.
+            assert package in ("identification", "evaluation"), name
         if parts[0] == "map_racing" and len(parts) > 1 and path.name not in ENTRIES:
-            target = room_of(parts[1:])
-            allowed = GROUND | ALLOWED[room] | {room} if room else GROUND
-            if room == "nodes":
+            target = package_of(parts[1:])
+            allowed = TOP_LEVEL | ALLOWED[package] | {package} if package else TOP_LEVEL
+            if package == "nodes":
                 allowed = allowed | {"cfg", "msg", "srv"}  # made by catkin
             assert target in allowed, name
 

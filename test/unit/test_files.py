@@ -1,4 +1,4 @@
-"""Small files: refused in one line that says where, replaced whole or not at all."""
+"""Small files: errors are one line with the place, and replacing is all or nothing."""
 
 import math
 import os

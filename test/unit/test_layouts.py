@@ -1,4 +1,4 @@
-"""Layouts for PlotJuggler and Foxglove: topics and fields that exist, numbers with stamps."""
+"""Layouts for PlotJuggler and Foxglove: existing topics and fields, numbers with stamps."""
 
 import json
 import re
@@ -80,7 +80,7 @@ def test_plotjuggler_splits_into_as_many_places_as_it_says():
 
 
 def test_own_topics_are_those_of_the_nodes():
-    """By name, as the nodes advertise them; `test_launch` looks at running ones."""
+    """By name, as the nodes advertise them; `test_launch` checks running nodes."""
     nodes = REPO / "src" / "map_racing" / "nodes"
     source = "".join(path.read_text(encoding="utf-8") for path in sorted(nodes.glob("*.py")))
     advertised = dict(re.findall(r'_?[Pp]ublisher\(\s*"/?([\w/]+)",\s*(\w+)', source))

@@ -1,7 +1,7 @@
 """Damaged inputs of every reader: a result or one clear error, never a traceback.
 
-``PYTHONPATH=test/unit/bags python test/unit/test_mutated.py COUNT`` tries as many, and prints some
-that gave a result.
+``PYTHONPATH=test/unit/bags python test/unit/test_mutated.py COUNT`` tries that many, and prints
+some that gave a result.
 """
 
 import gzip
@@ -157,11 +157,11 @@ def recordings():
     )
 
 
-# -- what a user does with them --------------------------------------------------------------------
+# -- readers, as users call them -------------------------------------------------------------------
 
 
 def read_driving(path):
-    """Laps, further topics, and what identification reads; the reasons of the laps."""
+    """Read laps, further topics, and identification data; return the reasons of the laps."""
     recording = load_recording(path)
     assert np.isfinite(recording.t).all() and np.all(np.diff(recording.t) > 0.0)
     if path.suffix not in (".csv", ".txt"):
@@ -236,7 +236,7 @@ def inputs(folder):
         ("experiments", ("robustness.yaml",), lambda path: read_parameters(path, Robustness)),
     ):
         for name in names:
-            # Comments cannot be damaged.
+            # Damage to comments has no effect.
             lines = (config / kind / name).read_text(encoding="utf-8").splitlines()
             text = "\n".join(line for line in lines if line.strip() and line.strip()[0] != "#")
             texts.append((f"{kind}.yaml", text, read))
@@ -264,7 +264,7 @@ COUNTS = (0, 1, 255, 2**31, 2**32 - 1)
 
 
 def damaged(data, generator, text):
-    """Bytes changed at one or a few places: bits, tokens, numbers, lines, ends."""
+    """Bytes changed in one or a few places: bits, tokens, numbers, lines, ends."""
     for _ in range(generator.choice((1, 1, 2, 4))):
         at = int(generator.integers(0, len(data) + 1))
         data = _as_text(data, at, generator) if text else _as_binary(bytearray(data), at, generator)
@@ -314,7 +314,7 @@ def _as_binary(data, at, generator):
 
 
 class Damage:
-    """Damaged inputs by number: each is made from its number alone."""
+    """Damaged inputs by number; each depends only on its number."""
 
     def __init__(self, folder, intact=None):
         self.folder, self.inputs = folder, intact or inputs(folder)
@@ -325,7 +325,7 @@ class Damage:
         self._picture = (folder / "map.png").read_bytes()
 
     def try_number(self, number):
-        """Result of the input of a number, None if it was refused; its reader, and the bytes."""
+        """Result for a numbered input (None if it was refused), its reader, and the bytes."""
         given = self.inputs[number % len(self.inputs)]
         generator = np.random.default_rng(number)
         data, picture = damaged(given.data, generator, given.text), self._picture
@@ -341,7 +341,7 @@ class Damage:
                 warnings.simplefilter("error")
                 return given.read(path), given, data
         except MapRacingError as error:
-            # The name of the image may be what was changed.
+            # The damage may be in the name of the image.
             where = str(self.folder) if given.read is read_map else given.name
             assert where in str(error), (number, str(error))
             assert "\n" not in str(error), (number, str(error))
@@ -378,7 +378,7 @@ def test_damaged_inputs_give_a_result_or_one_clear_error(tmp_path, part, intact)
 
 
 def main(count):
-    """Try `count` inputs; print how many gave a result, and one of each reader that did."""
+    """Try `count` inputs; print how many gave a result, with one example for each reader."""
     folder = Path(tempfile.mkdtemp())
     damage, given_results, shown = Damage(folder), {}, {}
     for number in range(count):

@@ -16,7 +16,7 @@ from map_racing.printing import printable, printing
         ("a\x7f\x9b31m", r"a\x7f\x9b31m"),
         ("a\r\n\tb", r"a\r\n\tb"),
         ("a\u202egab.bag\u2066", r"a\u202egab.bag\u2066"),
-        ("r\udcfcn", "r\udcfcn"),  # a file name that is no UTF-8
+        ("r\udcfcn", "r\udcfcn"),  # a file name that is not UTF-8
     ],
 )
 def test_control_characters_of_a_name_are_written_out(text, shown):
@@ -41,5 +41,5 @@ def test_streams_print_by_it_and_are_themselves_again(monkeypatch):
         assert not sys.stderr.isatty()
     assert (sys.stdout, sys.stderr) == (out, err)
     assert out.getvalue() == "one\\x1b[1m two\n"
-    # A progress bar may begin its line again, but no text can hide what is left of it.
+    # A progress bar may return to the start of its line, but no text can hide what precedes it.
     assert err.getvalue() == "\rover\\rwritten\r"

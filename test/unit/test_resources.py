@@ -57,7 +57,7 @@ def test_a_folder_is_called_that(source):
 
 
 def test_data_of_an_installed_package_are_found_beside_it(tmp_path):
-    """As pip and catkin lay it out: the package in lib, its data in share of the same prefix."""
+    """Layout of pip and catkin: the package in lib, its data in share below the same prefix."""
     packages = tmp_path / "lib" / "python3" / "site-packages"
     shutil.copytree(str(Path(map_racing.__file__).parent), str(packages / "map_racing"))
     code = "from map_racing.resources import config_directory; print(config_directory())"

@@ -1,4 +1,4 @@
-"""Poses of frames in each other: chains, several parents, missing times."""
+"""Transforms between frames: chains, several parents, missing times."""
 
 import math
 
@@ -12,7 +12,7 @@ MS = 10**6
 
 
 def car():
-    """The car drives along x in odom, which lies turned in map; a laser sits on it."""
+    """The car drives along x in odom, which is rotated in map; it carries a laser."""
     tree = TransformTree()
     for k in range(5):
         tree.add("odom", "base_link", 100 * MS * k, (1.0 * k, 0.0, 0.0))
@@ -57,7 +57,7 @@ def test_unknown_frames_and_circles_have_no_pose():
 
 @pytest.mark.parametrize("first", [True, False])
 def test_frames_without_end_hide_no_way_and_cost_no_search(monkeypatch, first):
-    """Perception that names each thing anew, beside the car's way to the map."""
+    """Perception invents a frame for each object, beside the car's path to the map."""
     tree, searches = car() if first else TransformTree(), []
     if first:
         assert tree.lookup("map", "base_link")
@@ -154,7 +154,7 @@ def test_a_localization_that_dies_ends_the_history():
 
 
 def test_times_without_transforms_are_not_bridged():
-    """Odometry is missing for 0.6 s while the localization goes on."""
+    """Odometry is missing for 0.6 s while the localization continues."""
     tree = TransformTree()
     for k in range(200):
         if not 80 < k < 104:

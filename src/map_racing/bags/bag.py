@@ -13,9 +13,9 @@ class Connection(NamedTuple):
     """A publisher on a topic, with type and definition of its messages.
 
     The topic begins with a slash; the type is written as in ROS 1, ``nav_msgs/Odometry``. The
-    sender is empty where the bag does not name it. The sum is that of the ROS 1 message with the
-    same layout, empty where there is none. Where ``cdr`` is set, messages are serialized as by
-    ROS 2. A latching publisher sends its last message to whoever comes later.
+    sender is empty if the bag does not name it. ``sum`` is the md5 sum of the ROS 1 message with
+    the same layout, or empty. With ``cdr``, messages are serialized as in ROS 2. A latching
+    publisher sends its last message to later subscribers.
     """
 
     topic: str
@@ -78,10 +78,10 @@ class Bag(ABC):
 
     @abstractmethod
     def notes(self) -> list[str]:
-        """What the runs of `messages` could not read; empty for a sound bag."""
+        """What `messages` could not read; empty for an intact bag."""
 
 
 def time_span(spans) -> tuple[int, int]:
-    """First and last time [ns] of pairs of them, leaving out those of nothing; 0 without any."""
+    """First and last time [ns] of (first, last) pairs, ignoring empty ones; 0 without any."""
     known = [span for span in spans if span[1]]
     return (min(s for s, _ in known), max(e for _, e in known)) if known else (0, 0)

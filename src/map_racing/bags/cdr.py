@@ -1,9 +1,9 @@
 """Messages of ROS 2 in the layout of ROS 1.
 
 ROS 2 serializes by CDR: four bytes name the encoding, numbers are aligned to their size, counted
-from there, strings end with a zero byte, and a header has no sequence number. What the fields hold
-is the same, so a message is rearranged by copying a few slices, in 0.5 us instead of the 10 us of a
-general conversion, and everything that reads messages knows only one layout.
+from there, strings end with a zero byte, and a header has no sequence number. The fields are the
+same, so a message is converted by copying a few slices, in 0.5 us instead of the 10 us of a general
+conversion, and all readers of messages need only one layout.
 
 Encoding: OMG, Data Distribution Service Interoperability Wire Protocol (DDSI-RTPS) 2.2, section 10.
 """
@@ -23,7 +23,7 @@ from .bag import Connection
 __all__ = ["connection_of", "layout_of_ros1"]
 
 _LITTLE_ENDIAN = b"\0\1"
-_START = 4  # of what is aligned, after the encoding
+_START = 4  # alignment counts from here, after the encoding
 _SEQUENCE = b"\0\0\0\0"
 _U32 = struct.Struct("<I")
 _POSE_SIZE = 7 * 8
@@ -45,7 +45,7 @@ def _text(data, at):
 
 
 class _Stamped:
-    """Rearranges messages of a header, perhaps a ``child_frame_id``, and numbers.
+    """Rearranges messages with a header, an optional ``child_frame_id``, and numbers.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class _Stamped:
     child : bool, optional
         Whether there is a ``child_frame_id``.
     size : int, optional
-        Size of the numbers; by default all that is left.
+        Size of the numbers; by default the rest of the message.
     """
 
     def __init__(self, alignment: int, child: bool = False, size: int | None = None):
         self._alignment, self._child, self._size = alignment, child, size
-        # Lengths of the strings of the last message, which are those of the next in practice.
+        # String lengths of the last message; in practice the next has the same.
         self._lengths, self._child_at = None, 0
 
     def __call__(self, data: bytes) -> bytes:
@@ -133,7 +133,7 @@ def _waypoints(data):
             raise struct.error("the message is too short for its waypoints")
         return header + data[at : at + 4]
     rows = np.zeros((count, 4 + size), dtype=np.uint8)
-    # The ids count up, and nobody reads them.
+    # The ids just count up; no reader uses them.
     rows[:, :4] = np.arange(count, dtype="<i4").view(np.uint8).reshape(count, 4)
     values = np.frombuffer(data, np.uint8, stop - first, first)
     rows[:, 4:] = np.lib.stride_tricks.as_strided(values, (count, size), (_WAYPOINT_STRIDE, 1))
@@ -187,7 +187,7 @@ _MAKERS = {
 
 
 def layout_of_ros1(connection: Connection) -> Callable[[bytes], bytes]:
-    """What rearranges the messages of a connection.
+    """Function that rearranges the messages of a connection.
 
     Parameters
     ----------
@@ -197,8 +197,8 @@ def layout_of_ros1(connection: Connection) -> Callable[[bytes], bytes]:
     Returns
     -------
     callable
-        From a message in CDR to the same in the layout of ROS 1; from a damaged one to nothing,
-        which no decoder takes for a message.
+        Converts a message from CDR to the layout of ROS 1; a damaged one becomes empty, which every
+        decoder rejects.
     """
     convert = _MAKERS[connection.type]()
 
@@ -222,8 +222,8 @@ def connection_of(topic: str, kind: str, definition: str) -> Connection:
     kind : str
         Type, such as ``nav_msgs/msg/Odometry``.
     definition : str
-        Empty where the bag does not have it, as sqlite3 before ROS 2 Iron: then types that this
-        package knows have their usual layout.
+        Empty if the bag has none, as with sqlite3 before ROS 2 Iron; known types then have their
+        usual layout.
 
     Returns
     -------

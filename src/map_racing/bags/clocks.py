@@ -1,8 +1,8 @@
-"""Whose clock stamped the messages of a recording.
+"""Which clock stamped the messages of a recording.
 
-A message is received shortly after it was stamped. Where the lag between stamp and receipt differs
-between two topics by more than latency explains, or becomes another all at once, their stamps come
-from clocks that do not agree; the times of receipt are all of one clock, the recorder's.
+A message is received shortly after it was stamped. If the lags from stamp to receipt of two topics
+differ by more than latency explains, or a lag changes suddenly, the stamps come from clocks that do
+not agree. All times of receipt come from one clock, the recorder's.
 """
 
 from __future__ import annotations
@@ -75,9 +75,10 @@ _COARSE, _FINE = 0.5, 0.9
 # Two times are the same if they differ by less than this share of the mean step.
 _SAME = 0.05
 # Messages that share a coarse stamp are received over more than this share of the time until the
-# next stamp; messages that were sent twice arrive together.
+# next stamp; repeated messages arrive together.
 _SPREAD = 0.5
-# Smallest number of messages on one stamp that is too coarse, and of others that tell the lag.
+# Fewest messages that share a stamp that is too coarse, and fewest other messages from which the
+# usual lag is taken.
 _SEVERAL_ON_ONE, _FEW_GOOD = 4, 10
 # Smallest step back [ns] of a clock that was set, if the spread of the lags is at most the second
 # number times the step; and number of messages over which the drift is measured.
@@ -94,7 +95,7 @@ class Clock(NamedTuple):
     lag : ndarray of int64, shape (n,)
         Time of receipt minus stamp of each [ns].
     use_receipt : bool
-        Whether the times of receipt are the times, since stamps are unusable.
+        Whether the times of receipt are used because the stamps are unusable.
     """
 
     received: np.ndarray
@@ -145,7 +146,7 @@ class Clock(NamedTuple):
         offset = int(np.median(apart))
         ahead, sound = sorted((np.median(lag), np.median(expected)))
         impossible = ahead < -_FUTURE and abs(sound) <= _FUTURE
-        # Messages that a stalled recorder received all at once are not counted.
+        # Not counted: messages that a stalled recorder received all at once.
         past = np.diff(received)
         alone = np.append(True, past > _SAME * np.sum(past) / received.size)
         far = np.abs(apart - offset) > LATENCY_NS
@@ -160,13 +161,13 @@ class Clock(NamedTuple):
             where = " than the poses' for a part of the time"
         notes.append(
             f"warning: {topic}: the stamps are from another clock{where}"
-            + (": shifted" if steady else ", and not steadily: times of receipt used")
+            + (": shifted" if steady else ", with a varying offset: times of receipt used")
         )
         return stamps + offset if steady else received - expected
 
 
 def _for_long(times, far):
-    """Whether many in a row are far, for long."""
+    """Whether many in a row are far off, for long enough."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], far.astype(int), [0]))))
     begins, ends = edges[::2], edges[1::2] - 1
     long = (ends - begins >= _IN_A_ROW) & (times[ends] - times[begins] > _STRAYED_NS)
@@ -180,7 +181,7 @@ def _seconds(offset):
 
 
 def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
-    """Why stamps are worse than times of receipt, for a note; None if they are not.
+    """Reason for a note why the stamps are worse than the times of receipt; None if they are not.
 
     Parameters
     ----------
@@ -194,12 +195,12 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
     if stamps.size < 10 or np.any(np.diff(received) < 0):
         return None
     ahead, past = np.diff(stamps), np.diff(received)
-    # Messages that came in another order than they were stamped in have fine stamps.
+    # Messages received out of order have fine stamps.
     sizes = (past, np.diff(np.sort(stamps)))
     fine, coarse = (np.count_nonzero(steps > _SAME * np.mean(steps)) for steps in sizes)
     if fine > _FINE * past.size and coarse < _COARSE * ahead.size and _shared(stamps, received):
         return "header stamps are too coarse, with several messages on each"
-    # Time was set forward, or back by so little that it might pass for transport.
+    # Time was set forward, or back by so little that it could be transport delay.
     forward = (ahead > _STEP) & (past < _STEP)
     backward = (ahead < 0) & (past - ahead > _STEP_BACK)
     steps = np.flatnonzero(forward | backward) + 1
@@ -207,7 +208,7 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
         return None
     # A bag that was played at another rate and recorded again has lags that change steadily.
     lag = received - stamps
-    # Over several messages, since those that overtake each other come in pairs.
+    # Over several messages, because messages that overtake each other come in pairs.
     several = min(_SEVERAL, stamps.size - 1)
     slope = float(np.median(lag[several:] - lag[:-several])) / several
     lag = lag - (slope * np.arange(stamps.size)).astype(np.int64)
@@ -232,26 +233,26 @@ def stamps_are_unusable(stamps: np.ndarray, received: np.ndarray) -> str | None:
 def mended(
     stamps: np.ndarray, received: np.ndarray, changed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Stamps of which a part tells less than the times of receipt, and how good they are now.
+    """Stamps with the coarse ones replaced by times of receipt, and how accurate those are.
 
-    Some drivers write 0, or whole seconds, until their clock is set: these stamps become times of
-    receipt less the usual lag of the others, so that all are of one clock.
+    Some drivers write 0, or whole seconds, until their clock is set. These stamps become times of
+    receipt minus the usual lag of the others, so that all are on one clock.
 
     Parameters
     ----------
     stamps, received : ndarray of int64, shape (n,)
         In the order of recording [ns].
     changed : ndarray of bool, shape (n,)
-        Whether a message has other contents than the one before.
+        Whether the content of a message differs from the one before.
 
     Returns
     -------
     stamps : ndarray of int64, shape (n,)
-        Of which none is 0.
+        None of them is 0.
     which : ndarray of bool, shape (n,)
         Those that were too coarse.
     spread : float
-        Of the lag of the others [s], 95 %; 0 without any.
+        95 % spread of the lag of the others [s]; 0 without any.
     """
     unstamped, coarse = stamps == 0, np.zeros(stamps.size, dtype=bool)
     stamps, order = np.where(unstamped, received, stamps), np.argsort(received, kind="mergesort")
@@ -266,17 +267,17 @@ def mended(
 
 
 def coarse_note(what: str, coarse: np.ndarray, spread: float) -> str:
-    """Warning of stamps that were mended: of what, which, and how good they are, see `mended`."""
+    """Warning of stamps that `mended` replaced; the arguments are a name and its results."""
     return (
         f"warning: {what}: {np.count_nonzero(coarse)} of {coarse.size} stamps are too coarse, with "
-        f"several messages on each: times of receipt used instead, good to {spread:.3f} s"
+        f"several messages on each: times of receipt used instead, accurate to {spread:.3f} s"
     )
 
 
 def _coarse(stamps, received, changed):
-    """Which messages share a stamp with others that were received all over the time until the next.
+    """Mask of messages with a coarse stamp: they were received over the whole time until the next.
 
-    Messages that are sent again, by a localization that hangs, are no others.
+    Repeated messages, from a localization that hangs, are not counted.
     """
     coarse = np.zeros(stamps.size, dtype=bool)
     begins = np.flatnonzero(np.append(True, np.diff(stamps) != 0))
@@ -296,7 +297,7 @@ def _coarse(stamps, received, changed):
 
 
 def _shared(stamps, received):
-    """Whether messages that have the same stamp were received all over the time until the next."""
+    """Whether messages with the same stamp were received over the whole time until the next."""
     order = np.argsort(stamps, kind="mergesort")
     stamps, received = stamps[order], received[order]
     steps = np.diff(stamps)
@@ -315,7 +316,8 @@ def _shared(stamps, received):
 def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:
     """Note on stamps that run faster or slower than the times of receipt, or empty.
 
-    As of a simulation that is no real time, or of a bag that was played at another rate.
+    This happens in a simulation that does not run in real time, or with a bag that was played at
+    another rate.
     """
     span = int(received[-1] - received[0]) if received.size > 100 else 0
     if span < _LONG_RUN or np.any(np.diff(received) < 0) or np.any(np.diff(stamps) < 0):
@@ -327,8 +329,8 @@ def rate_note(topic: str, stamps: np.ndarray, received: np.ndarray) -> str:
     if abs(rate - 1.0) < _RATE or np.max(off) > abs(slope):
         return ""
     return (
-        f"{topic}: {rate:.3f} s of its stamps pass in a second of receipt: lap times are those of "
-        "the stamps"
+        f"{topic}: its stamps advance by {rate:.3f} s per second of receipt: lap times follow the "
+        "stamps"
     )
 
 
@@ -341,28 +343,28 @@ def lag_of_effect(
     earliest_s: float = -0.05,
     least: float = _AS_GOOD,
 ) -> float | None:
-    """How much later an effect comes than its cause, where that is plainly impossible.
+    """Lag of an effect behind its cause, if it is clearly impossible.
 
-    Commands that were recorded on another clock, and stamped and received on it, are told from
-    others only by what they cause: a car turns shortly after its wheels are told to.
+    Commands that were stamped and received on another clock can be recognized only by their effect:
+    a car turns shortly after the steering command.
 
     Parameters
     ----------
     t, cause : ndarray, shape (k,)
         Times [s], increasing, and values, each held until the next, such as steering angles.
     at, effect : ndarray, shape (n,)
-        Times [s], increasing, and what is proportional to the cause, such as the curvature of the
-        path; NaN where it is unknown.
+        Times [s], increasing, and a quantity proportional to the cause, such as the curvature of
+        the path; NaN where it is unknown.
     longest_s, earliest_s : float, optional
-        Longest and shortest possible lag [s]; negative where what measures the effect looks ahead,
-        as averages do.
+        Longest and shortest possible lag [s]; negative if the measurement of the effect looks
+        ahead, as averages do.
     least : float, optional
         By how much more an impossible lag must correlate.
 
     Returns
     -------
     float or None
-        [s]; None where the lag is possible, or not plain.
+        [s]; None if the lag is possible, or not clear.
     """
     if t.size < 2 or at.size < 2 or float(np.median(np.diff(t))) > _SELDOM_S:
         return None
@@ -375,22 +377,22 @@ def lag_of_effect(
     known = np.interp(grid, at, finite.astype(float)) > 0.999
     effect = np.interp(grid, at[finite], effect[finite])
     last = np.searchsorted(t, wide, side="right") - 1
-    told = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
+    has_cause = (last >= 0) & (wide <= t[-1] + 1.0) & given[last]
     last = np.searchsorted(t[given], wide, side="right") - 1
     held = cause[given][np.maximum(last, 0)]
-    # At the ends there is no average around.
+    # At the ends there is no centered average.
     edge = 0.5 * _SLOW * _STEP_S
     known &= (grid > grid[0] + edge) & (grid < grid[-1] - edge)
-    told &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
-    # Most of what a car turns has the sign of its wheels; if not, only the size counts.
-    both = known & told[most : most + grid.size]
+    has_cause &= (wide > t[0] + edge) & (wide < t[-1] + 1.0 - edge)
+    # A car usually turns in the direction of its wheels; if not, only the size counts.
+    both = known & has_cause[most : most + grid.size]
     a, b = held[most : most + grid.size][both], effect[both]
     signed = float(a @ b) > _LIKE * float(np.sqrt((a @ a) * (b @ b)))
     held, effect = (
         uniform_filter1d(values, _SMOOTH) - uniform_filter1d(values, _SLOW)
         for values in (held, effect)
     )
-    follows = _correlation(held, told, effect, known)
+    follows = _correlation(held, has_cause, effect, known)
     follows = follows if signed else np.abs(follows)
     lags = _STEP_S * np.arange(most, -most - 1, -1)
     possible = (lags >= earliest_s) & (lags <= longest_s)
@@ -402,25 +404,26 @@ def lag_of_effect(
     nearest = peaks[np.argmin(np.abs(lags[peaks]))]
     nearby = np.abs(lags - lags[nearest]) < 0.5
     peak = int(np.argmax(np.where(nearby, follows, -1.0)))
-    # At the ends of the search it is no peak: the correlation may still rise beyond.
+    # No peak at the ends of the search: the correlation may still rise beyond.
     return float(lags[peak]) if 0 < peak < lags.size - 1 else None
 
 
-def _correlation(held, told, effect, known):
-    """Correlation of an effect with all parts of its cause that are as long."""
+def _correlation(held, has_cause, effect, known):
+    """Correlation of an effect with every part of its cause of the same length."""
 
     def sums(one, other):
-        # SciPy's does the same, but takes longer to import than all else that the nodes need of it.
+        # SciPy has the same, but importing it takes longer than all else that the nodes need from
+        # it.
         size = 1 << (one.size - 1).bit_length()
         product = np.fft.rfft(one, size) * np.conj(np.fft.rfft(other, size))
         return np.fft.irfft(product, size)[: one.size - other.size + 1]
 
-    held = np.where(told, held - (np.mean(held[told]) if told.any() else 0.0), 0.0)
+    held = np.where(has_cause, held - (np.mean(held[has_cause]) if has_cause.any() else 0.0), 0.0)
     effect = np.where(known, effect - (np.mean(effect[known]) if known.any() else 0.0), 0.0)
-    told, known = told.astype(float), known.astype(float)
-    count = np.maximum(sums(told, known), 1.0)
-    a, b = sums(held, known) / count, sums(told, effect) / count
-    variances = (sums(held**2, known) / count - a**2) * (sums(told, effect**2) / count - b**2)
+    has_cause, known = has_cause.astype(float), known.astype(float)
+    count = np.maximum(sums(has_cause, known), 1.0)
+    a, b = sums(held, known) / count, sums(has_cause, effect) / count
+    variances = (sums(held**2, known) / count - a**2) * (sums(has_cause, effect**2) / count - b**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         result = (sums(held, effect) / count - a * b) / np.sqrt(variances)
     enough = count > max(_FEWEST, 0.5 * float(np.max(count)))

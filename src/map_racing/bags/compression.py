@@ -1,4 +1,4 @@
-"""Decompression of what bags hold, as far as it goes."""
+"""Decompression of the contents of bags, as far as possible."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BLOCK = 4096
 
 @lru_cache(maxsize=None)
 def _zstd():
-    """Function that makes a decompressor, function that decompresses, whether that is fast."""
+    """Function that makes a decompressor, function that decompresses, and whether that is fast."""
     # Rarely needed, and slow to import. rosbags brings one; which one depends on its version.
     # zstandard comes first: it makes one context for all messages, which takes a tenth of the time.
     try:
@@ -42,7 +42,7 @@ def zstd_decompressor():
 @lru_cache(maxsize=None)
 def _message_decompressor():
     _, whole, fast = _zstd()
-    if not fast:  # logged once, and not in the notes on the bag: it concerns this computer
+    if not fast:  # logged once, not noted with the bag: it concerns this computer
         logging.getLogger(__name__).warning(
             "a bag compressed message by message is read about four times as fast with zstandard: "
             "pip install 'map_racing[zstd]'"
@@ -51,8 +51,8 @@ def _message_decompressor():
 
 
 def decompress_message(data: bytes) -> bytes:
-    """Decompress a message that was compressed alone, by zstd, as far as it goes."""
-    # The decompressor of a stream takes as long to make as a hundred messages to decompress.
+    """Decompress a single zstd-compressed message as far as possible."""
+    # Making a streaming decompressor takes as long as decompressing a hundred messages.
     try:
         return _message_decompressor()(data)
     except MemoryError:
@@ -67,7 +67,7 @@ _DECOMPRESSORS = {
     "zstd": zstd_decompressor,
 }
 COMPRESSIONS = ("", "none", *_DECOMPRESSORS)
-"""Names of what `decompress` reads."""
+"""Names of the compressions that `decompress` reads."""
 
 
 def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
@@ -92,7 +92,7 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, bool]:
     if make is None:
         return b"", False
     decompressor = make()
-    # For damaged data the libraries raise classes of their own.
+    # For damaged data, each library raises its own classes.
     try:
         contents = decompressor.decompress(data)
         if decompressor.eof:

@@ -106,7 +106,7 @@ def read_at_once(
     Returns
     -------
     iterator of Message or None
-        None if one of them is not there.
+        None for a record that is not there.
     """
     first, last = int(places[0]), int(places[-1])
     layout = layout_at(buffer, first) if last + RECORD_SIZE <= len(buffer) else None

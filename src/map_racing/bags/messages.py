@@ -1,4 +1,4 @@
-"""Types of the ROS 1 messages of a race, and what is read of them.
+"""Types of the ROS 1 messages of a race, and decoders of the parts that are used.
 
 The layouts are fixed (a message's md5 sum is a hash of its definition), so messages are unpacked by
 numpy, many at once: an Odometry takes 0.5 us instead of 22 us with a general deserializer. Only
@@ -66,7 +66,7 @@ STRING = "std_msgs/String"
 DIAGNOSTICS = "diagnostic_msgs/DiagnosticArray"
 TF = "tf2_msgs/TFMessage"
 WAYPOINTS = "f110_msgs/WpntArray"
-# Fields of map_racing/Belief after its header: a value and the ends of its interval each.
+# Fields of map_racing/Belief after its header: each value with the ends of its interval.
 BELIEF_FIELDS = (
     *("friction", "friction_low", "friction_high"),
     *("front_stiffness", "front_stiffness_low", "front_stiffness_high"),
@@ -154,9 +154,9 @@ _NAN = math.nan
 
 
 SHORTEST_QUATERNION = 0.1
-"""A shorter one is no orientation: zeros that nobody filled in."""
+"""A shorter quaternion is no orientation: zeros that were never filled in."""
 UNIT_QUATERNION = 0.99, 1.01
-"""Lengths that rounding explains."""
+"""Lengths of a quaternion that rounding explains."""
 
 # Stamps [ns], values and which messages are good, see `decode_odometry`.
 Decoded = Tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -165,7 +165,7 @@ Decoded = Tuple[np.ndarray, np.ndarray, np.ndarray]
 class Transform(NamedTuple):
     """A transform of tf in the plane: the pose of ``child`` in ``parent``.
 
-    ``length`` is that of the quaternion; without any, ``psi`` is NaN.
+    ``length`` is the length of the quaternion; if it is 0, ``psi`` is NaN.
     """
 
     stamp_ns: int
@@ -213,7 +213,7 @@ def decode_odometry(batch: list[bytes]) -> Decoded:
         Stamps [ns].
     values : ndarray, shape (n, 7)
         ``x y psi q v_x v_y yaw_rate`` [m, m, rad, 1, m/s, m/s, rad/s]; ``q`` is the length of the
-        quaternion, which the heading does not depend on, except that one of 0 is no heading: NaN.
+        quaternion; if it is 0, the heading is NaN.
     good : ndarray of bool, shape (n,)
         False for messages that do not have the layout of their type.
     """
@@ -248,7 +248,7 @@ def decode_float64(batch: list[bytes]) -> Decoded:
 
 
 def decode_string(data: bytes, at: int = 0) -> tuple[str, int]:
-    """Text of ``String``, or of a field of another message at ``at``, and its end.
+    """Text of a ``String``, or of a field of another message at ``at``, and its end.
 
     Raises
     ------
@@ -291,7 +291,7 @@ def decode_diagnostics(data: bytes) -> tuple[int, list[tuple[str, str, str]]]:
 def _decode(batch, body, fields, has_child=False):
     stamps, columns, good = _table(batch, body, fields, has_child)
     x, y, q_x, q_y, q_z, q_w, *twist = columns.T
-    # Damaged messages hold any numbers.
+    # Damaged messages can contain any number.
     with np.errstate(all="ignore"):
         psi, length = yaw_and_length(q_x, q_y, q_z, q_w)
     twist = twist or [np.full(x.size, _NAN)] * 3
@@ -317,7 +317,7 @@ def yaw_and_length(q_x, q_y, q_z, q_w):
 
 
 def _table(batch, body, fields, has_child=False):
-    """Decode messages of a header, perhaps a ``child_frame_id``, and the body.
+    """Decode messages with a header, an optional ``child_frame_id``, and the body.
 
     Messages of the same length with frames of the same length have the same layout, so they are
     decoded at once; in practice these are all messages of a topic.
@@ -371,7 +371,7 @@ def decode_transforms(data: bytes) -> list[Transform]:
 
 
 def decode_waypoints(data: bytes) -> dict[str, np.ndarray]:
-    """Decode a ``WpntArray`` to columns by the names of the fields of ``Wpnt``.
+    """Decode a ``WpntArray`` to columns, named after the fields of ``Wpnt``.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ _PAUSE_NS, _OTHER_RUN_NS = 10**9, 3600 * 10**9
 
 
 def is_bag(path: str | Path) -> bool:
-    """Whether a path means a bag, by content or name.
+    """Whether a path is a bag, by content or name.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def open_bag(source: Source) -> Bag:
     Parameters
     ----------
     source : str, pathlib.Path or sequence of them
-        A bag of ROS 1, or file or folder of one of ROS 2; several are joined in the order of time.
+        A ROS 1 bag, or the file or folder of a ROS 2 bag; several are joined in the order of time.
 
     Returns
     -------

@@ -21,7 +21,7 @@ __all__ = ["read_recording", "read_signals"]
 
 # A pose that moves less than this [m] during the recording stands still.
 _STANDS_STILL = 0.2
-# Poses are in an order of theirs if the path through them is shorter by this factor.
+# One order of the poses is right if the path in it is shorter than in the other by this factor.
 _SHORTER = 0.99
 # Signals that can be read: decoder, and the names of its last columns.
 _SIGNALS = {
@@ -33,18 +33,18 @@ _SIGNALS = {
 
 
 def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
-    """Read the driving recorded in a bag, of ROS 1 or 2, or in several that are parts of one run.
+    """Read the driving recorded in a ROS 1 or 2 bag, or in several that are parts of one run.
 
-    The pose is taken from Odometry, PoseStamped, PoseWithCovarianceStamped or tf; without
+    The pose is taken from Odometry, PoseStamped, PoseWithCovarianceStamped or tf. Without
     `pose_topic` the best source is chosen and the choice explained in the notes: a pose in ``map``
     before one in another frame, wheel odometry (frame ``odom``) last; Odometry, which has the
     velocity, before poses, and poses before tf; ``/car_state/odom`` before other names. Topics of
-    ground truth come last, as do topics slower than 5 Hz; Frenet coordinates are never taken.
+    ground truth come last, as do topics slower than 5 Hz; Frenet coordinates are never used.
 
-    Times are the header stamps. Where a stamp is 0 it is the time of receipt; so are all times if
-    the stamps of pose or command fall back by 1 s or more (a clock was set back), or those of the
-    pose jump or are too coarse. From a damaged or unclosed bag all intact messages are read, and
-    the notes say how many.
+    Times are the header stamps. A stamp of 0 is replaced by the time of receipt. Times of receipt
+    are used throughout if the stamps of pose or command fall back by 1 s or more (a clock was set
+    back), or if the stamps of the pose jump or are too coarse. From a damaged or unclosed bag all
+    intact messages are read, and the notes say how many.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
     ------
     BagError
         If the file is no bag, has no pose or none on `pose_topic` (the message lists the possible
-        topics), or its times of receipt fall back as well, since it holds several runs.
+        topics), or its times of receipt fall back as well, because it holds several runs.
 
     Notes
     -----
@@ -84,7 +84,7 @@ def read_recording(source: Source, pose_topic: str | None = None) -> Recording:
 
 
 def _read(path, bag, source, notes):
-    """The recording with the pose of a source."""
+    """The recording, with the pose from a source."""
     notes = list(notes)
     drive_topic, drives = drive_connections(bag)
     belief_topic, believing = belief_connections(bag)
@@ -135,7 +135,7 @@ def _read(path, bag, source, notes):
 
 
 def _waypoints(collected, pose_frame, clock, t0_ns, notes):
-    """The first waypoints and those that came later, with their times [s]; doubts to the notes."""
+    """The first waypoints, and later ones with their times [s]; warnings go to the notes."""
     first = collected.best()
     if first is None:
         return None, []
@@ -143,7 +143,7 @@ def _waypoints(collected, pose_frame, clock, t0_ns, notes):
     if not is_map_frame(frame) and frame != pose_frame:
         notes.append(
             f"warning: {first.topic} is in frame {frame}, the poses in {pose_frame or 'map'}: "
-            "the lateral errors are those on the track only if both are the same"
+            "the lateral errors are right only if both are the same"
         )
     later = collected.later.get(first.topic, [])
     at = np.array([received for received, _ in later], dtype=np.int64)
@@ -152,13 +152,13 @@ def _waypoints(collected, pose_frame, clock, t0_ns, notes):
 
 
 def _beliefs(believed, topic, clock, t0_ns, notes):
-    """What was believed, on the clock of the poses."""
+    """Estimates of the adaptation, on the clock of the poses."""
     at, values = believed.columns(notes, topic, clock)
     return Beliefs((at - t0_ns) * 1e-9, np.stack(values, axis=1))
 
 
 def _commands(command, topic, clock, times, notes):
-    """The commands on the clock of the poses, whose times are given [ns]; doubts to the notes."""
+    """The commands on the clock of the poses with these times [ns]; warnings go to the notes."""
     at, (angle, speed) = command.columns(notes, topic, clock)
     stamps, received = command.stamps()
     own = clock.times(stamps, received, [], "", COMMAND_DELAY_NS)
@@ -168,7 +168,7 @@ def _commands(command, topic, clock, times, notes):
     notes += [f"warning: {doubt}"] if doubt else []
     if at.size and (at[-1] < times[0] or at[0] > times[-1]):
         when = "before" if at[-1] < times[0] else "after"
-        notes.append(f"warning: {topic}: all {at.size} commands lie {when} the poses")
+        notes.append(f"warning: {topic}: all {at.size} commands are {when} the poses")
     return Commands((at - int(times[0])) * 1e-9, angle, speed, topic, shifted, lag)
 
 
@@ -177,13 +177,13 @@ def _moves(recording):
 
 
 def _as_doubt(note):
-    """A note on the bag: what is missing in it makes the laps doubtful."""
+    """A note on the bag, as a warning if messages are missing: then the laps are doubtful."""
     missing = "damaged bag: " in note or "but the index of the bag lists" in note
     return f"warning: {note}" if missing else note
 
 
 def _use_receive_time(path, pose, command, notes):
-    """Whether stamps of pose or command are unusable, so that the times of receipt are used."""
+    """Whether to use times of receipt, because the stamps of pose or command are unusable."""
     jump = pose.jump_back() or command.jump_back()
     if jump:
         why = f"header stamps jump back by {jump:.1f} s"
@@ -191,11 +191,11 @@ def _use_receive_time(path, pose, command, notes):
         why = stamps_are_unusable(*pose.stamps())
         if not why:
             return False
-    # Recordings that were put in the order of receipts by a clock that was set back are one way in
-    # the order of stamps.
+    # If a recording was sorted by times of receipt whose clock was set back, only the order of the
+    # stamps gives a continuous path.
     way = getattr(pose, "way", None)
     if way and way() < _SHORTER * way(received=True):
-        notes.append(f"warning: {why}, but the poses are one way in their order: used")
+        notes.append(f"warning: {why}, but the path is continuous in their order: used")
         return False
     again = pose.jump_back(received=True) or command.jump_back(received=True)
     if again:
@@ -211,10 +211,10 @@ def read_signals(source: Source, recording: Recording, topics: dict[str, str]) -
     ----------
     source : str, pathlib.Path or sequence of them
     recording : Recording
-        What `read_recording` read from the same bag.
+        Result of `read_recording` for the same bag.
     topics : dict of str to str
         Names to topics of Odometry, Imu, AckermannDriveStamped or Float64. An empty topic under the
-        name ``"imu"`` means the topic of the IMU, if there is one.
+        name ``"imu"`` selects the topic of the IMU, if there is one.
 
     Returns
     -------

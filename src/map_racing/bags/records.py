@@ -1,8 +1,8 @@
 """The records of a ROS 1 bag (format 2.0), read front to back.
 
-A bag that was cut off, was never closed (``.bag.active``) or has a corrupt chunk still gives every
+A bag that was cut off, was never closed (``.bag.active``) or has a corrupt chunk still yields every
 complete message, with notes on what is missing. The index is only a shortcut: without it, or where
-it does not lead to the messages that it lists, the records are walked through.
+it is wrong, the records are read one after the other.
 
 Format: http://wiki.ros.org/Bags/Format/2.0
 """
@@ -55,7 +55,7 @@ class _Op(IntEnum):
 
 
 class _Header(dict):
-    """Fields of a record header, bytes to bytes, with typed access; None where not as expected."""
+    """Fields of a record header, bytes to bytes, with typed access; None if not as expected."""
 
     @property
     def op(self) -> _Op | None:
@@ -127,7 +127,7 @@ class BagFile(Bag):
     def __init__(self, path: str | Path):
         super().__init__(path)
         self._damage = set()
-        # Least number of messages that a complete run of `messages` found; None before the first.
+        # Fewest messages found by a complete pass of `messages`; None before the first.
         self._found = None
         if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
             # Opening a pipe would wait for a writer.
@@ -166,7 +166,7 @@ class BagFile(Bag):
         self._found = self._read if self._found is None else min(self._found, self._read)
 
     def notes(self) -> list[str]:
-        """What the runs of `messages` could not read; empty for a sound bag."""
+        """What `messages` could not read; empty for an intact bag."""
         notes = []
         expected = sum(self.counts.values())
         if self._damage:
@@ -230,8 +230,8 @@ class BagFile(Bag):
         number, about = header.u32(b"conn"), _header(buffer, start, stop)
         if about is None or number is None:
             return False
-        # The header's topic is after remapping, the data's before. Recorders that were given names
-        # without a slash write them so.
+        # The topic in the header is the one after remapping, the one in the data before. Recorders
+        # that were given names without a slash write them that way.
         topic = header.name(b"topic") or about.name(b"topic")
         self.connections[number] = Connection(
             topic="/" + topic.lstrip("/"),
@@ -268,7 +268,7 @@ class BagFile(Bag):
     def _chunks(self):
         """Yield the contents of each chunk, the position of its data in the file, and its index.
 
-        The index is empty where the chunk is not sound.
+        The index is empty if the chunk is damaged.
         """
         position = len(_MAGIC)
         while position < self._size:
@@ -312,7 +312,7 @@ class BagFile(Bag):
             index[number] = np.frombuffer(data, _INDEX_ENTRY)["offset"].astype(np.int64)
             position = record.end
             record = self._record_at(position)
-        # Behind what cannot be read there may be the index of another connection.
+        # The index of another connection may follow an unreadable one.
         return index if record is not None or position >= self._size else {}
 
     def _find_chunk(self, position):

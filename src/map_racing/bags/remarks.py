@@ -1,4 +1,4 @@
-"""What a bag says about the driving: the controller's settings, and its states with reasons."""
+"""The controller's settings, and its states with reasons, from a bag."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from .topics import DIAGNOSTICS_TOPIC, SETTINGS_TOPIC, STATE
 
 __all__ = ["Remarks", "read_remarks"]
 
-# How the message of the controller's status begins, and those of a car that may not drive.
+# First words of the controller's status messages, and those of a car that may not drive.
 _MODES = ("waiting", "driving", "stopping", "stopped")
 _STOPS = _MODES[2:]
 
 
 class Remarks(NamedTuple):
-    """Texts over the time of a recording [s], each list in order.
+    """Texts with their times in a recording [s], each list in order.
 
     Attributes
     ----------
     settings : list of (float, str)
-        What the controller said that it drives with.
+        Settings that the controller published.
     states : list of (float, str)
-        What it did and why, such as ``"stopping: pose too old"``, whenever that changed.
+        Its state and reason, such as ``"stopping: pose too old"``, at each change.
     """
 
     settings: list
@@ -38,10 +38,11 @@ class Remarks(NamedTuple):
     def stops(self) -> list[float]:
         """When the controller began to stop the car [s].
 
-        A car that stands already, as one that does not move although commanded, is stopped at once.
+        A car that already stands, such as one that does not move although commanded, skips the
+        state ``stopping``.
         """
         stops = [text.split(":")[0] in _STOPS for _, text in self.states]
-        before = [True, *stops[:-1]]  # at first the car may have stood for long
+        before = [True, *stops[:-1]]  # at first the car may have been standing already
         return [t for (t, _), now, then in zip(self.states, stops, before) if now and not then]
 
 
@@ -53,7 +54,7 @@ def read_remarks(source: Source, recording: Recording) -> Remarks:
     source : str, pathlib.Path or sequence of them
         See `map_racing.bags.opening.open_bag`.
     recording : Recording
-        What was read from the same bag.
+        Result of `read_recording` for the same bag.
 
     Returns
     -------
@@ -93,7 +94,7 @@ def _state(data):
     """State of the controller in a message of diagnostics; None if it is about something else."""
     _, statuses = msg.decode_diagnostics(data)
     for name, message, hardware in statuses:
-        # Earlier versions named their status and hardware otherwise.
+        # Earlier versions used other names for status and hardware.
         ours = name.endswith(STATE) or (name.endswith(": driving") and hardware == "map_racing")
         if ours and message.split(":")[0] in _MODES:
             return message

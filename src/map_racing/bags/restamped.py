@@ -1,8 +1,8 @@
-"""Copies of bags whose stamps are the times that an evaluation takes.
+"""Copies of bags, with the times that the evaluation uses as stamps.
 
-A node that hears a replayed message without a stamp can only take the time of ``/clock``, which
-runs in steps; one that another computer stamped lies elsewhere in time. In the copy each pose and
-drive command carries its time itself; poses of tf stay as they are.
+A node that receives a replayed message without a stamp has only the time of ``/clock``, which runs
+in steps; the stamps of another computer are off. In the copy each pose and drive command carries
+its corrected time; poses from tf stay as they are.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def write_restamped(path: str | Path, output: str | Path, pose_topic: str | None
     Returns
     -------
     bool
-        Whether there is a copy: none is written of a bag whose stamps are good.
+        Whether a copy was written; none is needed if the stamps are good.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def write_restamped(path: str | Path, output: str | Path, pose_topic: str | None
         If the bag cannot be read, or the copy cannot be written.
     """
     recording = read_recording(path, pose_topic)
-    # A transform has no stamp where the other messages have theirs.
+    # A transform has its stamp at another place than the other messages.
     topics = [recording.topic] if recording.type != TF else []
     topics += [recording.commands.topic] if recording.commands else []
     with BagFile(path) as bag:

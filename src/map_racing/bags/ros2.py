@@ -1,8 +1,8 @@
 """Bags of ROS 2: sqlite3 and MCAP, split, compressed by file or by message.
 
-Records are read without rosbags, whose general reader takes longer than reading, decoding and
-evaluating the same run from a bag of ROS 1, and gives up on a file that was not closed. From such a
-file, or a damaged one, every complete message is read, with notes on what is missing.
+Records are read without rosbags: its general reader takes longer than reading, decoding and
+evaluating the same run from a ROS 1 bag, and gives up on an unclosed file. From an unclosed or
+damaged file every complete message is read, with notes on what is missing.
 
 Formats: https://github.com/ros2/rosbag2, https://mcap.dev/spec
 """
@@ -28,7 +28,7 @@ METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
 
 MAGIC = (SQLITE_MAGIC[:8], MCAP_MAGIC)
-"""First bytes of the files, by which they are recognized without a name."""
+"""First bytes of the files, to recognize them whatever their name."""
 
 _BLOCK = 1 << 20
 _TIMES_END = 1 << 63  # a time that int64 cannot hold is damage [ns]
@@ -53,7 +53,7 @@ class Ros2Bag(Bag):
         self._storages, self._of_storage, self._layouts = [], [], {}
         self._temporary = None
         self._notes: list[str] = []
-        # Of the last complete run of `messages`, what was wanted and how many were found.
+        # What the last complete pass of `messages` wanted, and how many it found.
         self._found = (), 0
         metadata = self._read_metadata()
         try:
@@ -73,7 +73,7 @@ class Ros2Bag(Bag):
             self._temporary.cleanup()
 
     def _read_metadata(self):
-        """What the recorder wrote beside the files when it closed them; empty without."""
+        """Contents of ``metadata.yaml``, written when the recorder closes the bag; else empty."""
         folder = self.path if self.path.is_dir() else self.path.parent
         path = folder / METADATA
         if not path.is_file():
@@ -81,7 +81,7 @@ class Ros2Bag(Bag):
                 self._notes.append("the bag was not closed (no metadata.yaml)")
             return {}
         try:
-            # The loader of C takes a tenth of the time.
+            # The C loader takes a tenth of the time.
             loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
             content = yaml.load(path.read_text(encoding="utf-8"), loader)
             metadata = dict(content["rosbag2_bagfile_information"])
@@ -89,7 +89,7 @@ class Ros2Bag(Bag):
             self._notes.append("metadata.yaml is not readable: left out")
             return {}
         if self.path.is_file() and metadata.get("relative_file_paths") != [self.path.name]:
-            return {}  # it counts all parts, and this is one of them
+            return {}  # it describes all parts, and this is one of them
         return metadata
 
     def _open(self, path):
@@ -124,7 +124,7 @@ class Ros2Bag(Bag):
                 whole = decompressor.eof
             except OSError:
                 raise
-            except Exception:  # of a class of the library
+            except Exception:  # the library has its own classes
                 whole = False
         if not whole:
             self._notes.append(f"{path.name}: cut off or damaged: read as far as it goes")
@@ -149,7 +149,7 @@ class Ros2Bag(Bag):
             self._of_storage.append(own)
 
     def _take_counts(self, metadata):
-        """Numbers of messages and the time that they span: as the recorder counted, or counted."""
+        """Set message counts and time span, from the metadata or by counting."""
         if any(storage.counts is None for storage in self._storages):
             if self._take_recorded(metadata):
                 return
@@ -196,7 +196,7 @@ class Ros2Bag(Bag):
         self._found = self.connections if wanted is None else wanted, found
 
     def notes(self) -> list[str]:
-        """What could not be read; empty for a sound bag."""
+        """What could not be read; empty for an intact bag."""
         notes = list(self._notes)
         damage = [place for storage in self._storages for place in storage.damage]
         if damage:
@@ -217,7 +217,7 @@ class Ros2Bag(Bag):
 
 
 def _storage_files(path, metadata):
-    """Files of a bag, in the order of time, as its ``metadata.yaml`` lists them or as they are."""
+    """Files of a bag in the order of time, from its ``metadata.yaml`` or by their names."""
     if not path.is_dir():
         return [path]
     listed = metadata.get("relative_file_paths")

@@ -30,12 +30,12 @@ __all__ = [
 ]
 
 COMMAND_HOLD_S = 1.5
-"""An older drive command [s] is not in force: no driver heeds it."""
+"""Age [s] beyond which a drive command is no longer in force: no driver obeys an older one."""
 
 SIMULATED_NS = 1_700_000_000_000_000_000
-"""Time at which simulated races begin [ns]: fixed, so that the same race gives the same file."""
+"""Start time of simulated races [ns]: fixed, so that the same race gives the same file."""
 SIMULATED = "simulated"
-"""What such races have instead of a date."""
+"""Shown for such races instead of a date."""
 
 # A simulated race begins within this time after `SIMULATED_NS` [ns]. Times before 1973 [ns] come
 # from clocks that were never set, or from simulated time.
@@ -45,7 +45,7 @@ _SENSORS = ("laser", "lidar", "scan", "imu", "camera")
 # A step back in time: number of samples on both sides that are examined, the most steps that
 # can come from clocks that were set, and the lowest speed of a driving car [m/s].
 _AROUND, _MOST_SET, _DRIVES = 25, 5, 0.5
-# A pose with the stamp of another is elsewhere if it is farther away [m].
+# Two poses with the same stamp are in different places if they are farther apart [m].
 _AWAY = 0.3
 # Shorter steps back in time [s] come from transport and threads; longer ones mean that a clock was
 # set back or that another run begins.
@@ -65,12 +65,12 @@ class Commands:
     speed : ndarray, shape (k,)
         Speed [m/s]; NaN where unknown.
     topic : str
-        Topic or columns they came from.
+        Topic or columns of origin.
     shifted : bool
-        Whether their stamps were from another clock, and were brought to the poses' by the times of
-        receipt; then they are earlier than they were given by the age of the poses.
+        Whether their stamps were from another clock and were shifted to the poses' clock by the
+        times of receipt; they are then too early by the age of the poses.
     lag : float
-        From stamp to receipt [s], median; NaN where not both are known.
+        Median time from stamp to receipt [s]; NaN unless both are known.
     """
 
     t: np.ndarray
@@ -81,7 +81,7 @@ class Commands:
     lag: float = math.nan
 
     def held(self, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Those of `values`, one for each command, that are in force at each time; else NaN.
+        """Values of the commands in force at each time; NaN without any.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Commands:
         -------
         ndarray, shape (n,)
         """
-        # Index -1, before the first, is the NaN behind the last.
+        # Before the first command the index is -1: the appended NaN.
         index = np.searchsorted(self.t, t, side="right") - 1
         with np.errstate(invalid="ignore"):
             fresh = t - np.append(self.t, np.nan)[index] <= COMMAND_HOLD_S
@@ -101,7 +101,7 @@ class Commands:
 
 
 class Beliefs(NamedTuple):
-    """What an adaptive controller believed over time.
+    """Estimates of an adaptive controller over time.
 
     Attributes
     ----------
@@ -154,16 +154,16 @@ class Recording:
     commands : Commands, optional
         Drive commands of the same recording.
     beliefs : Beliefs, optional
-        What the controller believed of the day.
+        Estimates of the adaptive controller.
     waypoints : Waypoints, optional
         Raceline in the recording, as it was sent.
     later_waypoints : list of (float, Waypoints)
-        Other racelines on the same topic, with the times at which they came [s].
+        Later racelines on the same topic, with their times [s].
     clock : Clock, optional
         Clock of the poses in a bag, to bring further topics to it.
     notes : list of str
-        What was chosen, repaired or left out while reading, one line each; what makes results
-        doubtful begins with ``warning:``.
+        What was chosen, repaired or left out while reading, one line each; lines about doubtful
+        results begin with ``warning:``.
     """
 
     t: np.ndarray
@@ -187,22 +187,22 @@ class Recording:
 
     @property
     def date(self) -> str:
-        """When it was recorded, see `date_of`."""
+        """Date of the recording, see `date_of`."""
         return date_of(self.t0_ns)
 
 
 def is_map_frame(frame: str) -> bool:
-    """Whether a frame is one that racelines are in; without a name it is taken for the map."""
+    """Whether a frame is one that racelines use; a frame without a name counts as the map."""
     return frame.rpartition("/")[2] in _MAPS
 
 
 def is_odometry_frame(frame: str) -> bool:
-    """Whether a frame is one of wheel odometry, which drifts against the map."""
+    """Whether a frame is one of wheel odometry, which drifts relative to the map."""
     return "odom" in frame.rpartition("/")[2].lower()
 
 
 def child_warning(topic: str, child: str) -> str:
-    """Doubt about poses that are those of a sensor, not of the car; empty without."""
+    """Warning that poses are those of a sensor, not of the car; otherwise empty."""
     if not any(name in child.rpartition("/")[2].lower() for name in _SENSORS):
         return ""
     return (
@@ -231,7 +231,7 @@ def usable(times: np.ndarray, columns: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def jump_back(times: np.ndarray, second: int = 1) -> tuple[int, float] | None:
-    """First place where time falls back so far that another run begins.
+    """First place where time falls back so far that a new run must begin.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def in_order(
 
 
 def _elsewhere(columns, first, what):
-    """Warning of poses that have the stamp of another far away; none has the time to get there."""
+    """Warning of poses that share a stamp but are far apart."""
     x, y = columns[:2]
     kept = np.flatnonzero(first)[np.cumsum(first) - 1]
     away = np.hypot(x - x[kept], y - y[kept])
@@ -305,16 +305,17 @@ def _elsewhere(columns, first, what):
     if not far.any():
         return []
     return [
-        f"warning: {what}: {np.count_nonzero(far)} poses have the stamp of another up to "
-        f"{np.max(away):.1f} m away, and are left out: was a clock set back, or are these two runs?"
+        f"warning: {what}: {np.count_nonzero(far)} poses share the stamp of another up to "
+        f"{np.max(away):.1f} m away, and are left out: was a clock set back, or are these two "
+        "runs?"
     ]
 
 
 def _set_back(times, columns, what):
     """Warnings of a clock that was set back while the car drove.
 
-    In the order in which they were recorded poses are one way; in the order of time they are two
-    that alternate. Poses in a wrong order are not.
+    Such poses form one path in the order of recording, and two alternating paths in the order of
+    time. Poses that were merely reordered do not.
     """
     second = 1e9 if times.dtype.kind == "i" else 1.0
     back, warnings = np.flatnonzero(np.diff(times) < 0), []
@@ -334,7 +335,7 @@ def _set_back(times, columns, what):
             warnings.append(
                 f"warning: {what}: time falls back by {(ago + usual) / second:.2f} s at "
                 f"{float(times[k] - times[0]) / second:.1f} s, while the car drives on: that lap "
-                "is so much too short"
+                "is too short by as much"
             )
     return warnings
 

@@ -14,15 +14,17 @@ from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usabl
 __all__ = ["FrameChoice", "PoseSeries", "Series", "commands_of_two", "followed", "quaternion_note"]
 
 _BATCH = 2048
-# Commands are of two nodes if, in a block of this many, a larger share than the first number
-# differs from both neighbors by more than the second [rad, m/s]. One node, on noisy poses, has a
-# share of up to 0.12 for angles and 0.01 for speeds.
+# Commands come from two nodes if, in a block of this many, a larger share than the first number
+# differs from both neighbors by more than the second [rad, m/s]. With noisy poses, a single node
+# has a share of up to 0.12 for angles and 0.01 for speeds.
 _BLOCK, _ANGLE, _SPEED = 200, (0.2, 0.05), (0.03, 0.1)
-# The neighbors agree to this share of the difference, which is this many times this percentile.
+# The neighbors must agree within this share of the difference, which must be this many times this
+# percentile.
 _AGREE, _MANY, _MOST = 0.2, 5.0, 30.0
-# Or if at least so many differ from neighbors that agree by more [rad, m/s] than one node's do.
+# Or if at least this many differ from agreeing neighbors by more [rad, m/s] than those of a single
+# node.
 _FEW, _FAR_ANGLE, _FAR_SPEED = 5, 0.2, 1.0
-# After so long without a message [ns] a node or frame is gone, and another may take its place.
+# After this long without a message [ns] a node or frame is gone, and another may replace it.
 _SENDER_GONE = 10**9
 
 
@@ -35,7 +37,7 @@ class _Senders:
         self._left_out, self._followed = {}, []
 
     def counts(self, message):
-        """Whether a message is of the node that counts."""
+        """Whether a message comes from the node that counts."""
         sender = self._names[message.connection]
         if sender != self._sender:
             pair = sender, self._sender
@@ -49,7 +51,7 @@ class _Senders:
         return True
 
     def say(self, notes, topic):
-        """Say which were left out, and which took the place of another."""
+        """Note which senders were left out, and which replaced another."""
         for (sender, first), count in self._left_out.items():
             notes.append(
                 f"warning: {topic}: {count} messages of a second sender, {sender}, left out: "
@@ -60,22 +62,22 @@ class _Senders:
 
 
 class FrameChoice:
-    """Picks the frame of which the poses of a topic count, live and from bags alike.
+    """Picks the frame whose poses count on a topic, live and from bags alike.
 
-    It is the first one. Once that is gone, one that is nearer to the map takes its place, as when
-    localization starts after the wheels, and what came before is of no use.
+    It is the first one. Once that is gone, a frame nearer to the map replaces it, as when
+    localization starts after wheel odometry; earlier poses are then dropped.
 
     Attributes
     ----------
     frame : str or None
-        The frame that counts, ``map`` where it has no name; None before the first pose.
+        The frame that counts, ``map`` if it has no name; None before the first pose.
     """
 
     def __init__(self):
         self.frame, self._heard = None, 0
 
     def counts(self, frame: str, at_ns: int) -> bool:
-        """Whether a pose of a frame, of a time [ns], counts; `frame` is then its own."""
+        """Whether a pose in a frame at a time [ns] counts; if so, `frame` becomes its frame."""
         frame = frame or "map"
         if frame != self.frame and self.frame is not None:
             gone = at_ns - self._heard >= _SENDER_GONE
@@ -86,17 +88,17 @@ class FrameChoice:
 
 
 def followed(count: int, what: str, before: str, frame: str, early: int) -> str:
-    """Doubt about a frame that took the place of another.
+    """Warning that a frame replaced another.
 
     Parameters
     ----------
     count : int
-        Messages or rows in the frame before, which are lost.
+        Messages or rows lost in the previous frame.
     what : str
         What is counted.
     before, frame : str
     early : int
-        How many in the frame itself came before the other was gone, and are lost as well.
+        Number in the new frame that came before the other was gone, and are lost as well.
     """
     also = f" and {early} in {frame}" if early else ""
     return (
@@ -119,7 +121,7 @@ class Series:
     coordinates : int, optional
         The first columns that are required coordinates, see `in_order`.
     connections : dict of int to Connection, optional
-        By number; only the messages of the first sender count, for as long as it sends.
+        By number; only messages of the first sender count, as long as it sends.
     delay_ns : int, optional
         See `map_racing.bags.clocks.Clock.times`.
     """
@@ -173,9 +175,9 @@ class Series:
         return found and found[1]
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps, mended by times of receipt, and times of receipt of usable samples.
+        """Stamps (corrected by times of receipt) and times of receipt of usable samples.
 
-        Messages that are sent again, as they were, are none.
+        Repeated messages are left out.
 
         Returns
         -------
@@ -188,7 +190,7 @@ class Series:
         return stamps[keep], times[keep]
 
     def _all(self, topic="", notes=None):
-        """Stamps that were mended, times of receipt and values; what was mended to the notes."""
+        """Corrected stamps, times of receipt and values; corrections go to the notes."""
         self._flush()
         given, times, values = (
             np.concatenate(part) for part in (self._stamps, self._times, self._values)
@@ -197,7 +199,7 @@ class Series:
         if notes is None:
             return stamps, times, values
         unstamped = np.count_nonzero(given == 0)
-        good = f", good to {spread:.3f} s" if spread else ""
+        good = f", accurate to {spread:.3f} s" if spread else ""
         if unstamped:
             notes.append(f"{topic}: {unstamped} of {times.size} stamps are 0: receive time{good}")
         if coarse.any():
@@ -226,13 +228,13 @@ class Series:
         Returns
         -------
         times : ndarray of int64
-            Header stamps or, where they are 0, times of receipt [ns].
+            Header stamps or, if they are 0, times of receipt [ns].
         columns : list of ndarray
         """
         by_receipt = clock is not None and clock.use_receipt
         stamps, times, values = self._all(topic, None if by_receipt else notes)
         if self._broken:
-            notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
+            notes.append(f"{topic}: {self._broken} messages that do not match their type left out")
         if clock is not None:
             stamps = clock.times(stamps, times, notes, topic, self._delay_ns)
         if self._senders is not None:
@@ -242,12 +244,12 @@ class Series:
 
 
 class PoseSeries(Series):
-    """Poses of one topic: of its first sender, for as long as it sends, and in one frame.
+    """Poses of one topic, from its first sender as long as it sends, and in one frame.
 
     Parameters
     ----------
     decode : callable
-        Of a pose: the first columns are ``x y psi q``, see `messages.decode_odometry`.
+        Decoder of a pose whose first columns are ``x y psi q``, see `messages.decode_odometry`.
     connections : dict of int to Connection
         By number.
     """
@@ -276,7 +278,7 @@ class PoseSeries(Series):
         super()._flush()
 
     def _choose(self):
-        """Keep the messages whose frame counts; the decoder finds those that are cut off."""
+        """Keep messages in the frame that counts; truncated ones are left to the decoder."""
         kept = []
         for data, at in zip(self._data, self._received):
             encoded, before = _frame_bytes(data), self._choice.frame
@@ -305,7 +307,7 @@ class PoseSeries(Series):
 
     def columns(self, notes, topic, clock=None):
         """Samples in strict order of time, as `Series.columns`: ``x y psi v_x v_y yaw_rate``."""
-        # Their own stamps are of their clock, whatever the receipts are.
+        # Whatever the receipts are, the poses' own stamps are on the poses' clock.
         used = clock if clock is not None and clock.use_receipt else None
         times, columns = super().columns(notes, topic, used)
         quaternion_note(notes, topic, columns.pop(3))
@@ -320,13 +322,13 @@ class PoseSeries(Series):
 
 
 def _changed(values):
-    """Which messages hold something else than the one before."""
+    """Which messages differ from the one before."""
     same = (values[1:] == values[:-1]) | np.isnan(values[1:])
     return np.append(True, ~np.all(same, axis=1))[: len(values)]
 
 
 def _time(data, received):
-    """Stamp of a message, or its time of receipt [ns], as live."""
+    """Stamp of a message, or else its time of receipt [ns], as in the nodes."""
     seconds, rest = (int.from_bytes(data[at : at + 4], "little") for at in (4, 8))
     return seconds * 10**9 + rest or received
 
@@ -342,7 +344,7 @@ def _frame_bytes(data):
 
 
 def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
-    """Say where quaternions have not the length 1.
+    """Note quaternions whose length is not 1.
 
     Parameters
     ----------
@@ -358,14 +360,14 @@ def quaternion_note(notes: list[str], topic: str, lengths: np.ndarray) -> None:
         headed = np.all(other > SHORTEST_QUATERNION)
     if other.size:
         notes.append(
-            f"{topic}: {other.size} of {lengths.size} quaternions have not the length 1 but "
+            f"{topic}: {other.size} of {lengths.size} quaternions do not have length 1 but "
             f"{np.median(other):.3g}: normalized"
-            + ("" if headed else ", no heading without length")
+            + ("" if headed else ", no heading from those of length 0")
         )
 
 
 def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
-    """Warning of commands that alternate, as of two nodes that the bag does not name; or empty.
+    """Warning of commands that alternate, as from two unnamed nodes; otherwise empty.
 
     Parameters
     ----------
@@ -373,7 +375,10 @@ def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
     angle, speed : ndarray, shape (k,)
         Steering angles [rad] and speeds [m/s], in the order of time.
     """
-    of_angles, of_speeds = _to_and_fro(angle, _ANGLE[1]), _to_and_fro(speed, _SPEED[1])
+    of_angles, of_speeds = (
+        _alternating_share(angle, _ANGLE[1]),
+        _alternating_share(speed, _SPEED[1]),
+    )
     count = max(_far_off(angle, _FAR_ANGLE), _far_off(speed, _FAR_SPEED))
     if of_angles > _ANGLE[0] or of_speeds > _SPEED[0]:
         many = f"up to {max(of_angles, of_speeds):.0%}"
@@ -382,28 +387,28 @@ def commands_of_two(topic: str, angle: np.ndarray, speed: np.ndarray) -> str:
     else:
         return ""
     return (
-        f"{topic}: {many} of the commands are unlike those before and after, which agree: of two "
-        "nodes? All of them count"
+        f"{topic}: {many} of the commands differ from those before and after, which agree: from "
+        "two nodes? All of them count"
     )
 
 
 def _far_off(values, least):
-    """Number of values that leave both neighbors by more than `least`, while these agree."""
+    """Number of values that differ by more than `least` from both neighbors, which agree."""
     steps = np.abs(np.diff(values))
     away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
     with np.errstate(invalid="ignore"):
         return int(np.count_nonzero((away > least) & (across < 0.5 * _AGREE * away)))
 
 
-def _to_and_fro(values, least):
-    """Largest share, of the blocks, of values that leave those around them for one message."""
+def _alternating_share(values, least):
+    """Largest share in any block of values that differ from both neighbors."""
     if values.size < _BLOCK:
         return 0.0
     steps = np.abs(np.diff(values))
     away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
     count, most = away.size // _BLOCK or 1, 0.0
     for one, other in zip(np.array_split(away, count), np.array_split(across, count)):
-        # The percentile takes longest, and most blocks are decided without it.
+        # The percentile is the slowest part, and rarely needed.
         if np.isfinite(one).all() and np.mean((one > least) & (other < _AGREE * one)) > most:
             usual = float(np.percentile(other, _MOST))
             most = max(most, np.mean((one > max(least, _MANY * usual)) & (other < _AGREE * one)))

@@ -1,6 +1,6 @@
 """Files that hold the messages of ROS 2: sqlite3 and MCAP.
 
-Of a file that was not closed, or is damaged, every complete message is read.
+From an unclosed or damaged file, every complete message is read.
 
 Formats: https://github.com/ros2/rosbag2, https://mcap.dev/spec
 """
@@ -24,7 +24,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 """First bytes of the files."""
 
 SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
-"""What reading sqlite3 raises; it decodes the texts of its own errors."""
+"""Exceptions of sqlite3, which also fails to decode its own error texts."""
 
 _U16, _U32 = struct.Struct("<H"), struct.Struct("<I")
 _RECORD = struct.Struct("<BQ")
@@ -40,7 +40,7 @@ _INDEX_OP, _CHUNK_INDEX_OP, _STATISTICS_OP, _LAST_OP = 7, 8, 11, 15
 
 
 class Topic(NamedTuple):
-    """A topic of a file; ``rearrange`` is False where a converter left the messages of ROS 1."""
+    """A topic of a file; ``rearrange`` is False if its messages are in the ROS 1 layout."""
 
     name: str
     type: str
@@ -63,7 +63,7 @@ class SqliteFile:
     span : tuple of (int, int)
         First and last time of receipt [ns].
     closed : bool
-        Whether the recorder closed the file, as far as it can be known.
+        Whether the recorder closed the file, as far as this is known.
     damage : list of str
         Places that cannot be read.
     unread : set of str
@@ -74,8 +74,8 @@ class SqliteFile:
         self.counts, self.span, self.damage, self.closed = None, (0, 0), [], True
         self.unread = set()
         uri = path.resolve().as_uri()
-        # A recorder that was killed leaves a journal, which can be read only where it can be
-        # written; a bag without one may lie where nothing can.
+        # A killed recorder leaves a journal, which sqlite can read only if it may write to it; a
+        # bag without one may be on read-only media.
         journal = path.with_name(path.name + "-wal").exists()
         try:
             self._connect(f"{uri}?mode=ro" if journal else f"{uri}?immutable=1")
@@ -215,7 +215,7 @@ class McapFile:
                 return
             except (_Damage, struct.error):
                 self.damage.append(f"byte {at}")
-            # A chunk that the end of the file cuts off may still hold messages.
+            # A chunk truncated by the end of the file may still hold messages.
             if self._data[at] == _CHUNK_OP and at + _RECORD.size + _CHUNK.size < self._size:
                 with suppress(_Damage, struct.error):
                     yield from self._chunk(at + _RECORD.size, self._size, wanted)
@@ -250,7 +250,7 @@ class McapFile:
         return picked
 
     def _index(self, at):
-        """Places of the messages of each channel in the chunk before; empty without all of them."""
+        """Places of the messages of each channel in the preceding chunk; empty unless complete."""
         index = {}
         try:
             for op, begin, end in _records(self._data, at, self._size):
@@ -264,7 +264,7 @@ class McapFile:
         return index
 
     def _walk(self, data, at, end, wanted):
-        """Messages among records; schemas and channels are taken."""
+        """Yield messages among records, and store schemas and channels."""
         unpack, head = _MESSAGE.unpack_from, _MESSAGE.size
         try:
             for op, begin, stop in _records(data, at, end):

@@ -27,15 +27,15 @@ __all__ = [
 ]
 
 DRIVE_TOPIC = "/vesc/high_level/ackermann_cmd_mux/input/nav_1"
-"""Where racing stacks publish the drive command."""
+"""Topic where racing stacks publish the drive command."""
 BELIEF_TOPIC = "/map_racing/belief"
-"""Where the controller says what it believes of the day."""
+"""Topic of the adaptive controller's estimates."""
 SETTINGS_TOPIC = "/map_racing/settings"
-"""Where the controller says what it drives with, as text."""
+"""Topic of the controller's settings, as text."""
 DIAGNOSTICS_TOPIC = "/diagnostics"
-"""Where nodes say how they are."""
+"""Topic of the nodes' diagnostics."""
 STATE = ": state"
-"""What follows the node's name in the name of the controller's status there."""
+"""Suffix to the node's name in the name of the controller's status there."""
 
 POSE_DECODERS = {
     msg.MD5[msg.ODOMETRY]: msg.decode_odometry,
@@ -46,10 +46,10 @@ _KINDS = {md5: rank for rank, md5 in enumerate(POSE_DECODERS)}
 _KNOWN_IMUS = ("/vesc/sensors/imu/raw", "/sensors/imu/raw", "/imu")
 _KNOWN_POSES = ("/car_state/odom", "/car_state/pose", "/pf/pose/odom", "/odom")
 _KNOWN_DRIVES = (DRIVE_TOPIC, "/drive", "/nav")
-# Truth that no car knows, and what is not the car.
+# Ground truth, which a car does not know, and poses of something else.
 _LAST = ("ground_truth", "groundtruth", "gt_pose")
 _LAST += ("goal", "lookahead", "target", "opponent", "opp_", "obstacle")
-# Slower poses [Hz] are goals, initial guesses or rare fixes, not the path of a car.
+# Slower poses [Hz] are goals, initial guesses or rare fixes, not the path of the car.
 _SLOWEST_POSE = 5.0
 
 
@@ -58,8 +58,8 @@ class PoseSource(NamedTuple):
 
     ``rank`` orders sources, the best first: (doubt, frame, kind, name, -count, topic), where doubt
     is 0 for none, 1 for a source that is chosen only if there is no better one, 2 for a source
-    that is used only on demand. ``poses`` is for tf; ``transforms`` bring poses of another frame
-    into the map, of the car's frame ``child``; where that is a sensor, ``mount`` is its place in
+    that is used only on demand. ``poses`` is for tf; ``transforms`` bring poses of the frame
+    ``child`` from another frame into the map; if ``child`` is a sensor, ``mount`` is its pose on
     the car.
     """
 
@@ -76,7 +76,7 @@ class PoseSource(NamedTuple):
     mount: tuple = ()
 
     def series(self, bag: Bag) -> PoseSeries | FramePoses | ComposedPoses | MountedPoses:
-        """What collects the poses."""
+        """Object that collects the poses."""
         if self.poses is not None:
             return self.poses
         lines = {number: bag.connections[number] for number in self.connections}
@@ -204,14 +204,14 @@ def _first_frames(bag, groups):
 
 
 def _with_transforms(bag, sources):
-    """Sources with frames of tf, and poses that tf brings into the map, best first."""
+    """Sources including frames of tf, and poses that tf brings into the map, best first."""
     transforms = RecordedTransforms(bag)
     sources = [_composed(source, transforms) for source in sources]
     return sorted(sources + _tf_sources(transforms), key=lambda source: source.rank)
 
 
 def _composed(source, transforms):
-    """A source in another frame than the map, brought there where tf has the way."""
+    """A source in another frame, brought into the map if tf connects them."""
     child = source.child or "base_link"
     if child_warning(source.topic, child):
         source = source._replace(mount=transforms.mount(child))
@@ -260,7 +260,7 @@ def drive_connections(bag: Bag) -> tuple[str, set[int]]:
 
 
 def belief_connections(bag: Bag) -> tuple[str, set[int]]:
-    """Topic of what a controller believes and its connections; empty without."""
+    """Topic of a controller's estimates and its connections; otherwise empty."""
     return _connections(bag, msg.MD5[msg.BELIEF], (BELIEF_TOPIC,))
 
 

@@ -1,4 +1,4 @@
-"""Poses from the transforms of tf that a bag has."""
+"""Poses from the tf transforms in a bag."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _CORRECTED, _SAME_NS, _LONGER, _DRIVEN = 20, 3 * 10**9, 10, 5.0
 
 
 class _Samples:
-    """Poses of a frame in its parent frame as they were recorded."""
+    """Recorded poses of a frame in its parent frame."""
 
     def __init__(self):
         self.stamps, self.times, self.values = array("q"), array("q"), array("d")
@@ -43,7 +43,7 @@ class _Samples:
         return sorted({name for pair in pairs for _, name in pair})
 
     def columns(self, notes=None, what=""):
-        """Stamps, mended, times of receipt, and columns ``x y psi q``."""
+        """Corrected stamps, times of receipt, and columns ``x y psi q``."""
         stamps, times = (np.array(part, dtype=np.int64) for part in (self.stamps, self.times))
         values = np.array(self.values).reshape(-1, 4)
         changed = np.append(True, np.any(values[1:] != values[:-1], axis=1))[: times.size]
@@ -53,7 +53,7 @@ class _Samples:
         return stamps, times, list(values.T)
 
     def good(self):
-        """Stamps and times of receipt of poses that are finite."""
+        """Stamps and times of receipt of finite poses."""
         stamps, times, columns = self.columns()
         keep = usable(stamps, columns[:3])
         return stamps[keep], times[keep]
@@ -91,20 +91,20 @@ class RecordedTransforms:
                     samples.values.extend(transform[3:])
             except struct.error:
                 self._broken += 1
-        # Which frames are connected is known without the poses.
+        # Frames are connected even where all their poses are unusable.
         self._frames = TransformTree()
         for parent, child, is_static in self._samples:
             self._frames.extend(parent, child, [0], [(0.0, 0.0, 0.0)], is_static)
 
     @property
     def frames(self) -> list[str]:
-        """Names of all frames that have a place in another."""
+        """Names of all frames that have a parent."""
         children = [child for _, child, _ in self._samples]
         parents = [parent for parent, _, _ in self._samples if _is_base(parent)]
         return list(dict.fromkeys(children + parents))
 
     def root(self, frame: str) -> str:
-        """``map`` if it is connected with a frame, else the root of the tree above it."""
+        """``map`` if it is connected with a frame, otherwise the root of the tree above it."""
         if self.connected("map", frame):
             return "map"
         parents = {child: parent for parent, child, _ in reversed(list(self._samples))}
@@ -115,7 +115,7 @@ class RecordedTransforms:
         return frame
 
     def mount(self, child: str) -> tuple[float, float, float] | tuple[()]:
-        """Static pose ``(x, y, psi)`` of a frame in the car's; empty where there is none."""
+        """Static pose ``(x, y, psi)`` of a frame on the car; empty if there is none."""
         for base in self.frames:
             if not _is_base(base) or not self.connected(base, child):
                 continue
@@ -127,12 +127,12 @@ class RecordedTransforms:
         return ()
 
     def frozen(self, parent: str, child: str, received: bool) -> list[tuple[tuple, int, int]]:
-        """Links between two frames that stay the same, though they were corrected before.
+        """Links between two frames that stop changing after they had been corrected.
 
         Returns
         -------
         list of ((str, str), int, int)
-            Parent and child; time of the last correction and of the last pose like it [ns].
+            Parent and child; times of the last correction and of the last repetition of it [ns].
         """
         links = self.links(parent, child)
         offsets = {} if received else _offsets(links)
@@ -152,7 +152,7 @@ class RecordedTransforms:
         return found
 
     def connected(self, parent: str, child: str) -> bool:
-        """Whether transforms lead from one frame to another."""
+        """Whether transforms connect two frames."""
         return parent != child and bool(self._frames.paths(parent, child))
 
     def links(self, parent: str, child: str) -> dict:
@@ -171,7 +171,7 @@ class RecordedTransforms:
             _, _, columns = self._samples[(*name, False)].columns()
             moving = any(np.ptp(c) > 0.0 for c in columns[:3] if c.size and np.isfinite(c).all())
             found = jump_back(times if received else stamps, 10**9)
-            # A constant transform may be sent with any stamp.
+            # The stamp of a constant transform has no meaning.
             if found and moving:
                 return found[1]
         return None
@@ -189,14 +189,14 @@ class RecordedTransforms:
         topic : str
             Name of the poses in the notes.
         received : bool
-            Take times of receipt instead of stamps.
+            Use times of receipt instead of stamps.
 
         Returns
         -------
         TransformTree
         """
         if self._broken:
-            notes.append(f"{topic}: {self._broken} messages that are not of their type left out")
+            notes.append(f"{topic}: {self._broken} messages that do not match their type left out")
         offsets = {} if received else _offsets(self.links(parent, child))
         lengths = []
         tree = TransformTree()
@@ -233,7 +233,7 @@ class RecordedTransforms:
         return tree
 
     def clock(self, parent: str, child: str, received: bool) -> Clock:
-        """Clock of the link between two frames that is sent most often; empty if all are static."""
+        """Clock of the most frequent link between two frames; empty if all are static."""
         links = self.links(parent, child)
         if not links:
             nothing = np.zeros(0, dtype=np.int64)
@@ -245,7 +245,7 @@ class RecordedTransforms:
 
 
 def _offsets(links: dict) -> dict:
-    """Corrections [ns] of the stamps of links that were stamped by another clock."""
+    """Corrections [ns] of stamps for links on another clock."""
     lags = {name: int(np.median(at - stamps)) for name, (stamps, at) in links.items() if at.size}
     if len(lags) < 2:
         return {}
@@ -280,7 +280,7 @@ class FramePoses(NamedTuple):
         return self.transforms.jump_back(self.root, self.frame, received)
 
     def stamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """As `Series.stamps`, of the link that is sent most often."""
+        """As `Series.stamps`, for the most frequent link."""
         links = self.transforms.links(self.root, self.frame)
         return max(links.values(), key=lambda link: link[0].size)
 
@@ -314,7 +314,7 @@ def _frames(path, frame):
 
 
 def _say_ends(transforms, root, frame, times, notes, topic, clock):
-    """Say which link ended while others went on, so that there is no pose."""
+    """Note which link ended before the others, so that there is no pose."""
     links = transforms.links(root, frame)
     offsets = {} if clock.use_receipt else _offsets(links)
     for name, (stamps, received) in links.items():
@@ -335,7 +335,7 @@ def _say_ends(transforms, root, frame, times, notes, topic, clock):
 
 
 def _say_frozen(frozen, times, x, y, notes, topic):
-    """Say where a localization sends the same while the car drives."""
+    """Note where a localization repeats the same correction while the car drives."""
     for name, begin, end in frozen:
         inside = (times >= begin) & (times <= end)
         way = float(np.sum(np.hypot(np.diff(x[inside]), np.diff(y[inside]))))
@@ -343,12 +343,12 @@ def _say_frozen(frozen, times, x, y, notes, topic):
             at, until = ((bound - times[0]) * 1e-9 for bound in (begin, end))
             notes.append(
                 f"warning: {topic}: {name[0]} to {name[1]} stays the same from {at:.1f} to "
-                f"{until:.1f} s, in which the car drove {way:.0f} m: without localization?"
+                f"{until:.1f} s, while the car drove {way:.0f} m: localization lost?"
             )
 
 
 class _PlacedPoses:
-    """Poses that are brought elsewhere when they are read."""
+    """Poses that are transformed when they are read."""
 
     def __init__(self, poses):
         self._poses = poses
@@ -367,13 +367,13 @@ class _PlacedPoses:
 
 
 class MountedPoses(_PlacedPoses):
-    """Poses of a sensor, brought to the car by its mount, as a `PoseSeries`.
+    """Poses of the car from those of a sensor and its mount, as a `PoseSeries`.
 
     Parameters
     ----------
     poses : PoseSeries or ComposedPoses
     mount : (float, float, float)
-        Pose of the sensor in the car [m, rad].
+        Pose of the sensor on the car [m, rad].
     """
 
     def __init__(self, poses: PoseSeries | ComposedPoses, mount: tuple[float, float, float]):
@@ -431,7 +431,7 @@ class ComposedPoses(_PlacedPoses):
         found = [tree.lookup("map", self._child, stamp) for stamp in stamps]
         keep = np.array([pose is not None for pose in found], dtype=bool)
         if not keep.all():
-            # The last transform comes before the last pose.
+            # The last pose is usually newer than the last transform.
             missing = np.count_nonzero(~keep)
             doubt = "" if missing < 0.01 * keep.size else "warning: "
             notes.append(
@@ -446,7 +446,7 @@ class ComposedPoses(_PlacedPoses):
 
 
 def _shift_to(clock, other):
-    """What brings times of a clock to another's, if they do not agree [ns]."""
+    """Shift [ns] from one clock to another, if they do not agree."""
     if clock.use_receipt or not (clock.lag.size and other.lag.size):
         return 0
     apart = int(np.median(clock.lag) - np.median(other.lag))

@@ -1,6 +1,6 @@
-"""Are speed and yaw rate of a message of the moment of its pose?
+"""Checks whether speed and yaw rate in a message belong to the same moment as its pose.
 
-They have one stamp, whatever program each of them came from: only the driving tells where one of
+They share one stamp even if they come from different programs: only the motion reveals that one of
 them is late.
 """
 
@@ -15,31 +15,31 @@ from .clocks import lag_of_effect
 
 __all__ = ["lag_of_speed", "lag_of_turning", "when"]
 
-# Motion of the poses is told over this time to both sides of steps [s], where poses come at least
-# so often [s].
+# The motion of the poses is measured over this time to both sides [s], in steps of this [s], if the
+# poses come at least this often [s].
 _REACH, _STEP, _BARE = 0.1, 0.02, 0.25
-# Speeds and rates beyond this are of damaged files [m/s, rad/s].
+# Larger speeds and rates come from damaged files [m/s, rad/s].
 _FASTEST = 1e3
-# No lag [s]; and the least that are told, of what is measured late and early: filters look like
-# less, and wheels that slip while the car accelerates seem to be early.
+# Lags up to the first [s] count as none. The smallest lags reported, late and early: filters cause
+# smaller ones, and wheels that slip under acceleration seem early.
 _NONE, _LATE, _EARLY = 0.02, 0.09, 0.11
-# Of slow changes a short lag costs little correlation; here both are of one motion.
+# A short lag of slow changes costs little correlation, and here both signals are the same motion.
 _BETTER = 0.003
-# Share of the typical difference, averaged over so many steps, that is left at the lag.
+# Largest share of the typical difference, averaged over this many steps, that remains at the lag.
 _CLOSER, _SMOOTH = 0.8, 25
 
 
 def lag_of_speed(
     t: np.ndarray, v: np.ndarray, at: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> float | None:
-    """How much later a speed is than the same speed of the poses, where that is plain.
+    """Lag of a measured speed behind the speed of the poses, if it is clear.
 
     Parameters
     ----------
     t, v : ndarray, shape (n,)
         Times [s], increasing, and speeds [m/s].
     at, x, y : ndarray, shape (k,)
-        Times [s], increasing, and positions [m], none of them repeated while the car drives on.
+        Times [s], increasing, and positions [m] without repetitions while the car drives.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def lag_of_speed(
 
 
 def lag_of_turning(t: np.ndarray, r: np.ndarray, at: np.ndarray, psi: np.ndarray) -> float | None:
-    """How much later a yaw rate [rad/s] is than that of headings [rad], as `lag_of_speed`."""
+    """Lag of a yaw rate [rad/s] behind the headings [rad], as `lag_of_speed`."""
     return _lag(t, r, at, [np.unwrap(psi)], lambda turned: turned)
 
 
@@ -71,12 +71,12 @@ def _lag(t, measured, at, poses, rate):
     next_one = np.clip(np.searchsorted(at, grid), 1, at.size - 1)
     moved[at[next_one] - at[next_one - 1] > _BARE] = math.nan
     moved = np.clip(moved, -_FASTEST, _FASTEST)
-    # A cause is held until the next: each value around its time.
+    # `lag_of_effect` holds a cause until the next: center each value on its time.
     held = grid - 0.5 * _STEP, np.interp(grid, t, measured)
     lag = lag_of_effect(*held, grid, moved, _NONE, -_NONE, _BETTER)
     if lag is None or -_LATE < lag < _EARLY:
         return None
-    # A few wrong values correlate with anything.
+    # A few outliers correlate with anything.
     known = np.isfinite(moved) & (grid - lag > t[0]) & (grid - lag < t[-1])
     now, then = (
         _typical(np.interp(grid[known] - by, t, measured) - moved[known]) for by in (0.0, lag)

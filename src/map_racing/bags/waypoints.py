@@ -15,7 +15,7 @@ from .samples import Waypoints
 
 __all__ = ["WaypointCollection", "read_waypoints"]
 
-# The lateral deviation of a raceline from itself is meaningless, and may be anything.
+# The lateral deviation of a raceline from itself is meaningless and may have any value.
 _FIELDS = tuple(field for field in msg.WAYPOINT_FIELDS if field != "d_m")
 
 
@@ -100,7 +100,7 @@ class WaypointCollection:
     def add(self, message: Message) -> None:
         """Add a message of one of the `connections`."""
         topic = self.connections[message.connection]
-        body = message.data[12:]  # without number and stamp
+        body = message.data[12:]  # after sequence number and stamp
         if self._bodies.get(topic) == body:
             return
         self._bodies[topic] = body
@@ -135,7 +135,7 @@ class WaypointCollection:
 
 
 def _connections(bag, topic, accept):
-    """Topics by connection: of accepted connections on a topic or, without one, not local."""
+    """Accepted connections by number: on the given topic or, without one, on any not local."""
     wanted = "/" + topic.lstrip("/") if topic else None
     return {
         number: connection.topic

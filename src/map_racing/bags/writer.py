@@ -26,7 +26,7 @@ class BagWriter:
     replaces an existing file; after an exception nothing is left behind.
 
     All methods take a ``stamp``: seconds as a float, or nanoseconds as an int. It is the header's
-    time stamp and, unless ``received`` is given, the time of receipt. In ROS 0 means an unknown
+    time stamp and, unless ``received`` is given, the time of receipt. In ROS, 0 means an unknown
     time, so clocks must begin later.
 
     Parameters
@@ -54,13 +54,14 @@ class BagWriter:
             raise BagError(f"{path}: cannot write the bag: expected a file, got a directory")
         if self.path.exists() and not self.path.is_file():
             raise BagError(f"{path}: cannot write the bag: expected a file, got a pipe or a device")
-        # A link stays, and its target is replaced.
+        # For a link, its target is replaced.
         self._target = Path(os.path.realpath(str(path)))
         self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
         self._topics: dict[str, list] = {}
 
     def __enter__(self):
-        # Slow, and needed only to write. It comes first, so that an interrupt leaves no file.
+        # Slow to import, and needed only to write. Imported first, so that an interrupt leaves no
+        # file.
         from rosbags.rosbag1 import Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -130,7 +131,7 @@ class BagWriter:
         self._write(topic, msg.ACKERMANN, stamp, received, encoding.encode_drive, values)
 
     def belief(self, stamp, values, *, topic=BELIEF_TOPIC, frame="map", received=None):
-        """What the controller believes of the day: `BELIEF_FIELDS` in order."""
+        """Estimates of the adaptive controller: `BELIEF_FIELDS` in order."""
         self._write(topic, msg.BELIEF, stamp, received, encoding.encode_belief, (frame, *values))
 
     def imu(
@@ -179,7 +180,7 @@ class BagWriter:
         )
 
     def state(self, stamp, text, level, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
-        """State of the controller in the words of its node, and its level in diagnostics."""
+        """State of the controller as its node words it, with its level in diagnostics."""
         values = (level, f"controller{STATE}", text, hardware)
         self._write(topic, msg.DIAGNOSTICS, stamp, received, encoding.encode_status, values)
 
@@ -241,9 +242,9 @@ def copy_bag(bag: Bag, output: str | Path, data_of: Callable[[int, Message], byt
             for message in bag.messages():
                 number = message.connection
                 about = bag.connections.get(number)
-                if about is None:  # lost by damage
+                if about is None:  # lost in a damaged bag
                     continue
-                # A node that connected twice is one to the writer.
+                # The writer treats a node that connected twice as one.
                 if about not in connections:
                     package, _, name = about.type.partition("/")
                     connections[about] = writer.add_connection(
@@ -261,7 +262,7 @@ def copy_bag(bag: Bag, output: str | Path, data_of: Callable[[int, Message], byt
 
 
 def _compress_for_ros(data):
-    """Lz4 frame that ROS can read; it refuses the default form, which rosbags writes."""
+    """Lz4 frame in a form that ROS can read, unlike the default form of rosbags."""
     return lz4.frame.compress(data, block_linked=False, store_size=False, content_checksum=True)
 
 

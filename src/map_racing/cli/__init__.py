@@ -28,14 +28,14 @@ COMMANDS = {
     "identify": "identify tires from laps or steady cornering, write vehicle file and table",
     "delay": "delays of steering, drive and localization from recorded laps",
     "faults": "rehearse faults: what stops the car, how soon, and what lets it drive again",
-    "tune": "find the lookahead with which a controller follows a track closest",
+    "tune": "find the lookahead with which a controller follows a track most closely",
     "experiment": "repeat the paper's experiments, race a grid of tracks and cars, or against MPC",
     "compare": "compare two result directories of experiments or of tuning",
 }
 
 
 class _StoreOnce(argparse._StoreAction):
-    """Store the value of an option, which nothing says twice: the first would be lost."""
+    """Store the value of an option, and refuse a second one, which would replace the first."""
 
     given = False
 
@@ -47,7 +47,7 @@ class _StoreOnce(argparse._StoreAction):
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Parser of a command, whose arguments are defined when it is chosen."""
+    """Parser of a command; its arguments are defined only when it is chosen."""
 
     command = None
 
@@ -91,7 +91,7 @@ def main(argv: list[str] | None = None) -> int:
     -------
     int
         Exit code: 0, 1 after an error, which is one line on stderr, or 3 after a race that was not
-        completed. argparse itself exits with 2 on arguments that it cannot take.
+        completed. argparse itself exits with 2 on invalid arguments.
     """
     with printing():
         return _run(argv)

@@ -18,7 +18,7 @@ def run(arguments):
             f"{len(arguments.recordings)}: the next heat follows from one"
         )
     if arguments.reverse:
-        raise ParameterError("--reverse: speed sectors count the raceline's points as it is driven")
+        raise ParameterError("--reverse: speed sectors refer to the raceline in its own direction")
     inputs = [*arguments.recordings, arguments.raceline, arguments.vehicle]
     check_outputs([arguments.speed_sectors], inputs)
     runs, failed = analyses(arguments)
@@ -50,8 +50,8 @@ def run(arguments):
 
 
 def _count(advice):
-    """How many sectors the file has: it cannot have one over the start line in one piece."""
+    """Number of sectors in the file, where a sector across the start line must be split."""
     count = len(advice.scales())
     if count == len(advice.sectors):
         return f"{count} sectors"
-    return f"{count} sectors, that over the start line as two"
+    return f"{count} sectors, the one across the start line as two"

@@ -20,7 +20,7 @@ def run(arguments):
         if keys:
             print(f"only in {name}: " + ", ".join(f"{label} {scale:g}" for scale, label in keys))
     if comparison.differences:
-        print("What differs in provenance:")
+        print("Differences in provenance:")
         rows = [["", "a", "b"], *map(list, comparison.differences)]
         print("\n".join(f"  {line}" for line in aligned(rows)))
     else:
@@ -41,7 +41,7 @@ def table_lines(comparison):
         for value in comparison.values:
             digits = DIGITS.get(value, 3)
             first, second, change = (row[f"{value}_{name}"] for name in ("a", "b", "change"))
-            # Of tuning what is missing is no race, but a parameter of another kind of controller.
+            # In tuning results, a missing value is a parameter of another law, not a missing race.
             missing = "-" if comparison.kind.startswith("tune") else "N.C."
             cells += [_number(number, digits, missing) for number in (first, second)]
             cells.append("-" if math.isnan(change) else f"{change:+.{digits}f}")

@@ -1,4 +1,4 @@
-"""``map-racing delay``: how late a car acts, from recorded driving."""
+"""``map-racing delay``: delays of a car from recorded driving."""
 
 from __future__ import annotations
 

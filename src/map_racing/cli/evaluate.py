@@ -98,7 +98,7 @@ def evaluate_one(source, track, arguments):
 
 
 def run_names(sources):
-    """Short names of runs: stems of the files or, if these repeat, what differs in the paths."""
+    """Short names of runs: file stems or, if these repeat, the differing parts of the paths."""
     sources = list(sources)
     suffixes = r"\.(bag(\.active)?|(db3|mcap)(\.zstd)?|csv(\.gz)?)$"
     stems = [re.sub(suffixes, "", Path(source).name) for source in sources]
@@ -106,5 +106,5 @@ def run_names(sources):
     if len(set(stems)) < len(stems):
         folders = [os.path.dirname(os.path.abspath(str(source))) for source in sources]
         names = [os.path.relpath(str(source), os.path.commonpath(folders)) for source in sources]
-    # Figures can show only text.
+    # Figures need printable text.
     return [printable(os.fsencode(str(name)).decode("utf-8", "replace")) for name in names]

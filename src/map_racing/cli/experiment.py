@@ -34,7 +34,7 @@ from .session import open_grid, open_session, rival_sessions
 
 TIRE_SCALES = (0.7, 0.8)
 RIVAL_SCALES = (0.6, 0.7, 0.8, 0.9, 1.0)
-# Pairs to compare on the days that both completed.
+# Pairs of controllers to compare on the days that both completed.
 PAIRS = (
     ("MAP Pacejka", "pure pursuit"),
     ("MAP Pacejka", "MAP linear"),
@@ -102,7 +102,7 @@ def run_robustness(arguments):
     """Robustness."""
     if arguments.laps is not None:
         check_laps(arguments.laps)
-    named_controllers(arguments.controller)  # an error now, not after a folder was made
+    named_controllers(arguments.controller)  # fail before a folder is made
     session = open_grid(arguments, "robustness")
     controllers = named_controllers(arguments.controller, session.grid.vehicle)
     races = session.race(controllers)
@@ -128,7 +128,7 @@ def run_robustness(arguments):
 def run_mpc(arguments):
     """MAP against model predictive control, on several plants."""
     check_laps(arguments.laps)
-    solver_library()  # an error now, not after tuning MAP
+    solver_library()  # fail before MAP is tuned
     for plant, session in rival_sessions(arguments, RIVALS):
         print(f"\n== plant {plant}")
         races = session.race(scaling_plan, arguments.laps, RIVAL_SCALES)
@@ -146,7 +146,7 @@ def run_mpc(arguments):
 
 
 def _write_scaling(session, arguments, races, laps, **frames):
-    """The table of races at rising scales; all tables are written, and the common ones printed."""
+    """Write all tables of races at rising scales, and print the main ones."""
     table, highest = scaling_table(races, laps), highest_scales(races)
     common = {"races": races, "laps": laps, "highest_scales": highest}
     session.write(table, arguments.laps, **common, **frames)
@@ -156,7 +156,7 @@ def _write_scaling(session, arguments, races, laps, **frames):
 
 
 def _draw(session, arguments, table, laps, what, contenders):
-    """Figure of errors and laps over the scale, and of the days not completed."""
+    """Draw errors and laps over the scale, and the days not completed."""
     counted = laps[(laps.outcome == "completed") & laps.valid]
     ended = {
         (row.speed_scale, row.controller): row.days - row.days_completed
@@ -169,7 +169,7 @@ def _draw(session, arguments, table, laps, what, contenders):
 
 
 def frame_rows(frame):
-    """A frame as rows of text, with its column names; what is not known is a dash."""
+    """A frame as rows of text with its column names; unknown values are dashes."""
     rows = [list(frame.columns)]
     for values in frame.itertuples(index=False):
         texts = (f"{v:.4g}" if isinstance(v, float) else str(v) for v in values)
@@ -178,7 +178,7 @@ def frame_rows(frame):
 
 
 def named_controllers(names, vehicle=None):
-    """Controllers of files or shipped names, these for the size of a car, by their stems."""
+    """Controllers by their stems, from files or shipped names; the latter are scaled to the car."""
     names = list(dict.fromkeys(names))
     stems = [Path(name).stem for name in names]
     if len(set(stems)) < len(stems):
@@ -245,12 +245,12 @@ def completion(row: tuple) -> str:
 
 
 def not_completed(row: tuple) -> str:
-    """Not completed, and the laps driven until then."""
+    """The outcome N.C. with the laps driven."""
     return f"N.C. after {row.laps_until_end.replace(' ', ', ')} laps"
 
 
 def robustness_lines(races: pd.DataFrame) -> list[str]:
-    """A row for each controller and track: how many cars completed it, and how close."""
+    """A row for each controller and track: number of cars that completed it, and error."""
     titles = ["controller", "track", "completed", "median lap [s]", "mean RMS error [m]"]
     rows = [[*titles, "worst RMS error [m]", "max error [m]"]]
     for (label, track), group in races.groupby(["controller", "track"], sort=False):
@@ -283,7 +283,7 @@ def not_completed_lines(races: pd.DataFrame) -> list[str]:
 
 
 def grid_lines(table: pd.DataFrame) -> list[str]:
-    """How many races each controller completed, and how close."""
+    """Number of races that each controller completed, and error."""
     lines = []
     for row in table.itertuples():
         lines.append(f"{row.controller}: {row.races_completed} of {row.races} completed")
@@ -300,7 +300,7 @@ def highest_lines(highest: pd.DataFrame) -> list[str]:
     for label in labels:
         values = highest[label].values.astype(float)
         cells = [f"{value:.3f}" if math.isfinite(value) else "none" for value in values]
-        # A day without any counts as the lowest.
+        # A day without a completed scale counts as the lowest.
         middle = float(np.median(np.where(np.isfinite(values), values, 0.0)))
         rows.append([label, *cells, f"{middle:.4g}" if middle else "none"])
     return aligned(rows)
@@ -318,7 +318,7 @@ def pairs_frame(races: pd.DataFrame) -> pd.DataFrame:
 
 
 def pairs_lines(pairs: pd.DataFrame) -> list[str]:
-    """Table of how much closer and faster one of a pair followed the raceline."""
+    """Table of how much more closely and faster one of a pair followed the raceline."""
     rows = [["on days both completed", "scale", "days", "closer on", "RMS errors", "gain per lap"]]
     for row in pairs.itertuples():
         rows.append(
@@ -341,7 +341,7 @@ def panel_title(race: Race) -> str:
 
 
 def timed_path(result: RaceResult) -> np.ndarray:
-    """Positions after the out-lap or, if the race ended in it, of the out-lap.
+    """Positions after the out-lap or, if the race ended in it, during the out-lap.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Figures that commands write.
 
-What draws is imported when it does: matplotlib takes a second, and most calls draw nothing.
+Drawing modules are imported when needed: matplotlib takes a second, and most calls draw nothing.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def draw_runs(folder: str, names: list[str], results: list) -> None:
 
 
 def _title(name):
-    """Title of a figure, where text between two dollars would be a formula."""
+    """Title of a figure, with dollar signs escaped: text between two of them would be a formula."""
     short = name if len(name) <= 40 else f"{name[:18]}...{name[-19:]}"
     return short.replace("$", r"\$")
 
@@ -78,7 +78,7 @@ def draw_identification(folder: str, found, left_out, table) -> None:
     ----------
     folder : str
     found : Identification or None
-        Without one only the table is drawn.
+        If None, only the table is drawn.
     left_out : list of Prediction or None
         Runs predicted from the others; None draws the predictions of the fitted data.
     table : LookupTable
@@ -152,13 +152,13 @@ def _save(folder, figures):
 
 
 def remove_stale(folder: str | Path, pattern: str, drawn: list[str]) -> None:
-    """Remove figures of an earlier call that this one did not draw: they show something else.
+    """Remove figures of an earlier call that this call did not draw: they are outdated.
 
     Parameters
     ----------
     folder : str
     pattern : str
-        Regular expression of their whole names, in which nobody else's files fit.
+        Regular expression for their full names, which matches no other files.
     drawn : list of str
         Names of the figures of this call.
     """

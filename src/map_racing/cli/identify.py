@@ -69,16 +69,16 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _write(arguments, found, left_out, validated):
-    """Write vehicle and table, and what else is asked for."""
+    """Write vehicle, table and further outputs."""
     if arguments.plots:
-        # First: if the folder cannot be made, no other output is left behind.
+        # First, so that no other output is left behind if the folder cannot be made.
         make_folder(arguments.plots)
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
     output = Path(arguments.output)
     save_vehicle(found.vehicle, output, provenance(found, validated))
     table.save(_table_path(output))
-    told = parameter_hash(found.vehicle)
-    print(f"vehicle written to {output} ({told}), table to {_table_path(output)}")
+    digest = parameter_hash(found.vehicle)
+    print(f"vehicle written to {output} ({digest}), table to {_table_path(output)}")
     if arguments.linear_output:
         save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
         print(f"vehicle with linear tires written to {arguments.linear_output}")
@@ -98,7 +98,7 @@ def _table_path(output):
 
 
 def _check_held_out(arguments):
-    """Refuse to validate with what the car is fitted to."""
+    """Refuse to validate with recordings that the car is fitted to."""
     fitted = {Path(path).resolve() for path in arguments.data}
     for path in arguments.validate:
         if Path(path).resolve() in fitted:
@@ -120,12 +120,12 @@ def _validated(arguments, found, channels):
 
 
 def _write_controller(path, found):
-    """The shipped controller with the delay that was found."""
+    """Write the shipped controller with the delay that was found."""
     parameters = load_controller_parameters(CONTROLLER, found.vehicle)
     delay = found.laps.delays.delay if found.laps else None
     if delay is None or delay.value is None:
         reason = delay.reason if delay else "it takes ordinary driving"
-        text = f"with its own delay_s of {parameters.delay_s:g} s, as none was determined: {reason}"
+        text = f"with its own delay_s of {parameters.delay_s:g} s (none was determined: {reason})"
     else:
         parameters = parameters.with_(delay_s=round(delay.value, 4))
         text = f"with delay_s of {parameters.delay_s:g} s"

@@ -1,4 +1,4 @@
-"""Inputs that several commands read, with what there is to say about them."""
+"""Inputs of several commands; notes about them are printed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["channel_map", "joined", "read_plant", "read_vehicle"]
 
 
 def joined(paths: list[str], join: bool) -> list:
-    """Sources of the recordings to read: each file, or with ``--join`` all of them as one run."""
+    """Sources of the recordings to read: each file or, with ``--join``, all as one run."""
     return [tuple(paths)] if join else list(paths)
 
 
@@ -36,7 +36,7 @@ def read_plant(source: str) -> PlantParameters | PublicSimulatorParameters:
     FileFormatError, ParameterError
         If it cannot be read.
     """
-    # Imported here: most commands that read a vehicle simulate nothing.
+    # Imported here: most commands that read a vehicle do not simulate.
     from ..simulation.plants import load_plant
 
     plant = load_plant(source)
@@ -69,7 +69,7 @@ def read_vehicle(source: str) -> Vehicle:
 
 
 def channel_map(arguments: argparse.Namespace) -> ChannelMap:
-    """The channel map with the changes of the command line."""
+    """The channel map with the changes from the command line."""
     channels = load_channel_map(arguments.channels) if arguments.channels else ChannelMap()
     if arguments.pose_topic:
         channels = dataclasses.replace(channels, pose_topic=arguments.pose_topic)

@@ -97,7 +97,7 @@ def _check_options(arguments):
 
 
 def _replay(arguments, vehicle):
-    """Drive the vehicle by the commands of recordings."""
+    """Drive the vehicle with the commands of recordings."""
     channels = channel_map(arguments)
     runs = [load_run(path, channels) for path in arguments.bag]
     actuators = actuators_of(runs, vehicle)
@@ -105,7 +105,7 @@ def _replay(arguments, vehicle):
     why = (
         f"fitted with {vehicle.name}'s tires held"
         if actuators.fitted
-        else "the usual ones, as they turn too little to fit them"
+        else "default values, as they turn too little to fit them"
     )
     print(f"  steering of these recordings: {actuators.delay:.3f} s of dead time and lag, {why}")
     for line in replay_lines(found):
@@ -153,9 +153,9 @@ def _describe(path, table):
 
 
 def _describe_corners(raceline, table):
-    """The speed at which each corner takes all that the table has."""
+    """Print the speed at which each corner reaches the table's limit."""
     found = corners(raceline, table)
-    print(f"  corners of {raceline.name or 'the raceline'}, where they have the least to spare:")
+    print(f"  corners of {raceline.name or 'the raceline'}, where their margin is smallest:")
     for corner in found:
         side = "left" if corner.curvature > 0.0 else "right"
         if corner.limit_speed == 0.0:
@@ -180,11 +180,12 @@ def _describe_corners(raceline, table):
 
 
 def _describe_speeds(raceline, table, controller, vehicle):
-    """Where a controller with this table would drive slower than the raceline."""
+    """Print where a controller with this table would drive slower than the raceline."""
     parameters = load_controller_parameters(controller, vehicle).with_(speed_scale=1.0)
+    said = f"  {controller}, speed_scale 1, grip_use {parameters.grip_use:g}: "
     if parameters.grip_use:
         top_speed = math.inf if vehicle is None else vehicle.v_max
-        plan = SpeedPlan(raceline, parameters, table, top_speed=top_speed)
-        print(f"  {controller}, grip_use {parameters.grip_use:g}: {plan}")
+        said += str(SpeedPlan(raceline, parameters, table, top_speed=top_speed))
     else:
-        print(f"  {controller}, grip_use 0: drives the raceline's speeds, whatever the grip")
+        said += "drives the raceline's speeds, whatever the grip"
+    print(said)

@@ -1,4 +1,4 @@
-"""Checks of outputs before a command starts: nothing that is still needed is overwritten."""
+"""Checks of output files before a command starts, so that nothing needed is overwritten."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["check_outputs"]
 
 
 def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None]) -> None:
-    """Refuse outputs that are mistakes.
+    """Refuse impossible or dangerous outputs.
 
     Parameters
     ----------
     outputs : iterable of str or None
         Files that the command would write; None if not wanted.
     inputs : iterable of str or None
-        Files that it reads, maybe ``FILE#KEY``.
+        Files that it reads, possibly as ``FILE#KEY``.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def check_outputs(outputs: Iterable[str | None], inputs: Iterable[str | None]) -
         If an output is also an input or another output, is no file name, has no folder, or would
         replace a bag by another kind of file.
     """
-    # Inputs may be names of shipped files as well.
+    # Inputs may also be names of shipped files.
     files = [split_source(source)[0] for source in inputs if source]
     taken = {_identity(path): "an input" for path in files if Path(path).is_file()}
     for path in outputs:

@@ -11,6 +11,7 @@ from ..control.settings import settings_text
 from ..control.speed_sectors import load_speed_sectors
 from ..control.steering import build_steering_maps
 from ..errors import ParameterError
+from ..printing import amount
 from ..simulation.faults import load_faults
 from ..simulation.plants import build_plant
 from ..simulation.race import Outcome, race
@@ -24,7 +25,7 @@ from .inputs import read_plant, read_vehicle
 from .outputs import check_outputs
 from .progress import progress_bar
 
-# Exit code of a race that was recorded, but not driven to its end; 1 is for errors, 2 for usage.
+# Exit code of a race that was recorded but not completed; 1 is for errors, 2 for usage.
 NOT_COMPLETED = 3
 # A race is kept in memory until its bag is written.
 MOST_LAPS = 1000
@@ -80,17 +81,17 @@ def run(arguments):
 
 
 def print_stops(log, faults):
-    """Each stop, and the faults that came too late."""
+    """Print each stop, and the faults that came too late."""
     for t, reason, again in log.stops():
         until = "does not drive again" if math.isnan(again) else f"drives again at {again:.2f} s"
         print(f"stop at {t:.2f} s: {reason.value}; {until}")
     for fault in faults:
         if fault.at_s > log.duration:
-            print(f"{fault.fault} at {fault.at_s:g} s: the race was over before")
+            print(f"{fault.fault} at {fault.at_s:g} s: the race ended before")
 
 
 def print_end(arguments, log, raceline, scale):
-    """How the race ended and, of one that was not completed, where."""
+    """Print how the race ended and, if it was not completed, where."""
     if raceline.d_left is None:
         print(f"{arguments.track}: no walls are known, so crashes are not detected")
     where = ""
@@ -100,13 +101,13 @@ def print_end(arguments, log, raceline, scale):
         where = f" at s = {place.s:.1f} m, {abs(place.d):.2f} m {side} of the raceline"
     print(
         f"{Path(arguments.output)}: {arguments.controller} on {raceline.name or arguments.track} "
-        f"at {scale:.0%} speed: {log.outcome.value} after {log.laps} timed laps, "
+        f"at {scale:.0%} speed: {log.outcome.value} after {amount(log.laps, 'timed lap')}, "
         f"{log.duration:.1f} s{where}"
     )
 
 
 def load_track(source, longest):
-    """The raceline to drive, with its findings printed."""
+    """The raceline to drive; its findings are printed."""
     raceline = load_raceline(source)
     if raceline.length > longest:
         raise ParameterError(
@@ -119,7 +120,7 @@ def load_track(source, longest):
 
 
 def law_for(arguments, plant_parameters, size):
-    """The controller's parameters as raced on a plant, of a car of this size."""
+    """The controller's parameters for a race on a plant, scaled to the car's size."""
     parameters = load_law(arguments.controller, plant_parameters.vehicle)
     if size != ONE_TENTH and parameters != load_law(arguments.controller):
         print(f"{arguments.controller}: for 1:10 cars; {size}")
@@ -131,7 +132,7 @@ def law_for(arguments, plant_parameters, size):
 
 
 def controller_of(arguments, parameters, plant_vehicle, raceline):
-    """The controller, with a note where its model of the car is not the plant's."""
+    """The controller, with a note if its model of the car is not the plant's."""
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else plant_vehicle
     if parameter_hash(vehicle) != parameter_hash(plant_vehicle):
         print(
@@ -160,7 +161,7 @@ def controller_of(arguments, parameters, plant_vehicle, raceline):
 
 
 def given_table(path, parameters, vehicle, own):
-    """The table of a file, with a printed comparison with the vehicle's own."""
+    """The table of a file; prints a comparison with the vehicle's own."""
     if parameters.steering_map == "ackermann":
         raise ParameterError(f"{path}: pure pursuit uses no lookup table")
     if parameters.adaptation:

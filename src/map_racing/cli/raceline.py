@@ -17,7 +17,7 @@ from ..track.findings import ERROR, NOTE, Finding, worst_first
 from .figures import draw_check
 from .outputs import check_outputs
 
-# What some formats have no columns for, and the attribute of a raceline that holds it.
+# Quantities that some formats cannot store, with the attribute of the raceline.
 WITHOUT = {
     "tum": ("walls", "d_left"),
     "racetracks": ("walls", "d_left"),

@@ -38,7 +38,7 @@ WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
 MAPS = (".yaml", ".yml")
 # Defaults for a 1:10 car.
 MARGIN_M, STEP_M = 0.1, 0.1
-# Beyond these the search takes all day: positions in mm, or placeholder wall distances.
+# Larger values mean positions in mm or placeholder wall distances, and the search takes all day.
 MOST_POINTS, WIDEST_M = 20000, 100.0
 
 
@@ -90,6 +90,7 @@ def run_optimize(arguments):
     count = int(round(found.raceline.length / arguments.step))
     print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
     lines += [("middle", found.reference), ("optimized", optimized)]
+    print(f"  lap times: at the highest speeds of {vehicle.name}, whatever speeds a file has")
     times = print_table(lines, track, limits, arguments.speed_scale)
     tell_slower(lines, times, track, clearance, vehicle)
 
@@ -119,14 +120,14 @@ def write(arguments, forms, optimized, middle):
 
 
 def label(name, other, taken):
-    """Name of a row of the table that is not yet taken; else `other`, with a number if needed."""
+    """Unused name for a row of the table; if it is taken, `other`, with a number if needed."""
     taken, name = ("middle", "optimized", *taken), name[:24]
     others = (other, *(f"{other} {number}" for number in range(2, len(taken))))
     return next(text for text in (name, *others) if text and text not in taken)
 
 
 def compared_clearance(sources, theirs, ours):
-    """Clearance of the search: the least of the lines to compare with that a car can have."""
+    """Clearance of the search: the smallest possible one among the lines to compare with."""
     for source, clearance in zip(sources, theirs):
         if clearance < 0.01:
             where = f"{-clearance:.2f} m beyond" if clearance < 0.0 else "at"
@@ -134,12 +135,12 @@ def compared_clearance(sources, theirs, ours):
     possible = [clearance for clearance in theirs if clearance >= 0.01]
     if theirs and not possible:
         print(f"  the optimized line keeps {ours:.3f} m from the walls")
-    # A millimeter more, so that rounding does not favor our line.
+    # A millimeter more, so that rounding does not favor the optimized line.
     return min(possible) + 1e-3 if possible else ours
 
 
 def tell_slower(lines, times, track, clearance, vehicle):
-    """Say which of the given lines is faster than the optimized one, and why."""
+    """Report given lines that are faster than the optimized one, and why."""
     for name, line in lines[:-2]:
         if not times[name] < times["optimized"]:
             continue
@@ -155,7 +156,7 @@ def tell_slower(lines, times, track, clearance, vehicle):
 
 
 def form_of(path, wanted):
-    """Format of an output, None for none; plain CSV is our own."""
+    """Format of an output, None without one; plain CSV means map_racing."""
     if path is None:
         return None
     if wanted is None and Path(path).suffix.lower() == ".csv":
@@ -164,7 +165,7 @@ def form_of(path, wanted):
 
 
 def check_numbers(arguments):
-    """Reject numbers that cannot be meant."""
+    """Reject implausible numbers."""
     for key, least, most in (
         ("margin", -0.5, 10.0),
         ("step", 0.01, 100.0),
@@ -183,7 +184,7 @@ def check_numbers(arguments):
 
 
 def load(arguments, vehicle):
-    """Track of a file or a map, with walls that can be used, and the map or None."""
+    """Track of a file or a map, with usable walls, and the map or None."""
     source, image = arguments.source, None
     if Path(source).suffix.lower() in MAPS:
         track, image = load_map(arguments, vehicle)
@@ -191,7 +192,7 @@ def load(arguments, vehicle):
     else:
         for option in ("start", "passage", "speckle"):
             if getattr(arguments, option) is not None:
-                raise ParameterError(f"--{option}: expected a map, {source} is a track")
+                raise ParameterError(f"--{option}: expected the YAML file of a map, got {source}")
         track = load_raceline(source)
         findings = [finding for finding in track.findings if finding.severity != NOTE]
         for finding in findings:
@@ -217,7 +218,7 @@ def load(arguments, vehicle):
 
 
 def load_map(arguments, vehicle):
-    """Centerline of a map, from the start given, and the map."""
+    """Centerline of a map from the given start, and the map."""
     passage = arguments.passage
     if passage is None:
         passage = max(vehicle.width + 2.0 * arguments.margin, 0.05)
@@ -243,7 +244,7 @@ def start_of(words):
 
 
 def print_table(lines, track, limits, scale):
-    """Figures of each line, computed in the same way for all; lap times by name, inf for none."""
+    """Print key figures of each line; return lap times by name, inf for none."""
     print(
         f"  {'':24s} {'length':>9s} {'curvature^2':>12s} {'radius':>8s} {'to a wall':>10s} "
         f"{'lap time':>9s}\n"

@@ -1,4 +1,4 @@
-"""``map-racing raceline record``: a closed raceline from a lap that was driven."""
+"""``map-racing raceline record``: a closed raceline from a driven lap."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def run_record(arguments):
 
 
 def add_walls(table, image, vehicle):
-    """Add the walls of a map to a line; a finding if the car that drives it would touch one."""
+    """Add the walls of a map to a line; return a finding if the car would touch one."""
     line = raceline_of(table)
     try:
         left, right, findings = walls_from_map(image, line)

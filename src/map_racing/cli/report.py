@@ -45,9 +45,9 @@ def run(arguments):
 
 
 def analyses(arguments, delays=False):
-    """Analyses of all recordings that can be read, and whether any could not.
+    """Analyses of all readable recordings, and whether any could not be read.
 
-    With `delays` also what they say of the delays of their cars.
+    With `delays`, also the delays of their cars.
     """
     chosen = parse_laps(arguments.laps) if arguments.laps else None
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
@@ -73,7 +73,7 @@ def analyses(arguments, delays=False):
             car = settings.vehicle
         for number, (recording, result) in enumerate(runs, 1):
             if chosen is not None:
-                result = _only(result, chosen)
+                result = _with_laps(result, chosen)
             found.append(
                 analyze(
                     recording,
@@ -85,12 +85,12 @@ def analyses(arguments, delays=False):
                     delays=delays_of(recording, car) if delays and car is not None else None,
                 )
             )
-            found[-1].notes.extend(_other_car(vehicle, settings))
+            found[-1].notes.extend(_vehicle_warning(vehicle, settings))
     return found, failed
 
 
-def _other_car(given, settings):
-    """Doubt where the controller drove with another vehicle than the one given, if any."""
+def _vehicle_warning(given, settings):
+    """Warning if the controller drove with a vehicle other than the given one."""
     driven = settings and settings.vehicle
     if given is None or not driven or parameter_hash(given) == parameter_hash(driven):
         return []
@@ -101,18 +101,18 @@ def _other_car(given, settings):
 
 
 def delays_of(recording, vehicle):
-    """Delays of a car that is known, as plain data; None without commands."""
+    """Delays of a known car as plain data; None without commands."""
     if recording.commands is None:
         return None
     return delay_data(estimate_delays([run_of(recording)], vehicle))
 
 
-def _only(result, chosen):
-    """A result with the chosen laps alone."""
+def _with_laps(result, chosen):
+    """A result with only the chosen laps."""
     laps = [lap for lap in result.laps if any(a <= lap.lap <= b for a, b in chosen)]
     if not laps:
         numbers = ", ".join(str(lap.lap) for lap in result.laps[:20])
-        raise ParameterError(f"--laps: {result.source} has none of them, but laps {numbers}")
+        raise ParameterError(f"--laps: {result.source} has none of them; it has laps {numbers}")
     return replace(result, laps=laps, summary=Summary.of(laps))
 
 

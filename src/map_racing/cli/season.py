@@ -23,7 +23,7 @@ from .evaluate import check_evaluation
 
 
 def run(arguments):
-    """Find, evaluate what is new, write table and page."""
+    """Find bags, evaluate new ones, write table and page."""
     check_evaluation(arguments)
     if arguments.reports < 0:
         raise ParameterError(f"--reports: expected 0 or more, got {arguments.reports}")
@@ -34,8 +34,8 @@ def run(arguments):
     if not bags:
         raise MapRacingError(f"{', '.join(arguments.folders)}: no bags below")
     for source in arguments.tracks:
-        load_raceline(source)  # what cannot be read is said at once
-    tracks = tuple(_anywhere(source) for source in arguments.tracks)
+        load_raceline(source)  # fail early if one cannot be read
+    tracks = tuple(_absolute_source(source) for source in arguments.tracks)
     options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
     make_folder(output)
     with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
@@ -63,8 +63,8 @@ def run(arguments):
     print(f"written to {output / 'season.csv'} and {output / 'season.html'}")
 
 
-def _anywhere(source):
-    """A source as other processes find it, which may have another working folder."""
+def _absolute_source(source):
+    """A source with absolute paths, for processes with another working folder."""
     path, key = split_source(source)
     if not Path(path).exists():
         return source
@@ -72,7 +72,7 @@ def _anywhere(source):
 
 
 def report_paths(bags, output):
-    """Where the report of each bag is: in the folder ``reports``, in the folders of the bags."""
+    """Path of the report for each bag, below ``reports`` in the bag's folder structure."""
     folders = [os.path.dirname(os.path.abspath(str(first_part(bag)))) for bag in bags]
     base = os.path.commonpath(folders)
     paths = {}
@@ -84,7 +84,7 @@ def report_paths(bags, output):
 
 
 def link(bag, report, output):
-    """Path from the page to the report of a bag, empty without one; beside the bag is one, too."""
+    """Path from the page to a bag's report, which may be beside the bag; empty without one."""
     for path in (report, bag.with_suffix(".html")):
         if path.is_file():
             return os.path.relpath(str(path), str(output)).replace(os.sep, "/")
@@ -92,7 +92,7 @@ def link(bag, report, output):
 
 
 def make_reports(heats, parts, reports, arguments):
-    """Write the reports of the latest heats that can be read, where they are missing or older."""
+    """Write missing or outdated reports of the latest readable heats."""
     from . import build_parser, report
 
     latest = {heat["bag"]: heat["given"] for heat in heats[::-1] if not heat["reason"]}
@@ -110,5 +110,5 @@ def make_reports(heats, parts, reports, arguments):
             words += ["--max-deviation", str(arguments.max_deviation)]
         try:
             report.run(build_parser().parse_args(words))
-        except MapRacingError as error:  # the others, and the table, are as good without it
+        except MapRacingError as error:  # the other reports and the table do not depend on it
             print(f"map-racing: no report of {printable(bag)}: {error}", file=sys.stderr)

@@ -27,7 +27,7 @@ def open_session(arguments, kind):
 
 
 def _with_notes(session):
-    """The session, what the user should know about it printed."""
+    """The session, after printing its notes for the user."""
     for note in session.notes:
         print(note)
     return session

@@ -1,4 +1,4 @@
-"""``map-racing tune``: the parameters with which a controller follows its tracks closest."""
+"""``map-racing tune``: the parameters with which a controller follows its tracks most closely."""
 
 from functools import partial
 
@@ -45,7 +45,7 @@ def run(arguments):
 
 
 def check_options(arguments):
-    """Refuse options that the kind of tuning asked for would ignore."""
+    """Refuse options that the chosen kind of tuning would ignore."""
     of_grid = {"grid": "robustness", "tracks": None, "generated": None, "grip_use": None}
     of_days = {"conditions": "paper", "track": None, "plant": None, "vehicle": None}
     of_days.update(practice_seeds=None, tuning_scale=None)

@@ -1,15 +1,14 @@
 """Grip, tires and delay of the day, learned while driving.
 
-An extended Kalman filter runs the single-track model of `map_racing.vehicle.single_track` beside
-the car. Its state is the lateral velocity and the yaw rate, and what the model does not know: a
-factor each on the friction and on the cornering stiffness of both axles (their logarithms), the
-time from a pose to the first answer of the steering, the lag of the servo, and the height of the
-center of gravity, by which braking shifts load between the axles. Yaw rate and, where
-it is measured, lateral velocity correct all of them at once, each as far as the drive tells: below
-the limit only the product of friction and stiffness, near it both, and delays where the car turns
-in or out.
+An extended Kalman filter runs the single-track model of `map_racing.vehicle.single_track` in
+parallel with the car. Its state holds the lateral velocity and yaw rate, plus the unknown
+parameters: logarithms of the factors on friction and on front and rear cornering stiffness, the
+dead time from a pose to the first response of the steering, the servo lag, and the height of the
+center of gravity, which sets the load transfer under braking. Yaw rate and, if measured, lateral
+velocity correct all of them at once, as far as the maneuver makes them observable: below the limit
+only the product of friction and stiffness, near it both, and delays on turn-in and corner exit.
 
-What the controller drives with follows from that belief with caution, see `Adaptation`.
+The controller uses a cautious version of that belief, see `Adaptation`.
 """
 
 from __future__ import annotations
@@ -25,45 +24,46 @@ from .belief import Belief
 __all__ = ["Adaptation"]
 
 # Standard deviations of the prior: logarithms of friction, front and rear stiffness; dead time and
-# lag [s]. The friction of ten days in the paper's conditions is off by 5 %, the stiffness by 10 %;
-# a vehicle file that somebody else identified by more.
+# lag [s]. On ten days in the paper's conditions friction is off by 5 % and stiffness by 10 %; a
+# vehicle file that somebody else identified is off by more.
 PRIOR = (0.10, 0.20, 0.25, 0.025, 0.015)
-# The same of the height of the center of gravity, in wheelbases, which no scale shows; its bound.
+# Height of the center of gravity, in wheelbases: standard deviation of the prior (scales do not
+# show the height), and upper bound.
 HEIGHT, HIGHEST = 0.1, 0.5
-# Random walk of the same per square root of a second of cornering at the limit: tires warm up and
-# floors get dusty by some per cent in a minute.
+# Random walk of the states in PRIOR, per square root of a second of cornering at the limit: tires
+# warm up and floors get dusty by some percent in a minute.
 WALK = (0.010, 0.010, 0.010, 0.001, 0.001)
-# Noise [m/s, rad/s]: of the measurements, and per square root of a second of the model.
+# Measurement noise [m/s, rad/s], and process noise per square root of a second.
 MEASURED_V_Y, MEASURED_R = 0.06, 0.03
 MODEL_V_Y, MODEL_R = 0.1, 0.3
-# The variance of the measurements is this many times as large where they differ more from the model
-# than they should: at most, and how quickly that rises and falls with each.
+# The measurement variance is inflated while innovations are larger than they should be: largest
+# factor, and gains with which it rises and falls per measurement.
 NOISIEST, RISING, FALLING = 16.0, 0.2, 0.02
-# Lag of a servo [s]: of the prior, and bounds. Bound of the dead time, the age of a pose included.
+# Servo lag [s]: prior and bounds. Upper bound of the dead time, which includes the pose's age.
 SERVO_LAG, SHORTEST_LAG, LONGEST_LAG, LONGEST_DEAD_TIME = 0.03, 0.005, 0.12, 0.25
-# Longest time step of the model [s], and longest pause between poses that it is integrated over.
+# Longest time step of the model [s], and longest gap between poses that it is integrated over.
 STEP, LONGEST_PAUSE = 0.0125, 0.1
 
-# Nothing is learned slower than this [m/s], with less than this share of the grip in use, while the
-# car slides at a larger angle than this [rad], or from a measurement that the belief calls a 1 in
-# 16000 event: a curb, a jump of the localization.
+# Learning is off below this speed [m/s], below this share of the grip, beyond this sideslip angle
+# [rad], and for a measurement this many standard deviations off, a 1 in 16000 event: a curb or a
+# jump of the localization.
 SLOWEST, LEAST_USE, SLIDE, OUTLIER = 1.5, 0.2, 0.5, 4.0
 # Why a pose taught nothing.
 NO_POSE, SLOW, STRAIGHT = "no earlier pose", "too slow", "too little grip in use"
 SLIDING, UNLIKELY = "sliding", "a pose that the belief cannot explain"
 
-# A yaw rate that stays this many deviations short of the model's, on average over about 0.1 s,
-# means that the floor has changed: the friction is as uncertain again as this (of its logarithm).
+# A yaw rate that stays this many standard deviations short of the model's, on average over about
+# 0.1 s, means that the floor has changed: the deviation of log friction is raised to CHANGED.
 SHORT, MEMORY, CHANGED = 1.0, 0.25, 0.10
 
 # The speeds use the grip at this many standard deviations below the belief.
 CAUTION = 1.0
-# They follow it downwards at once, upwards by so much per second of driving that used at least this
-# share of the grip.
+# The grip in use drops at once, but rises only by this much per second, while the car uses at least
+# this share of it.
 RISE, NEAR = 0.03, 0.7
-# The delay in use follows by so much per second of learning: a single bend may say anything.
+# The delay in use moves at most by this much per second of learning: a single bend may mislead.
 DELAY_RATE = 0.01
-# The steering map follows when a factor has changed by more than this share of its deviation.
+# The steering map is updated once a factor has moved by more than this share of its deviation.
 NOTABLE = 0.25
 
 
@@ -71,13 +71,12 @@ _QUANTILE = 1.96  # of a normal distribution, for 95 %
 
 
 class Adaptation:
-    """Learns grip, cornering stiffness and delay from one pose and command after the other.
+    """Learns grip, cornering stiffness and delay from a stream of poses and commands.
 
-    Fed the same poses and commands it believes the same, live, in simulation or from a recording;
-    one takes 0.06 ms.
+    The result depends only on these, whether live, simulated or recorded. An update takes 0.06 ms.
     The speeds follow the lower end of the belief: down at once, up slowly and only while the car
     drives near the limit. All factors stay within a share of the vehicle file's tires. Where the
-    data say nothing (straights, stops, slides, curbs) nothing changes.
+    data carry no information (straights, stops, slides, curbs) the belief does not change.
 
     Parameters
     ----------
@@ -90,23 +89,23 @@ class Adaptation:
     share : float, optional
         Factors stay within ``1 - share`` and ``1 + share``.
     behind : float, optional
-        Distance of the localized point from the center of gravity, backwards [m]; by default the
-        point is the rear axle.
+        Distance from the center of gravity back to the localized point [m]; by default that point
+        is the rear axle.
 
     Attributes
     ----------
     steering : TireSteering
-        Steering map of the believed tires; another object whenever the belief has changed.
+        Steering map of the believed tires; replaced by a new object when the belief changes.
     grips : list of float
         Lateral limits that the speeds use, relative to the vehicle file's, for `TireSteering.at`.
     delay : float
-        That the controller uses [s]: it follows the believed one slowly.
+        Delay that the controller uses [s]; it follows the believed one slowly.
     slowest : float
-        Least speed of a bend [m/s], from which on the lateral limit matters; it may be set.
+        Speed in the slowest bend [m/s]: at and above it the lateral limit matters. May be set.
     frozen : str
-        Why the latest pose taught nothing; empty if it did.
+        Why nothing was learned from the latest pose; empty if something was.
     learned_s : float
-        Time from which was learned [s].
+        Duration of the driving that was learned from [s].
     """
 
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
@@ -136,7 +135,7 @@ class Adaptation:
         self.restart()
 
     def expect_delay(self, delay):
-        """Learn the delay anew from another prior [s]; the same one again changes nothing."""
+        """Restart learning the delay from a new prior [s]; an unchanged prior does nothing."""
         if delay == self._prior_delay:
             return
         self._prior_delay = delay
@@ -165,7 +164,7 @@ class Adaptation:
 
     @property
     def grip(self):
-        """As in `Belief`: the least of `grips`."""
+        """The least of `grips`, as in `Belief`."""
         return self.steering.least(self.slowest, self.grips)
 
     @property
@@ -186,7 +185,7 @@ class Adaptation:
         return scaled_tires(self.vehicle, *self.belief.factors)
 
     def summary(self):
-        """What was learned and from how much, as some lines of text."""
+        """What was learned, and from how much driving, as a few lines of text."""
         b = self.belief
         return (
             f"Tires learned by map_racing {__version__} from {self.learned_s:.0f} s of driving; "
@@ -199,20 +198,20 @@ class Adaptation:
         )
 
     def update(self, state, steering_angle):
-        """Learn from a pose; then note the command that answers it.
+        """Learn from a pose, then record the command sent in response.
 
         Parameters
         ----------
         state : CarState
-            As measured; ``v_y`` is NaN if nothing measures it. A pose that is not later than the
-            last one, or much later, restarts the model.
+            As measured; ``v_y`` is NaN if it is not measured. A pose that is not later than the
+            last one, or more than 0.1 s later, restarts the model.
         steering_angle : float
-            Sent to the car on it [rad].
+            Angle sent to the car for this pose [rad].
 
         Returns
         -------
         bool
-            Whether `steering` is another map than before.
+            Whether `steering` has been replaced.
         """
         t, _, _, _, v_x, v_y, r = state
         changed = False
@@ -236,7 +235,7 @@ class Adaptation:
         return changed
 
     def _settle(self, t, v_x, v_y, r):
-        """Take the motion as measured, and the wheels as they were told to be."""
+        """Start the model from the measured motion and the commanded steering angle."""
         if self._times:
             end = t - self._x[5]
             self._angle, self._angle_slope = self._commanded(end - STEP, end), 0.0
@@ -250,7 +249,7 @@ class Adaptation:
         self._short = 0.0
 
     def _commanded(self, begin, end):
-        """Mean of the commands held between two times [rad]."""
+        """Mean of the zero-order-held commands between two times [rad]."""
         times, angles = self._times, self._angles
         total, until = 0.0, end
         for i in range(len(times) - 1, -1, -1):
@@ -263,10 +262,10 @@ class Adaptation:
         return (total + angles[0] * (until - begin)) / (end - begin)
 
     def _predict(self, elapsed, v, a_long):
-        """Integrate the model and its covariance; the share of the grip in use.
+        """Integrate the model and its covariance, and return the share of the grip in use.
 
-        Linearly implicit trapezoidal steps: the lateral mode of stiff tires is ten times faster
-        than the poses.
+        The steps are linearly implicit trapezoidal, because the lateral mode of stiff tires is ten
+        times faster than the poses.
         """
         car, x = self.vehicle, self._x
         v_y, r, friction, front, rear, dead, lag, height = x
@@ -283,8 +282,8 @@ class Adaptation:
         half = 0.5 * h
         follow = 1.0 - math.exp(-h / lag)
         slope = self._angle_slope
-        # Derivatives of the motion at the end: after the motion at the beginning (a), and after
-        # what is learned (g); `slope` is the derivative of the steering angle after the lag.
+        # Derivatives of the final motion with respect to the initial motion (a) and to the learned
+        # parameters (g); `slope` is the derivative of the steering angle by the lag.
         a00 = a11 = 1.0
         a01 = a10 = 0.0
         g = [0.0] * 12
@@ -302,7 +301,7 @@ class Adaptation:
             f_f, f_r = load_f * share_f, load_r * share_r
             d_f, d_r = load_f * k_front * slope_f, load_r * k_rear * slope_r
             c_f, c_r = d_f / (v * (1.0 + tan_f * tan_f)), d_r / (v * (1.0 + tan_r * tan_r))
-            # Jacobian, after motion and after what is learned.
+            # Jacobian with respect to the motion (j) and the learned parameters (s).
             j00, j01 = -c_f - c_r, l_r * c_r - l_f * c_f - v
             j10 = inertia * (l_r * c_r - l_f * c_f)
             j11 = -inertia * (l_f * l_f * c_f + l_r * l_r * c_r)
@@ -359,7 +358,7 @@ class Adaptation:
             row[0], row[1] = upper[k], lower[k]
 
     def _correct(self, elapsed, use, v_x, v_y, r):
-        """Correct motion and belief by what was measured; whether the steering map changed."""
+        """Correct motion and belief by the measurements; return whether the map changed."""
         P, x = self._P, self._x
         P[0][0] += MODEL_V_Y * MODEL_V_Y * elapsed
         P[1][1] += MODEL_R * MODEL_R * elapsed
@@ -381,7 +380,7 @@ class Adaptation:
         return self._follow(elapsed, use) if learning else False
 
     def _notice_change(self, r):
-        """Make the friction uncertain again if the car keeps turning less than the model."""
+        """Reopen the friction's uncertainty if the car keeps turning less than the model."""
         P, x = self._P, self._x
         missing = x[1] - r if x[1] > 0.0 else r - x[1]
         missing /= math.sqrt(MEASURED_R * MEASURED_R + P[1][1])
@@ -390,11 +389,11 @@ class Adaptation:
             P[2][2] = CHANGED * CHANGED
 
     def _measure(self, column, difference, own, noise, learning):
-        """One scalar measurement, whose covariance with the state is `column`.
+        """Apply one scalar measurement, whose covariance with the state is `column`.
 
-        Its variance is the model's `own` and its `noise`. Where the model is wrong, differences are
-        larger and last; the noise is then taken to be larger, so that the belief is not the surer
-        the more the car differs.
+        The innovation's variance is `own`, predicted by the model, plus `noise`. Where the model is
+        wrong, innovations stay larger than that; the noise is then inflated, so that a model
+        error does not make the belief more confident.
         """
         x, P = self._x, self._P
         unlikely = difference * difference / (own + noise)
@@ -410,7 +409,8 @@ class Adaptation:
                 learning, self.frozen = False, UNLIKELY
         gains = [c / variance for c in column]
         if not learning:
-            # Only the motion; the belief stays, but no longer goes with it (Schmidt's filter).
+            # Schmidt-Kalman update: correct the motion alone and keep the belief, but account for
+            # their correlation.
             for k in (0, 1):
                 gain = gains[k]
                 x[k] += gain * difference
@@ -429,7 +429,7 @@ class Adaptation:
         self._P = [[p - k * c for p, c in zip(row, column)] for row, k in zip(P, gains)]
 
     def _follow(self, elapsed, use):
-        """Let steering map and grip follow the belief."""
+        """Update steering map, delay and grips from the belief; return whether the map changed."""
         x, P, used = self._x, self._P, self._used
         changed = False
         for k in (2, 3, 4):

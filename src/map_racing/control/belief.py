@@ -1,4 +1,4 @@
-"""What is believed of the tires and the delay of the day."""
+"""Today's tires and delay as estimated while driving."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ __all__ = ["Belief"]
 
 
 class Belief(NamedTuple):
-    """What is believed of the day; the message ``Belief`` has the same numbers.
+    """Estimates with intervals; the message ``Belief`` has the same numbers.
 
-    ``low`` and ``high`` are the ends of an interval of 95 %.
+    ``low`` and ``high`` are the ends of the 95 % interval.
 
     Parameters
     ----------
@@ -19,12 +19,12 @@ class Belief(NamedTuple):
     front_stiffness, front_stiffness_low, front_stiffness_high : float
         Cornering stiffness of the front axle relative to the file's, at equal friction.
     rear_stiffness, rear_stiffness_low, rear_stiffness_high : float
-        The same of the rear axle.
+        The same for the rear axle.
     delay, delay_low, delay_high : float
         Age of a pose when it is used, plus dead time and lag of the steering [s].
     grip : float
-        Lateral limit that the speeds use, relative to the vehicle file's, in the bends where that
-        is least.
+        Lateral limit that the speeds use, relative to the vehicle file's, in the bends where this
+        ratio is lowest.
     """
 
     friction: float

@@ -26,20 +26,20 @@ __all__ = [
 ]
 
 # The law uses at least this speed [m/s]; at standstill the map from acceleration to angle would be
-# 0/0. The circle is the same, and a standing car already points its wheels.
+# 0/0. The circle does not depend on the speed, so a standing car already points its wheels.
 LOWEST_LAW_SPEED = 0.5
 
-# Longest time over which the steering may slew in one step [s]: after a pause the angle that the
+# Longest time over which the steering may slew in one step [s]: after a gap the angle that the
 # servo has reached is unknown.
 LONGEST_SLEW_TIME = 0.1
 
-# Farther from the path than the lookahead distance there is no lookahead point; sqrt(2) of the
-# lateral error makes the car approach the path at 45 degrees.
+# A car farther from the path than the lookahead distance has no lookahead point; a distance of
+# sqrt(2) times the lateral error makes it approach the path at 45 degrees.
 APPROACH_FACTOR = math.sqrt(2.0)
 
 
 class Status(Enum):
-    """What the controller made of its input."""
+    """Outcome of a control step."""
 
     OK = "ok"
     SATURATED = "saturated"  # the demand exceeds what the steering map can give
@@ -53,7 +53,7 @@ _OK, _SATURATED, _OFF_COURSE = Status.OK, Status.SATURATED, Status.OFF_COURSE
 
 
 class ControlResult(NamedTuple):
-    """Command of one control step and how it came about.
+    """Command of one control step, with the intermediate results that led to it.
 
     Parameters
     ----------
@@ -63,16 +63,16 @@ class ControlResult(NamedTuple):
         Commanded speed [m/s].
     status : Status
     state : CarState
-        State from which guidance starts: measured, or predicted by the delay.
+        State that guidance starts from: measured, or predicted over the delay.
     s, d : float
-        Arc length of its projection on the raceline and lateral error, left positive [m].
+        Arc length of its projection onto the raceline and lateral error, left positive [m].
     lookahead_x, lookahead_y : float
         Lookahead point in the map frame [m].
     lookahead_distance : float
         Its distance [m].
     eta : float
-        Angle from the velocity vector, or the heading with ``eta_from``, to the lookahead point
-        [rad].
+        Angle from the velocity vector, or from the heading (see ``eta_from``), to the lookahead
+        point [rad].
     a_lat : float
         Lateral acceleration requested from the steering map, feedforward included [m/s^2].
     """
@@ -105,12 +105,12 @@ class Controller:
     vehicle : Vehicle
         Provides steering limits and geometry.
     raceline : Raceline or None
-        With None every step commands a stop, until another one is given, see `change`.
+        With None every step commands a stop until `change` provides one.
     sectors : SpeedSectors or None
         Speed scales by sector.
     grip : object with ``max_lateral_acceleration(v)``, optional
-        What the tires can do, for speeds within ``grip_use``: the lookup table of the car's own
-        tires, whatever the steering map. The steering map if not given.
+        Grip for the speeds within ``grip_use``: the lookup table of the car's own tires, whatever
+        the steering map is. By default the steering map.
 
     Raises
     ------
@@ -128,13 +128,13 @@ class Controller:
         self.apply(self._completed(setup))
         self.reset()
 
-    # -- what it drives with -------------------------------------------------------------------
+    # -- settings --------------------------------------------------------------------------------
 
     def prepare(self, **changes):
-        """Work out what a change needs, with no effect on the steps until it is applied.
+        """Prepare a change; it takes effect when it is applied.
 
-        Another speed plan takes milliseconds. So a thread that must not delay the steps prepares
-        beside them, and applies between two.
+        A new speed plan takes milliseconds. A thread that must not delay the control steps prepares
+        it meanwhile and applies it between two of them.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class Controller:
         Returns
         -------
         object
-            For `apply`. It goes back to what is not in `changes`, should that change in between.
+            For `apply`. Applying it reverts any other change made in between.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Controller:
     def apply(self, setup):
         """Drive with what `prepare` returned from the next step on.
 
-        Another raceline restarts tracking; the steering goes on from where it is.
+        A new raceline restarts tracking; the steering continues from its present angle.
         """
         self.learn()
         if setup.guard is not None and self._guard is not None:
@@ -176,12 +176,12 @@ class Controller:
             self._follow_belief()
 
     def _completed(self, setup):
-        """A setup with all that goes with what is given."""
+        """A setup with adaptation, tracker and speed plan."""
         adaptation = self._adaptation_of(setup.parameters)
         return setup._replace(adaptation=adaptation).with_plan(self._setup)
 
     def _adaptation_of(self, parameters):
-        """What learns the tires, which survives being switched off; None while it is."""
+        """The `Adaptation`, which survives being switched off; None while it is off."""
         if not parameters.adaptation:
             return None
         if self._learned is None:
@@ -196,7 +196,7 @@ class Controller:
         return self._learned
 
     def _follow_belief(self):
-        """Drive with what is believed of tires, grip and delay."""
+        """Take tires, grip and delay from the adaptation."""
         adaptation = self._adaptation
         self._delay = adaptation.delay
         if self._parameters.steering_map == "table":
@@ -221,20 +221,20 @@ class Controller:
 
     @property
     def steering_map(self):
-        """The steering map as given; with adaptation a table is replaced by the belief's."""
+        """The steering map as given; with adaptation the car drives with the learned table."""
         return self._setup.steering_map
 
     @property
     def adaptation(self):
-        """What learns the tires while driving, an `Adaptation`; None if that is off.
+        """The `Adaptation` that learns the tires while driving; None while it is off.
 
-        Of the last step only after `learn`.
+        It includes the last step only after `learn`.
         """
         return self._adaptation
 
     @property
     def learned(self):
-        """As `adaptation`, also while that is off; None if it never was on."""
+        """The `Adaptation`, even while it is off; None if it never was on."""
         return self._learned
 
     def max_lateral_acceleration(self, v):
@@ -259,11 +259,11 @@ class Controller:
 
     @property
     def plan(self):
-        """The SpeedPlan driven; None without raceline or with a ``grip_use`` of 0."""
+        """The `SpeedPlan` in use; None without raceline or with a ``grip_use`` of 0."""
         return self._plan
 
     def planned_speed(self, s):
-        """Speed that is driven where nothing is in the way.
+        """Planned speed along the raceline, before the grip guard and the supervisor.
 
         Parameters
         ----------
@@ -292,15 +292,15 @@ class Controller:
             self._adaptation.restart()
 
     def sent(self, steering_angle):
-        """Tell that another angle than the last step's was sent to the car [rad]."""
+        """Note the angle [rad] actually sent to the car, in place of the last step's."""
         if self._untaught is not None:
             self._untaught = self._untaught[0], steering_angle
 
     def learn(self):
-        """Learn from the last step, with adaptation, if that has not been done.
+        """Learn from the last step, if adaptation is on and that has not been done.
 
-        The next step does it otherwise. It takes 0.05 ms, and 0.15 ms where the steering map
-        changes, so whoever sends commands does it when the last one is out.
+        It takes 0.05 ms, or 0.15 ms if the steering map changes, so call it once the command is
+        sent; otherwise the next step does it first.
         """
         if self._untaught is None:
             return
@@ -314,13 +314,13 @@ class Controller:
         Parameters
         ----------
         state : CarState
-            Measured state of the reference point; ``v_y`` is NaN if nothing measures it.
+            Measured state of the reference point; ``v_y`` is NaN if it is not measured.
 
         Returns
         -------
         ControlResult
-            Speed 0 and the last steering angle if the state is not finite or absurd, or without a
-            raceline.
+            Speed 0 and the last steering angle if the state is not finite or is absurd, or there is
+            no raceline.
         """
         self.learn()
         parameters = self._parameters
@@ -386,12 +386,12 @@ class Controller:
             status = _OFF_COURSE
             if speed > WALKING_PACE:
                 speed = WALKING_PACE
-        # As ControlResult(...), which takes twice as long.
+        # Same as ControlResult(...), in half the time.
         values = angle, speed, status, state, s, d, point_x, point_y, distance, eta, a_lat
         return _new(ControlResult, values)
 
     def lateral_error(self, state, result):
-        """Lateral error of a measured state; `result` has the one of its prediction.
+        """Lateral error of the measured state; `result.d` is the error of the predicted one.
 
         Parameters
         ----------
@@ -420,7 +420,7 @@ class Controller:
 
     def _limited(self, angle, t):
         """Limit the steering angle to the lock and to the rate of the servo."""
-        # Comparisons: min and max would take three times as long, 5 % of a whole step.
+        # Comparisons, because min and max take three times as long: 5 % of a whole step.
         vehicle, last_t, last_angle = self.vehicle, self._last_t, self._last_angle
         low, high = -vehicle.delta_max, vehicle.delta_max
         if last_t is not None:

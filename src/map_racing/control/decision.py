@@ -1,4 +1,4 @@
-"""What a supervisor decides: whether the car drives and why not, with its command."""
+"""The supervisor's decision: whether the car drives, why not, and the command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Decision", "Mode", "Reason", "state_level", "state_text"]
 
 
 class Mode(Enum):
-    """What the car does."""
+    """What the supervisor lets the car do."""
 
     WAITING = "waiting"  # it has not driven yet
     DRIVING = "driving"
@@ -50,12 +50,12 @@ class Decision(NamedTuple):
 
 
 def state_text(mode: Mode, reason: Reason) -> str:
-    """Mode and reason as diagnostics and bags have them."""
+    """Mode and reason as text, as in diagnostics and bags."""
     return f"{mode.value}: {reason.value}" if reason.value else mode.value
 
 
 def state_level(mode: Mode, reason: Reason) -> int:
-    """Their level in diagnostics: 0 for driving, 1, a warning, for what was asked for, else 2."""
+    """Diagnostics level: 0 driving, 1 (warning) waiting or stopped on request, else 2 (error)."""
     if mode is Mode.DRIVING:
         return 0
     return 1 if mode is Mode.WAITING or reason is Reason.STOP_REQUESTED else 2

@@ -1,4 +1,4 @@
-"""Slower than planned where the steering would need more grip than there is."""
+"""Slows below the plan where the steering would need more grip than there is."""
 
 import math
 
@@ -8,27 +8,26 @@ from .speed_plan import WALKING_PACE
 
 __all__ = ["GripGuard"]
 
-# Low-pass of the grip that is needed [s]: two poses at 40 Hz, so that a single noisy one does
-# nothing.
+# Low-pass of the demanded share of the grip [s]: two poses at 40 Hz, so that a single noisy one has
+# no effect.
 TIME_CONSTANT = 0.05
-# The speed gives way from all of the grip on, and completely at this share of it.
+# The speed starts to give way at a share of 1, and gives way completely at this one.
 COMPLETE = 1.3
-# More than this share counts as this: a car that points the wrong way should brake at once, and
-# drive on as soon as it can.
+# Larger shares are clipped to this one, so that a car that points the wrong way brakes at once but
+# drives on as soon as it can.
 MOST = 2.0
 
-_PER_MPS = 50  # Entries of the table of radii.
+_PER_MPS = 50  # Entries of the table of radii per m/s.
 _LONG_AGO = -1e12
 
 
 class GripGuard:
     """Lowers the speed while guidance demands more lateral acceleration than the tires have.
 
-    A plan holds for a car on its line. A car that arrives too fast, slides, swings or is off the
-    line needs a tighter circle than the line's. With the lateral acceleration ``a_lat`` that
-    guidance asks at speed ``v``, the circle can be driven at ``v sqrt(a_max / a_lat)``; while the
-    demand exceeds the grip, the command goes down to that, however fast the plan is. It does
-    nothing where the demand, after a short low-pass, stays within the grip.
+    The plan assumes a car on its line. A car that arrives too fast, slides, oscillates or is off
+    the line needs a tighter circle. Where guidance demands the lateral acceleration ``a_lat`` at
+    speed ``v``, its circle can be driven at ``v sqrt(a_max / a_lat)``. While the demand, after a
+    short low-pass, exceeds the grip, the command drops towards that speed, whatever the plan.
 
     Parameters
     ----------
@@ -39,14 +38,14 @@ class GripGuard:
     Attributes
     ----------
     use : float
-        Low-passed share of the grip that guidance asks for, at most 2.
+        Low-passed share of the grip that guidance demands, at most 2.
     levels : list of float or None
-        Grip that there is at each speed, relative to that of `grip`, a `TireSteering`; None for
-        that itself.
+        Present grip at each speed, relative to `grip`, then a `TireSteering`; None for `grip`
+        itself.
     """
 
     def __init__(self, grip, v_max):
-        # Cars slide at speeds beyond their plan's.
+        # A sliding car may be faster than its plan.
         count = int(math.ceil(1.5 * v_max * _PER_MPS)) + 1
         v = np.maximum(np.arange(count), 0.5) / _PER_MPS
         self._radius = (v * v / np.asarray(grip.max_lateral_acceleration(v))).tolist()
@@ -59,7 +58,7 @@ class GripGuard:
         self._t, self.use = _LONG_AGO, 0.0
 
     def resume(self, other):
-        """Go on from the state of another guard."""
+        """Take over the state of another guard."""
         self._t, self.use = other._t, other.use
 
     def limited(self, t, v, kappa, planned):
@@ -79,12 +78,12 @@ class GripGuard:
         Returns
         -------
         float
-            At most `planned`, and no less than walking pace for it [m/s].
+            Speed [m/s], at most `planned`; the guard does not go below walking pace.
         """
-        # Comparisons, and the nearest entry: interpolation would take as long as all of the rest.
+        # Comparisons, and the nearest entry: interpolation would double the time.
         per_mps = _PER_MPS
         if self.levels is not None and v > 0.0:
-            # With other friction a circle is what it was at v / sqrt(level): of the same slip.
+            # A circle at v with friction scaled by `level` has the slip of one at v / sqrt(level).
             per_mps /= math.sqrt(self._grip.at(v, self.levels))
         i = int(v * per_mps + 0.5)
         if i < 0:

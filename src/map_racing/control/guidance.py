@@ -28,8 +28,8 @@ class LookaheadLaw(NamedTuple):
     """Lookahead distance ``L_d = m + q v``, clipped to [`minimum`, `maximum`].
 
     As in the paper, `m` is the offset [m] and `q` the gain [s]. The authors' published code swaps
-    the letters (``L = q + m v``). Not in the paper is a part that grows with the square of the
-    speed, `growth` [s^2/m].
+    the letters (``L = q + m v``). A term that grows with the square of the speed, `growth` [s^2/m],
+    is added; it is not in the paper.
     """
 
     m: float
@@ -54,15 +54,15 @@ def bearing(state: CarState, x: float, y: float) -> float:
     Parameters
     ----------
     state : CarState
-        Standing and backwards rolling cars count as moving straight ahead; up to 0.5 m/s the
-        direction of the velocity takes over.
+        A car that stands or rolls backwards counts as moving straight ahead; up to 0.5 m/s this
+        direction blends into the velocity's.
     x, y : float
         Point in the map frame [m].
 
     Returns
     -------
     float
-        Angle in [-pi, pi] [rad]; beyond +-pi/2 the point lies behind.
+        Angle in [-pi, pi] [rad]; beyond +-pi/2 the point is behind the car.
     """
     # A car that rolls backwards will drive forwards, where its nose points.
     _, own_x, own_y, psi, v_x, v_y, _ = state
@@ -80,8 +80,8 @@ def bearing(state: CarState, x: float, y: float) -> float:
 def lateral_acceleration(speed: float, distance: float, eta: float) -> float:
     """The L1 law, ``a_lat = 2 v^2 / L_d sin(eta)``.
 
-    For a point behind the car (``|eta| > pi/2``) the sine would decrease again and vanish when the
-    car points the wrong way; there the largest demand is kept, so that the car turns round.
+    For a point behind the car (``|eta| > pi/2``) the sine would decrease again and vanish for a
+    point straight behind; the largest demand is kept instead, so that the car turns round.
 
     Parameters
     ----------
@@ -102,31 +102,31 @@ def lateral_acceleration(speed: float, distance: float, eta: float) -> float:
 
 
 def missing_curvature(x, y, d, psi, kappa, point_x, point_y):
-    """Curvature that the L1 law lacks for a car that is on the path already.
+    """Curvature that the L1 law lacks for a car that is already on the path.
 
-    Such a car would be led along the circle tangent to the path that passes through the lookahead
-    point, of curvature ``2 sin(eta) / L_d``. Where the curvature of the path changes that is not
-    the path's own: the law turns in early and opens early, and cuts the bend. Adding the difference
-    makes the path itself a solution of the law.
+    The law leads such a car along the circle that is tangent to the path and passes through the
+    lookahead point, of curvature ``2 sin(eta) / L_d``. Where the path's curvature changes, the
+    circle's differs from it: the car turns in early, opens early, and cuts the bend. Adding the
+    difference makes the path itself a solution of the law.
 
     Parameters
     ----------
     x, y : float
         The car [m].
     d, psi, kappa : float
-        Its lateral deviation [m], and heading [rad] and curvature [1/m] of the path beside it.
+        Its lateral error [m], and the path's heading [rad] and curvature [1/m] beside it.
     point_x, point_y : float
         Lookahead point on the path [m].
 
     Returns
     -------
     float
-        Path's curvature less that of the law's circle, positive to the left [1/m]; 0 where the
-        lookahead point is beside the car.
+        Path curvature minus circle curvature, positive to the left [1/m]; 0 where the lookahead
+        point is beside the car.
     """
     dx, dy = point_x - x, point_y - y
     cosine, sine = math.cos(psi), math.sin(psi)
-    # The point as seen from the foot on the path, along the path and to the left of it.
+    # The lookahead point as seen from the car's projection, along the path and to its left.
     along, aside = cosine * dx + sine * dy, cosine * dy - sine * dx + d
     square = along * along + aside * aside
     return kappa - 2.0 * aside / square if square > 1e-6 else 0.0
@@ -136,7 +136,7 @@ def arc_to(x: float, y: float, point_x: float, point_y: float, eta: float, count
     """Arc of the L1 law from a car to a point, for drawing.
 
     It starts along the velocity vector. For a point behind the car, where the law keeps its largest
-    demand, it is the half circle whose diameter is the distance of the point.
+    demand, it is a half circle whose diameter is the distance to the point.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The controller that parameters are for: L1 guidance, or its rival, model predictive control."""
+"""Builds the controller that the parameters call for: L1 guidance or model predictive control."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["build_law"]
 def build_law(
     parameters, vehicle, raceline, sectors=None
 ) -> Controller | ModelPredictiveController:
-    """Build the controller.
+    """Build a controller of the law that the parameters belong to.
 
     Parameters
     ----------

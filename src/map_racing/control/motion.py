@@ -1,4 +1,4 @@
-"""Velocity of the car from poses alone, for localizations that report none."""
+"""Velocity of the car from poses alone, for localization that reports none."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Motion(NamedTuple):
 class MotionEstimate:
     """Straight-line fit through the latest poses.
 
-    The slope of a fit through n poses has ``sqrt(12 / (n (n^2 - 1)))`` times the noise of one pose
-    per pose interval: at 40 Hz and 0.1 s, 1 cm of noise becomes 0.13 m/s. The estimate lags by half
-    the window.
+    The slope of a fit through n poses has ``sqrt(12 / (n (n^2 - 1)))`` times the noise of one pose,
+    divided by the pose interval: at 40 Hz and 0.1 s, 1 cm of noise becomes 0.13 m/s. The estimate
+    lags by half the window.
 
     Parameters
     ----------
@@ -44,14 +44,14 @@ class MotionEstimate:
         Parameters
         ----------
         t : float
-            Its time [s]; an earlier one than the last resets the estimate.
+            Its time [s]; if earlier than the last one, the estimate is reset.
         x, y, psi : float
             Position [m] and heading [rad].
 
         Returns
         -------
         Motion
-            Zero until there are two poses. ``v_y`` is NaN: poses are too coarse for it.
+            Zero until there are two poses. ``v_y`` is NaN: poses are too noisy for it.
         """
         poses = self._poses
         if not math.isfinite(t + x + y + psi):

@@ -1,9 +1,9 @@
-"""Model predictive control of the steering: a rival of MAP, with the same knowledge.
+"""Model predictive control of the steering: a rival of MAP that knows the same of the car.
 
-In each step a quadratic program chooses the steering rates of the next second, around the motion
-that the last plan predicts (one step of sequential quadratic programming a pose, "real-time
-iteration"; Diehl, Bock, Schloeder, SIAM J. Control Optim. 43(5), 2005). The speeds are those of the
-controller's `SpeedPlan`; states are relative to the raceline::
+In each step a quadratic program chooses the steering rates of the horizon, linearized around the
+motion that the last solution predicts (one step of sequential quadratic programming per pose,
+"real-time iteration"; Diehl, Bock, Schloeder, SIAM J. Control Optim. 43(5), 2005). The speeds come
+from the `SpeedPlan`. States are relative to the raceline::
 
     d'   = v sin(e) + v_y + a r        lateral error of the reference point, a ahead of the center
     e'   = r - kappa v                 heading error
@@ -11,11 +11,11 @@ controller's `SpeedPlan`; states are relative to the raceline::
     r'   = (l_f F_yf - l_r F_yr) / I_z
     delta' = u                         the input, up to the servo's rate
 
-The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip of the rear axle. The cost of a
+The kinematic model has ``r = v tan(delta) / l_wb`` and no sideslip at the rear axle. The cost of a
 stage is ``d^2 + (w_h d' / v)^2 + (w_u (u - u_r))^2``, all in meters: lateral error, direction of
-motion, and steering rate beside that of a car on the raceline. The program has the rates alone as
-its variables and is solved by OSQP. (Of a reference point at the center of gravity the kinematic
-model's ``d' / v`` is that of a linear tangent, which costs 2 mm of error in a bend of 0.8 m.)
+motion, and steering rate relative to that of a car on the raceline, ``u_r``. The rates are the
+program's only variables; OSQP solves it. (With the reference point at the center of gravity, the
+kinematic ``d' / v`` uses a linearized tangent, which costs 2 mm of error in a bend of 0.8 m.)
 """
 
 from __future__ import annotations
@@ -37,26 +37,26 @@ from .steering import build_steering_map
 
 __all__ = ["ModelPredictiveController", "solver_library"]
 
-# Slowest speed of the prediction [m/s]: at standstill nothing can be steered.
+# Lowest speed of the prediction [m/s]: at standstill steering has no effect.
 SLOWEST = 1.0
-# Linear tires past their peak would turn the wheel the wrong way: at least this share of the
-# stiffness without slip is assumed.
+# Past the peak the tangent stiffness is negative, and the plan would steer the wrong way: the
+# stiffness is at least this share of the one at zero slip.
 LEAST_STIFFNESS = 0.05
 # With less weight on the steering rate [m s] the program is so flat that the solver often does not
-# converge, and the car is worse off.
+# converge, and the car drives worse.
 LEAST_RATE_WEIGHT = 0.005
-# Time from pose to pose that a command is for [s]: at first, at least and at most.
+# Interval between poses that a command is held for [s]: initial, shortest and longest.
 FIRST_PERIOD, SHORTEST_PERIOD, LONGEST_PERIOD = 0.025, 0.005, 0.05
 # Step of the prediction over the delay [s].
 PREDICTION_STEP = 0.005
-# Farther from the raceline or turned farther from it, the linear model says nothing [m], [rad].
+# Largest lateral error [m] and heading error [rad] for which the linear model holds.
 FARTHEST_ERROR, LARGEST_TURN = 3.0, 1.2
 
 
 class ModelPredictiveController:
-    """Steers by a quadratic program over the next second; its speeds are those of the plan.
+    """Steers by a quadratic program over the horizon; its speeds are those of the plan.
 
-    It has the interface of `controller.Controller` as far as races need it.
+    It has the part of `controller.Controller`'s interface that races need.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class ModelPredictiveController:
     Attributes
     ----------
     failures : int
-        Steps whose program was not solved; they followed the last plan.
+        Number of steps whose program was not solved; they followed the last solution.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class ModelPredictiveController:
         else:
             self._requested = requested_speed(raceline, parameters, sectors)
         self._tracker = RacelineTracker(raceline)
-        # Profiles along the raceline, once: the stages read them by index.
+        # Profiles along the raceline, computed once; the stages read them by index.
         count = max(int(math.ceil(raceline.length / 0.02)), 4)
         s = np.arange(count) * raceline.length / count
         self._kappa = raceline.sample(s).kappa
@@ -114,7 +114,7 @@ class ModelPredictiveController:
         self.reset()
 
     def planned_speed(self, s):
-        """Speed that is driven where nothing is in the way.
+        """Planned speed along the raceline, before the supervisor.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ class ModelPredictiveController:
         speed = float(self._read(self._planned, s + parameters.speed_lookahead_s * v_x))
         status = Status.OK
         if self._tracker.lost or abs(d) > FARTHEST_ERROR or abs(turned) > LARGEST_TURN:
-            # Beyond the linear model: turn back with all there is, slowly.
+            # Beyond the linear model: turn back hard and slowly.
             status, speed = Status.OFF_COURSE, min(speed, WALKING_PACE)
             d = min(max(d, -FARTHEST_ERROR), FARTHEST_ERROR)
             turned = min(max(turned, -LARGEST_TURN), LARGEST_TURN)
@@ -164,7 +164,7 @@ class ModelPredictiveController:
             *self._stages(s, state.v_x),
         )
         self.failures += not solved
-        # The angle for the time until the next pose, which comes after as long as this one did.
+        # The command holds until the next pose, expected after the same interval as this one.
         period = FIRST_PERIOD
         if self._last_t is not None:
             period = min(max(t - self._last_t, SHORTEST_PERIOD), LONGEST_PERIOD)
@@ -181,10 +181,10 @@ class ModelPredictiveController:
         return profile[(np.asarray(s) * self._cells).astype(int) % profile.size]
 
     def _stages(self, s, v):
-        """What the raceline asks for in each stage.
+        """Reference of each stage.
 
-        Speed [m/s], acceleration [m/s^2], curvature [1/m], and rate of the angle that holds the
-        car on it [rad/s].
+        Speed [m/s], acceleration [m/s^2], curvature [1/m], and rate of the steady-state steering
+        angle [rad/s].
         """
         p = self.parameters
         dt, v = p.stage_s, max(v, SLOWEST)
@@ -205,7 +205,7 @@ class ModelPredictiveController:
         return speeds, accelerations, self._read(self._kappa, places), rates
 
     def _after_delay(self, state):
-        """State when the next command acts, and the steering angle then."""
+        """State when the next command takes effect, and the steering angle at that time."""
         delay, commands = self.parameters.delay_s, self._commands
         last = commands[-1][1] if commands else 0.0
         if not delay:
@@ -246,14 +246,14 @@ class _SingleTrack:
         return np.array([d, turned, center.v_y, center.r, angle])
 
     def guess(self, v, kappa):
-        """A motion to begin with: rolling along the raceline."""
+        """Initial guess of the motion: rolling along the raceline without slip."""
         zeros = np.zeros_like(v)
         r = kappa * v
         angle = self.vehicle.l_wb * kappa
         return np.stack([zeros, zeros, self.vehicle.l_r * r, r, angle], axis=1)
 
     def linear(self, v, a, kappa, motion):
-        """``z' = A z + b u + c`` of each stage around a motion, and the row of ``d' / v``."""
+        """Linearize ``z' = A z + b u + c`` at each stage; also the row that gives ``d' / v``."""
         car, n = self.vehicle, v.size
         v_y, r, delta = motion[:, 2], motion[:, 3], motion[:, 4]
         load_f, load_r = axle_loads(car, a)
@@ -311,12 +311,12 @@ class _Kinematic:
 
 
 def solver_library():
-    """OSQP, an optional extra.
+    """Import OSQP, an optional extra.
 
     Raises
     ------
     ParameterError
-        If it is not installed; the message says how to.
+        If it is not installed; the message says how to install it.
     """
     try:
         import osqp
@@ -326,7 +326,7 @@ def solver_library():
 
 
 class _Program:
-    """The quadratic program of a step, and the last solution to begin with."""
+    """The quadratic program of a step, warm-started from the last solution."""
 
     def __init__(self, parameters, vehicle, size):
         osqp = solver_library()
@@ -361,7 +361,7 @@ class _Program:
     def solve(self, model, t, z0, v, a, kappa, rates):
         """Steering rate [rad/s] at the time `t` [s], and whether the program was solved.
 
-        If not, the rate is that of the last plan for this time, and 0 beyond its end.
+        If not, the rate is the last solution's for this time, or 0 beyond its end.
         """
         p, n = self._parameters, self._parameters.stages
         weight = max(p.steering_rate_weight_ms, LEAST_RATE_WEIGHT) ** 2
@@ -378,7 +378,7 @@ class _Program:
                 response[k + 1] = step[k] @ response[k]
                 response[k + 1, :, k] += inputs[k]
                 free[k + 1] = step[k] @ free[k] + rest[k]
-            # Rows whose squares are the cost: at the end of each stage.
+            # The squares of these rows, taken at the end of each stage, are the cost.
             direction = p.heading_weight_m * np.concatenate([direction[1:], direction[-1:]])
             rows = np.concatenate(
                 [response[1:, 0], np.einsum("ki,kij->kj", direction, response[1:])]
@@ -412,10 +412,11 @@ class _Program:
 
 
 def _discrete(A, c, dt):
-    """Exact steps ``z+ = step z + inputs u + rest`` of linear stages, u turning the last state.
+    """Exact discretization ``z+ = step z + inputs u + rest`` of linear stages.
 
-    The exponential of ``[[A, b, c], [0, 0, 0]] dt`` by scaling and squaring, all stages at once;
-    backward or forward Euler would be wrong for tires that settle within milliseconds.
+    The input u is the rate of the last state. It takes the exponential of ``[[A, b, c], [0, 0, 0]]
+    dt`` by scaling and squaring, for all stages at once; Euler steps, forward or backward, would be
+    wrong for tires that settle within milliseconds.
     """
     n, size = c.shape
     M = np.zeros((n, size + 2, size + 2))

@@ -1,4 +1,4 @@
-"""Whether the car does what it is told, and its pose what the car does."""
+"""Checks that the car follows its commands and that its pose follows the car."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ MOVING = 1.0
 # Pose-derived velocities are contaminated for this long after a jump [s].
 SETTLING = 0.15
 
-# A pose moves if it gets farther than this share of the distance driven ...
+# A pose counts as moving if it changes by more than this share of the distance driven ...
 SHARE = 0.1
-# ... and than a localization that stands still jitters [m].
+# ... and by more than the jitter of localization at standstill [m].
 JITTER = 0.003
-# A velocity that ended with the poses counts for this long [s].
+# Velocity derived from poses ends when they freeze; its last value still counts for this long [s].
 MEMORY = 3.0
-# No more than this distance is held against a pose [m]: a car that is carried away moves again.
+# Cap on the distance driven [m], so that a pose which moves again is soon recognized as moving.
 MOST_DRIVEN = 1.0
 
-# The way between positions so far apart [m] has a direction.
+# The direction of motion is taken between positions this far apart [m].
 APART = 0.5
 
-# The command is followed where the car gets this share of the way that it should ...
+# The car follows the command if it covers this share of the distance that it should ...
 FOLLOWED = 0.2
-# ... and farther than noise [m].
+# ... and more than noise [m].
 NOISE = 0.05
 # Any car reaches this acceleration [m/s^2].
 GENTLE = 1.5
-# Where a speed differs from the command for longer than this [s], the car does not obey.
+# A speed may be at odds with the command for this long [s].
 PATIENCE = 0.5
-# Noise at standstill is no rolling [m/s].
+# Backward speeds up to this one may be noise at standstill [m/s].
 ROLLING = 0.5
 
 
 class PoseMotion:
-    """Detects a frozen pose: the car moves while its pose stays, but for jitter.
+    """Detects a frozen pose: the car moves while its pose stays put, apart from jitter.
 
-    The car moves if its velocity says so, or if it did when the pose last moved, as a pose-derived
-    velocity ends with the poses; that counts for 3 s. A single jump, as when somebody corrects the
-    localization of a parked car, is no motion.
+    The car counts as moving if its velocity says so, or, for 3 s, if the velocity did when the pose
+    last changed, because a pose-derived velocity drops to zero with frozen poses. A single jump, as
+    when somebody corrects the localization of a parked car, is not motion.
     """
 
     def __init__(self):
@@ -50,7 +50,7 @@ class PoseMotion:
         self._driven = self._speed = 0.0
 
     def frozen(self, now: float, x: float, y: float, v_x: float, jumped: bool = False) -> float:
-        """Time for which the car has been moving with the same position [s].
+        """Time for which the car has been moving while its position stayed the same [s].
 
         Parameters
         ----------
@@ -85,15 +85,16 @@ class PoseMotion:
 
 
 class Course:
-    """Compares the heading of the poses with the way that their positions take."""
+    """Compares the heading of the poses with the direction in which their positions move."""
 
     def __init__(self):
         self._last = self._angles = None
 
     def aside(self, x: float, y: float, psi: float, v_x: float, jumped: bool = False) -> float:
-        """Angle [rad] between both; 0 below 1 m/s, where it is noise.
+        """Angle [rad] between heading and motion; 0 below 1 m/s, where it is noise.
 
-        Of the last two half meters the smaller one: a small correction of the position is in one.
+        It is the smaller angle of the last two half-meter stretches, because a small correction of
+        the position spoils only one of them.
 
         Parameters
         ----------
@@ -104,7 +105,7 @@ class Course:
         v_x : float
             Speed [m/s]; negative where the car rolls backwards.
         jumped : bool, optional
-            Whether the pose jumped: then the way begins anew.
+            Whether the pose jumped, which restarts the comparison.
         """
         if self._last is None or jumped or abs(v_x) < MOVING:
             self._last, self._angles = (x, y, psi), (0.0, 0.0)
@@ -124,11 +125,10 @@ class Obedience:
     Attributes
     ----------
     undriven : float
-        Distance that the car should have driven while its pose stayed [m]: by the speed that it
-        had when the pose last moved, from there on with an acceleration of 1.5 m/s^2 up to the
-        command.
+        Distance that the car should have driven while its pose stayed put [m], if it accelerated by
+        1.5 m/s^2 up to the command, starting from its speed when the pose last moved.
     moves : bool
-        Whether the last pose is elsewhere than some before.
+        Whether the pose has moved under the present command.
     """
 
     def __init__(self):
@@ -136,13 +136,13 @@ class Obedience:
         self.restart()
 
     def restart(self):
-        """Begin anew, as where the car is not told to drive."""
+        """Start over, as when the commanded speed is zero."""
         self._x = self._y = self._since = math.nan
         self._expected = self.undriven = 0.0
         self.moves = False
 
     def update(self, now: float, x: float, y: float, command: float) -> None:
-        """Take a position [m] at a time [s] under a commanded speed [m/s]."""
+        """Process a position [m] at a time [s] under a commanded speed [m/s]."""
         last, self._now = self._now, now
         if command <= 0.0:
             self.restart()
@@ -152,7 +152,7 @@ class Obedience:
             self._expected = min(self._expected + GENTLE * elapsed, command)
             self.undriven += self._expected * elapsed
         moved = math.hypot(x - self._x, y - self._y)
-        # The first one has moved by NaN.
+        # The distance is NaN for the first position.
         if not moved <= max(FOLLOWED * self.undriven, NOISE):
             self.moves = moved == moved
             if now > self._since:
@@ -161,20 +161,20 @@ class Obedience:
             self.undriven = 0.0
 
     def blocked(self, now: float, distance: float, patience: float) -> bool:
-        """Whether the pose stays for a distance [m] that should be driven, and a time [s]."""
+        """Whether the pose stayed put for `distance` [m] due by command and `patience` [s]."""
         return self.undriven >= distance and now - self._since > patience
 
     def too_fast(self, now: float, excess: float, limit: float) -> bool:
-        """Whether the speed has been above the command by more than `limit` [m/s] for long."""
+        """Whether the speed has exceeded the command by more than `limit` [m/s] for 0.5 s."""
         self._fast_since = _since(self._fast_since, now, excess > limit)
         return self._fast_since is not None and now - self._fast_since > PATIENCE
 
     def backwards(self, now: float, v_x: float) -> bool:
-        """Whether the car has been rolling backwards for long."""
+        """Whether the car has been rolling backwards for more than 0.5 s."""
         self._back_since = _since(self._back_since, now, v_x < -ROLLING)
         return self._back_since is not None and now - self._back_since > PATIENCE
 
 
 def _since(since, now, holds):
-    """When something began to hold; None if it does not."""
+    """Time since which a condition holds; None if it does not."""
     return (now if since is None else since) if holds else None

@@ -29,7 +29,7 @@ __all__ = [
     "save_controller_parameters",
 ]
 
-# Each with the shipped controller that holds the lookahead usual with it.
+# For each steering map, the shipped controller whose lookahead suits it.
 STEERING_MAPS = {"table": "map", "linear_table": "map_linear", "ackermann": "pure_pursuit"}
 SPEED_SOURCES = ("measured", "command")
 ETA_FROM = ("velocity", "heading")
@@ -37,34 +37,34 @@ LOOKAHEAD_FROM = ("car", "path")
 MPC_MODELS = ("single_track", "kinematic")
 REFERENCE_POINTS = ("rear_axle", "center_of_gravity")
 
-# What is given for 1:10 cars and changes with the size of the car: powers of the factors on lengths
-# and on times. Delays are those of sensors and actuators, and do not.
+# Parameters that are given for 1:10 cars and scale with the size of the car: powers of the factors
+# on lengths and times. Delays belong to sensors and actuators and do not scale.
 _GROWTH = {
     **dict.fromkeys(("m_m", "lookahead_min_m", "lookahead_max_m", "heading_weight_m"), (1, 0)),
     **dict.fromkeys(("speed_lookahead_s", "stage_s"), (0, 1)),
     "steering_rate_weight_ms": (1, 1),
-    # Delays bound these. For a larger car's size its delays are shorter, so it may look less far
-    # ahead and feed back more of the yaw rate: each by the root of that.
+    # Delays bound these. Relative to its size a larger car has shorter delays, so it may look less
+    # far ahead and feed back more of the yaw rate: each by the square root of that.
     "q_s": (0, 0.5),
     "yaw_rate_gain_s": (0, 1.5),
 }
-# Shares of a car's driving and braking that the shipped controllers ask for, as of nuc4's.
+# Shares of the car's largest acceleration and braking that the shipped controllers use at most.
 _DRIVE_SHARE, _BRAKE_SHARE = 0.93, 0.73
-# No car is driven by this faster [m/s].
+# Largest speed that any controller may command [m/s].
 _FASTEST = 200.0
 
 
 @documented
 @dataclass(frozen=True)
 class ControllerParameters:
-    """All that tunes a controller; a file in ``config/controllers`` holds the same names.
+    """Tuning of a controller; files in ``config/controllers`` use the same names.
 
     The lookahead distance is ``L_d = m + q v``, with the letters of the paper.
     """
 
     steering_map: str = parameter(
-        "What turns a lateral acceleration into a steering angle: MAP's table of the vehicle's "
-        "tires, the same with linear tires, or the kinematics of pure pursuit",
+        "What turns a lateral acceleration into a steering angle: MAP's lookup table of the "
+        "vehicle's tires, the same with linear tires, or the kinematics of pure pursuit",
         choices=tuple(STEERING_MAPS),
     )
     # Bounds leave room for full-scale cars, and none for centimeters, milliseconds or km/h.
@@ -91,7 +91,7 @@ class ControllerParameters:
         default=5.0,
     )
     slip_lookahead: float = parameter(
-        "Share of the distance driven while the slip of the rear axle builds up, v^2 / (g mu C_r), "
+        "Share of v^2 / (g mu C_r), the distance driven while the slip of the rear axle builds up, "
         "that is added to the lookahead distance. 0 as in the paper",
         low=0.0,
         high=5.0,
@@ -99,7 +99,7 @@ class ControllerParameters:
         default=0.0,
     )
     eta_from: str = parameter(
-        "Direction from which the angle to the lookahead point counts: the velocity, as in L1 "
+        "Direction from which the angle to the lookahead point is measured: the velocity, as in L1 "
         "guidance, or, as in the authors' code, the heading",
         choices=ETA_FROM,
         default="velocity",
@@ -111,22 +111,23 @@ class ControllerParameters:
         default="car",
     )
     table_v_max_mps: float = parameter(
-        "Largest speed at which a table is read; the tables of the authors end at 7 m/s",
+        "Highest speed at which the lookup table is read, also for a faster car; the authors' "
+        "tables end at 7 m/s",
         "m/s",
         low=POSITIVE,
         default=100.0,
     )
     curvature_feedforward: float = parameter(
-        "Share of the curvature that the law lacks on the path itself which is added to it. 0 as "
-        "in the paper",
+        "Share of the curvature that the guidance law lacks on the path itself, added as "
+        "feedforward. 0 as in the paper",
         low=0.0,
         high=1.0,
         tuning=(0.0, 1.0),
         default=0.0,
     )
     yaw_rate_gain_s: float = parameter(
-        "Steering angle added for each rad/s by which the car turns slower than the demand. 0 as "
-        "in the paper",
+        "Steering angle added per rad/s by which the yaw rate falls short of the demand. 0 as in "
+        "the paper",
         "s",
         low=0.0,
         high=0.5,
@@ -148,7 +149,7 @@ class ControllerParameters:
         default="measured",
     )
     speed_lookahead_s: float = parameter(
-        "Time ahead at which the speed of the raceline is read, to make up for lag of the drive",
+        "Time ahead at which the raceline's speed is read, to compensate the lag of the drive",
         "s",
         low=0.0,
         high=1.0,
@@ -171,16 +172,16 @@ class ControllerParameters:
         default=12.0,
     )
     grip_use: float = parameter(
-        "Share of the lateral acceleration that the tires can reach which the speeds may use; the "
-        "car drives slower than the raceline where that asks for more. 0 for the speeds of the "
-        "raceline, whatever the grip",
+        "Share of the tires' largest lateral acceleration that the speeds may use; where the "
+        "raceline asks for more, the car drives slower. 0 for the speeds of the raceline, whatever "
+        "the grip",
         low=0.0,
         high=1.2,
         tuning=(0.0, 1.2),
         default=0.0,
     )
     a_drive_max_mps2: float = parameter(
-        "Largest driving acceleration of such speeds; in a bend what the friction ellipse leaves",
+        "Largest driving acceleration with grip_use; in a bend, what the friction ellipse leaves",
         "m/s^2",
         low=POSITIVE,
         high=100.0,
@@ -188,7 +189,7 @@ class ControllerParameters:
         default=7.0,
     )
     a_brake_max_mps2: float = parameter(
-        "Largest braking of such speeds; in a bend what the friction ellipse leaves",
+        "Largest braking with grip_use; in a bend, what the friction ellipse leaves",
         "m/s^2",
         low=POSITIVE,
         high=100.0,
@@ -202,15 +203,14 @@ class ControllerParameters:
         default=False,
     )
     adaptation_share: float = parameter(
-        "What is learned of the tires stays within this share of the vehicle file's friction and "
-        "stiffness",
+        "Learned friction and stiffness stay within this share of the vehicle file's",
         low=0.0,
         high=0.6,
         default=0.4,
     )
     reference_point: str = parameter(
-        "Point of the car that localization reports and that follows the raceline. The rear axle "
-        "is base_link",
+        "Point of the car whose pose localization reports and that follows the raceline. The rear "
+        "axle is base_link",
         choices=REFERENCE_POINTS,
         default="rear_axle",
     )
@@ -230,8 +230,9 @@ class ControllerParameters:
     def lookahead(self, vehicle: Vehicle) -> LookaheadLaw:
         """The `LookaheadLaw` of these parameters with the rear tires of a vehicle.
 
-        The slip of the rear axle builds up within ``v / (g mu C_r)``, with the cornering stiffness
-        ``C_r`` normalized by the load [1/rad]: until then the car does not move where it points.
+        The slip of the rear axle builds up within the time ``v / (g mu C_r)``, with the cornering
+        stiffness ``C_r`` normalized by the load [1/rad]; until then the direction of motion lags
+        behind the heading.
         """
         growth = self.slip_lookahead / (GRAVITY * vehicle.mu * vehicle.rear.stiffness)
         bounds = self.lookahead_min_m, self.lookahead_max_m
@@ -242,10 +243,10 @@ class ControllerParameters:
         return replace(self, **changes)
 
     def of_size(self, vehicle: Vehicle) -> ControllerParameters:
-        """These values, given for a 1:10 car, for a car of another size, see `size_of`.
+        """Scale these values from a 1:10 car to another size, see `size_of`.
 
-        Distances and times grow with it; speeds and accelerations are bounded by the vehicle's
-        limits instead. Nothing changes for 1:10 cars.
+        Distances and times scale with the size; speeds and accelerations are bounded by the
+        vehicle's limits instead. Nothing changes for 1:10 cars.
         """
         return self if size_of(vehicle) == ONE_TENTH else self.with_(**_sized(self, vehicle))
 
@@ -256,7 +257,7 @@ def _check_grip_use(grip_use):
 
 
 def growth(name: str, size: Size) -> float:
-    """Factor on a parameter for a car of another size; 1 for what does not grow with it."""
+    """Factor on a parameter for a car of another size; 1 if it does not depend on the size."""
     of_length, of_time = _GROWTH.get(name, (0, 0))
     return size.length**of_length * size.time**of_time
 
@@ -265,7 +266,7 @@ def _sized(parameters, vehicle):
     """The values that differ for a car of another size."""
     values, size = vars(parameters), size_of(vehicle)
     changes = {n: round(values[n] * growth(n, size), 6) for n in _GROWTH if n in values}
-    if "table_v_max_mps" in values:  # the authors' tables end earlier, not those of this car
+    if "table_v_max_mps" in values:  # the limit is for the authors' tables, not this car's
         changes["table_v_max_mps"] = max(values["table_v_max_mps"], vehicle.v_max)
     return {
         **changes,
@@ -290,14 +291,14 @@ class MpcParameters:
         "Model of the prediction: tires of the vehicle, or kinematics", choices=MPC_MODELS
     )
     heading_weight_m: float = parameter(
-        "Lateral error [m] that costs as much as a direction of motion 1 rad off the raceline's",
+        "Lateral error [m] that costs as much as a direction of motion 1 rad off the raceline",
         "m",
         low=0.0,
         high=10.0,
     )
     steering_rate_weight_ms: float = parameter(
-        "Lateral error [m] that costs as much as a steering rate of 1 rad/s, counted as at least "
-        "0.005",
+        "Lateral error [m] that costs as much as a steering rate 1 rad/s off the reference; at "
+        "least 0.005 is used",
         "m s",
         low=0.0,
         high=10.0,
@@ -305,7 +306,7 @@ class MpcParameters:
     stages: int = parameter("Stages of the horizon", low=5, high=100, default=20)
     stage_s: float = parameter("Length of a stage", "s", low=0.01, high=0.2, default=0.05)
     iterations: int = parameter(
-        "Most iterations of the solver in a step", low=10, high=10000, default=100
+        "Largest number of solver iterations per step", low=10, high=10000, default=100
     )
     delay_s: float = _as_in_map("delay_s")
     speed_lookahead_s: float = _as_in_map("speed_lookahead_s")
@@ -336,7 +337,7 @@ LAWS = {"l1": ControllerParameters, "mpc": MpcParameters}
 
 
 def parameters_of(source: str | Path, values: dict) -> ControllerParameters | MpcParameters:
-    """Controller parameters of a mapping, by its ``law``: ``l1``, if it has none, or ``mpc``.
+    """Controller parameters from a mapping; its ``law`` is ``l1``, the default, or ``mpc``.
 
     Raises
     ------
@@ -351,7 +352,7 @@ def parameters_of(source: str | Path, values: dict) -> ControllerParameters | Mp
 
 
 def parameter_values(parameters: ControllerParameters | MpcParameters) -> dict:
-    """What `parameters_of` reads."""
+    """The mapping that `parameters_of` reads."""
     values = asdict(parameters)
     return {"law": "mpc", **values} if isinstance(parameters, MpcParameters) else values
 
@@ -368,7 +369,7 @@ def load_law(
 
 
 def _shipped(path):
-    """Whether a file is for 1:10 cars, not somebody's own for a car."""
+    """Whether a file ships with this package, and so is for 1:10 cars."""
     return path.parent == config_directory() / "controllers"
 
 
@@ -382,8 +383,8 @@ def load_controller_parameters(
     source : str or pathlib.Path
         Shipped name (``"map"``, ``"pure_pursuit"``, ...) or path of a YAML file.
     vehicle : Vehicle, optional
-        The car. The shipped files are for 1:10 cars and, with it, scaled to its size by
-        `ControllerParameters.of_size`; other files are taken as they stand.
+        The car. Shipped files are for 1:10 cars; `ControllerParameters.of_size` scales them to the
+        size of this one. Other files are taken as they are.
 
     Returns
     -------
@@ -397,7 +398,7 @@ def load_controller_parameters(
     """
     parameters = load_law(source, vehicle)
     if not isinstance(parameters, ControllerParameters):
-        raise ParameterError(f"{source}: law: expected l1 here, got 'mpc', which only races know")
+        raise ParameterError(f"{source}: law: expected l1 here, got 'mpc', which is only for races")
     return parameters
 
 
@@ -414,7 +415,7 @@ def load_safety_limits(source: str | Path, vehicle: Vehicle | None = None) -> Sa
     Returns
     -------
     SafetyLimits
-        With the default of each limit that the file does not have.
+        Limits missing from the file have their defaults.
 
     Raises
     ------
@@ -440,9 +441,9 @@ def save_controller_parameters(
     ----------
     parameters : ControllerParameters
     path : str or pathlib.Path
-        A file there is replaced when the new one is complete.
+        An existing file is replaced once the new one is complete.
     limits : SafetyLimits, optional
-        Written, too, for `load_safety_limits`.
+        Written as well, for `load_safety_limits`.
 
     Raises
     ------

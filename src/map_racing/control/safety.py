@@ -1,11 +1,11 @@
 """Supervision: when the car may drive, and how it stops.
 
 Every pose passes the supervisor on its way to the controller, and every command on its way to the
-car. To stop, the speed ramps down; meanwhile the car steers along the raceline if its pose can be
-trusted, else it keeps the steering angle, both within the grip that braking leaves at the measured
-speed. After a temporary cause (a late pose, a jump, a missing raceline) the car drives again by
-itself. A requested stop, grip exceeded for long, a car faster than commanded and a failure of the
-controller wait for `Supervisor.resume`.
+car. To stop, the speed ramps down. Meanwhile the car steers along the raceline if its pose can be
+trusted, and otherwise holds the steering angle, both within the grip that braking leaves at the
+measured speed. After a temporary cause (a late pose, a jump, a missing raceline) the car drives
+again by itself. After a requested stop, prolonged saturation, overspeed or a failure of the
+controller it waits for `Supervisor.resume`.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ if TYPE_CHECKING:
 
 __all__ = ["Supervisor"]
 
-# A car that did not move as commanded, or not to where its pose points, rests for this long [s]
-# before it tries again.
+# A car that did not move as commanded, or not along its heading, rests for this long [s] before it
+# tries again.
 REST = 3.0
 
-# Unless twice its largest speed is more, no car drives or turns faster [m/s, rad/s].
+# Largest plausible speed [m/s] (or twice the controller's largest, if more) and yaw rate [rad/s].
 FASTEST, FASTEST_TURN = 50.0, 100.0
 
-# Slower than this a car stands, but for noise [m/s].
+# Speeds below this one are noise at standstill [m/s].
 STANDSTILL = 0.3
 
-# Commands without poses: one per this time [s].
+# Interval between commands while there are no poses [s].
 PERIOD = 0.02
 
-# What a car could have braked in a gap of the commands is not made up for at once: the first step
-# of a ramp, and any other, are worth at most this time [s].
+# After a gap in the commands the ramp does not catch up at once: its first step and any later one
+# cover at most these times [s].
 FIRST_STEP, LONGEST_STEP = 0.05, 0.1
 
-# Meanwhile a car that was getting faster did so as before, averaged over a time [s], but at most by
-# this [m/s^2], and not above the last command.
+# When a stop begins, the car is assumed to have kept accelerating since the last pose as it did
+# before (low-passed over RISING [s], at most QUICKEST [m/s^2]), up to the last command.
 RISING, QUICKEST = 0.1, 5.0
 
-# A clock that goes back by more than this [s] was set back: a looping bag, a simulator's reset.
+# A clock that jumps back by more than this [s] was reset: a looping bag or a restarted simulator.
 BACKWARDS = 0.5
 
 
@@ -55,8 +55,8 @@ class Supervisor:
     """State machine between poses, controller and drive.
 
     For each pose: `observe` it, let the controller step if it is trusted, and `decide` on the
-    result. At `deadline`, `watch` notices a dropout of the poses. All times [s] are on the clock of
-    the poses' stamps.
+    result. Call `watch` at `deadline` to notice a dropout of the poses. All times [s] are on the
+    clock of the pose timestamps.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Supervisor:
     max_speed : float
         Largest speed ever commanded [m/s].
     slowing : Slowing, optional
-        Grip of the car. Without it stops neither lower nor delay a steering angle.
+        Grip of the car. Without it, stops neither reduce nor slow the steering.
 
     Attributes
     ----------
@@ -74,11 +74,11 @@ class Supervisor:
     mode : Mode
     reason : Reason
     jumped : bool
-        Whether the last pose is farther from the one before than the car can have driven.
+        Whether the last pose is farther from the one before than the car can have moved.
     on_restart : callable
-        Called when the clock is found set back, and the past is forgotten.
+        Called when the clock was set back and the supervisor has reset itself.
     pose_age : float
-        Age of the last pose when it was observed [s].
+        Age of the last pose when it arrived [s].
     """
 
     def __init__(self, limits: SafetyLimits, max_speed: float, slowing: Slowing | None = None):
@@ -95,7 +95,7 @@ class Supervisor:
 
     def _forget(self):
         if self.mode is not Mode.WAITING:
-            # The last command holds until another one is sent: stop, as at the end of any gap.
+            # The car still holds the last command, so ramp down as after any gap.
             self.mode, self._commanded = Mode.STOPPING, -math.inf
         self.reason = Reason.NO_POSE
         self.jumped = False
@@ -120,7 +120,7 @@ class Supervisor:
 
     @property
     def requests(self) -> frozenset[str]:
-        """Sources whose requests to stop are not withdrawn."""
+        """Sources whose requests to stop are in force."""
         return frozenset(self._requests)
 
     def fail(self) -> None:
@@ -128,7 +128,7 @@ class Supervisor:
         self._failed = True
 
     def resume(self) -> None:
-        """Drive again after a stop that waits for it; do not wait for one that rests."""
+        """Clear every stop that waits for this, and end the rest of a blocked or misaligned car."""
         self._requests.clear()
         self._failed = self._lost_grip = self._overspeed = False
         for reason in _RESTS:
@@ -140,7 +140,7 @@ class Supervisor:
         self._raceline_valid, self._opposed = valid, opposed
 
     def opposes(self, raceline: Raceline) -> bool:
-        """Whether a raceline runs against the motion of the car, which then has to stand first."""
+        """Whether a raceline runs against the car's motion, so that the car has to stop first."""
         if self.stands or self._pose is None:
             return False
         beside = raceline.project(self._pose.x, self._pose.y)
@@ -149,7 +149,7 @@ class Supervisor:
 
     @property
     def stands(self) -> bool:
-        """Whether the car stands, and is not told to drive."""
+        """Whether the car stands and is commanded to."""
         return self._command[1] == 0.0 and abs(self._speed) < STANDSTILL
 
     # -- poses and commands ------------------------------------------------------------------
@@ -204,11 +204,11 @@ class Supervisor:
         if trusted:
             if not frozen:
                 self._measure(now, v_x)
-            self._obeys(now, state)
+            self._check_obedience(now, state)
         return trusted
 
     def refuse(self, now: float) -> Decision:
-        """Stop for a pose in another frame than the raceline.
+        """Stop for a pose that is not in the raceline's frame.
 
         Returns
         -------
@@ -227,7 +227,7 @@ class Supervisor:
         now : float
             Time [s].
         result : ControlResult or None
-            None if the pose is not trusted.
+            None if the pose is not trusted or the controller was not run.
 
         Returns
         -------
@@ -240,7 +240,7 @@ class Supervisor:
         if self._opposed:
             self._seen[Reason.OPPOSED_RACELINE] = now
         if result is not None:
-            self._judge(now, result)
+            self._check_result(now, result)
             if result.status not in (Status.INVALID_STATE, Status.NO_RACELINE):
                 if math.isfinite(result.steering_angle + result.speed):
                     angle, wanted = result.steering_angle, result.speed
@@ -252,7 +252,7 @@ class Supervisor:
         drives = self.reason is Reason.NONE and wanted is not None
         if drives and self._blocked:
             wanted = min(wanted, WALKING_PACE)
-        # The raceline may demand harder braking than a stop; walking pace off the track does not.
+        # On the raceline the plan may brake harder than a stop; the slowdown off course may not.
         follows = wanted is not None and result.status in (Status.OK, Status.SATURATED)
         angle, speed = self._ramped(now, angle, wanted, drives, follows)
         speed = min(max(speed, 0.0), self._max_speed)
@@ -265,8 +265,8 @@ class Supervisor:
         Returns
         -------
         Decision or None
-            Command for a car without poses. None while poses come, and some time after the car has
-            stopped.
+            Command for a car without poses. None while poses arrive, before the car has driven, and
+            once it has stood for ``hold_s``.
         """
         self._advance(now)
         if self._arrival is None:
@@ -291,13 +291,13 @@ class Supervisor:
 
     @property
     def deadline(self) -> float | None:
-        """Time at which `watch` has to be called unless another pose comes [s]; None: none."""
+        """Time at which to call `watch` unless another pose comes [s]; None if never."""
         if self._arrival is not None and self._now - self._arrival < self.limits.max_pose_age_s:
             return self._arrival + self.limits.max_pose_age_s
         return None if self.mode is Mode.WAITING else self._now + PERIOD
 
     def _measure(self, now, v_x):
-        """Take a speed, and how it rises."""
+        """Record a measured speed and its low-passed rate of increase."""
         elapsed = max(now - self._measured, 1e-3)
         rise = self._rise + min(elapsed / RISING, 1.0) * (
             (v_x - self._speed) / elapsed - self._rise
@@ -315,8 +315,8 @@ class Supervisor:
             or turned > self.limits.max_turn_rad + abs(last.r) * elapsed
         )
 
-    def _judge(self, now, result):
-        """Note the causes to stop in the controller's result."""
+    def _check_result(self, now, result):
+        """Note reasons to stop that follow from the controller's result."""
         if result.status is Status.INVALID_STATE:
             self._seen[Reason.INVALID_POSE] = now
         elif result.status is Status.NO_RACELINE:
@@ -330,8 +330,8 @@ class Supervisor:
         elif now - self._saturated_since > self.limits.max_saturated_s:
             self._lost_grip = True
 
-    def _obeys(self, now, pose):
-        """Note the causes to stop in what the car does after it was told."""
+    def _check_obedience(self, now, pose):
+        """Note reasons to stop that follow from how the car answers its commands."""
         obedience, driving = self._obedience, self.mode is Mode.DRIVING
         onwards = pose.v_x >= -ROLLING
         obedience.update(now, pose.x, pose.y, self._command[1] if onwards else 0.0)
@@ -347,7 +347,7 @@ class Supervisor:
             self._seen[Reason.BACKWARDS] = now
 
     def trouble(self, now: float) -> Reason:
-        """The first of all present and recent causes, but for requests."""
+        """Highest-priority present or recent reason to stop, apart from requests."""
         limit = self.limits.recovery_s
         recent = [
             reason
@@ -369,15 +369,15 @@ class Supervisor:
     def _ramped(self, now, angle, wanted, drives, follows):
         """Steering angle and speed to command; sets the mode.
 
-        Where the car stops, is off course, or is suddenly told to be much slower, braking and
-        steering stay within the friction ellipse at the measured speed, until neither is limited
-        any more.
+        While the car stops, is off course, or is suddenly commanded a much lower speed, braking and
+        steering stay within the friction ellipse at the measured speed. This ends when neither is
+        limited anymore.
         """
         if self.mode is Mode.WAITING and not drives:
             return angle, 0.0
         last_angle, speed = self._command
         elapsed = 0.0 if self._commanded is None else now - self._commanded
-        elapsed = min(max(elapsed, 0.0), LONGEST_STEP)  # a clock may go back a little
+        elapsed = min(max(elapsed, 0.0), LONGEST_STEP)  # a clock may step back a little
         v, deceleration = self._speed, self.limits.stop_deceleration_mps2
         slows = not (drives and follows)
         if self.slowing is not None and not slows:

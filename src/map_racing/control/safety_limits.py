@@ -18,11 +18,11 @@ __all__ = ["SafetyLimits"]
 @documented
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits beyond which the car stops, and how it does."""
+    """Limits beyond which the car stops, and parameters of the stop."""
 
     max_pose_age_s: float = parameter(
-        "Largest age of a pose by its stamp, and longest time without one. A stamp may be as far "
-        "in the future",
+        "Largest age of a pose by its timestamp, and longest time without one. A timestamp may be "
+        "as far in the future",
         "s",
         low=POSITIVE,
         high=10.0,  # milliseconds would be no limit
@@ -30,15 +30,15 @@ class SafetyLimits:
         default=0.2,
     )
     max_jump_m: float = parameter(
-        "Largest jump of the position beyond what the car can have driven",
+        "Largest jump of the position, beyond what the car can have driven",
         "m",
         low=POSITIVE,
         tuning=(0.05, 10.0),
         default=0.5,
     )
     max_turn_rad: float = parameter(
-        "Largest jump of the heading beyond what the car can have turned, and largest angle "
-        "between heading and motion",
+        "Largest jump of the heading, beyond what the car can have turned, and largest angle "
+        "between heading and direction of motion",
         "rad",
         low=POSITIVE,
         tuning=(0.05, 3.2),
@@ -48,44 +48,43 @@ class SafetyLimits:
         "Largest distance from the raceline", "m", low=POSITIVE, tuning=(0.1, 20.0), default=1.5
     )
     max_saturated_s: float = parameter(
-        "Longest uninterrupted demand beyond the grip. It lasts up to 1.3 s in simulated races "
-        "that are finished",
+        "Longest uninterrupted demand beyond the grip. Simulated races that finish reach 1.3 s",
         "s",
         low=POSITIVE,
         tuning=(0.1, 60.0),
         default=1.5,
     )
     max_overspeed_mps: float = parameter(
-        "Largest measured speed above the commanded one for more than 0.5 s",
+        "Largest excess of the measured speed over the command for more than 0.5 s",
         "m/s",
         low=POSITIVE,
         tuning=(0.5, 10.0),
         default=2.0,
     )
     max_blocked_m: float = parameter(
-        "Distance that the car should have driven by its commands while its pose stays. Any car "
-        "reaches 1.5 m/s^2",
+        "Largest distance commanded while the pose stays put. Any car is assumed to reach "
+        "1.5 m/s^2",
         "m",
         low=POSITIVE,
         tuning=(0.2, 100.0),
         default=1.0,
     )
     stop_deceleration_mps2: float = parameter(
-        "Deceleration of a stop, as far as the grip allows beside the steering",
+        "Deceleration of a stop, within the grip left by steering",
         "m/s^2",
         low=POSITIVE,
         tuning=(0.5, 15.0),
         default=4.0,
     )
     recovery_s: float = parameter(
-        "Time from the end of a temporary cause until the car drives again",
+        "Time after a temporary cause has ended until the car drives again",
         "s",
         low=SETTLING,
         tuning=(SETTLING, 10.0),
         default=0.5,
     )
     hold_s: float = parameter(
-        "Time for which a stopped car without poses is still commanded to stand",
+        "Time for which a stopped car without poses is still sent commands of speed 0",
         "s",
         low=POSITIVE,
         tuning=(0.1, 10.0),
@@ -96,10 +95,10 @@ class SafetyLimits:
         check(self)
 
     def of_size(self, vehicle: Vehicle) -> SafetyLimits:
-        """These limits, given for a 1:10 car, for a car of another size, see `size_of`.
+        """Scale these limits from a 1:10 car to another size, see `size_of`.
 
-        Distances, speeds and the time of a slide grow with it; decelerations stay, and so do times
-        of sensors and computers. Nothing changes for 1:10 cars.
+        Distances, speeds and the time of saturation scale with the size; decelerations and the
+        times of sensors and computers do not. Nothing changes for 1:10 cars.
         """
         length, time = size_of(vehicle)
         return replace(

@@ -1,4 +1,4 @@
-"""What a car is driven with, as text: published by the node, kept in bags, read by the report."""
+"""Controller settings as text: published by the node, stored in bags, read by the report."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ _MILLIMETER = 1e-3
 
 @dataclass(frozen=True)
 class Settings:
-    """What a car was driven with.
+    """Settings that a car was driven with.
 
     Attributes
     ----------
     values : dict
-        All that the text holds, by section.
+        The whole text, by section.
     controller : ControllerParameters, MpcParameters or None
-        None where the text has none that this version knows.
+        None if the text has none that this version can read.
     vehicle : Vehicle or None
         Likewise.
     sectors : tuple of (float, float, float)
         Speed sectors: start and end [m], scale; empty without any.
     notes : tuple of str
-        What could not be read, and with ``warning:`` what the controller doubted.
+        What could not be read, and the controller's warnings, marked ``warning:``.
     """
 
     values: dict
@@ -61,11 +61,11 @@ class Settings:
         Raises
         ------
         ParameterError
-            If they are of another raceline.
+            If they belong to another raceline.
         """
         if not self.sectors:
             return None
-        # The text has millimeters: the last end may be that much beyond the line.
+        # The text is rounded to millimeters, so the last end may exceed the length by one.
         length = raceline.length
         fitted = [
             (start, length if 0.0 < end - length < _MILLIMETER else end, scale)
@@ -74,7 +74,7 @@ class Settings:
         return SpeedSectors(fitted, length)
 
     def planned_speed(self, raceline: Raceline) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Speed that the controller meant to drive on a raceline.
+        """Planned speed of the controller on a raceline.
 
         Parameters
         ----------
@@ -83,8 +83,8 @@ class Settings:
         Returns
         -------
         callable or None
-            Speeds [m/s] at an array of arc lengths [m]; None where the settings do not say, or not
-            for this raceline.
+            Speeds [m/s] at an array of arc lengths [m]; None if the settings lack it or belong to
+            another raceline.
         """
         if self.controller is None or self.vehicle is None:
             return None
@@ -97,10 +97,7 @@ class Settings:
 
 
 def doubts_of(controller: Controller) -> list[str]:
-    """What makes it doubtful that a controller drives with what was meant.
-
-    Warnings about the vehicle file, the lookup table, the raceline and the speed sectors.
-    """
+    """Warnings about a controller's vehicle file, lookup table, raceline and speed sectors."""
     vehicle, raceline, sectors = controller.vehicle, controller.raceline, controller.sectors
     mark = "warning: "
     doubts = [note[len(mark) :] for note in vehicle.notes if note.startswith(mark)]
@@ -176,7 +173,7 @@ def settings_text(
 
 
 def parse_settings(text: str) -> Settings:
-    """Read what `settings_text` wrote, as far as this version knows it.
+    """Read the text of `settings_text`, as far as this version understands it.
 
     Parameters
     ----------
@@ -186,7 +183,7 @@ def parse_settings(text: str) -> Settings:
     Returns
     -------
     Settings
-        Without controller or vehicle where the text is of another program or version.
+        Without controller or vehicle if the text comes from another program or version.
     """
     try:
         values = yaml.safe_load(text)

@@ -1,4 +1,4 @@
-"""What a controller drives with and may be given anew while it drives."""
+"""The part of a controller that can be replaced while it drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Setup"]
 
 
 class Setup(NamedTuple):
-    """Arguments of `map_racing.control.controller.Controller`, and what follows from them.
+    """Arguments of `map_racing.control.controller.Controller` and objects built from them.
 
     Parameters
     ----------
@@ -27,15 +27,15 @@ class Setup(NamedTuple):
     raceline : Raceline or None
     sectors : SpeedSectors or None
     top_speed : float
-        The car's [m/s].
+        Top speed of the car [m/s].
     tracker : RacelineTracker or None
-        Of the raceline.
+        None without raceline.
     plan : SpeedPlan or None
         None without raceline or with a ``grip_use`` of 0.
     guard : GripGuard or None
-        With a plan.
+        None without plan.
     adaptation : Adaptation or None
-        None while that is off.
+        None while adaptation is off.
     """
 
     parameters: ControllerParameters
@@ -62,7 +62,7 @@ class Setup(NamedTuple):
         Parameters
         ----------
         old : Setup or None
-            The one in use, whose tracker and plan are kept where nothing changes them.
+            The setup in use; its tracker and plan are kept if nothing they depend on changes.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Setup(NamedTuple):
         if old is None or raceline is not old.raceline:
             setup = setup._replace(tracker=RacelineTracker(raceline))
         if not parameters.grip_use:
-            requested_speed(raceline, parameters)  # an error without speeds
+            requested_speed(raceline, parameters)  # raises if the raceline has no speeds
             return setup._replace(plan=None, guard=None)
         if old is None or setup.plan is None or setup._plan_key() != old._plan_key():
             kind = SpeedPlan if setup.adaptation is None else AdaptiveSpeedPlan

@@ -1,4 +1,4 @@
-"""Lateral velocity where none is measured, from speed and yaw rate in steady state."""
+"""Steady-state estimate of an unmeasured lateral velocity."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ __all__ = ["SideslipEstimate"]
 class SideslipEstimate:
     """Steady-state lateral velocity of a point of the car from speed and yaw rate.
 
-    The slip angle of the rear axle follows from its share of ``a = v r``; axle loads cancel,
-    ``F_yr / F_zr = a / g``. A point `ahead` [m] of the rear axle adds ``ahead * r``.
+    The slip angle of the rear axle follows from ``F_yr / F_zr = a / g`` with ``a = v r``. A point
+    `ahead` [m] of the rear axle adds ``ahead * r``.
     """
 
     CELLS = 256
 
     def __init__(self, vehicle, ahead):
         self._ahead = ahead
-        # The linear tire has no peak; no car of this size corners with 5 g.
+        # The linear tire has no peak, but no car of this size corners at 5 g.
         self._a_end = GRAVITY * min(0.999 * vehicle.mu * vehicle.rear.peak, 5.0)
         forces = np.linspace(0.0, self._a_end, self.CELLS + 1) / (GRAVITY * vehicle.mu)
-        # That of tires without a peak grows without bound.
+        # The slip of tires without a peak grows without bound.
         slip = np.minimum(vehicle.rear.slip(forces), MOST_SLIP)
         self._tangents = np.tan(slip).tolist()
 

@@ -1,4 +1,4 @@
-"""Steering and braking together within the grip, while the car is faster than it should be."""
+"""Keeps braking and steering within the grip while the car is faster than it should be."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ..vehicle.size import ONE_TENTH, Size
 
 __all__ = ["Slowing"]
 
-# Of a 1:10 car: largest rate of the steering angle meanwhile [rad/s] (following a raceline takes
-# less), and how far a command is below the measured speed [m/s] that is no raceline's braking.
+# For a 1:10 car: largest steering rate while slowing [rad/s] (following a raceline takes less), and
+# gap between measured and commanded speed [m/s] that braking along a raceline does not cause.
 STEERING_RATE, SUDDEN = 1.5, 2.0
 
-# Most of the braking that the tires hold; the rest of the friction ellipse, 60 % of the lateral
-# grip, is for steering.
+# Share of the braking limit used at most; the friction ellipse then leaves 60 % of the lateral grip
+# for steering.
 MOST_BRAKING = 0.8
 
 _BISECTIONS = 16
@@ -24,29 +24,28 @@ _BISECTIONS = 16
 class Slowing:
     """Friction ellipse of braking and steering at the measured speed.
 
-    A law that steers back to the raceline knows neither that the car is faster than it should be
-    nor that it brakes. Here braking comes first, as it shortens everything that may follow, and
-    steering gets what it leaves.
+    The guidance law knows neither that the car is too fast nor that it brakes. Here braking comes
+    first, because it shortens whatever may follow, and steering gets the remaining grip.
 
     Parameters
     ----------
     grip : LookupTable
-        Of the car's own tires.
+        Lookup table of the car's own tires.
     a_brake_max : float
-        Largest deceleration on a straight [m/s^2]: the other axis of the ellipse.
+        Largest deceleration on a straight [m/s^2], the longitudinal axis of the ellipse.
     delta_max : float
         Steering lock [rad].
     always : bool, optional
-        Whether no angle is to be beyond the one of the largest lateral acceleration, also while the
-        car is not too fast: not for pure pursuit, which knows no tires.
+        Whether to limit the angle to that of the largest lateral acceleration even while the car is
+        not too fast. False for pure pursuit, which knows no tires.
     size : Size, optional
-        Of the car.
+        Size of the car.
 
     Attributes
     ----------
     grip, always
     sudden : float
-        A command so far below the measured speed is followed by a ramp [m/s].
+        If the command is more than this below the measured speed [m/s], the speed ramps down.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class Slowing:
         self._peak = float(np.max(grip.max_lateral_acceleration(np.arange(1.0, 20.0))))
 
     def bounded(self, deceleration: float) -> float:
-        """The deceleration, or the most of it that leaves grip for steering [m/s^2]."""
+        """The deceleration, limited so that grip remains for steering [m/s^2]."""
         return min(deceleration, MOST_BRAKING * self._brake)
 
     def largest(self, v: float) -> float:
@@ -73,18 +72,18 @@ class Slowing:
     def steering(
         self, v: float, angle: float, last: float, deceleration: float, elapsed: float
     ) -> float:
-        """Steering angle beside a deceleration.
+        """Limit a steering angle to the grip that a deceleration leaves.
 
         Parameters
         ----------
         v : float
             Measured speed [m/s].
         angle : float
-            What is asked for [rad].
+            Requested angle [rad].
         last : float
             Angle of the last command [rad].
         deceleration : float
-            Braking, at most the `bounded` one [m/s^2].
+            Braking [m/s^2], already `bounded`.
         elapsed : float
             Time since the last command [s].
 
@@ -98,13 +97,13 @@ class Slowing:
         angle = min(max(angle, -most), most)
         slew = self._rate * elapsed
         angle = min(max(angle, last - slew), last + slew)
-        if self.always:  # also where the measured speed rises at once
+        if self.always:  # the slew limit must not keep the angle too large when v jumps up
             most = self.largest(v)
             angle = min(max(angle, -most), most)
         return angle
 
     def braking(self, v: float, angle: float) -> float:
-        """Deceleration that the tires hold beside a steering angle [m/s^2]."""
+        """Deceleration that the tires can take at a steering angle [m/s^2]."""
         steering, peak, angle = self.grip.steering, self._peak, abs(angle)
         low, high = 0.0, 1.0
         for _ in range(_BISECTIONS):

@@ -1,4 +1,4 @@
-"""The speeds of a lap: those of the raceline, as far as the grip allows."""
+"""Speeds of a lap: the raceline's, as far as the grip allows."""
 
 from __future__ import annotations
 
@@ -24,35 +24,37 @@ __all__ = [
     "scaled_speed",
 ]
 
-# Driven where a bend is tighter than the car can steer, and commanded where the car is off the
-# course [m/s]: any tires hold at it.
+# Speed in bends tighter than the car can steer, and of a car that is off course [m/s]: any tires
+# hold at it.
 WALKING_PACE = 1.0
 
-# Length of the plan's cells [m]. Half as long ones change the lap times of the shipped tracks by
-# 0.2 %; long courses get longer ones, so that a plan takes about 10 ms on any of them.
+# Length of the plan's cells [m]. Halving it changes the lap times of the shipped tracks by 0.2 %.
+# Long tracks get longer cells, so that any plan takes about 10 ms.
 CELL, LONGEST_CELL, CELLS = 0.025, 0.1, 4000
 
-# Largest speed planned, as a share of the car's top speed. Commanded its top speed alone, a car
-# whose speed controller is proportional would reach it late; what is beyond cannot be driven, but
-# the public simulator's car goes on shifting its load at its top speed, and runs wide.
+# Largest planned speed, relative to the car's top speed. A car with a proportional speed controller
+# reaches its top speed late if commanded no more than that. Beyond this factor the car is no
+# faster, but the public simulator's keeps shifting its load at top speed, and runs wide.
 _BEYOND_TOP = 1.1
 
-# Share of the tires' usable grip below which no more margin is left at the steering lock. With 0.5
-# lines with bumps are followed less closely (0.047 instead of 0.043 m); with 0, too (0.047 m), and
-# the public simulator's car takes 4 % longer for laps with hairpins close to its lock.
+# Share of the tires' usable grip up to which a limit set by the steering lock is used without
+# margin. With 0.5, lines with bumps are followed less closely (0.047 instead of 0.043 m). With 0
+# they are, too (0.047 m), and the public simulator's car takes 4 % longer for laps with hairpins
+# close to its lock.
 _OF_TIRES = 0.3
 
-# Rounds in which the level of a speed and the speed of that level are found.
+# Fixed-point iterations between the grip level at a speed and the speed at that level.
 ROUNDS = 3
 
-# A place is slowed where the plan is below this share of what is asked: not by rounding.
+# A place counts as slowed if the plan is below this share of the requested speed, so that rounding
+# does not count.
 SLOWED = 0.99
 
 
 def scaled_speed(
     raceline: Raceline, scale: float = 1.0, sectors=None
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Speed along a raceline, scaled as a whole and by sectors.
+    """Speed along a raceline, scaled globally and by sector.
 
     Parameters
     ----------
@@ -84,9 +86,9 @@ def scaled_speed(
 
 
 def requested_speed(raceline, parameters, sectors=None):
-    """Speed that is asked for along a raceline, whatever the grip.
+    """Speed requested along a raceline, whatever the grip.
 
-    It is `scaled_speed` by the scale of the `ControllerParameters`, up to their largest speed.
+    It is `scaled_speed` with the scale of the `ControllerParameters`, up to their largest speed.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def requested_speed(raceline, parameters, sectors=None):
     Returns
     -------
     callable
-        From arc lengths [m], ndarray of shape (n,), to speeds [m/s] of the same shape.
+        Maps arc lengths [m], an ndarray of shape (n,), to speeds [m/s] of the same shape.
 
     Raises
     ------
@@ -109,12 +111,12 @@ def requested_speed(raceline, parameters, sectors=None):
 
 
 def lateral_limit(grip, share, v_max):
-    """Lateral acceleration that may be used at a speed.
+    """Lateral acceleration that the plan may use at a speed.
 
-    It is a share of what the car reaches, for the tires may hold less than is believed. Where the
-    steering lock limits it to less than 0.3 of what may be used of the tires, which hold at a low
-    speed what they hold at higher ones, that margin is there without a share: and slower the car
-    would not turn tighter.
+    It is a share of what the car can reach, because the tires may have less grip than assumed. At
+    low speeds the steering lock, not the tires, limits the car. Where that limit is below 0.3 of
+    the usable grip of the tires, no further margin is taken: the tires have plenty, and driving
+    slower would not let the car turn tighter.
 
     Parameters
     ----------
@@ -127,7 +129,7 @@ def lateral_limit(grip, share, v_max):
     Returns
     -------
     callable
-        From speeds [m/s], ndarray of shape (n,), to accelerations [m/s^2] of the same shape.
+        Maps speeds [m/s], an ndarray of shape (n,), to accelerations [m/s^2] of the same shape.
     """
     speeds = np.linspace(0.0, v_max, 400)
     tires = np.maximum.accumulate(grip.max_lateral_acceleration(speeds)[::-1])[::-1]
@@ -141,21 +143,21 @@ def lateral_limit(grip, share, v_max):
 
 
 class _Profile:
-    """What can be said of planned speeds: `s`, `ds`, `speed`, `requested`, `has_own_speeds`."""
+    """Summary of planned speeds, from `s`, `ds`, `speed`, `requested` and `has_own_speeds`."""
 
     @property
     def lap_time(self):
-        """Time of a lap that keeps to the plan [s]."""
+        """Lap time at the planned speeds [s]."""
         return lap_time(self.speed, self.ds)
 
     @property
     def share_slowed(self):
-        """Share of the lap's length on which the plan is slower than what is asked for."""
+        """Share of the lap's length on which the plan is slower than requested."""
         return float(np.mean(self.speed < SLOWED * self.requested))
 
     @property
     def slowest_place(self):
-        """Where the plan takes most from what is asked for: ``(s, planned, requested)``.
+        """Place where the plan is slowest relative to the request: ``(s, planned, requested)``.
 
         Arc length [m] and speeds [m/s].
         """
@@ -181,25 +183,24 @@ class _Profile:
 
 
 class SpeedPlan(_Profile):
-    """Highest speeds around a lap within what is asked for and what the car can do.
+    """Highest speeds around a lap that neither the request nor the grip forbids.
 
     The raceline's speeds, scaled and bounded, are lowered to a profile within the friction ellipse,
-    so that the car brakes before a bend and not in it; see `map_racing.track.speed_profile`. Where
-    a bend is tighter than the car can steer, the plan has walking pace.
+    so that the car brakes before a bend and not in it; see `map_racing.track.speed_profile`. In a
+    bend tighter than the car can steer, the plan is walking pace.
 
-    A raceline without speeds gets the fastest profile as its speeds, and those are scaled.
+    A raceline without speeds gets the fastest profile as its speeds, which are then scaled.
 
     Parameters
     ----------
     raceline : Raceline
     parameters : ControllerParameters
-        Of these it depends on the fields in `DEPENDS_ON` alone.
+        Only the fields in `DEPENDS_ON` matter.
     grip : LookupTable or other steering map
-        Its ``max_lateral_acceleration`` and ``grip_use`` make the lateral limit, see
-        `lateral_limit`.
+        Its ``max_lateral_acceleration`` gives the `lateral_limit`.
     sectors : SpeedSectors, optional
     top_speed : float, optional
-        The car's [m/s]; not much more is asked of it.
+        Top speed of the car [m/s]; the plan exceeds it by 10 % at most.
 
     Attributes
     ----------
@@ -208,7 +209,7 @@ class SpeedPlan(_Profile):
     speed : ndarray, shape (n,)
         Planned speed there [m/s].
     requested : ndarray, shape (n,)
-        What is asked for there [m/s].
+        Requested speed there [m/s].
     """
 
     DEPENDS_ON = (
@@ -243,7 +244,7 @@ class SpeedPlan(_Profile):
             )
 
         if self.has_own_speeds:
-            # Between the smallest of numbers, interpolation rounds to below 0.
+            # Interpolating denormal speeds may round to below 0.
             self.requested = np.maximum(requested_speed(raceline, parameters, sectors)(self.s), 0.0)
         else:
             self.requested = parameters.speed_scale * limited(fastest)
@@ -263,28 +264,28 @@ class SpeedPlan(_Profile):
 
 
 class AdaptiveSpeedPlan(_Profile):
-    """Speed plans of a car for any grip, of which it drives the one of the present.
+    """Speed plan whose grip may change while the car drives.
 
-    The plans of some levels of the friction are made beforehand; in between the speed is
-    interpolated: within 0.1 % of the plan made for that level on average, and 1 % where it ends to
-    accelerate and brakes. So no plan has to be made while the car drives.
+    Plans for a few friction levels are made beforehand and interpolated, so that none has to be
+    made while driving. The interpolated speed is within 0.1 % of a plan made for that level on
+    average, and within 1 % where the plan changes from driving to braking.
 
-    The level is that of the speed, as tires of another stiffness turn slow bends worse or better
-    than fast ones. Where the plan brakes from one level to another, it brakes 5 % harder.
+    The friction level depends on the speed, because a change of tire stiffness affects slow and
+    fast bends differently. Where the plan brakes from one level to another, it brakes 5 % harder.
 
     Parameters
     ----------
     raceline, parameters, sectors, top_speed
-        As of `SpeedPlan`.
+        As for `SpeedPlan`.
     grip : TireSteering
-        Of the vehicle file.
+        Steering map of the vehicle file's tires.
 
     Attributes
     ----------
     slowest : float
-        Least speed of the lap on a slippery day [m/s].
+        Lowest speed of the lap with 0.8 of the friction [m/s].
     grips : list of float
-        Grip that there is at each speed, relative to the vehicle file's, for `TireSteering.at`.
+        Present grip at each speed, relative to the vehicle file's, for `TireSteering.at`.
     """
 
     LEVELS = (0.3, 0.45, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
@@ -306,7 +307,7 @@ class AdaptiveSpeedPlan(_Profile):
         """Planned speed [m/s] at arc length `s` [m], taken modulo the length."""
         grips = self.grips
         level = grips[0]
-        # The level hardly changes with the speed, so that each round comes 20 times closer.
+        # The level hardly depends on the speed, so each round reduces the error 20-fold.
         for _ in range(ROUNDS):
             slow, fast, part = self._between(level)
             v = slow.speed_at(s)
@@ -315,7 +316,7 @@ class AdaptiveSpeedPlan(_Profile):
         return v
 
     def _between(self, level):
-        """Plans of the levels around one, and how far that is from the first to the second."""
+        """The two plans whose levels enclose this one, and the interpolation weight."""
         levels = self.LEVELS
         k = min(max(bisect_right(levels, level), 1), len(levels) - 1)
         part = (level - levels[k - 1]) / (levels[k] - levels[k - 1])
@@ -328,11 +329,11 @@ class AdaptiveSpeedPlan(_Profile):
 
     @property
     def requested(self):
-        """What is asked for there [m/s], shape (n,)."""
+        """Requested speed at the cells [m/s], shape (n,)."""
         return self._driven()[1]
 
     def _driven(self):
-        """`speed` and `requested`, as `speed_at`."""
+        """`speed` and `requested`, found as in `speed_at`."""
         grips, levels, cells = self.grips, np.array(self.LEVELS), np.arange(self.s.size)
         level = np.full(self.s.size, grips[0])
         for _ in range(ROUNDS):

@@ -30,15 +30,16 @@ __all__ = [
 ]
 
 LARGEST_SCALE = 2.0
-"""Largest scale of a sector, as of ``speed_scale``: a larger one is a slip, such as percent."""
+"""Largest scale of a sector and ``speed_scale``; more is a mistake, such as percent."""
 
-# In a corner the car needs more than this share of the lap's largest lateral acceleration; a sector
-# shorter than this share of the lap belongs to its neighbors.
+# A corner takes more than this share of the lap's largest lateral acceleration; a sector shorter
+# than this share of the lap is merged with its neighbors.
 _CORNER, _SHORTEST = 0.4, 0.03
-# A sector that begins farther [m] from where its file says is of another raceline.
+# A sector that begins farther [m] from the place in its file belongs to another raceline.
 _ELSEWHERE = 1.0
 _PLACES = "start_points"  # key of the places where sectors begin
-# Range of the curvature, as a share of the largest, from which a bend all along is an oval.
+# A track that bends all the way is an oval if the curvature varies by more than this share of its
+# maximum.
 _OVAL = 0.1
 
 
@@ -55,7 +56,7 @@ class SpeedSectors:
     elsewhere : float
         Scale outside of all sectors.
     doubts : iterable of str
-        What makes it doubtful that the sectors are of this track.
+        Reasons to doubt that the sectors belong to this track.
 
     Raises
     ------
@@ -90,11 +91,11 @@ class SpeedSectors:
                 raise ParameterError(f"speed sectors: expected no overlap, got one at {start:g} m")
             self._starts += [start, end]
             self._scales += [scale, elsewhere]
-        if self._starts[-1] >= length:  # the modulo of -1e-17 is the length itself
+        if self._starts[-1] >= length:  # rounding: -1e-17 % length is the length itself
             del self._starts[-1], self._scales[-1]
 
     def stretches(self) -> list:
-        """Stretches of one scale around the lap: ``(start_m, end_m, scale)`` of each."""
+        """Stretches of constant scale around the lap: ``(start_m, end_m, scale)`` of each."""
         ends = [*self._starts[1:], self._length]
         found = zip(self._starts, ends, self._scales)
         return [(start, end, scale) for start, end, scale in found if end - start > 1e-9]
@@ -104,12 +105,12 @@ class SpeedSectors:
         return self._scales[bisect_right(self._starts, s % self._length) - 1]
 
     def told(self, speed_scale: float) -> str:
-        """What the sectors make of the raceline's speed, in words.
+        """Range of speeds that the sectors give, in words.
 
         Parameters
         ----------
         speed_scale : float
-            The controller's, which multiplies them.
+            The controller's scale, which multiplies the sectors'.
 
         Returns
         -------
@@ -132,7 +133,7 @@ def _range(scales):
 
 
 def check_scale(where: str, scale: float) -> None:
-    """Check that a scale of the speed can have been meant.
+    """Check that a scale of the speed is plausible.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def check_scale(where: str, scale: float) -> None:
     ParameterError
         If it is not from 0 to `LARGEST_SCALE`.
     """
-    if not 0.0 <= scale <= LARGEST_SCALE:  # nor is NaN
+    if not 0.0 <= scale <= LARGEST_SCALE:  # also true for NaN
         raise ParameterError(
             f"{where}: expected a scale from 0 to {LARGEST_SCALE:g}, 1 for 100 %, got {scale:g}"
         )
@@ -156,9 +157,10 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
 
     The file has ``global_limit``, ``n_sectors`` and ``Sector0: {start, end, scaling}``, ...;
     `start` and `end` are indices of the raceline's points, and no scale exceeds the global limit.
-    Sectors from the first point to the last but one reach to the end of the lap: they count the
-    points of another form of the raceline, such as a bag's. Sectors that leave more points at the
-    end of the lap without one may be of another raceline: that is a doubt.
+    Sectors from the first point to the last but one are extended to the end of the lap, because
+    another form of the raceline, such as a bag's, may have one point fewer. If more points are left
+    without a sector at the end of the lap, the sectors may belong to another raceline, which is
+    noted as a doubt.
 
     Parameters
     ----------
@@ -226,7 +228,7 @@ def load_speed_sectors(path: str | Path, raceline: Raceline) -> SpeedSectors:
 
 
 def _refuse_unknown(path, content, count):
-    """Refuse keys that are none of a file with so many sectors."""
+    """Refuse keys that a file with `count` sectors does not have."""
     for key in content:
         sector = re.fullmatch(r"Sector(0|[1-9]\d*)", str(key))
         known = key in ("global_limit", "n_sectors", _PLACES) or (sector and int(sector[1]) < count)
@@ -265,7 +267,7 @@ def corners_and_straights(raceline: Raceline) -> list:
     kind = np.sign(a_lat) * (np.abs(a_lat) > _CORNER * np.max(np.abs(a_lat)))
     bend = np.abs(at.kappa)
     if np.ptp(kind) == 0.0 and np.ptp(bend) > _OVAL * np.max(bend):
-        # An oval bends all along: its corners are where it bends most.
+        # An oval bends everywhere; its corners are where it bends most.
         kind = np.where(bend > 0.5 * (bend.min() + bend.max()), kind, 0.0)
     window = max(3, int(_SHORTEST * size) | 1)
     kind = ndimage.median_filter(kind, 2 * window + 1, mode="wrap")
@@ -275,7 +277,7 @@ def corners_and_straights(raceline: Raceline) -> list:
 
 
 def _gaps(path, covered):
-    """Doubt about points before or between sectors that are in none."""
+    """Doubt about points that are in no sector, before or between the sectors."""
     end = -1
     for start, last in sorted(covered):
         if start > end + 1:
@@ -286,7 +288,7 @@ def _gaps(path, covered):
 
 
 def _elsewhere(path, places, starts, raceline):
-    """Doubt about sectors that begin elsewhere on their own raceline, as the file says."""
+    """Doubt about sectors that do not begin at the places listed in their file."""
     if places is None:
         return []
     listed = isinstance(places, list) and all(isinstance(p, list) and len(p) == 2 for p in places)
@@ -309,18 +311,19 @@ def _elsewhere(path, places, starts, raceline):
 def save_speed_sectors(
     path: str | Path, raceline: Raceline, sectors: list, notes: Iterable[str] = ()
 ) -> None:
-    """Write the public stack's ``speed_scaling.yaml``, and where each sector begins.
+    """Write the public stack's ``speed_scaling.yaml``, with the place where each sector begins.
 
     Parameters
     ----------
     path : str or pathlib.Path
-        Replaced in one step if it exists.
+        Replaced atomically if it exists.
     raceline : Raceline
-        Whose points the sectors count.
+        The sectors' indices count its points.
     sectors : list of (int, int, str) or (int, int, str, float)
-        As from `corners_and_straights`, with a scale or with 1; the words become comments.
+        As from `corners_and_straights`, optionally with a scale, by default 1; the words become
+        comments.
     notes : iterable of str, optional
-        Comments on top.
+        Comments at the top.
     """
     rows = [(*sector, 1.0)[:4] for sector in sectors]
     lines = [f"# {printable(note)}" for note in notes]

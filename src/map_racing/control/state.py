@@ -21,7 +21,7 @@ class CarState(NamedTuple):
         Heading of the car, counter-clockwise from the map's x-axis [rad].
     v_x, v_y : float
         Velocity of the reference point along the car's own axes, forward and left [m/s].
-        ``v_y`` is NaN if nothing measures it; the controller then estimates it.
+        ``v_y`` is NaN if it is not measured; the controller then estimates it.
     r : float
         Yaw rate [rad/s].
     """
@@ -38,7 +38,7 @@ class CarState(NamedTuple):
 def moved(state: CarState, distance: float) -> CarState:
     """The same motion seen from a reference point `distance` [m] farther forward on the car.
 
-    From the rear axle to the center of gravity it is ``l_r``, back it is ``-l_r``.
+    The distance is ``l_r`` from the rear axle to the center of gravity, and ``-l_r`` back.
     """
     t, x, y, psi, v_x, v_y, r = state
     return CarState(
@@ -75,5 +75,5 @@ def predicted(state: CarState, horizon: float) -> CarState:
         v_y,
         r,
     )
-    # As CarState(...), which takes twice as long.
+    # Same as CarState(...), in half the time.
     return tuple.__new__(CarState, values)

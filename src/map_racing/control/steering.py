@@ -1,12 +1,12 @@
 """Steering maps: the steering angle for a lateral acceleration.
 
-The only difference between pure pursuit and MAP. Each map has
+They are the only difference between pure pursuit and MAP. Each map has
 ``steering(v, a_lat) -> (delta, saturated)``: the angle [rad] at which the car turns with `a_lat`
 [m/s^2] at speed `v` [m/s], and whether that exceeds what the car can reach, in which case `delta`
 is the angle of the tightest turn.
 
-:class:`map_racing.vehicle.lookup.LookupTable` is such a map; this module has the kinematic one, and
-builds the one that parameters name.
+:class:`map_racing.vehicle.lookup.LookupTable` is such a map. This module has the kinematic one and
+builds the map that the parameters name.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class AckermannSteering:
 
 @lru_cache(maxsize=16)
 def build_steering_map(kind, vehicle, v_max):
-    """Steering map of a vehicle; the same object for the same arguments, as it never changes.
+    """Steering map of a vehicle, cached because it is immutable.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def build_steering_map(kind, vehicle, v_max):
         See :class:`~map_racing.control.parameters.ControllerParameters`.
     vehicle : Vehicle
     v_max : float
-        Largest speed in the table [m/s]; it extrapolates beyond.
+        Largest speed in the table [m/s]; the table extrapolates beyond it.
 
     Returns
     -------
@@ -85,10 +85,10 @@ def build_steering_map(kind, vehicle, v_max):
 
 
 def build_steering_maps(parameters, vehicle):
-    """Steering map that parameters name, and the table of the tires that limits the speeds.
+    """Steering map that the parameters name, and the table that limits the speeds.
 
-    What the tires hold does not depend on how the steering angle is found: also with linear tires
-    or none in the steering map it is the table of the vehicle's own.
+    The grip does not depend on how the steering angle is found, so the table that limits the speeds
+    is always made with the vehicle's own tires.
 
     Parameters
     ----------

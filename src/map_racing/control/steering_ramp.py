@@ -1,7 +1,7 @@
 """The maneuver for tire identification: slowly tightening circles at constant speed.
 
-The car settles at a constant speed, then the steering angle rises so slowly that every instant is a
-steady state, from rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
+The car settles at a constant speed, then the steering angle rises slowly enough to be quasi-steady,
+from near-straight rolling to the limit of grip, once to either side (Becker et al., ICRA 2023,
 section on the identification of the tires).
 """
 
@@ -32,11 +32,11 @@ __all__ = [
 ]
 
 STANDSTILL = 0.1  # m/s
-# The rear breaks away where the car turns this much faster for its steering angle and speed than
-# when it settled. Of an understeering car the ratio falls.
+# The rear breaks away when the ratio of yaw rate to speed and steering angle exceeds its settled
+# value by this factor; the average is over AVERAGED_S [s]. For an understeering car it falls.
 BREAKS_AWAY, AVERAGED_S = 1.3, 0.3
-# Ramps of larger cars: first and last lateral acceleration, were there no slip [m/s^2], its rise
-# [m/s^3], and what the front may slip beyond [rad].
+# Ramps of larger cars: first and last kinematic lateral acceleration [m/s^2], its rate [m/s^3], and
+# extra steering for the slip angle of the front [rad].
 FIRST, LAST, FASTEST_RISE, PLOWING = 1.3, 10.0, 0.2, 0.1
 SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
 
@@ -46,7 +46,7 @@ SIDES = {"both": (1.0, -1.0), "left": (1.0,), "right": (-1.0,)}
 class RampParameters:
     """The maneuver: speed, ramp of the steering angle, and sides.
 
-    The circle of the first steering angle, of radius wheelbase by angle, must fit into the area.
+    The circle of the first steering angle, of radius wheelbase / angle, must fit into the area.
     """
 
     speed_mps: float = parameter("Constant speed", "m/s", low=POSITIVE, default=2.0)
@@ -54,8 +54,8 @@ class RampParameters:
     start_rad: float = parameter("First steering angle", "rad", low=0.0, default=0.1)
     limit_rad: float = parameter("Last steering angle", "rad", low=POSITIVE, default=0.4)
     settle_s: float = parameter(
-        "Time at constant speed and first angle before the ramp. With less than 0.3 s nobody sees "
-        "that the rear breaks away",
+        "Time at constant speed and first angle before the ramp. With less than 0.3 s it is not "
+        "noticed if the rear breaks away",
         "s",
         low=0.0,
         default=1.0,
@@ -74,10 +74,10 @@ class RampParameters:
 
     @classmethod
     def of(cls, vehicle: Vehicle, **given: object) -> RampParameters:
-        """The maneuver for a car, by default for its size.
+        """The maneuver for a car, with defaults that suit its size.
 
-        The default angles are those of 1:10 cars at a few m/s. A larger car takes the same lateral
-        accelerations at speeds where they are smaller.
+        The default angles are for 1:10 cars at a few m/s. A larger car reaches the same lateral
+        accelerations at higher speeds, with smaller angles.
         """
         size = size_of(vehicle)
         if size == ONE_TENTH:
@@ -102,7 +102,7 @@ class RampParameters:
             )
 
     def check_vehicle(self, vehicle: Vehicle) -> None:
-        """Refuse what a car cannot do.
+        """Refuse a maneuver that the car cannot drive.
 
         Raises
         ------
@@ -132,7 +132,7 @@ def circle_widths(
     Returns
     -------
     ndarray, shape (n_angles,)
-        Infinite straight ahead, NaN where the car slides.
+        Infinite for an angle of 0, NaN where the car slides.
     """
     a_lat = steady_state_table(vehicle, [parameters.speed_mps], angles).a_lat[:, 0]
     with np.errstate(divide="ignore"):
@@ -140,19 +140,19 @@ def circle_widths(
 
 
 def told_room(parameters: RampParameters, vehicle: Vehicle, room: float) -> tuple[str, bool]:
-    """How much room the maneuver takes, in words, and whether the area has it.
+    """Room that the maneuver takes, in words, and whether the area is large enough.
 
     Parameters
     ----------
     parameters : RampParameters
     vehicle : Vehicle
     room : float
-        How far the area reaches from where the car starts [m].
+        Extent of the area from where the car starts [m].
 
     Returns
     -------
     text : str
-        If there is too little room, with what fits.
+        If there is too little room, with suggestions that fit.
     fits : bool
     """
     angles = np.append(parameters.start_rad, np.arange(0.01, parameters.limit_rad, 0.01))
@@ -178,7 +178,7 @@ def told_room(parameters: RampParameters, vehicle: Vehicle, room: float) -> tupl
 
 
 def _first(angles, widths, room):
-    """The smallest first angle [rad] whose circle fits, if any and if it is not the one given."""
+    """The smallest first angle [rad] whose circle fits, in a list; empty if none or unchanged."""
     fitting = angles[(widths <= room)]
     return [] if not fitting.size or fitting.min() <= angles[0] else [float(fitting.min())]
 
@@ -197,11 +197,11 @@ class Circle:
 
     @property
     def room(self) -> float:
-        """How far it reaches [m] from its center, where the car starts."""
+        """Distance from its center, where the car starts, to its edge [m]."""
         return self.radius
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a position [m] is inside; one that is not finite is not."""
+        """Whether a position [m] is inside; False if it is not finite."""
         return math.hypot(x - self.x, y - self.y) <= self.radius
 
 
@@ -220,11 +220,11 @@ class Box:
 
     @property
     def room(self) -> float:
-        """How far it reaches [m] at most from where the car starts, at the best place."""
+        """Largest distance to its edge from the best starting place [m]."""
         return min(self.x_max - self.x_min, self.y_max - self.y_min)
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a position [m] is inside; one that is not finite is not."""
+        """Whether a position [m] is inside; False if it is not finite."""
         return self.x_min <= x <= self.x_max and self.y_min <= y <= self.y_max
 
 
@@ -240,7 +240,7 @@ class Phase(Enum):
 
 
 class RampCommand(NamedTuple):
-    """Steering angle [rad], speed [m/s], and why."""
+    """Steering angle [rad], speed [m/s], and phase of the maneuver."""
 
     steering_angle: float
     speed: float
@@ -293,7 +293,7 @@ class SteeringRamp:
         enabled : bool
             Whether the dead-man button is held.
         r : float, optional
-            Measured yaw rate [rad/s]; without it nobody sees that the rear breaks away.
+            Measured yaw rate [rad/s]; without it, a rear that breaks away goes unnoticed.
 
         Returns
         -------
@@ -318,7 +318,7 @@ class SteeringRamp:
         return self._command()
 
     def interrupt(self) -> None:
-        """Stop; the interrupted ramp starts over from standstill."""
+        """Stop; the interrupted ramp will start over from standstill."""
         if self._phase is not Phase.DONE:
             self._phase, self._speed = Phase.WAITING, 0.0
 
@@ -326,7 +326,7 @@ class SteeringRamp:
         return RampCommand(self._angle, self._speed, self._phase)
 
     def _rest(self, v):
-        """At standstill: on to the next ramp, or done."""
+        """Wait for standstill, then start the next ramp or finish."""
         self._speed = 0.0
         if abs(v) > STANDSTILL:
             return
@@ -345,7 +345,7 @@ class SteeringRamp:
             return
         if self._since is None:
             self._since = t
-            self._turned = self._steered = 0.0  # before, the wheels may still have turned
+            self._turned = self._steered = 0.0  # until now the wheels may still have been turning
         if t - self._since >= parameters.settle_s:
             self._phase = Phase.RAMPING
 
@@ -362,7 +362,7 @@ class SteeringRamp:
         angle = abs(self._angle) + self.parameters.rate_radps * elapsed
         settled = self.parameters.settle_s >= AVERAGED_S
         if settled and 0.0 < BREAKS_AWAY * self._settled_gain < gain:
-            angle = 0.0  # to catch the car
+            angle = 0.0  # straighten the wheels to catch the car
         elif angle < self.parameters.limit_rad:
             self._angle = side * angle
             return

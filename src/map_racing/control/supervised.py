@@ -24,30 +24,30 @@ __all__ = ["SupervisedController", "SupervisedStep", "build_slowing", "build_sup
 
 
 class SupervisedStep(NamedTuple):
-    """What one pose led to; `result` is None if the controller may not use it."""
+    """Outcome of one pose; `result` is None if the controller may not use it."""
 
     result: ControlResult | None
     decision: Decision
 
 
 class SupervisedController:
-    """What drives the car, in the node as in simulation.
+    """Controller and supervisor, as they drive the car in the node and in simulation.
 
     Parameters
     ----------
     controller : Controller
     supervisor : Supervisor
     on_raceline : callable, optional
-        Called when a raceline is driven that had to wait for the car to stand.
+        Called when a raceline that had to wait for the car to stop is finally in use.
     on_restart : callable, optional
-        Called when time was set back; the controller has forgotten the past.
+        Called when time was set back and the controller has been reset.
 
     Attributes
     ----------
     controller, supervisor
     changing : threading.Lock
-        Held by whoever changes what the controller drives with, from `Controller.prepare` on. The
-        steps never wait for it; a raceline that waits then does so for another step.
+        Hold it to change the controller's settings, from `Controller.prepare` on. The steps never
+        wait for it; while it is held, a pending raceline waits for another step.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class SupervisedController:
             Time of its arrival [s].
         state : CarState
         failed : bool, optional
-            Whether the controller is not to be asked.
+            Whether the controller has failed and must not be run.
         """
         controller, supervisor = self.controller, self.supervisor
         trusted = supervisor.observe(now, state)
@@ -88,7 +88,7 @@ class SupervisedController:
         return SupervisedStep(result, decision)
 
     def _follow_waiting(self):
-        """Drive the raceline that waits, unless something else is changed just now."""
+        """Drive the pending raceline, unless another thread is changing the settings."""
         if not self.changing.acquire(blocking=False):
             return
         try:
@@ -96,7 +96,7 @@ class SupervisedController:
             try:
                 self.controller.change(**waiting)
             except MapRacingError:
-                # Tuning meanwhile took what the raceline lacks, such as speeds within the grip.
+                # Tuning in the meantime may have set grip_use to 0 for a raceline without speeds.
                 self.refuse()
                 raise
             self.supervisor.raceline_changed(True)
@@ -107,20 +107,20 @@ class SupervisedController:
     def follow(self, raceline: Raceline, sectors, setup: object) -> bool:
         """Drive along another raceline from the next step on.
 
-        A raceline that runs against the motion of the car, as when somebody publishes it turned
-        around, has to wait until the car has come to a stop along the old one.
+        A raceline that runs against the motion of the car, as when somebody publishes it reversed,
+        has to wait until the car has stopped along the old one.
 
         Parameters
         ----------
         raceline : Raceline
         sectors : SpeedSectors or None
         setup : object
-            What `Controller.prepare` made of them.
+            Result of `Controller.prepare` for both.
 
         Returns
         -------
         bool
-            Whether it is driven now.
+            Whether it is in use now.
         """
         opposed = self.controller.raceline is not None and self.supervisor.opposes(raceline)
         self._waiting = {"raceline": raceline, "sectors": sectors} if opposed else None
@@ -130,7 +130,7 @@ class SupervisedController:
         return not opposed
 
     def refuse(self) -> None:
-        """Stop for a raceline that cannot be driven; one that waits is dropped, too."""
+        """Stop for a raceline that cannot be driven, and drop a pending one."""
         self._waiting = None
         self.supervisor.raceline_changed(False)
 
@@ -140,7 +140,7 @@ class SupervisedController:
         Parameters
         ----------
         setup : object
-            What `Controller.prepare` made of the parameters. How the car stops follows them.
+            Result of `Controller.prepare` for the parameters, which also set how the car stops.
         limits : SafetyLimits
         """
         controller, supervisor = self.controller, self.supervisor
@@ -168,7 +168,7 @@ def build_supervisor(controller: Controller, limits: SafetyLimits, grip=None) ->
 
 
 def build_slowing(parameters: ControllerParameters, vehicle: Vehicle, grip=None) -> Slowing:
-    """Grip of a car for its supervisor; by default the table of the vehicle."""
+    """Friction ellipse for the supervisor; `grip` is by default the table of the vehicle."""
     if grip is None:
         grip = build_steering_maps(parameters, vehicle)[1]
     return Slowing(

@@ -1,8 +1,8 @@
-"""Scales of the speed for the next heat, sector by sector, from what the last one used.
+"""Speed scales for the next heat, sector by sector, from the grip used in the last one.
 
-In each sector the speeds may grow until the lateral acceleration takes what the tires surely have
-that day, but never by more than a step, and not where the car was off the line or close to a wall.
-The lap that follows is predicted by a model of the drive, corrected by what was driven.
+In each sector the speeds may grow until the lateral acceleration reaches the grip that the tires
+surely have that day, but never by more than a step, and not where the car was off the line or close
+to a wall. The next lap time is predicted by a model of the drive, corrected by the laps driven.
 """
 
 from __future__ import annotations
@@ -22,44 +22,46 @@ from .day_grip import DayGrip, grip_of_day
 __all__ = ["STEP", "Advice", "SectorAdvice", "advice_notes", "advice_table", "advise"]
 
 STEP = 0.15
-"""Largest increase of a scale from one heat to the next, as a share of it."""
+"""Largest relative increase of a scale from one heat to the next."""
 
-# A car farther off the line than the first [m] gets no faster there, beyond the second it gets
-# slower; so does one whose side is closer to a wall.
+# Beyond the first distance off the line [m] a car gets no faster there, beyond the second slower;
+# the same below the distances from a wall.
 _OFF, _CLOSE = (0.2, 0.3), (0.10, 0.05)
 _SLOWER = 0.97
-# A larger share of the grip cannot be of these tires.
+# A larger share of the grip cannot come from these tires.
 _BEYOND = 1.15
-# A corner ends where less than this share of its largest lateral acceleration is left, and what
-# follows is a sector of its own if it is so long [m].
+# A corner ends where less than this share of its largest lateral acceleration is left; the rest is
+# a sector of its own if it is this long [m].
 _BENT, _SHORTEST = 0.5, 1.5
-# The line driven may have had other points: so many of a sector's own may be beside it.
+# The raceline driven may have had other points: this many at the edge of a sector may have belonged
+# to the next.
 _BESIDE = 3
 # A speed below this share of the one asked for is held back by the controller's own limit.
 _HELD = 0.99
-# So far into a slower sector [m] its speed must be reached by braking.
+# Braking must reach the speed of a slower sector within this distance [m].
 _SLOWING = 1.5
-# Models of a drive that are tried: lags [s], and limits as the largest accelerations seen or none.
+# Models of a drive that are tried: these lags [s], with the largest accelerations seen as limits,
+# or without limits.
 _LAGS = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45)
-_LIMITED = 0.9  # a model with limits must leave less than this share of the error without
+_LIMITED = 0.9  # limits must reduce the error to less than this share
 
 
 class SectorAdvice(NamedTuple):
-    """A sector with its scale of the raceline's speed.
+    """A sector with its speed scale.
 
     Attributes
     ----------
     name : str
         Such as ``"second left"``.
     first, last : int
-        Its points, indices of `Raceline.s_points`. A sector that crosses the raceline's first
-        point ends before it begins.
+        Its points, indices of `Raceline.s_points`. For a sector that crosses the raceline's first
+        point, `last` is less than `first`.
     begin, end : float
         Distances from the start line [m].
     driven, scale : float
         Scale of the heat that was driven, and of the next.
     why : str
-        What bounds it: ``"step"``, ``"grip"``, ...
+        What limits it: ``"step"``, ``"grip"``, ...
     grip_used : float
         Largest lateral acceleration of the mean lap, as a share of the lower end of the day's
         limit.
@@ -89,11 +91,11 @@ class Advice:
     sectors : list of SectorAdvice
     grip : DayGrip
     driven_s, predicted_s : float
-        Mean lap of the heat, and the one that is predicted [s].
+        Mean lap of the heat, and predicted lap [s].
     step : float
-        Bound of the increases.
+        Largest increase of a scale.
     points : int
-        Points of the raceline, which the sectors count.
+        Number of points of the raceline.
     notes : list of str
     """
 
@@ -134,7 +136,7 @@ def advise(run: RunAnalysis, step: float = STEP) -> Advice:
     Raises
     ------
     EvaluationError
-        If the run does not tell: no lap, no car, a raceline without speeds, no yaw rate.
+        If something is missing: a lap that counts, the car, speeds in the raceline, the yaw rate.
     ParameterError
         If the step is not between 0 and 1.
     """
@@ -150,7 +152,7 @@ def advise(run: RunAnalysis, step: float = STEP) -> Advice:
     if most > _BEYOND:
         notes.append(
             f"the laps used up to {100 * most:.0f} % of what the tires of {heat.vehicle.name} "
-            "surely have: perhaps it is not the file of this car"
+            "surely have: perhaps it is the file of another car"
         )
     sectors = heat.reachable(sectors)
     planned = heat.planned(sectors)
@@ -159,8 +161,9 @@ def advise(run: RunAnalysis, step: float = STEP) -> Advice:
         sectors = [heat.held(one, planned) for one in sectors]
         if any(heat.own_limit in one.why for one in sectors):
             notes.append(
-                f"bound by {heat.own_limit}: the controller's own limit holds the speed back, at "
-                "the slowest place or, by itself, all over the sector"
+                f"bound by {heat.own_limit}: the controller's own limit holds the speed back, in "
+                "the whole "
+                "sector or, if named beside another limit, at its slowest place"
             )
     points = len(heat.line.s_points)
     return Advice(sectors, heat.grip, heat.time, predicted, step, points, notes)
@@ -180,7 +183,7 @@ def _check(run):
 
 
 class _Heat:
-    """What was driven, at the places of the profile without the last, which is the first again."""
+    """The heat, at the places of the profile without the last, which equals the first."""
 
     def __init__(self, run):
         profile, limits = run.profile, run.limits
@@ -191,13 +194,13 @@ class _Heat:
         self.size = size_of(self.vehicle).length
         self.time = float(np.mean([lap.lap.lap_time_s for lap in profile.counted]))
         self.v = self._mean("v")
-        # One that the car does not obey says nothing about the drive.
+        # A command that the car does not follow says nothing about the drive.
         self.command = self._mean("v_command") if run.followed else np.full(self.v.size, math.nan)
         controller = run.settings.controller if run.settings is not None else None
         known = {
             name: getattr(controller, key)
             for name, key in (("delay", "delay_s"), ("share", "adaptation_share"))
-            if getattr(controller, key, 0.0)  # a delay of 0 is none that is known
+            if getattr(controller, key, 0.0)  # a delay of 0 means unknown
         }
         if getattr(controller, "reference_point", "") == "center_of_gravity":
             known["behind"] = 0.0
@@ -217,7 +220,7 @@ class _Heat:
         if self.grip.belief is None:
             self.notes.append(
                 "the recording does not show the grip of the day (commands, speed and yaw rate): "
-                "what any day has is used"
+                "a grip that any day has is used"
             )
         self.asked, self.at_points = self._asked(controller)
 
@@ -225,7 +228,7 @@ class _Heat:
         return self.run.profile.mean(channel)[:-1]
 
     def _asked(self, controller):
-        """Scale asked for at each place and, where it is known exactly, at each point."""
+        """Scale asked for at each place and, if it is known exactly, at each point."""
         arc = (self.s + self.track.start_s) % self.line.length
         if controller is not None:
             try:
@@ -238,7 +241,7 @@ class _Heat:
             except ParameterError:
                 pass
         self.notes.append(
-            "the recording does not say which scale was driven: it is that of the speeds"
+            "the recording does not say which scale was driven: derived from the speeds"
         )
         speed = self.command
         if not np.isfinite(speed).all():
@@ -248,7 +251,7 @@ class _Heat:
     # -- sectors -----------------------------------------------------------------------------------
 
     def cuts(self):
-        """Points where sectors begin, with their names, in the order of the lap."""
+        """First points of the sectors, with their names, in the order of the lap."""
         found = {}
         for corner in self.run.corners:
             begin = int(np.argmin(np.abs(self.s - corner.begin)))
@@ -263,7 +266,7 @@ class _Heat:
         return sorted(found.items())
 
     def _point(self, s):
-        """The raceline's point that is nearest to a distance from the start line."""
+        """Index of the raceline's point nearest to a distance from the start line."""
         points, length = self.line.s_points, self.line.length
         away = np.abs((points - s - self.track.start_s + 0.5 * length) % length - 0.5 * length)
         return int(np.argmin(away))
@@ -279,7 +282,7 @@ class _Heat:
             count = (following - first - 1) % len(self.line.s_points) + 1
             asked = np.sort(np.roll(self.at_points, -first)[:count])
             driven = float(asked[min(_BESIDE, (count - 1) // 2)])
-        # What the laps held is held: only what went wrong makes a sector slower.
+        # The grip used was there: only error or clearance makes a sector slower.
         bounds = [(1.0 + step, "step"), (max(math.sqrt(1.0 / hot), 1.0), "grip")]
         side = "from" if clear >= 0.0 else "beyond"
         for value, (least, most), why in (
@@ -294,7 +297,7 @@ class _Heat:
         points, length = self.line.s_points, self.line.length
         begin, end = ((points[i] - self.track.start_s) % length for i in (first, following))
         last = (following - 1) % len(points)
-        # One that is kept reads as before; any other is not even a thousandth above its bound.
+        # A scale that is kept is rounded as before; a changed one is rounded down, below its bound.
         scale = round(driven, 3)
         if factor != 1.0:
             scale = math.floor(1000.0 * driven * factor) / 1000.0
@@ -315,7 +318,7 @@ class _Heat:
         )
 
     def _inside(self, first, following):
-        """Places of the points from `first` to the one before `following`, a mask."""
+        """Mask of the places from point `first` to the one before `following`."""
         points, length = self.line.s_points, self.line.length
         begin, end = points[first], points[following]
         inside = (self.s + self.track.start_s - begin) % length < ((end - begin) % length or length)
@@ -325,7 +328,7 @@ class _Heat:
         return int(np.argmin(np.abs(self.s - (arc - self.track.start_s) % self.line.length)))
 
     def reachable(self, sectors):
-        """No sector is so fast that the next one's speed is not reached soon after its begin."""
+        """Limit each sector so that the next one's speed is reached soon after its beginning."""
         brake = min(self.run.limits.a_brake_max, self.vehicle.a_brake_max)
         found = list(sectors)
         for i in reversed(range(2 * len(found))):
@@ -340,7 +343,7 @@ class _Heat:
     # -- the lap -----------------------------------------------------------------------------------
 
     def planned(self, sectors):
-        """Speeds that the controller would mean to drive with these scales; None if unknown."""
+        """Speeds that the controller would plan with these scales; None if unknown."""
         if self.run.planned is None:
             return None
         settings = replace(
@@ -351,7 +354,7 @@ class _Heat:
         return settings.planned_speed(self.line)((self.s + self.track.start_s) % self.line.length)
 
     def held(self, one, planned):
-        """The sector as far as the controller's own limit lets its scale count."""
+        """The sector, with its scale limited by the controller's own limit."""
         inside = np.flatnonzero(self._inside(one.first, (one.last + 1) % len(self.line.s_points)))
         share = planned[inside] / np.maximum(self.track.speed[inside], 0.1)
         most = max(math.ceil(1000.0 * float(np.max(share))) / 1000.0, one.driven)
@@ -362,7 +365,7 @@ class _Heat:
         return one
 
     def predicted(self, sectors, planned):
-        """Lap time with these scales, of which the controller would drive the planned speeds."""
+        """Lap time with these scales, given the speeds that the controller would plan."""
         length = self.line.length
         new = SpeedSectors(_stretches(sectors, self.line), length)
         arc = (self.s + self.track.start_s) % length
@@ -402,7 +405,7 @@ class _Drive(NamedTuple):
 
     @classmethod
     def fitted(cls, command, v, ds):
-        """The one that explains the speeds best."""
+        """The model that explains the speeds best."""
         a = v * np.gradient(v, ds)
         most, least = float(np.percentile(a, 99)), float(-np.percentile(a, 1))
         best, error = None, math.inf
@@ -422,7 +425,7 @@ class _Drive(NamedTuple):
         commands = np.maximum(command, 0.1).tolist()
         v, ds, lag, drive, brake = commands[0], self.ds, self.lag, self.drive, -self.brake
         exp = math.exp
-        for _ in range(2):  # the first lap leaves the beginning behind
+        for _ in range(2):  # after the first lap, the initial state no longer matters
             for i, wanted in enumerate(commands):
                 speeds[i] = v
                 step = ds / v
@@ -434,7 +437,7 @@ class _Drive(NamedTuple):
 
 
 def advice_table(advice: Advice) -> list[list[str]]:
-    """Rows of texts, the head first: for the terminal and for pages.
+    """Rows of text, header first, for the terminal and for pages.
 
     Parameters
     ----------
@@ -459,7 +462,7 @@ def advice_table(advice: Advice) -> list[list[str]]:
 
 
 def advice_notes(advice: Advice) -> list[str]:
-    """The advice in sentences: grip, laps, and what is to be known about it.
+    """The advice in sentences: grip, laps, and notes.
 
     Parameters
     ----------

@@ -28,13 +28,13 @@ from .results import RunResult
 
 __all__ = ["CornerRow", "RunAnalysis", "analyze", "corner_rows", "references", "same_track"]
 
-# Tracks whose lengths and places differ by less [m] are one.
+# Tracks are the same if their lengths and places differ by less [m].
 _SAME = 0.02
 
 
 @dataclass(frozen=True)
 class RunAnalysis:
-    """A run with what was found out about it.
+    """A run with all results about it.
 
     Attributes
     ----------
@@ -47,14 +47,14 @@ class RunAnalysis:
         None if no lap counts.
     timing : PoseTiming
     tracking : SpeedTracking or None
-        None without commands that the speed follows.
+        None without commands, or if the speed does not follow them.
     remarks : Remarks
     settings : Settings or None
-        The last that the controller said; None if it said none.
+        The last ones that the controller published, or None.
     limits : CarLimits or None
         None if the car is not known.
     planned : ndarray, shape (n,), or None
-        Speed that the controller meant to drive, at the places of the profile [m/s].
+        Speed planned by the controller, at the places of the profile [m/s].
     delays : dict or None
         Delays of the car, as `map_racing.identification.delay.delay_data` has them.
     followed : bool
@@ -79,7 +79,7 @@ class RunAnalysis:
 
     @property
     def result(self) -> RunResult:
-        """What `evaluate` made of the run."""
+        """Result of `evaluate` for the run."""
         return self.profile.result
 
 
@@ -99,12 +99,12 @@ def analyze(
     ----------
     recording : Recording
     result : RunResult
-        What `evaluate` made of it.
+        Result of `evaluate` for it.
     name : str, optional
     limits : CarLimits, optional
-        Of the car; without them nothing is said about its table.
+        Limits of the car; without them its table is not evaluated.
     settings : Settings, optional
-        What the controller said that it drives with.
+        Settings that the controller published.
     remarks : Remarks, optional
     delays : dict, optional
 
@@ -143,14 +143,14 @@ def same_track(one: RunAnalysis, other: RunAnalysis) -> bool:
 
 
 def references(run: RunAnalysis, others: list[RunAnalysis]) -> list[Reference]:
-    """What the mean lap of a run can be compared with, the most telling first.
+    """References for the mean lap of a run, the most telling first.
 
     Parameters
     ----------
     run : RunAnalysis
         With a lap that counts.
     others : list of RunAnalysis
-        Further runs; those on other tracks and without a lap that counts are left out.
+        Other runs; those on other tracks or without a lap that counts are left out.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def references(run: RunAnalysis, others: list[RunAnalysis]) -> list[Reference]:
 
 @dataclass(frozen=True)
 class CornerRow:
-    """A corner over the laps of a run; standard deviations are of the laps, NaN of a single one.
+    """A corner over the laps of a run; standard deviations over laps, NaN for a single lap.
 
     Attributes
     ----------
@@ -185,11 +185,11 @@ class CornerRow:
     time_s, time_std_s, best_s : float
         Time in its stretch [s].
     entry_mps, entry_std_mps, slowest_mps, slowest_std_mps : float
-        Speeds at the begin of the stretch and at the slowest place of the bend itself [m/s].
+        Speeds at the beginning of the stretch and at the slowest place of the bend itself [m/s].
     apex_d_m, apex_std_m : float
         Lateral deviation at the apex, left positive [m].
     grip_used : float
-        Largest share of the table's lateral acceleration of a mean lap; NaN if unknown.
+        Largest share of the table's lateral acceleration in a mean lap; NaN if unknown.
     """
 
     corner: Corner
@@ -248,7 +248,7 @@ def corner_rows(run: RunAnalysis) -> list[CornerRow]:
 
 
 def _bend(corner, stretch, kappa, s):
-    """Places around the apex of a corner, in its stretch, that are at least half as bent."""
+    """Places around the apex of a corner, within its stretch, with at least half its curvature."""
     apex = int(np.argmin(np.abs(s[:-1] - corner.apex)))
     bent = np.roll(stretch & (kappa * kappa[apex] >= 0.5 * kappa[apex] ** 2), -apex)
     ends = np.flatnonzero(~bent)

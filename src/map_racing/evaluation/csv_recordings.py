@@ -22,8 +22,8 @@ def _of_pose(name):
     return tuple(f"{prefix}{name}" for prefix in ("pose.pose.", "pose.", ""))
 
 
-# Usual names of the columns of a CSV file; the first that is in the file is taken. Those of
-# messages are as `rostopic echo -p` has them, without its "field.".
+# Usual column names of a CSV file; the first one in the file is used. Those of messages are as in
+# `rostopic echo -p`, without its "field.".
 _ALIASES = {
     "t": ("t", "time", "t_s", "time_s", "timestamp", "stamp", "header.stamp", "%time"),
     "x": ("x", "x_m", "tx", "pose_x", "pos_x", "position_x", *_of_pose("position.x")),
@@ -47,11 +47,11 @@ _ALIASES = {
         *("desired_speed", "translational_control", "drive.speed"),
     ),
 }
-# Read besides, where a file has them: the orientation, and the time of receipt of a message.
+# Also read if present: the orientation, and the time of receipt of a message.
 _QUATERNION = {
     f"q_{axis}": (f"q{axis}", f"q_{axis}", *_of_pose(f"orientation.{axis}")) for axis in "xyzw"
 }
-# Columns of a trajectory without names, as the TUM RGB-D benchmark and evo write it.
+# Columns of a trajectory without a header, as the TUM RGB-D benchmark and evo write it.
 _UNNAMED = {8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
 _RECEIVED = "%time"
 _FRAMES = ("header.frame_id", "frame_id")
@@ -62,7 +62,7 @@ _REQUIRED = ("t", "x", "y")
 _LATEST = 9.2e9
 # Nanoseconds since 1970, from 1973 on.
 _SINCE_1970 = 1e17
-# Longer times between most rows [s] are in another unit, or tell nothing.
+# Longer typical times between rows [s] are in another unit, or useless.
 _SLOWEST = 6.0
 
 
@@ -70,8 +70,8 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     """Read the driving recorded in a CSV file.
 
     The layout is described at `map_racing.tables.read_columns`; files of ``rostopic echo -p`` and
-    trajectories of the TUM benchmark (``timestamp tx ty tz qx qy qz qw``, names or not) are read as
-    they come. Time is in seconds, or in nanoseconds since 1970; rows without time or
+    trajectories of the TUM benchmark (``timestamp tx ty tz qx qy qz qw``, with or without a header)
+    are read as they are. Time is in seconds, or in nanoseconds since 1970; rows without time or
     position are left out.
 
     Parameters
@@ -142,17 +142,18 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
 
 
 def _commands(table, start):
-    """Commands of all rows that have any: also of those without a pose, and held over others."""
+    """Commands of all rows that have any, also without a pose, held until the next."""
     names = [name for name in ("steering", "speed_command") if name in table.names]
     if not names:
         return None
-    told = np.isfinite(table.values["t"])
-    told &= np.any([np.isfinite(table.values[name]) for name in names], axis=0)
-    nan = np.full(np.count_nonzero(told), math.nan)
+    commanded = np.isfinite(table.values["t"])
+    commanded &= np.any([np.isfinite(table.values[name]) for name in names], axis=0)
+    nan = np.full(np.count_nonzero(commanded), math.nan)
     values = [
-        table.values[name][told] if name in names else nan for name in ("steering", "speed_command")
+        table.values[name][commanded] if name in names else nan
+        for name in ("steering", "speed_command")
     ]
-    t, values = in_order(table.values["t"][told], values, [], "")
+    t, values = in_order(table.values["t"][commanded], values, [], "")
     return Commands(t - start, *values, " ".join(table.names[name] for name in names))
 
 
@@ -197,7 +198,7 @@ def _check_heading(table):
         off = [np.exp(1j * (angle[1:][moving] - course)) for angle in (psi, np.radians(psi))]
     if not moving.any():
         return
-    # A heading keeps its angle to the course, whatever it is measured from.
+    # The angle between heading and course is constant, whatever the zero of the heading.
     radians, degrees = (abs(np.average(turn, weights=way[moving])) for turn in off)
     if degrees > 0.9 and radians < 0.5:
         table.values["psi"] = np.radians(psi)
@@ -257,7 +258,7 @@ def parse_columns(text: str) -> dict[str, str]:
 
 
 def _plain(name):
-    """Name of a column without case, unit and what `rostopic echo -p` puts before it."""
+    """Name of a column without case, unit and the prefix of `rostopic echo -p`."""
     name = without_unit(name).lower()
     return name[len("field.") :] if name.startswith("field.") else name
 
@@ -269,7 +270,7 @@ def _frame_column(names):
 
 
 def _keep_one_frame(table):
-    """The frame of the poses; those in another are lost, as in a bag."""
+    """The frame of the poses; poses in another frame are dropped, as in a bag."""
     if not any(table.words):
         return ""
     choice, kept, early = FrameChoice(), np.zeros(len(table.words), dtype=bool), {}
@@ -309,8 +310,8 @@ def _locate(path, columns, doubts, names):
             others = [alias for alias in aliases if alias in plain and alias != found]
             if name in ("x", "y") and others:
                 doubts.append(
-                    f"warning: {name} is column {found}; {', '.join(others)} may be of the car, "
-                    f"too (--columns {name}={others[0]})"
+                    f"warning: {name} is column {found}; {', '.join(others)} may be the car's, too "
+                    f"(--columns {name}={others[0]})"
                 )
             if plain.count(found) > 1:
                 doubts.append(f"warning: several columns are named {found}: the first is taken")

@@ -1,4 +1,4 @@
-"""Grip of the day, from driving that was recorded: the filter of the adaptation, fed once more."""
+"""Grip of the day from a recording, by replaying it through the filter of the adaptation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .turning import speed_driven, turning_of
 
 __all__ = ["DayGrip", "grip_of_day"]
 
-# As many poses say what there is to say, and take a quarter of a second.
+# This many poses are enough, and take a quarter of a second.
 _MOST_POSES = 4000
 _DELAY, _SHARE = 0.07, 0.4
 
@@ -27,12 +27,12 @@ class DayGrip(NamedTuple):
     Attributes
     ----------
     level, low, high : float
-        The limit, and the ends of its interval of 95 %.
+        The limit, and the ends of its 95 % interval.
     belief : Belief or None
-        Friction, stiffness and delay; None where the recording does not tell, and `level` is what
-        is believed of any day.
+        Friction, stiffness and delay; None if the recording does not determine them: `level` is
+        then the prior for any day.
     share : float
-        Factors were looked for from ``1 - share`` to ``1 + share``.
+        Factors were estimated within ``1 - share`` to ``1 + share``.
     """
 
     level: float
@@ -42,7 +42,7 @@ class DayGrip(NamedTuple):
     share: float = _SHARE
 
     def bounded(self, value: float) -> bool:
-        """Whether a factor is at the end of what was looked for, where it means little."""
+        """Whether a factor is at a bound of its range, where it means little."""
         return abs(abs(value - 1.0) - self.share) < 1e-3
 
 
@@ -55,13 +55,13 @@ def grip_of_day(
     share: float = _SHARE,
     behind: float | None = None,
 ) -> DayGrip:
-    """Grip that laps have shown.
+    """Grip of the day as shown by laps.
 
     Parameters
     ----------
     recording : Recording
     laps : list of Lap
-        Those to learn from; of many the last.
+        Laps to learn from; if there are many, the last ones are used.
     vehicle : Vehicle
     delay, share, behind : float, optional
         As in `map_racing.control.adaptation.Adaptation`.
@@ -69,12 +69,12 @@ def grip_of_day(
     Returns
     -------
     DayGrip
-        Without commands, speed or yaw rate what is believed of any day.
+        Without commands, speed or yaw rate, the prior for any day.
     """
     learner = Adaptation(vehicle, max(vehicle.v_max, 1.0), delay, share, behind)
-    told = _feed(learner, recording, laps)
+    fed = _feed(learner, recording, laps)
     level, belief = learner.level, learner.belief
-    if not told:
+    if not fed:
         width = np.exp(1.96 * PRIOR[0])
         return DayGrip(1.0, 1.0 / width, width, None, share)
     low, high = (
@@ -84,7 +84,7 @@ def grip_of_day(
 
 
 def _feed(learner, recording, laps):
-    """Show the learner poses and commands; whether there were any."""
+    """Feed poses and commands to the filter; return whether there were any."""
     t, commands = recording.t, recording.commands
     if commands is None or not laps:
         return False

@@ -1,4 +1,4 @@
-"""What makes the numbers of laps doubtful, in the same words live and from recordings."""
+"""Warnings about doubtful laps, with the same wording live and from recordings."""
 
 from __future__ import annotations
 
@@ -28,46 +28,49 @@ __all__ = [
 ]
 
 
-# Poses that alternate between two places do so after an odd and an even number of samples. One
-# that moved by less than this share of the usual step repeats the one before.
+# Poses that alternate between two places are compared at an odd and at an even lag. A pose that
+# moved by less than the last share of the usual step repeats the one before.
 _ODD, _EVEN, _ALIKE, _APART, _REPEATED = 7, 8, 0.4, 0.02, 0.02
-# They may do so for a while only: in a block of so many samples, by at least so much [m]. Or some
-# lie so far beside the way [m], and so many times as far as most do, for one sample.
+# They may alternate for a while only: in a block of this many samples, by at least this much [m].
+# Or at least the last number of single poses are this far beside the path [m], and this many times
+# as far as usual.
 _BLOCK, _APART_IN_BLOCK, _BESIDE, _MANY, _FEW = 200, 0.05, 0.05, 8.0, 4
-# A single one counts if it is farther off [m] and the way there and back takes more than a wall's
-# acceleration [m/s^2], and so many times as far as most: of tens of thousands, noise takes one or
-# two beyond the others' bound.
+# Even one such pose counts if it is farther off [m], no car could get there and back (even with the
+# acceleration of a hit on a wall [m/s^2]), and it is this many times as far as usual: among tens of
+# thousands, noise puts one or two beyond the bound above.
 _FAR, _FORCED, _MUCH = 0.1, 300.0, 12.0
-# Where most lie beside the way by this share of it, noise leads nowhere.
+# If poses are typically beside the path by this share of a step, noise hides everything.
 _NOISY = 0.1
-# Steps in time shorter than this share of the mean are none; there are fewer others in bunches.
+# Steps in time shorter than this share of the mean are within a bunch; poses come in bunches if the
+# other steps are at most this share of all.
 _SAME, _BUNCHED = 0.05, 0.7
-# A step in time that is so many times the usual one, and longer by more [s], may be of a clock that
-# was set; so many samples to both sides tell the speed.
+# A time step of this many times the usual one, and longer by this much [s], may mean that a clock
+# was set; speeds are taken from this many samples to both sides.
 _LONG, _AHEAD, _AROUND = 1.5, 0.05, 10
-# No car turns its wheels farther [rad]; speeds commanded and driven differ by a smaller factor.
+# Largest plausible steering angle [rad], and largest plausible factor between commanded and driven
+# speed.
 _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
-# A speed follows its command with a correlation of at least this, at some lag [s] of these; usual
-# laps have 0.8 and more. Fewer samples, and commands that vary less [m/s], do not tell; more than
-# so many are not needed.
+# A speed follows its command if they correlate by at least this at one of these lags [s]; usual
+# laps have 0.8 and more. Fewest samples, least variation of commands and speeds [m/s], and most
+# samples that are used.
 _FOLLOWS, _LAGS = 0.6, np.arange(0.0, 0.61, 0.05)
 _TELLING, _VARIED, _EVENLY, _ENOUGH = 200, 0.2, 1e-9, 10000
 # Speed [m/s] of a car that drives.
 _MOVING = 0.5
-# For a while, over so many chords, a commanded speed may be off by more while the car brakes; it is
-# compared above a speed [m/s].
+# Over this many chords, a commanded speed may be off by less than the factor above, because the car
+# brakes; it is compared above this speed [m/s].
 _LONG_WHILE, _BRAKES = 16, 1.5
 
 
 def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> list[str]:
-    """All doubts about a recording, or about what was driven so far.
+    """All warnings about a recording, or about the driving so far.
 
     Parameters
     ----------
     recording : Recording
     spans : sequence of (float, float)
-        Begin and end of complete laps [s]: only within them do speeds count that are wrong for a
-        while.
+        Begin and end of complete laps [s]: speeds that are wrong for a while count only within
+        them.
 
     Returns
     -------
@@ -96,26 +99,26 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
 
 
 def frame_warning(topic: str, frame: str) -> str:
-    """Doubt about poses in another frame than the map; empty without."""
+    """Warning about poses in a frame other than the map; otherwise empty."""
     if is_odometry_frame(frame):
         return (
-            f"{topic} is in frame {frame}, which drifts against the map: the lateral errors are "
-            "not those on the track"
+            f"{topic} is in frame {frame}, which drifts relative to the map: the lateral errors "
+            "are not those on the track"
         )
     if is_map_frame(frame):
         return ""
     return (
-        f"{topic} is in frame {frame}, not map: the lateral errors are those on the track only if "
-        "both are the same"
+        f"{topic} is in frame {frame}, not map: the lateral errors are right only if both are the "
+        "same"
     )
 
 
 def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
-    """Doubt about poses that alternate between two places, as of two nodes on a topic; or empty.
+    """Warning about poses that alternate between two places, as from two nodes; otherwise empty.
 
-    Such a pose is beside the straight way from the one before to the one after, on the other side
-    from each sample to the next, and stays so; what noise does is forgotten after three, and a
-    driving car stays on one side. Poses that are sent again are no places.
+    Such poses are beside the straight line from the previous to the next, on alternating sides, and
+    this persists. Noise is uncorrelated after three samples, and a driving car stays on one side.
+    Repeated poses are left out.
 
     Parameters
     ----------
@@ -131,18 +134,18 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     blocks = np.array_split(np.arange(t.size), max(t.size // _BLOCK, 1))
     apart = apart or max(_alternates(t[b], x[b], y[b], _APART_IN_BLOCK) for b in blocks)
     if apart:
-        return f"{topic}: poses alternate between two places {apart:.2f} m apart: of two nodes?"
+        return f"{topic}: poses alternate between two places {apart:.2f} m apart: from two nodes?"
     pieces = [slice(max(b[0] - 2, 0), b[-1] + 3) for b in blocks]
-    found = [_beside(t[part], x[part], y[part]) for part in pieces]
+    found = [_off_path_counts(t[part], x[part], y[part]) for part in pieces]
     few = sum(count for count, _ in found if count >= _FEW) or sum(far for _, far in found)
     if few:
-        lie, why = ("poses lie", "of two nodes?") if few > 1 else ("pose lies", "is it wrong?")
+        lie, why = ("poses lie", "from two nodes?") if few > 1 else ("pose lies", "is it wrong?")
         return f"{topic}: {few} {lie} beside those before and after: {why}"
     return ""
 
 
 def _alternates(t, x, y, least):
-    """How far apart [m] the two places are between which poses alternate; 0 if they do not."""
+    """Distance [m] between the two places if poses alternate; otherwise 0."""
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
     apart = float(np.median(np.hypot(*bends)))
@@ -156,11 +159,11 @@ def _alternates(t, x, y, least):
     return apart if odd < -_ALIKE and even > _ALIKE else 0.0
 
 
-def _beside(t, x, y):
-    """Number of poses, but for two at each end, beside the way of those before and after.
+def _off_path_counts(t, x, y):
+    """Number of single poses beside the path of their neighbors, and of those no car could reach.
 
-    Across the way only: along it a pose that is stamped late is as far off. And the number of those
-    which no car could reach and leave.
+    Only the distance across the path counts: a late stamp shifts a pose along it. Two poses at each
+    end are left out.
     """
     along = np.stack([x[2:] - x[:-2], y[2:] - y[:-2]])
     off = np.stack([x[1:-1] - x[:-2], y[1:-1] - y[:-2]])
@@ -173,7 +176,7 @@ def _beside(t, x, y):
     if usually > _NOISY * usual:
         return 0, 0
     far = beside > max(_BESIDE, _MANY * usually)
-    # The neighbors of such a pose seem to lie on the other side, half as far.
+    # The neighbors of such a pose seem to be on the other side, half as far.
     around = np.maximum(np.append(beside[1:], 0.0), np.append(0.0, beside[:-1]))
     far &= beside >= around
     far[[0, -1]] = False
@@ -183,7 +186,7 @@ def _beside(t, x, y):
 
 
 def bunches(topic: str, t: np.ndarray) -> str:
-    """Doubt about times that come in bunches, between which the car seems to leap; or empty.
+    """Warning about times in bunches, between which the car seems to leap; otherwise empty.
 
     Parameters
     ----------
@@ -205,10 +208,10 @@ def bunches(topic: str, t: np.ndarray) -> str:
 
 
 def time_jump(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
-    """Doubt about times that jump ahead while the car moves as in a usual step; or empty.
+    """Warning about times that jump ahead while the car moves by a usual step; otherwise empty.
 
-    A car that drives as fast before as after such a step was not slower during it: its clock was
-    set. Poses that catch up with the car later are no jump of time.
+    If the car is as fast before as after such a step, it was not slower during it: the clock was
+    set. Poses that lag and then catch up are not a jump in time.
     """
     steps, way = np.diff(t), np.hypot(np.diff(x), np.diff(y))
     if steps.size < 4 * _AROUND:
@@ -228,24 +231,24 @@ def time_jump(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
         if steady and ahead > max(_AHEAD, 0.8 * (steps[k] - usual)):
             return (
                 f"{topic}: time jumps ahead by {ahead:.2f} s at {t[k]:.1f} s, while the car "
-                f"moves as in {steps[k] - ahead:.2f} s: that lap is so much too long"
+                f"moves as in {steps[k] - ahead:.2f} s: that lap is too long by the rest"
             )
     return ""
 
 
 def _new(x, y):
-    """Which poses do not repeat the one before."""
+    """Mask of poses that do not repeat the previous one."""
     moved = np.hypot(np.diff(x), np.diff(y))
     return np.append(True, moved > _REPEATED * np.mean(moved))
 
 
 def command_clock(recording: Recording) -> str:
-    """Doubt about commands that are plainly not of the time at which the car turns; or empty."""
+    """Warning about commands whose times clearly do not match the turning; otherwise empty."""
     commands = recording.commands
     if commands is None or recording.t.size < 10:
         return ""
     if commands_of_two(commands.topic, commands.steering_angle, commands.speed):
-        return ""  # which is said, and makes any lag
+        return ""  # `speed_doubts` warns, and the lag is meaningless
     t, moved = recording.t, [np.gradient(v, recording.t) for v in (recording.x, recording.y)]
     speed, psi = np.hypot(*moved), recording.psi
     if np.isnan(psi).all():
@@ -259,13 +262,13 @@ def command_clock(recording: Recording) -> str:
         return ""
     when = "after" if lag > 0.0 else "before"
     return (
-        f"{commands.topic}: the car turns {abs(lag):.2f} s {when} its steering commands: they are "
-        "of another clock, so speed errors compare different moments"
+        f"{commands.topic}: the car turns {abs(lag):.2f} s {when} its steering commands: they come "
+        "from another clock, so speed errors compare different moments"
     )
 
 
 def command_units(recording: Recording) -> list[str]:
-    """Doubts about commands that are no angles in radians, or no speeds in m/s."""
+    """Warnings about commands that are not in radians or m/s."""
     commands, doubts = recording.commands, []
     if commands is None:
         return doubts
@@ -277,12 +280,12 @@ def command_units(recording: Recording) -> list[str]:
             "is in the same unit"
         )
     at, driven, _ = chords(recording.t, recording.x, recording.y)
-    told = commands.held(at, commands.speed)
+    commanded = commands.held(at, commands.speed)
     with np.errstate(invalid="ignore"):
-        moving = (driven > _MOVING) & (np.abs(told) > _MOVING)
+        moving = (driven > _MOVING) & (np.abs(commanded) > _MOVING)
     if np.count_nonzero(moving) < 10:
         return doubts
-    ratio = float(np.median(told[moving] / driven[moving]))
+    ratio = float(np.median(commanded[moving] / driven[moving]))
     if not 1.0 / _OBEYS < ratio < _OBEYS:
         hint = ": in km/h?" if abs(ratio / 3.6 - 1.0) < 0.2 else ""
         doubts.append(
@@ -293,14 +296,14 @@ def command_units(recording: Recording) -> list[str]:
 
 
 def _command_for_a_while(recording, begin, end):
-    """Doubt about commands that are for a while far from the speed, as while another drives."""
+    """Warning about commands far from the speed for a while, as while another node drives."""
     commands = recording.commands
     if commands is None:
         return ""
     at, driven, _ = chords(recording.t, recording.x, recording.y)
-    told = commands.held(at, commands.speed)
-    within = (at > begin) & (at < end) & (driven > _BRAKES) & np.isfinite(told)
-    ratio = told[within] / driven[within]
+    commanded = commands.held(at, commands.speed)
+    within = (at > begin) & (at < end) & (driven > _BRAKES) & np.isfinite(commanded)
+    ratio = commanded[within] / driven[within]
     found = beyond_for_a_while(at[within], ratio, _LONG_WHILE, 1.0 / _OBEYS, _OBEYS)
     if not found:
         return ""
@@ -311,10 +314,10 @@ def _command_for_a_while(recording, begin, end):
 
 
 def unfollowed(recording: Recording) -> str:
-    """Doubt about a commanded speed with which the car's speed has nothing to do; or empty.
+    """Warning about a commanded speed that the car does not follow at all; otherwise empty.
 
-    Of Pearson's correlation and that of the ranks, which jumps of the pose do not spoil, the larger
-    counts.
+    The larger of Pearson's and the rank correlation counts; jumps of the pose do not affect the
+    latter.
     """
     commands = recording.commands
     if commands is None or not commands.t.size:
@@ -326,12 +329,12 @@ def unfollowed(recording: Recording) -> str:
     t, v = t[every], v[every]
     found = []
     for lag in _LAGS:
-        told = commands.held(t - lag, commands.speed)
+        commanded = commands.held(t - lag, commands.speed)
         with np.errstate(invalid="ignore"):
-            moving = (told > _MOVING) & (v > _MOVING)
-        told, driven = told[moving], v[moving]
-        if told.size >= _TELLING and np.std(told) > _VARIED and np.std(driven) > _EVENLY:
-            for pair in ((told, driven), (_ranks(told), _ranks(driven))):
+            moving = (commanded > _MOVING) & (v > _MOVING)
+        commanded, driven = commanded[moving], v[moving]
+        if commanded.size >= _TELLING and np.std(commanded) > _VARIED and np.std(driven) > _EVENLY:
+            for pair in ((commanded, driven), (_ranks(commanded), _ranks(driven))):
                 found.append(float(np.corrcoef(*pair)[0, 1]))
                 if found[-1] >= _FOLLOWS:
                     return ""
@@ -339,23 +342,23 @@ def unfollowed(recording: Recording) -> str:
         return ""
     return (
         f"{commands.topic}: the car's speed does not follow the speed commanded (correlation at "
-        f"most {max(found):.2f}): speed errors mean nothing"
+        f"most {max(found):.2f}): speed errors are meaningless"
     )
 
 
 def _ranks(values):
-    """Ranks of values, that of equal ones their mean."""
+    """Ranks of values; equal values get their mean rank."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(counts) - 0.5 * counts)[which]
 
 
 def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str]:
-    """Doubts about complete laps in which there were no commands for a time.
+    """Warnings about complete laps in which commands are missing.
 
     Parameters
     ----------
     t, command : ndarray, shape (n,)
-        Times [s], and the speed commanded, NaN without a command.
+        Times [s], and commanded speed, NaN without a command.
     laps : list of Lap
     """
     without, partly = [], []
@@ -370,12 +373,12 @@ def uncommanded(t: np.ndarray, command: np.ndarray, laps: list[Lap]) -> list[str
     doubts = []
     if without:
         doubts.append(
-            f"no drive commands in laps {', '.join(without)}: their speed error, if any, "
-            "is to the raceline"
+            f"no drive commands in laps {', '.join(without)}: their speed error, if any, is "
+            "relative to the raceline"
         )
     if partly:
         doubts.append(
             f"drive commands are missing for a part of laps {', '.join(partly)}: their "
-            "speed error and steering rate are of the rest"
+            "speed error and steering rate cover only the rest"
         )
     return doubts

@@ -1,7 +1,7 @@
 """Laps found in the path itself, without a raceline, and the closed line of one lap.
 
-Teams drive a lap by hand to record waypoints. A lap begins where a straight line across the path is
-passed, and ends where it is passed again in the same direction.
+Teams drive a lap by hand to record waypoints. A lap begins where the path crosses a gate, a
+straight line across it, and ends where it crosses it again in the same direction.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from .runs import evaluate
 
 __all__ = ["DrivenLap", "driven_laps", "line_of_lap"]
 
-# For 1:10 cars; for larger ones distances grow with their size.
-# Steps of the path in which noise of a slow or parked car is lost [m].
+# All distances are for 1:10 cars and grow with the car's size. Steps of the path [m], long enough
+# to suppress the noise of a slow or parked car.
 _STEP = 0.1
-# Half of the line across the path that a lap passes [m], and places where it is tried.
+# Half the width of the gate that a lap crosses [m], and number of places where it is tried.
 _HALF_GATE, _GATES = 1.0, 200
 _SAME_COURSE = 0.7  # cosine of the angle to it
-# Laps whose length differs more from the usual one took another way.
+# Laps whose length differs from the usual one by more than this share took another way.
 _USUAL_LENGTH = 0.15
 _SHORTEST_LAP = 3.0  # [m]
-# A lap ends beside its beginning; the line is brought together over this share of it, both ways.
+# A lap ends beside its beginning; the gap is closed over this share of the lap to both sides.
 _CLOSING = 0.25
-# How far apart they are is a mean over this time before and after [s].
+# The gap is a mean over this time before and after [s].
 _AROUND = 0.25
 _GRID = 0.02  # [m]
-# Noise lengthens the path from pose to pose. Distances are therefore those along the smooth line,
-# which is made again with them, so many times.
+# Noise lengthens the path from pose to pose. So distances are measured along the smooth line, which
+# is then recomputed with them, this many times.
 _PASSES = 4
 _SPACING, _SMOOTHING = 0.1, 1.5  # [m]
 
 
 class DrivenLap(NamedTuple):
-    """A lap: its number from 1, begin and end [s], and why it does not count, empty if it does."""
+    """A lap: number from 1, begin and end [s], and why it does not count (empty if it does)."""
 
     number: int
     begin: float
@@ -57,8 +57,8 @@ def driven_laps(recording: Recording, raceline=None, size: Size = ONE_TENTH) -> 
     ----------
     recording : Recording
     raceline : Raceline, optional
-        Laps are those of `map_racing.evaluation.runs.evaluate` on it, numbers included; without it
-        they are found by the path alone.
+        Laps and numbers are the same as from `map_racing.evaluation.runs.evaluate` on it; without
+        it, they are found from the path alone.
     size : Size, optional
         Of the car.
 
@@ -98,7 +98,7 @@ def driven_laps(recording: Recording, raceline=None, size: Size = ONE_TENTH) -> 
 
 
 def _moving(x, y, size):
-    """Indices of samples at least a step apart from the one kept before."""
+    """Indices of samples, each at least a step apart from the previous one."""
     rows, x0, y0 = [], math.inf, math.inf
     for row, (x1, y1) in enumerate(zip(x.tolist(), y.tolist())):
         if not math.hypot(x1 - x0, y1 - y0) < _STEP * size.length:
@@ -108,7 +108,7 @@ def _moving(x, y, size):
 
 
 def _best_passages(t, xy, size):
-    """Times at the gate that most usual laps pass, on the straightest way, and their lengths."""
+    """Crossing times and lap lengths for the gate with the most usual laps."""
     if len(xy) < 8:
         return None
     steps = np.diff(xy, axis=0)
@@ -131,13 +131,13 @@ def _best_passages(t, xy, size):
 
 
 def _passages(t, s, xy, course, row, size):
-    """Times and distances at which a gate across the course at a row is passed along it."""
+    """Times and distances at which the path crosses the gate at a row in its direction."""
     along, across = math.cos(course[row]), math.sin(course[row])
     half = _HALF_GATE * size.length
     dx, dy = (xy - xy[row]).T
     ahead, aside = dx * along + dy * across, dy * along - dx * across
     near = np.hypot(dx, dy) < 2.0 * half
-    # Where the track crosses itself, the gate is passed by the other branch, too.
+    # Where the track crosses itself, the other branch passes the gate, too.
     same = np.cos(course - course[row]) > _SAME_COURSE
     rows = np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & near[:-1] & near[1:] & same)
     share = ahead[rows] / (ahead[rows] - ahead[rows + 1])
@@ -150,7 +150,7 @@ def _passages(t, s, xy, course, row, size):
 
 
 def _fault(recording, begin, end, relative_length, size):
-    """Why a lap is no model for a line; empty if it is."""
+    """Why a lap cannot serve as a raceline; empty if it can."""
     limits = LapLimits()
     inside = (recording.t >= begin) & (recording.t <= end)
     t = np.concatenate(([begin], recording.t[inside], [end]))
@@ -176,8 +176,8 @@ def line_of_lap(
 ) -> RacelineTable:
     """The closed line of a lap, with the speeds driven.
 
-    The end of the lap is brought to its beginning over a quarter of the lap on both sides. What is
-    shorter than a wavelength along the path is taken for noise.
+    The gap between end and beginning is closed over a quarter of the lap on both sides. Anything
+    shorter than a wavelength along the path counts as noise.
 
     Parameters
     ----------
@@ -187,8 +187,8 @@ def line_of_lap(
         Distance between the points [m], rounded so that they divide the lap evenly; 0.1 m for a
         1:10 car.
     smoothing : float, optional
-        Wavelength [m] of which half the amplitude is left; longer ones keep theirs: of 4 times the
-        wavelength 99.98 %. 1.5 m for a 1:10 car.
+        Wavelength [m] that keeps half its amplitude; longer ones keep more: 99.98 % at 4 times this
+        wavelength. 1.5 m for a 1:10 car.
     size : Size, optional
         Of the car.
 
@@ -241,7 +241,7 @@ def line_of_lap(
 
 
 def _gap(recording, lap, size):
-    """From the begin of a lap to its end, as a mean of what was driven around both."""
+    """Vector from the beginning of a lap to its end, as a mean of the poses around both."""
     around = np.linspace(-1.0, 1.0, 41) * _AROUND * size.time
     known = (lap.begin + around >= recording.t[0]) & (lap.end + around <= recording.t[-1])
     x, y = (
@@ -253,7 +253,7 @@ def _gap(recording, lap, size):
 
 
 def _smooth_line(s, z, gap, wavelength, step):
-    """Equal steps along a lap, from begin to end, and its smooth line there, but for the end."""
+    """Equal steps along a lap and its smooth line there, without the end point."""
     count = max(16, int(round(s[-1] / step)))
     grid = np.arange(count + 1) * (s[-1] / count)
     z = np.interp(grid, s, z.real) + 1j * np.interp(grid, s, z.imag)
@@ -261,7 +261,7 @@ def _smooth_line(s, z, gap, wavelength, step):
 
 
 def _closed(values, gap):
-    """Values over a lap but for the last, brought together where the lap leaves a gap."""
+    """Values over a lap without the last, with the gap between end and beginning closed."""
     n = values.size - 1
     place = np.arange(n) / n
     nearest = np.minimum(place, 1.0 - place)
@@ -270,12 +270,12 @@ def _closed(values, gap):
 
 
 def _smoothed(values, length, wavelength):
-    """Values over a closed lap without what is shorter than a wavelength; phases stay."""
+    """Values over a closed lap, low-passed at a wavelength without phase shift."""
     waves = np.fft.fftfreq(values.size, length / values.size)
     return np.fft.ifft(np.fft.fft(values) / (1.0 + (waves * wavelength) ** 6))
 
 
 def _measured_speed(recording, t):
-    """Speed at times; None if it was not measured throughout."""
+    """Speed at given times; None if it was not measured throughout."""
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
     return np.interp(t, recording.t, v) if np.isfinite(v).all() else None

@@ -1,4 +1,4 @@
-"""How the drive followed its commands, and how good the poses were, over a whole recording."""
+"""How well the drive followed its commands, and the quality of the poses, over a recording."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from .laps import LapLimits
 
 __all__ = ["PoseTiming", "SpeedTracking", "pose_timing", "speed_tracking"]
 
-# Lags that are tried [s], and their steps.
+# Largest lag tried [s], and step.
 _LONGEST_LAG, _LAG_STEP = 0.6, 0.01
-# Slower than this [m/s] a car starts, stops or stands.
+# Below this speed [m/s] a car starts, stops or stands.
 _MOVING = 0.5
-# Fewer samples say nothing about a drive.
+# Fewest samples.
 _FEWEST = 50
-# Speeds that vary less [m/s] show no lag.
+# Speeds that vary less than this [m/s] show no lag.
 _VARIED = 0.2
 
 
 class SpeedTracking(NamedTuple):
-    """How the measured speed follows the commanded one, without times of standing.
+    """How well the measured speed follows the commanded one, without standing.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class SpeedTracking(NamedTuple):
     rms_lagged_mps : float
         RMS of speed minus the command delayed by the lag [m/s].
     overshoot_mps : float
-        Speed above the delayed command, exceeded in 1 % of the time [m/s].
+        Excess over the delayed command that is itself exceeded 1 % of the time [m/s].
     undershoot_mps : float
-        Likewise below it.
+        The same below it.
     """
 
     lag_s: float
@@ -47,23 +47,23 @@ class SpeedTracking(NamedTuple):
 
 
 class PoseTiming(NamedTuple):
-    """When poses came.
+    """Timing of the poses.
 
     Attributes
     ----------
     rate_hz : float
-        Poses per second, from the median of the times between them.
+        Poses per second, without the gaps.
     longest_gap_s : float
         Longest time between two poses [s].
     gaps : int
         Number of times longer than `LapLimits.max_gap`.
     jumps : int
-        Number of steps that are longer than the fastest car's.
+        Number of steps too long for the fastest car.
     largest_jump_m : float
         The longest of these [m]; 0 without any.
     age_s, oldest_s : float
-        Median and 99th percentile of the time from stamp to receipt [s]; NaN where the stamps are
-        from another clock or the file does not have both.
+        Median and 99th percentile of the time from stamp to receipt [s]; NaN if the stamps are from
+        another clock or the file lacks either.
     """
 
     rate_hz: float
@@ -115,7 +115,7 @@ def speed_tracking(recording: Recording) -> SpeedTracking | None:
 
 
 def _vertex(x, y, i):
-    """Place of the minimum by the parabola through the lowest value and its neighbors."""
+    """Place of the minimum, from a parabola through the lowest value and its neighbors."""
     if not 0 < i < len(x) - 1:
         return float(x[i])
     left, low, right = y[i - 1 : i + 2]
@@ -137,6 +137,8 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     """
     limits = limits or LapLimits()
     between = np.diff(recording.t)
+    # Not the median: if times alternate, it is one of the two.
+    usual = between[between <= limits.max_gap]
     moved = np.hypot(np.diff(recording.x), np.diff(recording.y))
     jumped = moved > limits.max_speed * between + limits.jump_margin
     age = oldest = math.nan
@@ -144,11 +146,12 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     if clock is not None and not clock.use_receipt and clock.lag.size:
         lag = 1e-9 * clock.lag
         age, oldest = float(np.median(lag)), float(np.percentile(lag, 99))
-        # Stamps from another clock say nothing about age; nor does a lag of 0, which is a receipt.
+        # Stamps from another clock do not show the age; nor do stamps that are times of receipt
+        # (lag 0).
         if not 0.0 < age < 1.0:
             age = oldest = math.nan
     return PoseTiming(
-        float(1.0 / np.median(between)),
+        float(1.0 / np.mean(usual if usual.size else between)),
         float(between.max()),
         int(np.count_nonzero(between > limits.max_gap)),
         int(np.count_nonzero(jumped)),

@@ -47,7 +47,7 @@ class LapLog:
         self._header = f"{header}\n".encode()
         try:
             if self.path.exists() and not self.path.is_file():
-                raise MapRacingError(f"{path}: cannot write: it is no file")
+                raise MapRacingError(f"{path}: cannot write: it is not a file")
             content = self.path.read_bytes() if self.path.exists() else b""
             complete = content[: content.rfind(b"\n") + 1]
             if complete and complete.split(b"\n", 1)[0] != header.encode():
@@ -79,7 +79,7 @@ class LapLog:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            # A full disk takes a part of a line, behind which the next one would stand.
+            # A full disk may take part of a line, to which the next one would be appended.
             if begin is not None:
                 with suppress(OSError):
                     os.truncate(self.path, begin)

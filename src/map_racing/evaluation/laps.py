@@ -2,17 +2,17 @@
 
 A lap runs from one forward crossing of the start line to the next. The line is the normal to the
 raceline at ``start_s``; the moment of crossing is interpolated between the two samples around it.
-Progress along the track is unwrapped, so a lap is complete only when the car has come all the way
-round: crossing the line back and forth restarts the clock of the lap.
+Progress along the track is unwrapped, so a lap is complete only when the car has driven all the way
+around: crossing the line back and forth restarts the clock of the lap.
 
 The whole path is reported, stretch by stretch. A stretch counts (``valid``) if it is a complete
 lap without a fault; otherwise ``reason`` says why not: *out-lap* (before the first crossing),
 *in-lap* (after the last), *gap* (no new pose for too long), *jump* (the pose moved farther than a
-car can), *shortcut* (the place on the track did), *reverse* (driven backwards), *off track*,
-*stood* and *stopped* (by more than brakes).
+car can), *shortcut* (the nearest point of the raceline did), *reverse* (driven backwards), *off
+track*, *stood* and *stopped* (harder than brakes can).
 
-Between samples the lateral deviation d is taken as linear in time, and all means are over time, so
-they do not depend on the spacing of the samples.
+Between samples the lateral deviation d is linear in time, and all means are over time, so they do
+not depend on the spacing of the samples.
 """
 
 from __future__ import annotations
@@ -35,22 +35,23 @@ from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
 __all__ = ["NO_WALLS", "LapEvaluator", "LapLimits", "passage_times"]
 
 NO_WALLS = 2.0
-"""Largest deviation [m] where neither walls nor a limit are known."""
+"""Largest deviation [m] if neither walls nor a limit are known."""
 
 _NAN = math.nan
-_new = tuple.__new__  # as _Sample(...), which takes twice as long
+_new = tuple.__new__  # like _Sample(...), which takes twice as long
 # Shorter stretches [m], [s] are jitter of a car parked on the line.
 _JITTER, _JITTER_TIME = 0.5, 1.0
 _MOST_SECTORS = 1000
 _WIDEST_CAR = 10.0
 _FAULTS = {"gap": "s", "jump": "m", "shortcut": "m", "reverse": "m"}  # with their units
-# In a tight bend the place on the track moves so far [m] while the car moves little.
+# In a tight bend the nearest point of the raceline may move this far [m] while the car hardly
+# moves.
 _SHORTCUT = 3.0
-# Less than this [m] in this time [s] is standing; it lasts while the car is within a radius [m].
+# A car stands if it moves less than this [m] in this time [s], until it leaves this radius [m].
 _STANDING, _STANDING_TIME, _STANDING_RADIUS = 0.15, 0.5, 0.05
-_BRAKING_TIME = 0.1  # over which deceleration is measured [s]
-# A stretch of so many samples, or 83 minutes at 100 Hz, is ended: a car that is parked for a night
-# in a lap, or a track that is never closed, would fill the memory.
+_BRAKING_TIME = 0.1  # time over which deceleration is measured [s]
+# A stretch ends after this many samples (83 minutes at 100 Hz): a car parked overnight during a
+# lap, or a track that never closes, would fill the memory.
 _MOST_SAMPLES = 500_000
 
 
@@ -63,8 +64,8 @@ class LapLimits:
     max_gap : float
         Longest time between two samples [s]; at 11 m/s the default is 2.75 m.
     max_speed : float
-        Fastest motion of the pose [m/s], unless 1.5 times the measured speed is more; a step longer
-        by `jump_margin` is a jump.
+        Fastest motion of the pose [m/s], or 1.5 times the measured speed if that is more; a step
+        longer than that by `jump_margin` is a jump.
     jump_margin : float
         Largest correction of the localization that is no jump [m].
     max_reverse : float
@@ -95,7 +96,7 @@ class LapLimits:
 
 
 class _Sample(NamedTuple):
-    """A pose with its place on the track, and the command in force."""
+    """A pose with its projection on the track, and the command in force."""
 
     t: float
     x: float
@@ -123,10 +124,10 @@ def check_options(start_s: float, car_width: float, sectors: int) -> None:
 
 
 class LapEvaluator:
-    """Laps of a car on a raceline, from samples added one by one or many at once.
+    """Laps of a car on a raceline, from samples added one by one or in batches.
 
-    The laps do not depend on how the samples are split into calls, to the last bit. Samples are
-    kept only until their lap ends, and no lap has more than 500,000.
+    The results do not depend on the batches, to the last bit. Samples are kept only until their lap
+    ends, and no lap has more than 500,000.
 
     Parameters
     ----------
@@ -150,8 +151,8 @@ class LapEvaluator:
     -----
     A sample takes 5 us. On a track of 30 m with bends down to 0.7 m radius, sampled at 40 Hz at
     7 m/s while the car swings 0.35 m to either side, lap times are exact to 0.2 ms, RMS errors to
-    0.2 mm and maxima to 1.1 mm for waypoints up to 1 m apart. Where that is coarse for a bend,
-    the place of the waypoints matters: on an ellipse of semi-axes 12 m and 2.9 m, whose ends have a
+    0.2 mm and maxima to 1.1 mm for waypoints up to 1 m apart. If that is coarse for a bend, the
+    position of the waypoints matters: on an ellipse of semi-axes 12 m and 2.9 m, whose ends have a
     radius of 0.7 m, points 1 m apart define the curve to 9 mm if one of them is at the apex and to
     49 mm if the apex is halfway between two (0.5 m apart: 5 mm). A lap exactly on the ellipse then
     has an RMS error of 2 to 8 mm (0.5 mm) instead of 0; one that swings 0.1 m to either side is off
@@ -170,7 +171,7 @@ class LapEvaluator:
     ):
         check_options(start_s, car_width, sectors)
         self.raceline, self.limits = raceline, (limits or LapLimits()).on(raceline)
-        if abs(start_s) > raceline.length + 0.01:  # as printed, with two digits
+        if abs(start_s) > raceline.length + 0.01:  # messages print two decimals
             raise ParameterError(
                 f"start line: expected an arc length of at most {raceline.length:.2f} m, the lap, "
                 f"got {start_s:g}"
@@ -184,9 +185,9 @@ class LapEvaluator:
     def update(self, t, x, y, v=None, speed_command=None, steering=None) -> list[Lap]:
         """Add samples.
 
-        Samples without a finite time or a position on earth are skipped, and so are samples that
-        are not later than the last one; a step back by more than ``max_gap`` (a clock was set, a
-        bag is replayed) ends the stretch and begins a new out-lap.
+        Samples without a finite time or with an absurd position are skipped, and so are samples
+        that are not later than the last one; a step back by more than ``max_gap`` (a clock was set,
+        a bag is replayed) ends the stretch and begins a new out-lap.
 
         Parameters
         ----------
@@ -297,8 +298,8 @@ class LapEvaluator:
         """Faults of the step from one sample to the next, by kind."""
         limits, faults = self.limits, {}
         moved = math.hypot(sample.x - last.x, sample.y - last.y)
-        # A localization that is slower than its messages, or hangs, repeats its pose; the car moves
-        # on meanwhile.
+        # A localization that is slower than its messages, or hangs, repeats its pose while the car
+        # drives on.
         since = sample.t - self._changed
         if moved > 0.0:
             self._changed = sample.t
@@ -310,7 +311,7 @@ class LapEvaluator:
         if gap > limits.max_gap:
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
         fastest = 1.5 * min(last.v, sample.v)
-        if not fastest > limits.max_speed:  # nor where no speed is measured
+        if not fastest > limits.max_speed:  # also if no speed is measured (NaN)
             fastest = limits.max_speed
         if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
@@ -353,7 +354,7 @@ class LapEvaluator:
 
     def _close(self, reason, complete):
         rows = np.frombuffer(self._samples, dtype=float).reshape(-1, len(_Sample._fields))
-        # A sample on the line itself is its own crossing.
+        # A sample exactly on the line is the crossing.
         rows = rows[np.append(True, np.diff(rows[:, 0]) > 0)]
         if len(rows) < 2:
             return
@@ -416,7 +417,7 @@ class LapEvaluator:
         return reasons
 
     def _stops(self, t, x, y, progress):
-        """Where the car stood or was stopped by more than its brakes."""
+        """Reasons: the car stood, or stopped harder than its brakes can."""
         moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
         moved[-1] = True
 
@@ -437,7 +438,7 @@ class LapEvaluator:
         begin = t[t <= t[-1] - _STANDING_TIME]
         slow = begin[speed(begin, begin + _STANDING_TIME) * _STANDING_TIME < _STANDING]
         if slow.size:
-            # The longest stop; others are not told apart from it.
+            # Only the longest stop is reported.
             pieces = np.split(slow, np.flatnonzero(np.diff(slow) > _STANDING_TIME) + 1)
             longest = max(pieces, key=lambda piece: piece[-1] - piece[0])
             inside = (t >= longest[0]) & (t <= longest[-1] + _STANDING_TIME)
@@ -451,8 +452,8 @@ class LapEvaluator:
         if now.size:
             before, after = speed(now - wait, now), speed(now, now + wait)
             s_1, s_2, s_3 = (np.interp(now + by, t, progress) for by in (-wait, 0.0, wait))
-            # Neither a correction of the localization sideways nor one backwards, after which the
-            # car is no slower, is a stop.
+            # Corrections of the localization are not stops: neither sideways ones nor those
+            # backwards after which the car is no slower.
             drop = np.minimum(before - after, (2.0 * s_2 - s_1 - s_3) / wait)
             later = speed(now + wait, now + 3.0 * wait)
             drop = np.where(later < 0.5 * before, drop, 0.0)
@@ -465,7 +466,7 @@ class LapEvaluator:
         return reasons
 
     def _sector_times(self, t, s, complete):
-        """Times between the first passages of the sectors' ends."""
+        """Times between the first crossings of the sectors' ends."""
         if not complete:
             return (_NAN,) * self._sectors
         ends = self.raceline.length * np.arange(1, self._sectors) / self._sectors

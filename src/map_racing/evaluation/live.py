@@ -1,8 +1,8 @@
 """Laps while the car drives, from poses and commands as they arrive.
 
 Live, a pose arrives before the command in force at its time, and perhaps before the raceline. Poses
-wait for both, so that the laps are the same as from a recording, whatever the order and speed in
-which the messages arrive.
+wait for both, so the laps are the same as from a recording, in whatever order and at whatever speed
+the messages arrive.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ class LiveLap(NamedTuple):
     """A lap or other stretch that ended.
 
     ``run`` counts from 1, ``end_ns`` is the time stamp of the end [ns], ``lap`` a
-    `map_racing.evaluation.results.Lap`, ``warnings`` what makes it doubtful, as far as it was known
-    at its end.
+    `map_racing.evaluation.results.Lap`, ``warnings`` the warnings known at its end.
     """
 
     run: int
@@ -55,10 +54,10 @@ class _Pose(NamedTuple):
 class LiveEvaluation:
     """Laps from messages as they arrive.
 
-    A pose is evaluated when the raceline is known, the clocks of poses and commands are compared
-    and a later command has arrived, so that none can be missing, or `patience` after its
-    arrival. A step back in time by more than ``limits.max_gap`` (a bag is replayed, a simulation
-    restarted) or another raceline ends the run and begins the next.
+    A pose is evaluated once the raceline is known, the clocks of poses and commands have been
+    compared, and a later command has arrived (so none can be missing) or `patience` has passed. A
+    step back in time by more than ``limits.max_gap`` (a bag is replayed, a simulation restarted) or
+    another raceline ends the run and begins the next.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ class LiveEvaluation:
     start_s, car_width, sectors : optional
         See `LapEvaluator`.
     pose_topic, drive_topic : str, optional
-        Names of poses and commands in doubts.
+        Names of poses and commands in warnings.
 
     Raises
     ------
@@ -118,10 +117,10 @@ class LiveEvaluation:
         self._believed_ns, self._beliefs = [], []
         self._reported = 0
         self._drive_topic, self._history = drive_topic, History(pose_topic, drive_topic)
-        # Doubts of the run by kind, and those that its driving tells; times of the samples of the
-        # present lap, and their commands; times of the first and last of its samples whose commands
-        # came too late.
-        self._doubts, self._told = {}, []
+        # Warnings of the run by kind, and those derived from its driving; times and commands of the
+        # samples of the current lap; times of its first and last samples whose commands came too
+        # late.
+        self._doubts, self._from_driving = {}, []
         self._driven, self._late = ([], []), []
         if raceline is not None:
             self.set_raceline(raceline)
@@ -144,7 +143,7 @@ class LiveEvaluation:
         Raises
         ------
         ParameterError
-            If the start line is beyond its lap; then the raceline before stays.
+            If the start line is beyond its lap; the previous raceline then stays.
         """
         if self._raceline is not None and same_raceline(self._raceline, raceline):
             return
@@ -154,7 +153,7 @@ class LiveEvaluation:
         self._evaluator, self._raceline = evaluator, raceline
 
     def doubt(self, text: str) -> None:
-        """Say what makes the numbers of the present run doubtful; it stands beside its laps."""
+        """Add a warning about the current run, which accompanies its laps."""
         self._doubts[text] = text
 
     @property
@@ -180,7 +179,7 @@ class LiveEvaluation:
         stamp_ns : int
             Time stamp [ns].
         x, y : float
-            Position [m]; if it is not finite or not on earth, the pose is ignored.
+            Position [m]; if it is not finite or absurdly large, the pose is ignored.
         v_x, v_y : float
             Velocity in the body frame [m/s], NaN where unknown.
         received : float
@@ -199,25 +198,25 @@ class LiveEvaluation:
     def add_command(
         self, stamp_ns: int, speed: float, steering_angle: float, lag_ns: int = 0
     ) -> None:
-        """Add a drive command: time stamp [ns], speed [m/s], steering angle [rad], lag as of poses.
+        """Add a drive command: stamp [ns], speed [m/s], steering angle [rad], lag as for poses.
 
-        Where its lag is another than the poses' by more than latency, and that is no delay, another
-        clock stamped it.
+        If its lag differs from the poses' by more than latency, and not because of a delay, it was
+        stamped by another clock.
         """
         self._clock.add_command(stamp_ns, lag_ns)
         self._commands.add(stamp_ns, (speed, steering_angle))
         self._history.add_command(stamp_ns, speed, steering_angle)
         if self._given_up_ns is not None and self._clock.compared:
             late_ns = self._given_up_ns - stamp_ns - self._clock.offset_ns
-            # A command that is older still begins another run.
+            # An even older command begins another run.
             if 0 <= late_ns <= self._gap_ns:
                 at = 1e-9 * (self._given_up_ns - self._t0_ns)
-                # One lap begins where the other ends: the first and the last say which laps have
-                # any, however long a lap lasts.
+                # Laps follow each other without gaps: the first and the last time are enough to
+                # tell which laps have any.
                 self._late = [min([*self._late, at]), max([*self._late, at])]
 
     def add_belief(self, stamp_ns: int, values: Sequence[float]) -> None:
-        """Add what the controller believes: time stamp [ns] and `BELIEF_FIELDS`."""
+        """Add estimates of the adaptive controller: time stamp [ns] and `BELIEF_FIELDS`."""
         stamps = self._believed_ns
         if stamps and stamp_ns < stamps[-1] - self._gap_ns:
             del stamps[:], self._beliefs[:]
@@ -281,7 +280,7 @@ class LiveEvaluation:
             self._report(self._evaluator.update(*zip(*batch)))
 
     def _warnings(self, laps):
-        """What makes laps doubtful that ended."""
+        """Warnings about laps that ended."""
         offset = self.command_offset_s
         if offset:
             self._doubts["clock"] = (
@@ -293,14 +292,14 @@ class LiveEvaluation:
         if any(lap.start_time_s <= at <= lap.end_time_s for lap in laps for at in self._late):
             missing.append(
                 f"drive commands came more than {self._patience:g} s after their poses: "
-                "speed error and steering rate do without them"
+                "speed error and steering rate are computed without them"
             )
-        doubts = (*self._doubts.values(), *self._told)
+        doubts = (*self._doubts.values(), *self._from_driving)
         return *raceline_warnings(self._raceline), *dict.fromkeys(doubts), *missing
 
     def _report(self, laps):
         if any(not math.isnan(lap.lap_time_s) for lap in laps):
-            self._look_back(laps)
+            self._warn_from_driving(laps)
         times = [(stamp - self._t0_ns) * 1e-9 for stamp in self._believed_ns] if laps else []
         for lap in laps:
             end_ns = self._t0_ns + int(round(lap.end_time_s * 1e9))
@@ -316,19 +315,19 @@ class LiveEvaluation:
             self._late = [at for at in self._late if at > laps[-1].end_time_s]
         self._reported += len(laps)
 
-    def _look_back(self, laps):
-        """Find the doubts that the driving so far tells."""
+    def _warn_from_driving(self, laps):
+        """Derive warnings from the driving so far."""
         self._history.add_laps(laps)
-        self._told = self._history.doubts(self._t0_ns - self._clock.offset_ns)
+        self._from_driving = self._history.doubts(self._t0_ns - self._clock.offset_ns)
 
     def _end_run(self):
         result = self._evaluator.finish()
-        self._look_back([])
+        self._warn_from_driving([])
         self._report(result.laps[self._reported :])
         notes = tuple(f"warning: {doubt}" for doubt in self._warnings([]))
         self._on_run(self._run, replace(result, notes=notes))
         self._run += 1
         self._reported = 0
-        self._doubts, self._told, self._driven, self._late = {}, [], ([], []), []
+        self._doubts, self._from_driving, self._driven, self._late = {}, [], ([], []), []
         self._history.clear()
         self._t0_ns = self._last_ns = self._given_up_ns = None

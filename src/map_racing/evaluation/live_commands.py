@@ -16,7 +16,8 @@ __all__ = ["LONGEST_WAIT", "CommandClock", "Commands"]
 LONGEST_WAIT = 180000
 """Poses kept while there is no raceline: 30 minutes at 100 Hz."""
 
-# Changes between poses and commands after which their clocks are compared, and that are remembered.
+# Clocks are compared after this many changes between poses and commands, of which this many are
+# kept.
 _COMPARED, _REMEMBERED = 25, 500
 # Past commands are deleted in groups of this size.
 _PASSED = 4096
@@ -44,7 +45,7 @@ class Commands:
         self._end_ns = math.inf
 
     def add(self, stamp_ns: int, value: tuple[float, float]) -> None:
-        """Take steering angle [rad] and speed [m/s] of a command."""
+        """Add a command: steering angle [rad] and speed [m/s]."""
         if stamp_ns > self._end_ns:
             return
         self._end_ns = math.inf
@@ -75,7 +76,7 @@ class Commands:
         return bool(self._stamps) and self._stamps[-1] > stamp_ns
 
     def at(self, stamp_ns: int) -> tuple[float, float]:
-        """Command in force, NaN without one; later calls must not ask for earlier times."""
+        """Command in force, NaN without one; times of successive calls must not decrease."""
         index = bisect_right(self._stamps, stamp_ns) - 1
         value = (math.nan, math.nan)
         if index >= 0 and (stamp_ns - self._stamps[index]) * 1e-9 <= COMMAND_HOLD_S:
@@ -98,23 +99,23 @@ class Commands:
 
 
 class CommandClock:
-    """How far the clock that stamps the commands is behind the clock of the poses.
+    """Offset of the clock of the commands behind the clock of the poses.
 
-    Another clock shows in the lags, the time of receipt minus the stamp. So does a callback that
-    comes late: where a bag is played ten times as fast, 50 ms are half a second. But a late topic
-    catches up, so that its newest message is then newer than the other topic's. Clocks differ only
-    if neither topic ever catches up with the other.
+    Another clock shows in the lags, the time of receipt minus the stamp. But so does a late
+    callback: if a bag is played ten times as fast, 50 ms are half a second. A topic that is only
+    late catches up: its newest message is then newer than the other topic's. So the clocks differ
+    only if neither topic ever catches up with the other.
 
     Attributes
     ----------
     offset_ns : int
-        0 where the clocks do not differ.
+        0 if the clocks do not differ.
     """
 
     def __init__(self):
         self._pose = self._command = None
         self._command_is_last = False
-        # Stamp of the newest pose minus the newest command's, where one kind follows the other.
+        # Newest pose stamp minus newest command stamp, at each change from one kind to the other.
         self._ends_of_commands = deque(maxlen=_REMEMBERED)
         self._ends_of_poses = deque(maxlen=_REMEMBERED)
         self._lags = deque(maxlen=_REMEMBERED)
@@ -145,7 +146,7 @@ class CommandClock:
 
     def _compare(self):
         offset = int(np.median(self._lags))
-        # Of equal clocks, the topic that ended is the newer one: zero lies between these two.
+        # With equal clocks, the topic that just sent is the newer one: zero is between these two.
         one, other = np.median(self._ends_of_commands), np.median(self._ends_of_poses)
         constant = one * other > 0.0 and min(abs(one), abs(other)) > abs(one - other)
         other = constant and not -LATENCY_NS <= offset <= COMMAND_DELAY_NS

@@ -1,4 +1,4 @@
-"""What was driven so far, for the doubts about the running car."""
+"""The driving so far, for warnings about the running car."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from .results import Lap
 
 __all__ = ["History"]
 
-# Poses and commands that are kept at least: 2 minutes at 100 Hz. Of twice as many the doubts are
-# found in half a second, for which a lap that ended waits.
+# Fewest poses and commands kept: 2 minutes at 100 Hz. With twice as many, the warnings take half a
+# second, for which a completed lap waits.
 _KEPT = 12000
-# So many doubts about what is forgotten suffice.
+# Most warnings kept about forgotten driving.
 _MOST = 20
 
 
 class History:
-    """The latest poses and commands of a run, as the recording that they would be.
+    """The latest poses and commands of a run, as a recording.
 
     Parameters
     ----------
     pose_topic, drive_topic : str
-        Names of poses and commands in doubts.
+        Names of poses and commands in warnings.
     """
 
     def __init__(self, pose_topic: str, drive_topic: str):
@@ -38,27 +38,27 @@ class History:
         self._poses = tuple(array("d") for _ in range(5))
         self._stamps, self._commands = array("q"), (array("d"), array("d"))
         self._spans = []
-        # Doubts about what is forgotten by now, and the last ones.
+        # Warnings about driving that is forgotten by now, and the latest ones.
         self._earlier, self._latest = {}, {}
 
     def add_pose(self, *pose: float) -> None:
-        """Take time since the first pose [s], position [m], heading [rad] and speed [m/s]."""
+        """Add a pose: time since the first [s], position [m], heading [rad] and speed [m/s]."""
         if len(self._poses[0]) >= 2 * _KEPT and len(self._earlier) < _MOST:
             self._earlier.update(self._latest)
         _append(self._poses, pose)
 
     def add_command(self, stamp_ns: int, speed: float, steering_angle: float) -> None:
-        """Take time stamp [ns], speed [m/s] and steering angle [rad] of a command."""
+        """Add a command: time stamp [ns], speed [m/s] and steering angle [rad]."""
         _append((self._stamps, *self._commands), (stamp_ns, steering_angle, speed))
 
     def add_laps(self, laps: list[Lap]) -> None:
-        """Take laps that ended; of the complete ones the first and the last are kept."""
+        """Add laps that ended; only the first and the last complete one are kept."""
         complete = [lap for lap in laps if not math.isnan(lap.lap_time_s)]
         self._spans += [(lap.start_time_s, lap.end_time_s) for lap in complete]
         del self._spans[1:-1]
 
     def doubts(self, t0_ns: int) -> list[str]:
-        """Doubts about the run so far, see `doubts_of`.
+        """Warnings about the run so far, see `doubts_of`.
 
         Parameters
         ----------
@@ -72,8 +72,8 @@ class History:
         t, (x, y, psi, v) = in_order(columns[0], columns[1:], notes, self._pose_topic, required=2)
         nothing = np.full(t.size, math.nan)
         stamps = np.array(self._stamps, dtype=np.int64)
-        at, told = in_order(stamps, [np.array(column) for column in self._commands], [], "")
-        commands = Commands((at - t0_ns) * 1e-9, *told, self._drive_topic) if at.size else None
+        at, commanded = in_order(stamps, [np.array(column) for column in self._commands], [], "")
+        commands = Commands((at - t0_ns) * 1e-9, *commanded, self._drive_topic) if at.size else None
         driven = Recording(
             *(t, x, y, psi, v, nothing, nothing), topic=self._pose_topic, commands=commands
         )

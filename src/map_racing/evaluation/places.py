@@ -30,22 +30,23 @@ __all__ = [
 _MINI, _FEWEST, _MOST = 2.0, 6, 60
 # A corner is slower than the straights around it by this share of the range of speeds.
 _PROMINENCE = 0.1
-# A bend has at least this share of the largest lateral acceleration; what varies less is uniform.
+# A bend has at least this share of the largest lateral acceleration; a track on which it varies
+# less than this is uniform.
 _BENT, _UNIFORM = 0.35, 0.02
-# The stretch of a corner begins so far before the place where braking begins [m], but not farther
-# back on the straight than this share.
+# The stretch of a corner begins this far before braking [m], but at most this share of the straight
+# before it.
 _AHEAD, _SHARE = 1.5, 0.4
 # Limits of an ordinary car, for racelines without speeds [m/s^2, m/s].
 _ORDINARY = {"a_lat_max": 6.0, "a_drive_max": 5.0, "a_brake_max": 6.0, "v_max": 10.0}
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
-# A smaller loss [s] is none.
+# Smallest loss [s].
 _LEAST = 0.0005
-# Share of a loss at each end of its place that is left out of the place.
+# Share of a loss that is cut off at each end of its place.
 _TAIL = 0.03
-# Less is no difference worth a word [m].
+# Smaller differences are not mentioned [m].
 _WIDE, _EARLY = 0.05, 0.15
-# Braking is told where the speed falls by at least this [m/s], from one that is the reference's
-# within this share; it may begin so many places before the stretch of the bend.
+# Braking is compared if the speed falls by at least this [m/s], from the reference's speed within
+# this share; it may begin this many places before the stretch.
 _FALL, _SAME, _BEFORE = 0.5, 0.03, 15
 # No day has more grip than this share of the vehicle file's.
 _DOUBTFUL_GRIP = 1.3
@@ -53,17 +54,17 @@ _DOUBTFUL_GRIP = 1.3
 
 @dataclass(frozen=True)
 class Corner:
-    """A bend, with the straight that leads to it and the one that follows as far as it matters.
+    """A bend with the straight before it, and as much of the next as matters.
 
     Attributes
     ----------
     name : str
         Such as ``"second left"``, counted from the start line; empty on a track without corners.
     side : int
-        1 for a left, -1 for a right, 0 where there is none.
+        1 for left, -1 for right, 0 without a bend.
     begin, apex, end : float
-        Distances from the start line [m]: stretch, and its slowest place. A stretch that crosses
-        the start line ends before it begins.
+        Distances from the start line [m]: stretch, and its slowest place. For a stretch that
+        crosses the start line, `end` is less than `begin`.
     """
 
     name: str
@@ -73,7 +74,7 @@ class Corner:
     end: float
 
     def inside(self, s: np.ndarray, length: float) -> np.ndarray:
-        """Which distances are in the stretch.
+        """Mask of the distances within the stretch.
 
         Parameters
         ----------
@@ -94,7 +95,7 @@ class Corner:
 
 @dataclass(frozen=True)
 class Ideal:
-    """The best mini-sectors of all laps together.
+    """A lap composed of the best mini-sectors of all laps.
 
     Attributes
     ----------
@@ -113,12 +114,12 @@ class Ideal:
 
 @dataclass(frozen=True)
 class Reference:
-    """What a run is compared with, over distance.
+    """Reference of a comparison, over distance.
 
     Attributes
     ----------
     name : str
-        In words: "the ideal lap".
+        Such as "the ideal lap".
     time, v, d : ndarray, shape (n,)
         Time [s], speed [m/s] and lateral deviation [m] at the places of the profiles.
     """
@@ -137,20 +138,20 @@ class Place:
     ----------
     corner : Corner
     begin, end : float
-        Distances from the start line [m]; between them is all but 6 % of the loss.
+        Distances from the start line [m]; they enclose all but 6 % of the loss.
     loss_s : float
         Time lost there in a mean lap [s].
     entry, entry_reference, slowest, slowest_reference, exit, exit_reference : float
-        Speeds at the begin, at the slowest place and at the end [m/s].
+        Speeds at the beginning, at the slowest place and at the end [m/s].
     wide_m : float
-        How much farther to the outside of the bend than the reference, where it is most, from
-        `begin` to `end` [m].
+        Largest distance from the reference towards the outside of the bend [m], from `begin` to
+        `end`.
     wide_at : str
         Where: ``"entry"``, ``"apex"`` or ``"exit"``.
     grip_used : float
         Largest share of the table's lateral acceleration in the mean lap; NaN if unknown.
     early_m : float
-        How much earlier than in the reference the car brakes for the bend [m].
+        Distance by which the car brakes earlier for the bend than the reference [m].
     """
 
     corner: Corner
@@ -179,7 +180,7 @@ class Place:
 
     @property
     def why(self) -> str:
-        """What is different there, in words."""
+        """The differences there, in words."""
         said = []
         for verb, own, other in (
             ("enters at", self.entry, self.entry_reference),
@@ -207,10 +208,10 @@ class Place:
 
 
 def corners_of(track: TrackProfile) -> list[Corner]:
-    """Corners of a track in the order of the lap, which together fill it.
+    """Corners of a track in the order of the lap; together they cover it.
 
-    A corner is a place where the raceline's speed has a minimum; without speeds, those of an
-    ordinary car count. Each stretch begins shortly before braking does.
+    A corner is a minimum of the raceline's speed or, without speeds, of an ordinary car's. Each
+    stretch begins shortly before braking does.
 
     Parameters
     ----------
@@ -244,9 +245,9 @@ def corners_of(track: TrackProfile) -> list[Corner]:
 
 
 def _apexes(kappa, speed):
-    """Cells of the slowest place of each bend; a bend with several slow places counts as several.
+    """Cells of the slowest places of the bends; a bend with several counts as several.
 
-    A bend is where the lateral acceleration has one sign and is not small.
+    In a bend the lateral acceleration has one sign and is not small.
     """
     needed = speed**2 * kappa
     if not np.ptp(np.abs(kappa)) > _UNIFORM * np.max(np.abs(kappa)):
@@ -263,9 +264,10 @@ def _apexes(kappa, speed):
 
 
 def _beginning(kappa, speed, between, ds):
-    """Cell where the stretch of an apex begins, from the cells since the one before.
+    """First cell of the stretch of an apex, among the cells since the previous apex.
 
-    Shortly before the fastest place; where the speed only rises or only falls, the straightest.
+    It is shortly before the fastest place or, if the speed only rises or only falls, at the
+    straightest.
     """
     between = between % kappa.size
     fastest = int(np.argmax(speed[between]))
@@ -306,7 +308,7 @@ def ideal_lap(run: RunProfile) -> Ideal:
 
 
 def against_ideal(run: RunProfile, ideal: Ideal) -> Reference:
-    """The ideal lap as a reference: in each mini-sector the lap that is fastest there."""
+    """The ideal lap as a reference: in each mini-sector, the lap that is fastest there."""
     s = run.track.s
     sector = np.minimum(np.searchsorted(ideal.ends, s, side="left"), ideal.ends.size - 1)
     fastest = np.argmin(ideal.times, axis=0)[sector]
@@ -335,7 +337,7 @@ def against_run(other: RunProfile, name: str) -> Reference:
 def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> list[Place]:
     """The three places where the mean lap of a run loses most against a reference.
 
-    In each corner's stretch it is the part in which the loss adds up to most.
+    In each corner's stretch, the place is the part with the largest total loss.
 
     Parameters
     ----------
@@ -353,35 +355,29 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
     cells = track.s.size - 1
     loss = np.diff(run.mean("time") - reference.time)
     v, d = run.mean("v")[:cells], run.mean("d")[:cells]
+    v_reference, d_reference = reference.v[:cells], reference.d[:cells]
+    kappa, places = track.kappa[:cells], []
+    slower = _progress(v, d, kappa) <= _progress(v_reference, d_reference, kappa)
     grip = np.mean([profile.grip_used[:cells] for profile in run.counted], axis=0)
-    places = []
     for corner in corners:
         inside = np.flatnonzero(corner.inside(track.s[:cells], track.length))
         if corner.begin >= corner.end:  # over the start line
-            inside = np.concatenate(
-                (inside[track.s[inside] >= corner.begin], inside[track.s[inside] < corner.begin])
-            )
+            inside = np.roll(inside, -np.count_nonzero(track.s[inside] < corner.begin))
         first, last = _largest_sum(loss[inside])
         lost = float(loss[inside[first:last]].sum())
         if lost < _LEAST:
             continue
-        first, last = _bulk(loss[inside], first, last)
-        part = inside[first:last]
+        part = inside[slice(*_without_tails(loss[inside], first, last))]
+        # Faster throughout: the loss is only noise of the poses.
+        if not slower[part].any():
+            continue
         end = (part[-1] + 1) % cells
-        outward = -corner.side * (d[part] - reference.d[:cells][part])
-        widest = int(np.argmax(np.abs(outward)))
-        apex = (corner.apex - track.s[part[0]]) % track.length
-        at = (track.s[part[widest]] - track.s[part[0]]) % track.length
-        near = 0.15 * len(part) * track.length / cells
-        inside_apex = apex <= (track.s[end] - track.s[part[0]]) % track.length
-        where = (
-            "apex" if inside_apex and abs(at - apex) <= near else ("entry" if at < apex else "exit")
-        )
-        # Who brakes earlier does so before the stretch begins.
+        wide, where = _deviation((d - d_reference)[part], part, corner, track)
+        # Early braking may begin before the stretch.
         before = (inside[0] - np.arange(_BEFORE, 0, -1)) % cells
         approach = np.concatenate((before, inside))
         slow = part[int(np.argmin(v[part]))]
-        slow_reference = reference.v[:cells][part].min()
+        slow_reference = v_reference[part].min()
         places.append(
             Place(
                 corner,
@@ -394,17 +390,32 @@ def costliest(run: RunProfile, reference: Reference, corners: list[Corner]) -> l
                 float(slow_reference),
                 float(v[end]),
                 float(reference.v[end]),
-                float(outward[widest]) if corner.side else 0.0,
+                wide,
                 where,
                 float(np.max(grip[part])),
-                _earlier(v[approach], reference.v[:cells][approach], track.length / cells),
+                _brakes_earlier_by(v[approach], v_reference[approach], track.length / cells),
             )
         )
     return sorted(places, key=lambda place: -place.loss_s)[:3]
 
 
-def _earlier(own, reference, step):
-    """How much earlier one speed falls to the middle of a bend's braking than another [m]."""
+def _progress(v, d, kappa):
+    """Speed projected onto the raceline [m/s]; off the line, a bend has a different length."""
+    return v / np.maximum(1.0 - kappa * d, 0.1)
+
+
+def _deviation(left, part, corner, track):
+    """Largest deviation to the outside in a part of the lap [m], and where it is."""
+    cells, begin, widest = track.s.size - 1, track.s[part[0]], int(np.argmax(np.abs(left)))
+    apex, at = (corner.apex - begin) % track.length, (track.s[part[widest]] - begin) % track.length
+    near = 0.15 * len(part) * track.length / cells
+    inside = apex <= (track.s[(part[-1] + 1) % cells] - begin) % track.length
+    where = "apex" if inside and abs(at - apex) <= near else "entry" if at < apex else "exit"
+    return float(-corner.side * left[widest]), where
+
+
+def _brakes_earlier_by(own, reference, step):
+    """Distance [m] by which one speed reaches mid-braking earlier than another."""
     low = int(np.argmin(reference))
     high, own_high = (int(np.argmax(v[: low + 1])) for v in (reference, own))
     fall = reference[high] - reference[low]
@@ -430,8 +441,8 @@ def _largest_sum(values):
     return begin, end
 
 
-def _bulk(values, begin, end):
-    """The part without what adds next to nothing at its ends."""
+def _without_tails(values, begin, end):
+    """The part without the ends, which add next to nothing."""
     share = np.cumsum(values[begin:end]) / np.sum(values[begin:end])
     first = np.flatnonzero(share >= _TAIL)[0]
     before = np.flatnonzero(share < 1.0 - _TAIL)

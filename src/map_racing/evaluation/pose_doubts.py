@@ -1,4 +1,4 @@
-"""Doubts about poses: of two times in one order, set aside, rounded."""
+"""Warnings about poses: going back and forth, jumping sideways, rounded."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from .speed import fresh
 
 __all__ = ["rounded", "set_aside", "to_and_fro"]
 
-# Samples to both sides that tell the way; so many times the usual scatter along it, and this share
-# of a step and more, are steps back; so many of them are within so many samples.
+# Samples to both sides that give the direction; a step back is longer than this many times the
+# usual scatter and than this share of a step; this many of them within this many samples count.
 _AROUND, _SCATTER, _BACK, _STEPS, _WITHIN = 6, 8.0, 0.3, 2, 12
 # Speed [m/s] of a car that drives.
 _DRIVES = 1.0
-# A step aside counts if it is longer [m], and so many times the usual; so many steps to each side
-# tell the way, which take the same time but for such a share.
+# A sideways jump counts if it is longer [m], and this many times the usual one; this many steps to
+# each side give the direction, if their times are equal within this share.
 _ASIDE, _USUAL, _BESIDE, _EVEN = 0.2, 8.0, 3, 0.3
-# Coarser positions [m] are rounded; fewer different ones do not tell.
+# Coarsest positions [m] that count as exact, and fewest different values.
 _COARSE, _FEWEST = 0.02, 20
 
 
 def to_and_fro(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
-    """Doubt about poses that go to and fro along the way for some samples; or empty.
+    """Warning about poses that go back and forth along the path for a while; otherwise empty.
 
-    As where all clocks were set back, and the messages were then sorted by them: poses of before
-    and after lie between each other. A correction of a localization is one step back.
+    This happens if all clocks were set back and the messages then sorted by them: poses from before
+    and after alternate. A correction of the localization is just one step back.
 
     Parameters
     ----------
@@ -54,15 +54,16 @@ def to_and_fro(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
         return ""
     first = int(back[close[0]])
     return (
-        f"{topic}: poses go to and fro along the way at {t[first + _AROUND]:.1f} s: was a clock "
-        "set back, and the recording sorted by it? That lap is so much too short"
+        f"{topic}: poses go back and forth along the path at {t[first + _AROUND]:.1f} s: was a "
+        "clock "
+        "set back, and the recording sorted by it? That lap is then too short"
     )
 
 
 def set_aside(
     topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, begin: float, end: float
 ) -> str:
-    """Doubt about poses that step aside, as where a localization is corrected; or empty.
+    """Warning about poses that jump sideways, as a corrected localization does; otherwise empty.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def set_aside(
     )
     others = np.delete(windows, _BESIDE, axis=0).mean(axis=0)
     at, spent = t[kept][_BESIDE : _BESIDE + others.shape[1]], windows[:, 0]
-    # Where poses are missing or stamps jitter, steps differ anyway.
+    # If poses are missing or stamps jitter, steps differ anyway.
     even = np.max(np.abs(spent - spent.mean(axis=0)), axis=0) < _EVEN * spent.mean(axis=0)
     drives = np.hypot(*others[1:]) > _DRIVES * others[0]
     counts = even & drives & (at > begin) & (at < end)
@@ -93,13 +94,13 @@ def set_aside(
     if beside[worst] <= max(_ASIDE, _USUAL * float(np.median(beside[counts]))):
         return ""
     return (
-        f"{topic}: at {at[worst]:.1f} s the poses step aside by {beside[worst]:.2f} m, as no car "
-        "does: lap time and errors may be off by as much"
+        f"{topic}: at {at[worst]:.1f} s the poses jump sideways by {beside[worst]:.2f} m, as no "
+        "car can: lap time and errors may be off by as much"
     )
 
 
 def rounded(topic: str, x: np.ndarray, y: np.ndarray) -> str:
-    """Doubt about positions that were rounded, as in a table with one decimal; or empty.
+    """Warning about rounded positions, as in a table with one decimal; otherwise empty.
 
     Parameters
     ----------

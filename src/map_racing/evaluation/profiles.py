@@ -1,7 +1,7 @@
 """Laps over distance: every signal of every lap at the same places along the track.
 
-Times are those of `evaluate`: a profile resamples the samples of a `Lap`, and evaluates nothing
-anew. Places are distances from the start line.
+Times are the same as from `evaluate`: a profile resamples the samples of a `Lap`, and re-evaluates
+nothing. Places are distances from the start line.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ __all__ = [
 _STEP, _FEWEST, _MOST = 0.1, 100, 1000
 # Accelerations are low-passed: standard deviation of the Gaussian [s].
 _SMOOTHING = 0.03
-# Where a lap was not completed, less of it than this share is not worth a line in a chart.
+# An incomplete lap that covers less than this share of the track is not drawn.
 _WORTH = 0.2
-# A command this close to the largest useful angle is at it.
+# A command this close to the largest useful angle counts as saturated.
 _AT_LIMIT = 0.99
 
 CHANNELS = {
@@ -49,7 +49,7 @@ CHANNELS = {
     "v_command": ("commanded speed", "m/s"),
     "d": ("lateral deviation, left positive", "m"),
     "steering": ("commanded steering angle, left positive", "rad"),
-    "steering_table": ("steering angle that the table has for the turning measured", "rad"),
+    "steering_table": ("steering angle of the table for the turning measured", "rad"),
     "a_lat": ("lateral acceleration, left positive", "m/s^2"),
     "a_lon": ("longitudinal acceleration", "m/s^2"),
 }
@@ -58,13 +58,13 @@ CHANNELS = {
 
 @dataclass(frozen=True)
 class CarLimits:
-    """What is known of the car that was driven.
+    """Limits of the car that was driven.
 
     Attributes
     ----------
     vehicle : Vehicle
     table : LookupTable
-        Of its own tires.
+        Lookup table of its own tires.
     delta_max : float
         Largest steering angle [rad].
     a_drive_max, a_brake_max : float
@@ -83,7 +83,8 @@ class CarLimits:
     def lateral(self, v: np.ndarray) -> np.ndarray:
         """Largest lateral acceleration of the tires.
 
-        Where the steering lock allows less, at low speeds, that of the next higher speed counts.
+        At low speeds, where the steering lock allows less, the value of the next higher speed
+        counts.
 
         Parameters
         ----------
@@ -105,7 +106,7 @@ class CarLimits:
 
 
 def car_limits(vehicle: Vehicle, parameters: ControllerParameters | None = None) -> CarLimits:
-    """Limits of a car: lengthwise those that its controller plans with, else the vehicle's."""
+    """Limits of a car: longitudinally its controller's planning limits, otherwise the vehicle's."""
     drive, brake, v_max = vehicle.a_max, vehicle.a_brake_max, vehicle.v_max
     if parameters is not None:
         drive, brake = parameters.a_drive_max_mps2, parameters.a_brake_max_mps2
@@ -157,10 +158,10 @@ class LapProfile:
     ----------
     lap : Lap
     values : dict of str to ndarray, shape (n,)
-        By the names of `CHANNELS`; NaN where the car was not, or a signal is unknown.
+        By the names of `CHANNELS`; NaN where the lap does not reach, or a signal is unknown.
     saturated : float
-        Share of the lap's time in which the command asked for the largest useful steering angle
-        or more; NaN if unknown.
+        Share of the lap time with a command at or beyond the largest useful steering angle; NaN if
+        unknown.
     grip_used : ndarray, shape (n,)
         Lateral acceleration as a share of `CarLimits.lateral`; NaN without a table.
     """
@@ -180,9 +181,9 @@ class RunProfile:
     result : RunResult
     track : TrackProfile
     laps : list of LapProfile
-        The completed ones; if there are none, the longer stretches.
+        Completed laps; if there are none, the longer stretches.
     notes : list of str
-        Doubts about the signals.
+        Warnings about the signals.
     """
 
     result: RunResult
@@ -192,7 +193,7 @@ class RunProfile:
 
     @property
     def counted(self) -> list[LapProfile]:
-        """The laps that count, which are those that comparisons use."""
+        """The laps that count; comparisons use only these."""
         return [profile for profile in self.laps if profile.lap.valid]
 
     @property
@@ -224,7 +225,7 @@ def profiles_of(
     ----------
     recording : Recording
     result : RunResult
-        What `evaluate` made of it, with traces.
+        Result of `evaluate`, with traces.
     limits : CarLimits, optional
 
     Returns

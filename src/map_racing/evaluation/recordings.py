@@ -105,7 +105,7 @@ def recorded_raceline(recording: Recording) -> Raceline:
 
 
 def recorded_runs(recording: Recording) -> list[tuple[Recording, Raceline]]:
-    """Runs of a recording: each raceline that was sent begins one, as while the car drives.
+    """Runs of a recording: each new raceline begins one, as it does live.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def recorded_runs(recording: Recording) -> list[tuple[Recording, Raceline]]:
             name: getattr(recording, name)[inside]
             for name in ("t", "x", "y", "psi", "v_x", "v_y", "yaw_rate")
         }
-        said = f"warning: run {number} of {len(parts)}: the raceline was another"
+        said = f"warning: run {number} of {len(parts)}: another raceline was used"
         said += f" until {begin:.2f} s" if number > 1 else f" from {end:.2f} s on"
         source = f"{recording.source} (run {number})"
         runs.append(

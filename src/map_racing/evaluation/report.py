@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Iterable, Iterator, Sequence
 
 from ..files import replacing
+from ..printing import amount
 from .results import RunResult
 
 __all__ = [
@@ -77,7 +78,7 @@ def write_csv(path: str | Path, results: Iterable[RunResult]) -> None:
 
 
 def write_rows(path: str | Path, columns: Sequence[str], rows: Iterable[dict]) -> None:
-    """Write rows that have values by the names of the columns, empty for NaN.
+    """Write rows, which map column names to values; NaN becomes an empty cell.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def write_rows(path: str | Path, columns: Sequence[str], rows: Iterable[dict]) -
 
 
 def lap_table(result: RunResult) -> str:
-    """Text table of one run: every lap or part of one, then the summary."""
+    """Text table of one run: every lap or partial lap, then the summary."""
     rows = [[title for _, title, _ in _LAP_COLUMNS]]
     for lap in result.laps:
         row = lap.row()
@@ -131,15 +132,15 @@ def summary_table(named_results: Iterable[tuple[str, RunResult]]) -> str:
 
 def _sentence(result):
     summary = result.summary
-    counted = f"{summary.laps_completed} laps counted, {summary.laps_not_counted} stretches not"
+    counted = f"{amount(summary.laps_completed, 'lap')} counted, "
+    counted += f"{amount(summary.laps_not_counted, 'stretch', 'stretches')} not"
     if not summary.laps_completed:
         driven = [lap for lap in result.laps if not math.isnan(lap.lap_time_s)]
         if not driven:
             return f"{counted}; lap time N.C. (not completed)"
         off = sum("off track" in lap.reason for lap in driven)
-        laps = "1 lap" if len(driven) == 1 else f"{len(driven)} laps"
         why = f", {off} of them off track: --max-deviation sets another limit" if off else ""
-        return f"{counted}; {laps} driven, but none counts{why}"
+        return f"{counted}; {amount(len(driven), 'lap')} driven, but none counts{why}"
     time = _spread(summary.mean_lap_time_s, summary.std_lap_time_s)
     error = _spread(summary.mean_rms_lateral_error_m, summary.std_rms_lateral_error_m)
     return (
@@ -166,7 +167,7 @@ def aligned(rows: list[list[str]], left: int = 0) -> Iterator[str]:
     rows : list of list of str
         The titles, then the cells.
     left : int
-        Index of the column that is aligned to the left, the others to the right.
+        Index of the left-aligned column; the others are right-aligned.
 
     Yields
     ------

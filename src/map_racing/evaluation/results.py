@@ -19,9 +19,9 @@ class LapTrace(NamedTuple):
     """Samples of a lap, for plots; the first and last are the interpolated crossings.
 
     Each has the shape (n,): time ``t`` [s] on the recording's clock, position ``x, y`` [m],
-    distance ``s`` along the track [m] from the start line, in an out-lap from its first sample,
-    deviation ``d`` [m] left positive, speed ``v`` [m/s], speed ``command`` in force [m/s], NaN
-    without one.
+    distance ``s`` along the track [m] from the start line (in an out-lap from its first sample),
+    deviation ``d`` [m] positive to the left, speed ``v`` [m/s], speed ``command`` in force [m/s] or
+    NaN.
     """
 
     t: np.ndarray
@@ -33,7 +33,7 @@ class LapTrace(NamedTuple):
     command: np.ndarray
 
 
-# Columns of a lap, and the fields of a belief that they are.
+# Columns of a lap, and the fields of a belief that they contain.
 _BELIEVED = {
     **{f"believed_{name}": name for name in ("grip", "friction", "friction_low", "friction_high")},
     **{f"believed_{name}": name for name in ("front_stiffness", "rear_stiffness")},
@@ -43,7 +43,7 @@ _BELIEVED = {
 
 @dataclass(frozen=True)
 class Lap:
-    """A lap, or a stretch of driving that is no lap. Unknown values are NaN.
+    """A lap, or a stretch that is not a complete lap. Unknown values are NaN.
 
     Attributes
     ----------
@@ -56,11 +56,11 @@ class Lap:
     valid : bool
         Whether it counts.
     reason : str
-        Why not.
+        Why it does not count; empty if it does.
     mean_lateral_error_m : float
         Signed, left positive.
     p95_abs_lateral_error_m : float
-        Exceeded during 5 % of the time.
+        Exceeded 5 % of the time.
     min_clearance_m : float
         Smallest distance from a side of the car to a wall, negative beyond it.
     mean_speed_mps, max_speed_mps : float
@@ -68,7 +68,7 @@ class Lap:
     rms_speed_error_mps : float
         RMS of the speed minus `speed_reference`.
     speed_reference : str
-        ``"command"`` or, where there is no command, ``"raceline"``; empty without either.
+        ``"command"`` or, without commands, ``"raceline"``; empty without either.
     mean_steering_rate_radps : float
         Mean absolute rate of the commanded steering angle. Unlike the RMS it does not depend on
         how long a command is held.
@@ -76,9 +76,9 @@ class Lap:
         On the recording's clock.
     believed_grip, believed_friction, believed_friction_low, believed_friction_high, \
     believed_front_stiffness, believed_rear_stiffness, believed_delay_s : float
-        What an adaptive controller believed at its end, relative to the vehicle file's tires: the
-        lateral limit that the speeds use, friction with the ends of its interval, cornering
-        stiffness of both axles; and the delay.
+        Estimates of an adaptive controller at the end of the lap: relative to the vehicle file's
+        tires, the lateral limit used for speeds, friction with the ends of its interval, and
+        cornering stiffness of both axles; and the delay.
     sector_times_s : tuple of float
         Sectors have equal lengths, from the start line on.
     trace : LapTrace, optional
@@ -112,12 +112,12 @@ class Lap:
     trace: LapTrace | None = None
 
     def believed(self, times: Sequence[float], values: Sequence[Sequence[float]]) -> Lap:
-        """The lap with what was believed at its end.
+        """The lap with the estimates at its end.
 
         Parameters
         ----------
         times : sequence of float
-            Times of beliefs, ascending [s].
+            Times of the estimates, ascending [s].
         values : sequence of sequences of 13 floats
             `map_racing.bags.messages.BELIEF_FIELDS`.
         """
@@ -197,8 +197,7 @@ class RunResult:
     source : str
         File of the recording.
     notes : tuple of str
-        Notes on what was read and evaluated; what makes the values doubtful begins with
-        ``warning:``.
+        Notes on reading and evaluation; warnings begin with ``warning:``.
     """
 
     laps: list[Lap]
@@ -238,6 +237,6 @@ class RunResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Notes on what makes the values doubtful."""
+        """Notes that are warnings."""
         mark = "warning: "
         return [note[len(mark) :] for note in self.notes if note.startswith(mark)]

@@ -38,7 +38,7 @@ def evaluate_runs(
     recording : Recording
     track : Raceline, optional
     origin : str, optional
-        Where the track came from, for the notes.
+        Origin of the track, for the notes.
     reverse : bool, optional
         Whether it was driven in reverse direction.
     **options
@@ -94,7 +94,7 @@ def evaluate(
     Parameters
     ----------
     recording : Recording
-        Commands, where it has them, are held until the next one.
+        Commands, if it has any, are held until the next one.
     raceline : Raceline
     start_s, car_width, sectors, limits
         See `map_racing.evaluation.laps.LapEvaluator`.
@@ -122,7 +122,7 @@ def evaluate(
     if recording.commands is not None:
         speed_command = recording.commands.held(recording.t, recording.commands.speed)
         steering = recording.commands.held(recording.t, recording.commands.steering_angle)
-    # Lateral speed is often not measured; without it the longitudinal speed is the speed.
+    # Lateral speed is often not measured; then the longitudinal speed counts as the speed.
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
     evaluator.update(recording.t, recording.x, recording.y, v, speed_command, steering)
     result = evaluator.finish()
@@ -145,7 +145,7 @@ def evaluate(
 
 
 def _check_followed(recording, result, progress, max_deviation):
-    """Refuse driving on another track than the raceline."""
+    """Refuse driving on a track other than the raceline's."""
     raceline = result.raceline
     d = np.concatenate([lap.trace.d for lap in result.laps])
     deviation = np.abs(d)
@@ -165,7 +165,7 @@ def _check_followed(recording, result, progress, max_deviation):
     if driven > 0.5 * raceline.length and not followed:
         why = alternation(recording.topic, recording.t, recording.x, recording.y)
         raise EvaluationError(
-            f"{recording.source}: the car drove elsewhere: of {driven:.0f} m it came "
+            f"{recording.source}: the car drove elsewhere: {driven:.0f} m, but only "
             f"{abs(progress):.0f} m along the raceline {_name(raceline)}{why and f' ({why})'}"
         )
 

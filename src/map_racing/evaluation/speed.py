@@ -1,4 +1,4 @@
-"""Speed of a car from its poses, where nothing else measured it."""
+"""Speed of a car from its poses, if it was not measured."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ import numpy as np
 __all__ = ["CHORD_S", "REPEATED_M", "beyond_for_a_while", "chords", "fresh", "speed_of"]
 
 REPEATED_M = 1e-5
-"""A pose that is no farther [m] from the one before, in x and y, is the same, but for rounding."""
+"""A pose within this distance [m] of the previous one, in x and y, repeats it except for
+rounding."""
 
 CHORD_S = 0.25
 """Usual length of a chord [s]."""
 
-# There are so many chords at least, and none spans a longer time [s] without new poses.
+# Fewest chords, and longest time without new poses within a chord [s].
 _FEWEST, _BARE = 40, 0.25
-# A pose that is repeated for longer [s] is of a car that stands.
+# A pose that repeats for longer than this [s] comes from a standing car.
 _REPEATED = 0.25
-# Times between samples vary if they are typically off by more than this share; then so many samples
-# to both sides count.
+# Times between samples vary if their typical deviation exceeds this share; differences then span
+# this many samples to both sides.
 _VARIED, _REACH = 0.15, 4
-# Noise of this share of a step lengthens the way by 0.1 %, and of this share of a chord the top
-# speed by 2 %; longer chords [s] would shorten both.
+# Noise of the first share of a step lengthens the path by 0.1 %, and of the second share of a chord
+# raises the top speed by 2 %; chords beyond this length [s] would cut corners.
 _NOISY, _LITTLE, _LONGEST_CHORD = 0.012, 0.005, 0.2
 # A car that moved farther [m] was not standing.
 _MOVED = 1.0
@@ -38,11 +39,11 @@ def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.n
     -------
     ndarray, shape (n,)
     """
-    # Odometry whose velocity nobody fills in has 0 in it.
+    # Odometry whose velocity is never filled in contains 0.
     if np.isfinite(v).all() and (v.any() or np.hypot(np.ptp(x), np.ptp(y)) < _MOVED):
         return v
-    # Poses that are repeated while the car drives on, and stamps that come in bunches, would make
-    # any speed: it is taken over the time between the others.
+    # Repeated poses of a driving car, and stamps in bunches, would give arbitrary speeds: use only
+    # the other samples.
     kept = fresh(t, x, y)
     kept = kept[_apart(t[kept])]
     speed = _differences(t[kept], x[kept], y[kept])
@@ -52,7 +53,7 @@ def speed_of(t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> np.n
 def chords(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Speeds over pieces of time in which poses come; noise of the poses is little over them.
+    """Mean speeds over chords: pieces of time long enough that noise of the poses matters little.
 
     Parameters
     ----------
@@ -64,11 +65,10 @@ def chords(
     Returns
     -------
     at, moved, measured : ndarray, shape (k,)
-        Middles of the pieces [s], speed of the poses as the crow flies, and mean of the measured
-        one [m/s].
+        Middles of the chords [s], straight-line speed of the poses, and mean measured speed [m/s].
     """
     usual = float(np.median(np.diff(t))) if t.size > 1 else CHORD_S
-    # Times in another unit are too close, or too far apart.
+    # Times in another unit are too close together, or too far apart.
     chord = max(min(CHORD_S, (t[-1] - t[0]) / _FEWEST), 2.0 * usual)
     grid = np.arange(t[0], t[-1], chord)
     if grid.size < 2:
@@ -88,7 +88,7 @@ def chords(
 def beyond_for_a_while(
     at: np.ndarray, ratio: np.ndarray, size: int, low: float, high: float
 ) -> tuple[float, float, float] | None:
-    """Where a ratio is beyond limits for most of some time.
+    """Time span in which a ratio is mostly outside of limits.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def beyond_for_a_while(
         count = (at.size - first) // size
         part = slice(first, first + count * size)
         middle = np.median(ratio[part].reshape(count, size), axis=1) if count else np.zeros(0)
-        # Chords that are missing would make it longer.
+        # Missing chords would make the span longer.
         together = np.ptp(at[part].reshape(count, size), axis=1) < 1.5 * size * CHORD_S
         bad[part] |= np.repeat(~((middle > low) & (middle < high)) & together, size)
     bad &= ~((ratio > low) & (ratio < high))
@@ -119,11 +119,11 @@ def beyond_for_a_while(
 
 
 def _differences(t, x, y):
-    """Distance per time from the sample before to the one behind.
+    """Distance per time from the previous sample to the next.
 
-    The mean over time is then the distance per time of all. Where the times between samples vary,
-    as of stamps that are given on receipt, the difference is over more samples; and noise of the
-    poses would lengthen the way, so that it is shortened to chords.
+    Its mean over time is then the total distance per time. If the times between samples vary, as
+    with stamps given on receipt, differences span more samples. If the poses are noisy, which would
+    lengthen the path, the path is replaced by chords.
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
@@ -143,11 +143,11 @@ def _differences(t, x, y):
 
 
 def _noisy_reach(x, y, usual):
-    """Samples that a chord spans on which noise lengthens the way no more; 0 without noise."""
+    """Samples per chord for which noise no longer lengthens the path; 0 without noise."""
     if x.size < 40:
         return 0
-    # Of third differences driving leaves little, and noise the square root of twenty times as much,
-    # or 5.3 times its deviation in each direction in the median of the length.
+    # Third differences remove most of the driving and multiply noise by the square root of 20; the
+    # median of their length is 5.3 times the standard deviation in each direction.
     noise = float(np.median(np.hypot(np.diff(x, 3), np.diff(y, 3)))) / 5.3
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
     if step <= 0.0 or noise < _NOISY * step:
@@ -157,7 +157,7 @@ def _noisy_reach(x, y, usual):
 
 
 def fresh(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Indices of samples whose pose is a new one, or has been the same for long.
+    """Indices of samples whose pose is new, or has not changed for long.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def fresh(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _apart(t):
-    """Indices of samples at usual times apart; all, if none but the ends, crossings, are closer."""
+    """Indices of samples at the usual spacing; all if only the ends (crossings) are closer."""
     steps = np.diff(t[1:-1])
     bunched = 0.05 * float(np.mean(np.diff(t)))
     apart = steps[steps >= bunched]
@@ -188,5 +188,5 @@ def _apart(t):
             kept.append(index)
     if len(kept) < 2:
         return np.arange(t.size)
-    # Of a bunch that a crossing cuts the other part is missing.
+    # A crossing may cut a bunch, whose other part is then missing.
     return np.array(kept if len(kept) < 4 else kept[1:-1])

@@ -1,4 +1,4 @@
-"""Doubts about a measured speed: in another unit, for a while, held, or of another moment."""
+"""Warnings about a measured speed: in another unit, wrong for a while, frozen, or late."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from .speed import CHORD_S, beyond_for_a_while, chords, fresh
 
 __all__ = ["late_speed", "speed_doubts", "speed_warning"]
 
-# Speed [m/s] of a car that drives; and how far the wheels may be off, typically: noise lengthens
-# the motion of the poses a little.
+# Speed [m/s] of a car that drives; and usual limits of measured speed over motion of the poses,
+# which noise lengthens a little.
 _MOVING, _SLOWEST, _FASTEST = 0.5, 0.88, 1.1
-# For a while, over so many chords, it may be off by more where the wheels slip; compared above a
+# Wider limits where the wheels slip for a while, over this many chords; compared only above this
 # speed [m/s].
 _WHILE, _SLIP, _DRIVES = 12, (0.65, 1.4), 1.0
-# Over fewer chords, no slip explains such a ratio.
+# Limits that no slip explains, over this many chords.
 _SHORT, _NONSENSE = 2, (0.35, 2.5)
-# A single speed this much above that of the poses around it, in times and m/s, is none.
+# A single speed that exceeds the poses' speed around it by this factor and this much more [m/s] is
+# nonsense.
 _TOP_TIMES, _TOP_MORE = 2.0, 2.0
-# If the speed is not late in all of a recording, it may be so in parts of this length [s].
+# A speed that is not late in the whole recording may be late in parts of this length [s].
 _PART_S = 24.0
-# A speed is held if it is the same for longer [s] while that of the poses varies by more [m/s].
+# A speed is frozen if it stays the same for longer [s] while the poses' speed varies by more [m/s].
 _HELD_S, _VARIES = 0.8, 0.5
 
 
 def speed_doubts(
     topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray, begin: float, end: float
 ) -> list[str]:
-    """All doubts about a measured speed; none where nothing measured it.
+    """All warnings about a measured speed; none without one.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def speed_doubts(
     t, x, y, v : ndarray, shape (n,)
         Times [s], positions [m], and measured speeds [m/s].
     begin, end : float
-        Only the time between counts for speeds that are wrong for a while [s].
+        Speeds that are wrong for a while count only between these times [s].
     """
     if not _is_measured(v):
         return []
@@ -52,7 +53,7 @@ def speed_doubts(
 
 
 def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
-    """Doubt about a measured speed that is not the motion of the poses, as in km/h; or empty.
+    """Warning that a measured speed does not match the poses, as in km/h; otherwise empty.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np
 
 
 def late_speed(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
-    """Doubt about a measured speed that is of another moment than its pose; or empty.
+    """Warning that a measured speed is late or early for its pose; otherwise empty.
 
     Parameters as of `speed_warning`.
     """
@@ -84,17 +85,17 @@ def late_speed(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.nd
         return ""
     return (
         f"{topic}: {of}the measured speed comes {when(lag)} the motion of the poses: speeds at "
-        "places, and speed errors, are those of another moment"
+        "places, and speed errors, belong to another moment"
     )
 
 
 def _is_measured(v):
-    # Odometry whose velocity nobody fills in has 0 in it.
+    # Odometry whose velocity is never filled in contains 0.
     return bool(np.isfinite(v).all() and v.any())
 
 
 def _not_the_motion(topic, at, moved, measured):
-    """Doubt about all of the speed, of what `chords` found."""
+    """Warning about the whole speed, from the results of `chords`."""
     moving = (moved > _MOVING) | (measured > _MOVING)
     if np.count_nonzero(moving) < 10:
         return ""
@@ -107,7 +108,7 @@ def _not_the_motion(topic, at, moved, measured):
 
 
 def _for_a_while(topic, t, v, begin, end, at, moved, measured):
-    """Doubt about a speed that is for a while, or once, not the motion of the poses."""
+    """Warning about a speed that does not match the poses for a while, or once."""
     within = (at > begin) & (at < end) & (np.maximum(moved, measured) > _DRIVES)
     with np.errstate(divide="ignore"):
         ratio = measured[within] / moved[within]
@@ -134,7 +135,7 @@ def _for_a_while(topic, t, v, begin, end, at, moved, measured):
 
 
 def _held(topic, t, v, begin, end, at, moved):
-    """Doubt about a speed that stays the same while the poses' varies."""
+    """Warning about a speed that stays the same while the poses' speed varies."""
     begins = np.flatnonzero(np.append(True, np.diff(v) != 0.0))
     ends = np.append(begins[1:], v.size) - 1
     long = (t[ends] - t[begins] > _HELD_S) & (t[ends] > begin) & (t[begins] < end)

@@ -19,7 +19,7 @@ def mean(values: np.ndarray, dt: np.ndarray) -> float:
 
 
 def rms(values: np.ndarray, dt: np.ndarray) -> float:
-    """Root mean square over time, of the finite pieces; NaN without any."""
+    """Root mean square over time of the finite intervals; NaN without any."""
     a, b = values[:-1], values[1:]
     squares = (a * a + a * b + b * b) / 3.0
     known = np.isfinite(squares)
@@ -37,17 +37,17 @@ def mean_abs(values: np.ndarray, dt: np.ndarray) -> float:
 
 
 def percentile_abs(values: np.ndarray, dt: np.ndarray, fraction: float) -> float:
-    """Magnitude that is not exceeded for a fraction of the time."""
+    """Magnitude not exceeded for a given fraction of the time."""
     a, b = np.abs(values[:-1]), np.abs(values[1:])
-    # A piece that changes sign falls to 0 and rises again: split it in two.
+    # Split intervals that change sign in two: the magnitude falls to 0 and rises again.
     split = values[:-1] * values[1:] < 0.0
     part = a[split] / (a[split] + b[split])
     low = np.concatenate((np.where(split, 0.0, np.minimum(a, b)), np.zeros(part.size)))
     high = np.concatenate((np.where(split, a, np.maximum(a, b)), b[split]))
     time = np.concatenate((dt, dt[split] * (1.0 - part)))
     time[: dt.size][split] *= part
-    # Each piece spends its time evenly between its ends, so the time spent below a magnitude is
-    # piecewise linear in it, with a slope that changes at the ends.
+    # The signal is linear in each interval, so the time spent below a magnitude is piecewise linear
+    # in that magnitude, with kinks at the ends of intervals.
     high = np.maximum(high, low + 1e-9)
     density = time / (high - low)
     edges = np.concatenate((low, high))
@@ -59,7 +59,7 @@ def percentile_abs(values: np.ndarray, dt: np.ndarray, fraction: float) -> float
 
 
 def mean_rate(values: np.ndarray, dt: np.ndarray) -> float:
-    """Mean absolute rate over time, of the finite pieces; NaN without any."""
+    """Mean absolute rate over time of the finite intervals; NaN without any."""
     steps = np.abs(np.diff(values))
     known = np.isfinite(steps)
     total = np.sum(dt[known])

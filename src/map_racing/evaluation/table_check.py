@@ -1,4 +1,4 @@
-"""Whether the steering lookup table is the car's: what was steered against what the table has."""
+"""Does the steering lookup table fit the car? Commanded steering angles against the table's."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from .profiles import RunProfile
 
 __all__ = ["Band", "table_check"]
 
-# Shares of the grip between which laps are looked at; less says nothing about tires.
+# Bands of the grip that are compared; less says nothing about tires.
 _BANDS = ((0.2, 0.5), (0.5, 0.8), (0.8, 1.2))
-# Fewer places say nothing.
+# Fewest places in a band.
 _FEWEST = 20
 
 
 class Band(NamedTuple):
-    """Turning at some share of the grip.
+    """Turning within a range of the grip.
 
     Attributes
     ----------
     low, high : float
-        Lateral acceleration as a share of what the tires give.
+        Lateral acceleration as a share of the tires' limit.
     share : float
-        Of the laps' length.
+        Share of the length of the laps.
     more_rad : float
-        Mean angle by which was steered more than the table has for the turning that was measured
-        [rad]: positive understeers more than the table says.
+        Mean steering angle minus the table's angle for the measured turning [rad]; positive if the
+        car understeers more than the table.
     per_angle : float
-        The same as a share of the mean angle of the table.
+        The same as a share of the table's mean angle.
     """
 
     low: float
@@ -49,12 +49,12 @@ def table_check(run: RunProfile) -> list[Band]:
     Returns
     -------
     list of Band
-        Those with enough turning; empty without table or commands.
+        Bands with enough turning; empty without table or commands.
 
     Notes
     -----
-    The command precedes the turning by the delay, so one place says little. Over a bend the lead at
-    its entry makes up for the one at its exit.
+    The command precedes the turning by the delay, so a single place says little. Over a bend, the
+    lead at the entry and the one at the exit cancel out.
     """
     if not run.counted:
         return []

@@ -1,4 +1,4 @@
-"""How fast the car drove and turned: as recorded, unless the path says that it cannot be."""
+"""Speed and yaw rate of a recording: as recorded, unless they contradict the path."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from .speed_doubts import late_speed, speed_warning
 
 __all__ = ["speed_driven", "turning_of"]
 
-# A rate adds up to the turning of the path within this share, where that is more than a half turn;
-# shorter steps of the path [m] have no direction, and nothing is known of longer pauses [s].
+# The integral of a rate must match the turning of the path within this share, if the path turns by
+# more than a half turn; shorter steps of the path [m] have no reliable direction; longer pauses [s]
+# are left out.
 _SHARE, _LEAST_STEP, _PAUSE = 0.3, 0.3, 0.25
 
 
 def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
-    """Yaw rate of a recording and what is to be said about it.
+    """Yaw rate of a recording, and notes about it.
 
-    It is the one recorded or, where that is missing or not the turning of the path (never filled
-    in, in degrees, of another axis), that of the heading.
+    It is the recorded one or, if that is missing or does not match the path (never filled in, in
+    degrees, of another axis), the rate of the heading.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
     Returns
     -------
     rate : ndarray, shape (n,)
-        Yaw rate [rad/s]; NaN where neither will do.
+        Yaw rate [rad/s]; NaN if neither is usable.
     notes : list of str
         Doubts begin with ``warning:``.
     """
@@ -39,11 +40,11 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
         turned, path = _turned(recording, rate)
         little = abs(path) < math.pi and (what == "heading" or rate.any())
         if little or abs(turned - path) < _SHARE * abs(path):
-            return rate, [f"{note}: that of the {what} is used" for note in notes]
+            return rate, [f"{note}: the rate of the {what} is used" for note in notes]
         notes.append(
-            f"warning: the {what} recorded turns by {turned:.1f} rad, the path by {path:.1f} rad"
+            f"warning: the recorded {what} turns by {turned:.1f} rad, the path by {path:.1f} rad"
             if rate.any()
-            else f"the {what} recorded does not change"
+            else f"the recorded {what} does not change"
         )
     left_out = "lateral acceleration and grip are left out"
     unknown = np.full(recording.t.size, np.nan)
@@ -54,9 +55,9 @@ def turning_of(recording: Recording) -> tuple[np.ndarray, list[str]]:
 
 
 def speed_driven(recording: Recording) -> tuple[np.ndarray, bool]:
-    """Speed of a recording [m/s], shape (n,), and whether it is the one measured.
+    """Speed of a recording [m/s], shape (n,), and whether it was measured.
 
-    Where that is missing or not the motion of the poses, or not at the time, it is their motion.
+    If the measured speed is missing, or does not match the poses or is late, it is their speed.
     """
     t, x, y = recording.t, recording.x, recording.y
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
@@ -66,7 +67,7 @@ def speed_driven(recording: Recording) -> tuple[np.ndarray, bool]:
 
 
 def _recorded(recording):
-    """Yaw rates that are known, the best first, with what they are of."""
+    """Known yaw rates, the best first, each with its origin."""
     if np.isfinite(recording.yaw_rate).all():
         yield "yaw rate", recording.yaw_rate
     if np.isfinite(recording.psi).all():
@@ -74,10 +75,10 @@ def _recorded(recording):
 
 
 def _turned(recording, rate):
-    """Angle by which a yaw rate and the path turn, added up [rad].
+    """Total angles [rad] by which a yaw rate and the path turn.
 
-    Where that of the path is less than a half turn, as on a figure eight, over the stretch in which
-    it turns farthest.
+    If the path turns by less than a half turn, as on a figure eight, both are over the stretch in
+    which it turns farthest.
     """
     t, x, y = recording.t, recording.x, recording.y
     kept = _apart(x.tolist(), y.tolist())
@@ -99,7 +100,7 @@ def _turned(recording, rate):
 
 
 def _apart(x, y):
-    """Indices of samples, each so far from the one before that noise hardly turns the course."""
+    """Indices of samples far enough apart that noise hardly turns the course."""
     kept = [0]
     for i in range(1, len(x)):
         if math.hypot(x[i] - x[kept[-1]], y[i] - y[kept[-1]]) > _LEAST_STEP:

@@ -1,8 +1,8 @@
-"""Many races, planned as they go: finished ones are read from disk, the others driven.
+"""Many races, planned step by step: finished ones are read from disk, the others driven.
 
 A plan is a generator: it yields lists of jobs, receives the list of their results in the same order
-to decide what to drive next, and returns its result. Plans advance independently of each other, and
-of the order and place in which their races are driven.
+to decide what to drive next, and returns its result. Plans advance independently of each other,
+whatever the order and place in which their races are driven.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Effort", "Plan", "carry_out"]
 
 
 class Plan(NamedTuple):
-    """A generator of jobs, and about how many jobs to expect."""
+    """A generator of jobs, and the approximate number of jobs."""
 
     steps: Generator
     expected: int
@@ -31,8 +31,7 @@ class Plan(NamedTuple):
 class Effort(NamedTuple):
     """Cost of a campaign.
 
-    Races driven, races found on disk, and of the former the processor time [s] and the time that
-    was simulated [s].
+    Races driven, races found on disk, and processor time and simulated time of the former [s].
     """
 
     driven: int
@@ -60,7 +59,7 @@ def carry_out(
     ----------
     plans : list of Plan
     store : Store
-        Searched before a race is driven; each result is kept at once.
+        Searched before a race is driven; each result is stored at once.
     executor : concurrent.futures.Executor
     capacity : int
         Largest number of submitted jobs.
@@ -112,7 +111,7 @@ class _Campaign:
             self._advance(index, None)
 
     def take(self, job, executed):
-        """Keep a driven race, and advance the plans that waited for it."""
+        """Store a driven race, and advance the plans that waited for it."""
         self._store.keep(job, executed.result, executed.bag)
         self.driven += 1
         self.cpu_s += executed.cpu_s
@@ -124,7 +123,7 @@ class _Campaign:
                 self._advance(index, self._batches.pop(index))
 
     def _advance(self, index, results):
-        """Send results to a plan until it waits for a race that has to be driven."""
+        """Send results to a plan until it needs a race that must be driven."""
         steps = self._plans[index].steps
         while True:
             try:
@@ -151,7 +150,7 @@ class _Campaign:
 
     @property
     def effort(self):
-        """What it cost, as an `Effort`."""
+        """Cost so far, as an `Effort`."""
         return Effort(self.driven, self.found, self.cpu_s, self.simulated_s)
 
     @property
@@ -165,7 +164,7 @@ class _Campaign:
         )
 
     def show(self, bar):
-        """Progress; races found took no time and must not count in the estimate of the rest."""
+        """Show progress; races found on disk must not affect the estimate of the rest."""
         bar.total = self.expected
         bar.initial = self.found
         bar.n = sum(self._done)

@@ -1,6 +1,6 @@
-"""What adaptation is worth: a race at the limit that begins with what the vehicle file says.
+"""The value of adaptation: a race at the limit that begins with the tires of the vehicle file.
 
-Beside it the controller that was told the car's true tires and delay.
+It is compared with a controller that knows the car's true tires and delay.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ LOST_IN, COMPARED = 2, 4
 
 
 class Learned(NamedTuple):
-    """A race of the controller that learns, and a lap of it beside the laps of one that was told.
+    """A race of the controller that learns, compared with one that knows the tires.
 
     Parameters
     ----------
     outcome : str
     lap_s, told_lap_s : float
-        The last lap, and the mean lap of the one that was told [s]; NaN where none counts.
+        The lap compared, and the mean lap of the controller that knows the tires [s]; NaN if none
+        counts.
     error_m : float
         Largest distance from the raceline [m].
     clearance_m : float
@@ -44,7 +45,7 @@ class Learned(NamedTuple):
 
     @property
     def slower(self) -> float:
-        """How much longer the lap is, as a share."""
+        """Relative increase of the lap time."""
         return self.lap_s / self.told_lap_s - 1.0
 
 
@@ -54,10 +55,10 @@ def cold_start(job: RaceJob) -> Learned:
     Parameters
     ----------
     job : RaceJob
-        Car, track, seed, what is believed before, and the controller to be told; its scale and
+        Car, track, seed, initial tires, and the controller that knows the true ones; its scale and
         number of laps do not matter.
     """
-    return _beside(execute(_learning(job, LAPS)).result, LAPS, job)
+    return _compared(execute(_learning(job, LAPS)).result, LAPS, job)
 
 
 def loss_of_grip(job: RaceJob, factor: float = 0.8, at: float = 0.5) -> Learned:
@@ -70,18 +71,18 @@ def loss_of_grip(job: RaceJob, factor: float = 0.8, at: float = 0.5) -> Learned:
     factor : float
         On the friction.
     at : float
-        Share of the lap that is driven by then.
+        Place of the loss, as a share of the lap.
     """
     plant = job.plant
     before = execute(_learning(job, LOST_IN)).result
     lost = before.laps[LOST_IN - 1] if len(before.laps) >= LOST_IN else None
     if lost is None:
-        return _beside(before, COMPARED, job)
+        return _compared(before, COMPARED, job)
     change = {"factor": factor, "after_s": lost.start_time_s + at * lost.lap_time_s}
     changed = dataclasses.replace(plant, grip_changes=(change,))
     weak = dataclasses.replace(plant, mu_scale=factor * plant.mu_scale)
     result = execute(_learning(dataclasses.replace(job, plant=changed), COMPARED)).result
-    return _beside(result, COMPARED, dataclasses.replace(job, plant=weak))
+    return _compared(result, COMPARED, dataclasses.replace(job, plant=weak))
 
 
 def _learning(job, laps):
@@ -92,14 +93,14 @@ def _learning(job, laps):
     return dataclasses.replace(job, name=CONTROLLER, controller=settings, laps=laps)
 
 
-def _beside(result: RaceResult, lap: int, job: RaceJob) -> Learned:
-    """Lap `lap` of a race beside those of a controller that was told of the job's car."""
-    told = [own.lap_time_s for own in execute(at_the_limit(job, *truth(job))).result.laps]
+def _compared(result: RaceResult, lap: int, job: RaceJob) -> Learned:
+    """Compare lap `lap` of a race with those of a controller that knows the job's car."""
+    informed = [own.lap_time_s for own in execute(at_the_limit(job, *truth(job))).result.laps]
     found = [own.lap_time_s for own in result.laps][lap - 1 : lap]
     return Learned(
         result.outcome,
         found[0] if found else math.nan,
-        float(np.mean(told)) if told else math.nan,
+        float(np.mean(informed)) if informed else math.nan,
         max((part.max_abs_lateral_error_m for part in result.stretches), default=math.nan),
         min((part.min_clearance_m for part in result.stretches), default=math.nan),
     )

@@ -21,7 +21,7 @@ __all__ = ["Conditions", "Day", "day_of", "load_conditions"]
 
 
 def _deviation(what):
-    # With more than 0.2, factors of 0 would be drawn.
+    # With more than 0.2, factors of 0 could be drawn.
     text = f"Standard deviation of the factor on {what} from day to day"
     return parameter(text, low=0.0, high=0.2)
 
@@ -105,7 +105,7 @@ def day_of(
     plant: PlantParameters | PublicSimulatorParameters, conditions: Conditions, seed: int
 ) -> Day:
     """The plant on the day of a seed, from the plant on the day of identification."""
-    # A stream of its own, independent of the noise, which is seeded with the number itself.
+    # A random stream of its own, independent of the noise, which is seeded with the number itself.
     gauss = random.Random(f"tires of race day {seed}").gauss
     mu, front, rear = (
         gauss(1.0, deviation)

@@ -26,17 +26,17 @@ from ..errors import MapRacingError, ParameterError
 
 __all__ = ["SerialExecutor", "carried_out", "check_workers", "open_executor"]
 
-# One race uses one core. Without these, each process would start a thread per core for linear
-# algebra.
+# One race uses one core. Without these, each process would start one linear-algebra thread per
+# core.
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 _PATIENCE = 10.0  # for a scheduler to answer [s]
 
 
 class SerialExecutor(Executor):
-    """Runs each job at once, in this process."""
+    """Runs each job immediately, in this process."""
 
     def submit(self, fn: Callable, *args: Any, **kwargs: Any) -> Future:
-        """Run a job at once; an interruption by the user is raised, not kept in the future."""
+        """Run a job immediately; a keyboard interrupt is raised, not stored in the future."""
         future = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -48,7 +48,7 @@ class SerialExecutor(Executor):
 def carried_out(
     executor: Executor, capacity: int, draw: Callable[[], tuple | None]
 ) -> Iterator[tuple[Any, Any]]:
-    """Carry out jobs, as many at a time as keep an executor busy.
+    """Carry out jobs, with enough of them submitted to keep an executor busy.
 
     Parameters
     ----------
@@ -56,13 +56,13 @@ def carried_out(
     capacity : int
         Largest number of submitted jobs.
     draw : callable
-        Gives the next job as ``(name, function, *arguments)``, or None where there is none until
-        a result has been taken.
+        Returns the next job as ``(name, function, *arguments)``, or None if there is none before
+        another result.
 
     Yields
     ------
     name, result
-        As they end.
+        In the order in which they end.
 
     Raises
     ------
@@ -76,7 +76,8 @@ def carried_out(
                 job = draw()
                 if job is None:
                     break
-                running[executor.submit(*job[1:])] = job[0]
+                with _interruptions_later():
+                    running[executor.submit(*job[1:])] = job[0]
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -84,6 +85,19 @@ def carried_out(
     finally:
         for future in running:
             future.cancel()
+
+
+@contextmanager
+def _interruptions_later():
+    """Hold Ctrl-C back, also from a process that starts here and cannot yet ignore it."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _result(future):
@@ -96,12 +110,12 @@ def _result(future):
 
 
 def check_workers(jobs: int | None, scheduler: str | None) -> None:
-    """Refuse what `open_executor` cannot open, whose arguments these are.
+    """Refuse arguments that `open_executor` cannot use.
 
     Raises
     ------
     ParameterError
-        If the number of jobs is not positive, or both are given.
+        If the number of jobs is not positive, or both arguments are given.
     """
     if jobs is not None and jobs < 1:
         raise ParameterError(f"jobs: expected at least 1, got {jobs}")
@@ -139,14 +153,13 @@ def open_executor(
     if jobs == 1:
         yield SerialExecutor(), 1
         return
-    # Fresh processes instead of copies of this one, which may have threads. They read the
-    # environment when they import numpy.
+    # Spawned, not forked: this process may have threads. Numpy reads the environment on import.
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
     try:
         pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin_work)
         with pool:
-            # Twice as many, so that each process finds its next job waiting.
+            # Twice as many, so that a job is always waiting for each process.
             yield pool, 2 * jobs
     finally:
         for name, value in before.items():
@@ -164,7 +177,7 @@ def _cores():
 
 
 def _begin_work():
-    """In each process: leave interruptions to the parent, and end with it."""
+    """Set up a process: ignore keyboard interrupts, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch():
@@ -188,10 +201,10 @@ def _dask(address):
         # can block the next one: only connect to a scheduler that answers.
         socket.create_connection(get_address_host_port(address), timeout=_PATIENCE).close()
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError) as error:  # a timeout is an OSError there
+    except (OSError, ValueError) as error:  # distributed's timeout is an OSError
         raise MapRacingError(f"{address}: no Dask scheduler answers: {error}") from None
     with client:
-        # Not of `scheduler_info`, which some versions cut off after five workers.
+        # Not from `scheduler_info`, which some versions truncate to five workers.
         threads = sum(client.nthreads().values())
         if not threads:
             raise MapRacingError(f"{address}: the Dask scheduler has no workers")

@@ -20,8 +20,8 @@ __all__ = ["SPEEDS_MPS", "STEADY", "identify_on"]
 # From rolling to the limit of grip, for a 1:10 car: at 4 m/s and 1 g the circle has a radius of
 # 1.6 m.
 SPEEDS_MPS = (2.0, 3.0, 4.0)
-# A road car hardly understeers, and the faster it is, the more of its steering that is: shares of
-# its top speed.
+# A road car hardly understeers; at higher speed, understeer is a larger part of its steering.
+# Shares of its top speed.
 SPEED_SHARES = (1.0 / 3.0, 1.0 / 2.0, 2.0 / 3.0)
 # At 4 m/s the ramp itself changes the yaw rate by 0.26 rad/s^2; the bang-bang servo of the public
 # simulator adds at least as much chatter.
@@ -33,7 +33,7 @@ def identify_on(
 ) -> Identification:
     """Drive ramps, record them in `bag` and identify the tires from the recording.
 
-    Mass and geometry of the plant are taken as known, the tires are not; `seed` sets the noise.
+    Mass and geometry of the plant are known, the tires are not; `seed` sets the noise.
     """
     vehicle = plant.vehicle
     speeds = SPEEDS_MPS

@@ -1,8 +1,8 @@
 """A race as a job: a description that can be sent anywhere, and its result.
 
-`execute` depends on nothing but its arguments, so a job has the same result in any process on any
-computer with the same libraries. The fingerprint of a job covers its content and the code that
-drives it; results are kept and found by it.
+`execute` depends only on its arguments, so a job has the same result in any process on any computer
+with the same libraries. The fingerprint of a job covers its content and the code that drives it;
+results are stored under it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = [
     "lap_row",
 ]
 
-# Packages and modules that decide how a race goes and what is measured.
+# Packages and modules that determine a race and its measurements.
 _DECISIVE = (
     *("vehicle", "track", "control", "simulation"),
     *(f"evaluation/{name}.py" for name in ("laps", "results", "speed", "statistics")),
@@ -57,7 +57,7 @@ class RaceJob:
     Parameters
     ----------
     name : str
-        Of the controller, for tables and files; not part of the fingerprint.
+        Name of the controller, for tables and files; not part of the fingerprint.
     controller : ControllerParameters or MpcParameters
         With the scale of the speeds.
     vehicle : Vehicle
@@ -70,7 +70,7 @@ class RaceJob:
     seed : int
         Of the noise.
     slowdown : float, optional
-        As in `race`: the time of a step counts, times this.
+        Factor on the computing time of a step, as in `race`.
     """
 
     name: str = field(compare=False)
@@ -136,7 +136,7 @@ class End(NamedTuple):
 
 
 class RaceResult(NamedTuple):
-    """What a race gave.
+    """Result of a race.
 
     Parameters
     ----------
@@ -147,11 +147,11 @@ class RaceResult(NamedTuple):
     duration_s : float
         Simulated time [s].
     path : tuple of (float, float, float)
-        Time [s] and true position [m] at each control step; empty unless asked for.
+        Time [s] and true position [m] at each control step; empty unless requested.
     end : End or None
-        None if it was over before the first control step.
+        None if the race ended before the first control step.
     work : Work or None
-        What the steps cost, if the race had a ``slowdown``.
+        Computing time of the steps, if the race had a ``slowdown``.
     lateral_mps2 : float
         Lateral acceleration, speed times yaw rate, that is exceeded 1 % of the time [m/s^2].
     """
@@ -185,7 +185,7 @@ class Executed(NamedTuple):
 
 
 def execute(job: RaceJob, path: bool = False, bag: bool = False) -> Executed:
-    """Drive a race; return its true path, and its bag, if asked for."""
+    """Drive a race; return its true path and its bag if requested."""
     begin = process_time()
     plant, localization = build_plant(job.plant, job.seed)
     controller = build_law(job.controller, job.vehicle, job.raceline)
@@ -214,7 +214,7 @@ def _end_of(log, raceline):
 
 
 def _bag_of(log, raceline):
-    """The bag of a race as bytes, which travel from any process or computer."""
+    """The bag of a race as bytes, which can be sent from any process or computer."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "race.bag"
         write_race_bag(path, log, raceline)
@@ -256,5 +256,5 @@ def plain(value: Any) -> Any:
 
 
 def code_fingerprint() -> str:
-    """Sixteen hexadecimal digits of the version and the sources that decide a race."""
+    """Sixteen hexadecimal digits for the version and the sources that determine a race."""
     return fingerprint_of_code(_DECISIVE)

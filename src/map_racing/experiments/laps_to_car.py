@@ -1,7 +1,7 @@
-"""From cautious laps to a car that is raced at the limit: what identification from laps is worth.
+"""From cautious laps to a race at the limit: the value of identification from laps.
 
-A car is driven at part of the speed by what its file says, identified from half a minute of that,
-and raced with what was found; and, to compare, with its true tires and delay.
+A car is driven at reduced speed with the tires of its file, identified from half a minute of laps,
+and raced with the result and, for comparison, with its true tires and delay.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ FASTEST_MPS = 8.0
 
 
 class Found(NamedTuple):
-    """What was found of a car, and the races with that and with the truth.
+    """Result of an identification, and of the races with it and with the truth.
 
     Parameters
     ----------
     outcome, true_outcome : str
     lap_s, true_lap_s : float
-        Mean laps [s]; NaN where none counts.
+        Mean laps [s]; NaN if none counts.
     friction, front, rear : float
-        Found over true: friction, and cornering stiffness of both axles, friction included.
+        Identified over true value: friction, and cornering stiffness of both axles including
+        friction.
     friction_determined : bool
     delay_error_s : float
-        Of ``delay_s``; NaN where it was not determined.
+        Error of ``delay_s``; NaN if it was not determined.
     """
 
     outcome: str
@@ -53,7 +54,7 @@ class Found(NamedTuple):
 
 
 def nine_cars(tracks: list[str], generated_seeds: list[int], seed: int) -> Grid:
-    """The cars of the robustness grid that are made from ``nuc4``, on some tracks.
+    """The cars of the robustness grid derived from ``nuc4``, on given tracks.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def truth(job: RaceJob) -> tuple[Vehicle, float]:
 def at_the_limit(
     job: RaceJob, vehicle: Vehicle, delay_s: float, grip_use: float = GRIP_USE, laps: int = LAPS
 ) -> RaceJob:
-    """The race of a job's controller that believes in these tires and this delay."""
+    """The race of a job whose controller uses these tires and this delay."""
     settings = job.controller.with_(speed_scale=1.0, grip_use=grip_use, delay_s=delay_s)
     return dataclasses.replace(job, controller=settings, vehicle=vehicle, laps=laps)
 
@@ -93,10 +94,10 @@ def laps_to_car(job: RaceJob, grip_use: float = GRIP_USE) -> Found:
     Parameters
     ----------
     job : RaceJob
-        Car, track, controller and what it believes before; its scale and number of laps do not
+        Car, track, controller and its initial model of the car; its scale and number of laps do not
         matter.
     grip_use : float
-        Of the races.
+        For both races.
     """
     run = _cautious_laps(job)
     laps = identify_car([run], job.vehicle).laps

@@ -1,4 +1,4 @@
-"""The experiments of the paper: the races they take and the tables they give.
+"""The experiments of the paper: their races and tables.
 
 Becker et al., ICRA 2023, section on the experiments: *velocity scaling* (laps at rising speed until
 a crash, pure pursuit and MAP) and *tire models* (pure pursuit, MAP with linear tires and MAP with
@@ -49,7 +49,7 @@ class Contender(NamedTuple):
     tuned: bool
 
 
-# The published controllers, each tuned by itself, and those of this package, untuned: the default,
+# The published controllers, each tuned separately, and those of this package, untuned: the default,
 # and the one that learns the tires of the day.
 CONTENDERS = (
     Contender("pure pursuit", "pure_pursuit_paper", True),
@@ -64,7 +64,7 @@ CONTENDERS = (
 class Setting:
     """Conditions with everything loaded; the vehicles are the models of the controllers.
 
-    With a ``slowdown`` the computing time of the controllers counts, times this; see `race`.
+    With a ``slowdown``, the computing time of the controllers times this factor counts; see `race`.
     """
 
     conditions: Conditions
@@ -134,9 +134,10 @@ def scaling_plan(
     scales: Sequence[float],
     until_failure: bool = True,
 ) -> Plan:
-    """Plan that races on one day at each scale, in their order until a race is not completed.
+    """Plan that races on one day at rising scales until a race is not completed.
 
-    With ``until_failure`` False at all of them, at the same time. Its result is a list of `Race`.
+    If ``until_failure`` is False, it races at all scales, in parallel. Its result is a list of
+    `Race`.
     """
 
     def steps():
@@ -159,9 +160,9 @@ def scaling_plan(
 def race_frame(races: list[Race]) -> pd.DataFrame:
     """One row for each race, with its seed.
 
-    Lateral errors and the top speed cover everything driven after the out-lap (the out-lap itself
-    where the race ended there): mean over time, and maximum. The lateral acceleration of the race
-    is exceeded 1 % of the time.
+    Lateral errors (mean over time, and maximum) and top speed cover everything after the out-lap,
+    or the out-lap if the race ended in it. The lateral acceleration of the race is exceeded 1 % of
+    the time.
     """
     rows = []
     for race in races:
@@ -213,7 +214,7 @@ def lap_frame(races: list[Race]) -> pd.DataFrame:
         for stretch in race.result.stretches
     ]
     columns = ["speed_scale", "controller", "seed", "outcome", *LAP_COLUMNS]
-    # Without any lap the column would hold no truth values.
+    # Without any lap the column would not be boolean.
     return _sorted(pd.DataFrame(rows, columns=columns).astype({"valid": bool}))
 
 
@@ -265,8 +266,8 @@ def scaling_table(races: pd.DataFrame, laps: pd.DataFrame) -> pd.DataFrame:
 def tire_table(races: pd.DataFrame) -> pd.DataFrame:
     """Tire models: one row for each scale and controller, with the paper's columns.
 
-    Means over the days of lap time and mean lateral error, and the largest lateral error, on the
-    days completed or, without any, on all days up to the crash. `races` is from `race_frame`.
+    Means over days of lap time and mean lateral error, and largest lateral error, over the days
+    completed or, without any, over all days up to the crash. `races` is from `race_frame`.
     """
     rows = []
     for (scale, label), group in races.groupby(["speed_scale", "controller"], sort=False):
@@ -287,7 +288,7 @@ def tire_table(races: pd.DataFrame) -> pd.DataFrame:
 
 
 def _completion(group):
-    """How many days were raced and completed, and after how many laps the others ended."""
+    """Number of days raced and completed, and of laps after which the others ended."""
     ended = group[group.outcome != "completed"]
     return {
         "days": len(group),

@@ -36,7 +36,7 @@ __all__ = [
 
 FILE = "results.json"
 KEYS = ["speed_scale", "controller"]
-# Parameters that are tuned, of both laws: a table has those of its controllers.
+# Tuned parameters of both laws: a table has those of its controllers.
 TUNED = [*ControllerParameters.TUNED, *MpcParameters.TUNED]
 # Columns to compare, by kind.
 COMPARED = {
@@ -83,7 +83,7 @@ class Results:
 
 
 def software() -> dict[str, str]:
-    """Versions of the code and of what computes its numbers."""
+    """Versions of the code and of the libraries that affect its numbers."""
     return {
         "map_racing": __version__,
         "code": code_fingerprint(),
@@ -214,7 +214,7 @@ def compare(a: Results, b: Results) -> Comparison:
         If they are of different experiments or tracks, or have no row in common.
     """
     if a.kind != b.kind:
-        raise ParameterError(f"cannot compare {a.kind} with {b.kind}")
+        raise ParameterError(f"cannot compare {a.kind} with {b.kind}: expected one experiment")
     tracks = [results.provenance["track"] for results in (a, b)]
     if tracks[0]["sha256"] != tracks[1]["sha256"]:
         names = [track.get("name") or "a track without name" for track in tracks]
@@ -230,7 +230,7 @@ def compare(a: Results, b: Results) -> Comparison:
     both = [key for key in rows_a if key in rows_b]
     if not both:
         raise ParameterError("cannot compare: no scale and controller in common")
-    # Controllers of different laws are tuned by other parameters.
+    # Controllers of different laws have different tuned parameters.
     known = set(a.table.columns) & set(b.table.columns)
     values, rows = [value for value in COMPARED[a.kind] if value in known], []
     for key in both:
@@ -246,7 +246,7 @@ def compare(a: Results, b: Results) -> Comparison:
         (name, flat_a.get(name, "-"), flat_b.get(name, "-"))
         for name in dict.fromkeys([*flat_a, *flat_b])
         if flat_a.get(name, "-") != flat_b.get(name, "-")
-        # The seeds already say which days were raced in only one of them.
+        # The seeds already show which days were raced in only one of them.
         and (name in flat_a and name in flat_b or not name.startswith("days."))
     ]
     return Comparison(

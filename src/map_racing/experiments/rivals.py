@@ -22,7 +22,8 @@ RIVALS = (
     Contender("MPC single-track", "mpc_single_track", True),
 )
 
-# What the controllers wrongly believe: name, more delay [s], and factors on friction and stiffness.
+# Wrong beliefs of the controllers: name, additional delay [s], and factors on friction and
+# stiffness.
 BELIEFS = (
     ("as identified", 0.0, 1.0, 1.0),
     ("delay + 20 ms", 0.02, 1.0, 1.0),
@@ -37,8 +38,8 @@ BELIEFS = (
 def sensitivity_plan(setting, label, controller, seed, laps, scales):
     """Plan that races on one day at one speed with each of the `BELIEFS`.
 
-    Its result is a list of (belief, Race). A controller without delay compensation is raced with
-    it only as given.
+    Its result is a list of (belief, Race). A controller without delay compensation skips the
+    beliefs about delay.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def work_frame(races, controllers, tuned, memory):
 
 
 def _numbers(controller):
-    """How many numbers tune a controller, without those of the speeds, which all have."""
+    """Number of a controller's parameters, without those of the speeds, which all have."""
     speeds = ("speed_lookahead_s", "speed_scale", "v_max_mps", "grip_use")
     speeds += ("a_drive_max_mps2", "a_brake_max_mps2")
     names = [f.name for f in fields(controller) if f.name not in speeds]

@@ -1,4 +1,4 @@
-"""The grid of tracks and cars on which a controller has to hold."""
+"""The grid of tracks and cars that a controller must cope with."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class Robustness:
     plant : str
         Shipped plant or plant file that the cars are made from.
     cars : dict of str to dict
-        Name of a car to the plant's parameters that it differs in: a number instead of the
-        plant's, or a text ``"x 0.9"`` for a factor on it. Its ``plant`` may be another one, and
-        ``vehicle`` the car that the controller believes in: that of the plant file if not given.
+        Maps the name of a car to the parameters in which it differs from the plant: a number, or a
+        text ``"x 0.9"`` for a factor. ``plant`` replaces the plant, and ``vehicle`` is the
+        controller's model of the car (default: the vehicle of the plant file).
     tracks : tuple of str
         Shipped tracks, raceline files or ``bag[#topic]``.
     generated_seeds : tuple of int
-        Seeds of generated tracks, each of the shape `any_shape` gives it.
+        Seeds of generated tracks, with shapes from `any_shape`.
     bumps : tuple of dict
-        Sideways bumps, as lines have them that were recorded or drawn by hand. With any, each track
-        is raced once for each of them and not without: ``place``, where it begins as a share of
-        the lap, its ``length_m``, and ``offset_m``, its height, positive to the left.
+        Sideways bumps, as in recorded or hand-drawn lines. If there are any, each track is raced
+        once with each of them and not without: ``place``, its beginning as a share of the lap,
+        ``length_m``, and ``offset_m``, its height, positive to the left.
     speed_scale : float
         Scale of the raceline's speeds.
     laps : int
@@ -61,7 +61,7 @@ class Robustness:
     Raises
     ------
     ParameterError
-        For an impossible value, naming it.
+        If a value is impossible; the message names it.
     """
 
     plant: str
@@ -120,8 +120,8 @@ def load_robustness(source):
 def any_shape(seed):
     """Shape of a generated track, drawn by its seed.
 
-    20 to 60 m long, bends from 0.8 to 1.5 m, 0 to 3 straights, left or right, and speeds for 7 to
-    12.6 m/s^2 of lateral acceleration, of which NUC4's tires hold 7.
+    20 to 60 m long, bend radii from 0.8 to 1.5 m, 0 to 3 straights, left or right, and speeds for 7
+    to 12.6 m/s^2 of lateral acceleration (NUC4's tires hold 7).
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def any_shape(seed):
 
 
 def drawn(seed, vehicle):
-    """The generated track of a seed, of the shape `any_shape`, in the size of a vehicle.
+    """The generated track of a seed, with a shape from `any_shape`, scaled to a vehicle.
 
     Parameters
     ----------
@@ -167,8 +167,7 @@ def drawn(seed, vehicle):
 def bumped(raceline, place, length_m, offset_m):
     """A raceline with a sideways bump ``offset sin^2(pi u)``, u from 0 to 1 along its length.
 
-    Speeds and walls stay where they are. Where the bump comes closer than 0.2 m to a wall, that is
-    moved away from it.
+    Speeds and walls stay where they are, but a wall closer than 0.2 m to the bump is moved away.
 
     Parameters
     ----------
@@ -181,7 +180,7 @@ def bumped(raceline, place, length_m, offset_m):
     Returns
     -------
     Raceline
-        It may cross itself where the bump is higher than the radius of a bend.
+        It may cross itself if the bump is higher than the radius of a bend.
 
     Raises
     ------
@@ -207,7 +206,7 @@ def bumped(raceline, place, length_m, offset_m):
 
 
 class Car(NamedTuple):
-    """A car of the grid: its name, its plant, and the vehicle that the controller believes in."""
+    """A car of the grid: its name, its plant, and the controller's model of it."""
 
     name: str
     plant: object
@@ -216,7 +215,7 @@ class Car(NamedTuple):
 
 @dataclass(frozen=True)
 class Grid:
-    """Tracks and cars of `conditions` with everything loaded."""
+    """Loaded tracks and cars of `conditions`."""
 
     conditions: Robustness
     loaded: dict = field(init=False, repr=False)
@@ -237,11 +236,11 @@ class Grid:
 
     @property
     def vehicle(self):
-        """The vehicle of the plant that the cars are made from; its size is that of the tracks."""
+        """Vehicle of the base plant; the generated tracks are scaled to its size."""
         return load_plant(self.conditions.plant).vehicle
 
     def jobs(self, label, controller):
-        """The races of a controller: every car on every track, the cars of a track together.
+        """The races of a controller: every car on every track, grouped by track.
 
         Parameters
         ----------
@@ -270,7 +269,7 @@ class Grid:
 
     @property
     def notes(self):
-        """What the user should know about tracks and cars."""
+        """Notes for the user about tracks and cars."""
         notes = [
             f"{source}: {finding}"
             for source, track in self.loaded.items()
@@ -278,7 +277,7 @@ class Grid:
             if finding.severity == WARNING
         ]
         notes += [
-            f"{source}: no walls are known, so no crash is seen"
+            f"{source}: no walls are known, so crashes are not detected"
             for source, track in self.loaded.items()
             if track.d_left is None
         ]

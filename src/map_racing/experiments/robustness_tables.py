@@ -27,8 +27,8 @@ def race_rows(grid, label, results):
     -------
     pandas.DataFrame
         ``controller track car outcome laps_completed lap_time_s rms_lateral_error_m
-        max_abs_lateral_error_m end_s_m cause``: median lap time, RMS error over all laps, and of a
-        race that was not completed where it ended and why.
+        max_abs_lateral_error_m end_s_m cause``: median lap time, RMS error over all laps and, if a
+        race was not completed, where and why it ended.
     """
     rows = []
     for (track, car), result in zip(grid.names, results):
@@ -87,8 +87,8 @@ def grid_table(races, scale):
     Returns
     -------
     pandas.DataFrame
-        ``races``, of which ``races_completed``; ``worst_`` and ``mean_rms_lateral_error_m``,
-        ``max_abs_lateral_error_m`` and ``mean_lap_time_s`` of these.
+        ``races`` and ``races_completed``; of the latter, ``worst_`` and
+        ``mean_rms_lateral_error_m``, ``max_abs_lateral_error_m`` and ``mean_lap_time_s``.
     """
     rows = []
     for label, group in races.groupby("controller", sort=False):
@@ -115,7 +115,7 @@ def grid_provenance(grid, controllers):
     ----------
     grid : Grid
     controllers : dict of str to ControllerParameters
-        What was raced, by label.
+        Controllers raced, by label.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""A season of bags: each evaluated once, in any number of processes, and kept on disk.
+"""A season of bags: each evaluated once, in any number of processes, and stored on disk.
 
-What is kept of a bag holds as long as its files and those of the tracks given have the same sizes
-and times of change, the options are the same, and so is the code that evaluates.
+The stored rows of a bag are valid as long as sizes and modification times of its files and of the
+given tracks, the options, and the evaluating code stay the same.
 """
 
 from __future__ import annotations
@@ -65,16 +65,17 @@ COLUMNS = (
 )
 """Columns of the table of heats."""
 
-# Rooms and modules that decide what is kept of a bag.
+# Packages and modules that affect the stored rows of a bag.
 _DECISIVE = (
     *("", "bags", "vehicle", "track", "track/files", "control", "evaluation"),
     "experiments/season.py",
 )
-# Two lines are of the same track if their lengths differ less, and no place of one is farther from
-# the other [m]; another raceline between the same walls is.
+# Two lines belong to the same track, as different racelines between the same walls, if their
+# lengths differ by at most this share, and their distance is at most the second number on average
+# and the third anywhere [m].
 _SAME_LENGTH, _SAME_MEAN, _SAME_PLACE = 0.1, 0.5, 2.0
 _PLACES = 150
-# Bags that a process evaluates at once, where there are many; an interruption loses as many.
+# Bags per job, if there are many; an interruption loses that many.
 _MOST_AT_ONCE = 8
 _SUMMARY = {
     "laps": "laps_completed",
@@ -95,7 +96,7 @@ class BagOptions(NamedTuple):
     Attributes
     ----------
     tracks : tuple of str
-        Racelines to evaluate bags on that have none, see `map_racing.track.files.load`.
+        Racelines for bags without one, see `map_racing.track.files.load`.
     car_width : float
         See `map_racing.evaluation.laps.LapEvaluator`.
     max_deviation : float or None
@@ -108,7 +109,7 @@ class BagOptions(NamedTuple):
 
 
 class Season(NamedTuple):
-    """Heats in the order of their dates, rows by `COLUMNS`; bags that were read, and kept ones."""
+    """Heats by date, as rows with `COLUMNS`; numbers of bags read and of known ones."""
 
     heats: list
     read: int
@@ -122,14 +123,14 @@ def evaluate_season(
     executor: Executor,
     capacity: int,
 ) -> Season:
-    """Evaluate bags that are not yet known, and put all heats together.
+    """Evaluate bags that are not yet known, and combine all heats.
 
     Parameters
     ----------
     bags : sequence of pathlib.Path or tuple of pathlib.Path
         As from `map_racing.experiments.season_bags.find_bags`.
     output : str or pathlib.Path
-        Folder in which results are kept, each at once, so that an interrupted season continues.
+        Folder where each result is stored at once, so that an interrupted season continues.
     options : BagOptions
     executor : concurrent.futures.Executor
         See `map_racing.experiments.executors.open_executor`.
@@ -140,8 +141,8 @@ def evaluate_season(
     -------
     Season
         With a row for each run of each bag; one that cannot be read has a ``reason``. Beside
-        `COLUMNS` a row has ``given``, which of the tracks it was evaluated on; empty for the
-        raceline in the bag.
+        `COLUMNS` a row has ``given``, the track of `options` on which it was evaluated; empty for
+        the raceline in the bag.
 
     Raises
     ------
@@ -182,7 +183,7 @@ def evaluate_season(
         for row in heats[path]:
             reason = _without_name(row["reason"], path)
             row = dict(row, bag=source_name(path), reason=reason)
-            # Simulated races have no date: the later one was written later.
+            # Simulated races have no date: order them by the time of writing.
             written = _written(path) if row["date"] == SIMULATED else 0
             rows.append((row["date"], written, row["bag"], row["run"], row))
     rows = [row for *_, row in sorted(rows, key=lambda entry: entry[:-1])]
@@ -191,14 +192,14 @@ def evaluate_season(
 
 
 def _absolute(source):
-    """Names of files as any process finds them."""
+    """File names as absolute paths, valid in any process."""
     if isinstance(source, tuple):
         return tuple(os.path.abspath(str(part)) for part in source)
     return os.path.abspath(str(source))
 
 
 def _without_name(reason, path):
-    """A reason without the name of its bag, which its row has, or without the folder of it."""
+    """A reason without the name or folder of its bag, which is in the row anyway."""
     name = f"{source_name(_absolute(path))}: "
     if reason.startswith(name):
         return reason[len(name) :]
@@ -209,7 +210,7 @@ def _without_name(reason, path):
 
 
 def _evaluate_bags(paths, options):
-    """Code, and of each bag its rows and whether they will be the same again; in any process."""
+    """Fingerprint of the code, and each bag's rows and whether to store them; for any process."""
     return fingerprint_of_code(_DECISIVE), [_evaluate_bag(path, options) for path in paths]
 
 
@@ -218,7 +219,7 @@ def _evaluate_bag(path, options):
         return _rows(path, options), True
     except MapRacingError as error:
         return [_row(path, reason=str(error))], True
-    except Exception as error:  # one bag must not end a season; it is tried again
+    except Exception as error:  # one bag must not end a season; it is tried again next time
         return [_row(path, reason=f"{type(error).__name__}: {error}")], False
 
 
@@ -257,7 +258,7 @@ def _rows(path, options):
 
 
 def _runs(recording, options):
-    """The track that it was evaluated on, empty for racelines in the recording, and the runs."""
+    """The track used (empty for racelines in the recording), and the runs."""
     more = {
         "car_width": options.car_width,
         "limits": LapLimits(max_deviation=options.max_deviation),
@@ -265,19 +266,21 @@ def _runs(recording, options):
     if recording.waypoints is not None:
         return "", evaluate_runs(recording, **more)
     if not options.tracks:
-        raise EvaluationError(f"{recording.source}: no raceline in it; give its track by --tracks")
+        raise EvaluationError(
+            f"{recording.source}: no raceline in it; give its track with --tracks"
+        )
     for source in options.tracks:
         try:
             return source, evaluate_runs(recording, _track(source), source, **more)
         except EvaluationError:
             continue
     raise EvaluationError(
-        f"{recording.source}: no raceline in it, and it was driven on none of the tracks given"
+        f"{recording.source}: no raceline in it, and it was driven on none of the given tracks"
     )
 
 
 def _track(source):
-    # A worker of a cluster lives longer than a file stays as it is.
+    # A worker of a cluster may outlive the present version of a file.
     return _loaded(source, json.dumps(_stamp_of_track(source)))
 
 
@@ -288,7 +291,7 @@ def _loaded(source, _):
 
 @lru_cache(maxsize=64)
 def _settings(text):
-    """Columns of what the car was driven with; heats of one setting have the same text."""
+    """Columns of the settings; heats with the same settings have the same text."""
     values = parse_settings(text).values
     controller, vehicle = (
         values[key] if isinstance(values.get(key), dict) else {}
@@ -312,7 +315,7 @@ def _row(path, **values):
 
 
 def _places(raceline: Raceline):
-    """Positions along a raceline [m], by which its track is known."""
+    """Positions along a raceline [m], to recognize its track."""
     at = raceline.sample(np.arange(_PLACES) * (raceline.length / _PLACES))
     return [at.x.round(2).tolist(), at.y.round(2).tolist()]
 
@@ -321,7 +324,7 @@ def _places(raceline: Raceline):
 
 
 def _stamp(path):
-    """Names, sizes and times of change of the files of a bag; none of one that was removed."""
+    """Names, sizes and modification times of the files of a bag; empty if it was removed."""
     files, stamps = parts_of(path), []
     try:
         if not isinstance(path, tuple) and path.is_dir():
@@ -339,7 +342,7 @@ def _stamp_of_track(source):
 
 
 def _written(path):
-    """When the last file of a bag was written [ns]."""
+    """Modification time of the newest file of a bag [ns]."""
     return max((changed for *_, changed in _stamp(path)), default=0)
 
 
@@ -353,12 +356,12 @@ def _record(folder, path):
 
 
 def _state(stamp, asked):
-    """What must be as it was for the rows to hold."""
+    """State that must be unchanged for stored rows to be valid."""
     return json.loads(json.dumps([fingerprint_of_code(_DECISIVE), COLUMNS, stamp, asked]))
 
 
 def _kept(folder, path, asked):
-    """Rows of a bag that has not changed; None for others."""
+    """Stored rows of a bag that has not changed; otherwise None."""
     try:
         record = json.loads(_record(folder, path).read_text(encoding="utf-8"))
         if record["state"] != _state(_stamp(path), asked):
@@ -383,7 +386,7 @@ def _keep(folder, path, stamp, asked, rows):
 
 
 def _name_tracks(rows, tracks):
-    """Name the track of each row: shipped, given, or numbered in the order of their dates."""
+    """Name the track of each row: shipped, given, or numbered by date."""
     known = []
     for source, name in _names([*dict.fromkeys(tracks), *list_config("tracks")]).items():
         line = _track(source)
@@ -405,7 +408,7 @@ def _name_tracks(rows, tracks):
 
 
 def _names(sources):
-    """Names of tracks by source; those of the same name have some of their folders, too."""
+    """Names of tracks by source; equal names are distinguished by folders."""
     short = {source: _track(source).name for source in sources}
     folders = {source: Path(split_source(source)[0]).parent.parts for source in sources}
     names = dict(short)
@@ -425,10 +428,10 @@ class _Shape:
         self._tree = cKDTree(self._xy)
 
     def fits(self, length, other, other_length):
-        """Whether two lines are of the same track, with the same frame."""
+        """Whether two lines belong to the same track, in the same frame."""
         if abs(length - other_length) > _SAME_LENGTH * other_length:
             return False
-        # Places are so far apart that the next one of the other line is off by half of that.
+        # The nearest place of the other line may be half a spacing off along the line.
         step = 0.5 * max(length, other_length) / _PLACES
         for one, two in ((self, other), (other, self)):
             apart = two._tree.query(one._xy)[0]

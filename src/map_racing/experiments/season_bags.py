@@ -13,17 +13,17 @@ from ..errors import MapRacingError
 
 __all__ = ["find_bags", "first_part", "parts_of"]
 
-# Parts of a run as a recorder names them, maybe with the date of each, and the longest pause or
-# overlap between two [ns].
+# Names that a recorder gives to parts of a run, with or without dates, and the longest pause or
+# overlap between two parts [ns].
 _PART = re.compile(r"(.+?)(?:_\d{4}(?:-\d\d){5})?_(\d+)\.bag")
 _CUT_NS = 2 * 10**9
 
 
 def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) -> list[Source]:
-    """Bags below folders, those of ROS 2 as one each.
+    """Bags below folders; a ROS 2 folder is one bag.
 
-    Bags of ROS 1 that a recorder split, ``run_0.bag``, ``run_1.bag`` and so on, are one, too, where
-    each begins when the one before ends.
+    Split ROS 1 bags (``run_0.bag``, ``run_1.bag``, ...) are one, too, if each begins when the
+    previous one ends.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
     Returns
     -------
     list of pathlib.Path or tuple of pathlib.Path
-        Sorted, each once; a tuple is of the parts of a run.
+        Sorted, each once; a tuple holds the parts of a run.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
     left_out = None if without is None else os.path.realpath(str(without))
     found = {}
     for folder in folders:
-        if not str(folder):  # such as an unset variable of the shell
+        if not str(folder):  # such as an unset shell variable
             raise MapRacingError("'': expected the name of a folder or a bag")
         if not Path(folder).exists():
             raise MapRacingError(f"{folder}: no such folder")
@@ -70,7 +70,7 @@ def find_bags(folders: Iterable[str | Path], without: str | Path | None = None) 
 
 
 def _joined(bags):
-    """The bags, with the parts of a run as one tuple in the place of the first."""
+    """The bags, with the parts of a run replaced by one tuple."""
     parts, whole = {}, []
     for bag in bags:
         named = _PART.fullmatch(bag.name)
@@ -103,12 +103,12 @@ def _span(bag):
 
 
 def first_part(source: Source) -> Path:
-    """The bag, or the first one of the parts of a run."""
+    """The bag, or the first part of a run."""
     return parts_of(source)[0]
 
 
 def parts_of(source: Source) -> list[Path]:
-    """Files or folders of a bag, of which a run that was split has several."""
+    """Files or folders of a bag: several for a split run."""
     return list(source) if isinstance(source, tuple) else [source]
 
 

@@ -33,7 +33,7 @@ __all__ = ["GridSession", "Session"]
 
 
 class Races:
-    """Where the results of many races go, and what carries the races out.
+    """Result directory and executor of many races.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class Races:
     scheduler : str, optional
         Address of a Dask scheduler.
     reuse : sequence of str
-        Result directories whose races are taken over.
+        Result directories whose races are reused.
 
     Attributes
     ----------
     earlier : Results or None
-        What the folder held before.
+        Previous content of the folder.
     """
 
     def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
@@ -69,14 +69,14 @@ class Races:
         self._jobs, self._scheduler = jobs, scheduler
 
     def carry_out(self, plans, title, **needs):
-        """Carry out plans on the executor asked for; `needs` as in `carry_out`."""
+        """Carry out plans on the chosen executor; `needs` as in `carry_out`."""
         with open_executor(self._jobs, self._scheduler) as (executor, capacity):
             results, effort = carry_out(plans, self.store, executor, capacity, title=title, **needs)
         self.effort += effort
         return results
 
     def report(self):
-        """Print how much was computed, and where the results are."""
+        """Print the effort and the place of the results."""
         driven, found, cpu_s, simulated_s = self.effort
         print(
             f"\n{driven} races driven, {found} found on disk; {simulated_s:.0f} s simulated in "
@@ -129,7 +129,7 @@ class GridSession(Races):
         controllers : dict of str to ControllerParameters
             What was raced, by label.
         **frames : pandas.DataFrame
-            Further tables; the name is that of the file, ``NAME.csv``.
+            Further tables, written as ``NAME.csv``.
 
         Raises
         ------
@@ -157,12 +157,12 @@ class Session(Races):
     contenders : tuple of Contender, optional
         By default those of the paper's experiments.
     slowdown : float, optional
-        The computing time of the controllers counts, times this.
+        Factor with which the computing time of the controllers counts.
 
     Attributes
     ----------
     notes : list of str
-        What the user should know about track and car.
+        Notes for the user about track and car.
     """
 
     def __init__(
@@ -184,7 +184,9 @@ class Session(Races):
         self.notes = [f"{conditions.track}: {finding}" for finding in raceline.findings]
         self.notes += [f"{conditions.plant}: its vehicle: {note}" for note in plant.vehicle.notes]
         if raceline.d_left is None:
-            self.notes.append(f"{conditions.track}: no walls are known, so no crash is seen")
+            self.notes.append(
+                f"{conditions.track}: no walls are known, so crashes are not detected"
+            )
         if given is None:
             cars = self._identify(plant, conditions.identification_seed)
         else:
@@ -202,7 +204,7 @@ class Session(Races):
 
     @property
     def days(self) -> str:
-        """How many race days, in words."""
+        """Number of race days, in words."""
         count = len(self.setting.conditions.seeds)
         return f"{count} race day" + ("s" if count != 1 else "")
 
@@ -269,7 +271,7 @@ class Session(Races):
     def race(self, plan: Callable, laps: int, scales: Iterable[float], **needs: bool) -> list[Race]:
         """Tune the contenders as configured, and race all of them on all days.
 
-        Called again, it races the controllers it has.
+        If called again, it races the same controllers.
         """
         if not self.controllers:
             car = self.setting.vehicle
@@ -294,7 +296,7 @@ class Session(Races):
         write_results(self.folder, Results(self.kind, table, provenance), **frames)
 
     def memory(self, laps: int, scale: float) -> dict[str, float]:
-        """Largest memory of a fresh process that races with each controller on one day [MB]."""
+        """Peak memory of a fresh process that races with each controller on one day [MB]."""
         day = self.setting.day(self.setting.conditions.seeds[0])
         found = {}
         for label, controller in self.controllers.items():
@@ -305,9 +307,9 @@ class Session(Races):
 
 
 def largest_memory(job: RaceJob) -> float:
-    """Race, and the largest resident memory of this process until then [MB]; NaN but on Linux."""
+    """Race, and return the peak resident memory of this process [MB]; NaN except on Linux."""
     execute(job)
-    # Not getrusage, which a new process inherits from the one that started it.
+    # Not getrusage: a new process inherits its peak from its parent.
     with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
         for line in status:
             if line.startswith("VmHWM:"):

@@ -42,7 +42,7 @@ class Store:
         (self.folder / "runs").mkdir(exist_ok=True)
 
     def find(self, job: RaceJob, path: bool = False, bag: bool = False) -> RaceResult | None:
-        """The result of a race, if there is one with the path and the bag asked for."""
+        """The stored result of a race, if it has the requested path and bag."""
         name = f"{job.fingerprint}.json"
         for folder in (self.folder, *self._others):
             record = _read(folder / "runs" / name)

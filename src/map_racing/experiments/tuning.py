@@ -1,18 +1,18 @@
-"""Tuning: the parameters with which a controller follows its racelines closest.
+"""Tuning: the parameters with which a controller follows its racelines most closely.
 
-The measure is the RMS lateral error of the true path, lap by lap, as mean over all laps of all
-races that are driven with a candidate. One with which any of them is not completed is infeasible.
+The measure is the RMS lateral error of the true path per lap, averaged over all laps of all races
+with a candidate. A candidate that fails to complete any race is infeasible.
 
 `tune` finds the lookahead ``L_d = m + q v``, or the two weights of a rival's cost, for one track,
 with a race on each of several days. A coarse grid finds the valley, a pattern search (Hooke and
-Jeeves, with all eight neighbors) its lowest point to 0.025 m and 0.006 s. Neither is negative: a
-lookahead that shortens as the car gets faster would follow well at the speed it was tuned at, and
-swing beyond, and one with a negative offset would swing below. `tune_robust` searches
-around given values, also of the other parameters of guidance, for many tracks and cars.
+Jeeves, with all eight neighbors) its lowest point to 0.025 m and 0.006 s. Neither parameter is
+negative: a lookahead that shortens with speed would work well at the tuning speed, but oscillate
+above it; with a negative offset the car would oscillate below it. `tune_robust` searches around
+given values, including the other guidance parameters, for many tracks and cars.
 
-Candidates are compared race by race, on the same days. One that does not complete a race, or whose
-error on the races driven so far is well above the best one's on the same races, is given up: it
-would not become the best.
+Candidates are compared race by race, on the same days. A candidate that does not complete a race,
+or whose error so far is well above the best one's on the same races, is dropped: it would not
+become the best.
 """
 
 from __future__ import annotations
@@ -43,21 +43,21 @@ __all__ = [
 
 # Finest steps of m [m] and q [s]; all pairs are whole multiples of them.
 STEP_M, STEP_Q = 0.025, 0.00625
-# The grid, in these steps: m from 0 to 1.2 m by 0.2 m, q from 0 to 0.3 s by 0.05 s. It holds the
+# The grid, in these steps: m from 0 to 1.2 m by 0.2 m, q from 0 to 0.3 s by 0.05 s. It contains the
 # values of the authors' code; the search may leave it.
 COARSE = 8
 GRID = range(0, 49, COARSE)
-# Moves of the search at each width; it needs a few.
+# Most moves of the search at each step width; a few are usually enough.
 MOST_MOVES = 20
-# A candidate is given up whose mean error on the n races so far is more than 1 + GIVE_UP / sqrt(n)
-# times the best one's on the same races: as means of more races tell more. On days and cars that
-# differ as much as those of the experiments, errors of neighboring candidates change alike.
+# A candidate is dropped if its mean error over the n races so far is more than 1 + GIVE_UP /
+# sqrt(n) times the best one's on the same races: means of more races are more reliable. With days
+# and cars as different as in the experiments, errors of neighboring candidates change alike.
 GIVE_UP = 0.3
-# Of a grid's races, which differ far more, that many are driven before candidates are given up.
+# The races of a grid differ far more: candidates are dropped only after this many.
 FEWEST = 24
 # Parameters of the robust search and their steps [m], [s], [-], [s], [-], [s], [s]; it begins with
-# twice these. What is 0, and so off, in the given controller stays off. Speeds are not searched:
-# slower is always closer.
+# twice these. What is 0 (off) in the given controller stays off. Speeds are not searched: slower
+# always means a smaller error.
 ROBUST_STEPS = {
     "m_m": 0.025,
     "q_s": 0.0125,
@@ -72,7 +72,7 @@ ROBUST_STEPS = {
 class Pair(NamedTuple):
     """One pair: offset [m], gain [s], mean RMS lateral error [m], infinite if infeasible.
 
-    Of a pair that was given up the error is that of the races driven.
+    For a dropped pair, the error covers the races driven.
     """
 
     m: float
@@ -91,9 +91,9 @@ class Tuned(NamedTuple):
     error : float
         Its mean RMS lateral error [m].
     pairs : list of Pair
-        All that were driven, by m and q.
+        All pairs that were driven, sorted by m and q.
     races : int
-        Driven for it.
+        Number of races driven.
     """
 
     controller: object
@@ -103,7 +103,7 @@ class Tuned(NamedTuple):
 
 
 def lap_error(results):
-    """Mean over all laps of races of their RMS lateral error [m].
+    """RMS lateral error [m] per lap, averaged over all laps of races.
 
     Infinite if a race is not completed, or none of its laps counts.
 
@@ -219,16 +219,16 @@ def tune(jobs_for, controller, size=ONE_TENTH):
 
 
 def _compare(groups, reference, first=1, measure=lap_error):
-    """Drive groups of races, each as far as it may become the best.
+    """Drive groups of races, each as long as it may still become the best.
 
     Parameters
     ----------
     groups : list of list of RaceJob
-        Of each candidate, all in the same order.
+        One list for each candidate, all in the same order.
     reference : list of RaceResult
-        Of the best candidate so far; empty if there is none.
+        Results of the best candidate so far; empty if there is none.
     first : int, optional
-        Races before any candidate is given up for its error.
+        Number of races before a candidate may be dropped for its error.
     measure : callable, optional
         Error of a list of RaceResult.
 
@@ -239,7 +239,7 @@ def _compare(groups, reference, first=1, measure=lap_error):
     Returns
     -------
     list of list of RaceResult
-        Fewer than the jobs of candidates that were given up.
+        Fewer results than jobs for candidates that were dropped.
     """
     found = [[] for _ in groups]
     going = list(range(len(groups)))
@@ -255,7 +255,7 @@ def _compare(groups, reference, first=1, measure=lap_error):
 
 
 def _stages(total, first):
-    """Beginnings and ends of the rounds in which races are driven: 1, 1, 2, 4, ..., if from 1."""
+    """Beginning and end of each round of races, with sizes 1, 1, 2, 4, ... if `first` is 1."""
     ends = []
     while not ends or ends[-1] < total:
         ends.append(min(total, 2 * ends[-1] if ends else first))
@@ -263,17 +263,17 @@ def _stages(total, first):
 
 
 class Candidate(NamedTuple):
-    """A controller of the robust search, and what it gave.
+    """A controller of the robust search, and its results.
 
     Parameters
     ----------
     controller : ControllerParameters
     error : float
-        Error of the races driven [m], see `typical_error`; infinite if one was not completed.
+        Error over the races driven [m], see `typical_error`; infinite if one was not completed.
     worst : float
         Largest RMS lateral error of a race [m].
     races : int
-        How many were driven: all, unless it was given up.
+        Number of races driven: all, unless it was dropped.
     """
 
     controller: object
@@ -285,7 +285,7 @@ class Candidate(NamedTuple):
 def typical_error(results):
     """Geometric mean over races of their RMS lateral error [m]; infinite if one is not completed.
 
-    So a tenth less counts as much on a track where all errors are small as where a car slides.
+    So a 10 % reduction counts the same where all errors are small as where a car slides.
 
     Parameters
     ----------
@@ -300,15 +300,15 @@ def typical_error(results):
 def tune_robust(jobs_for, controller, size=ONE_TENTH):
     """Plan that tunes the parameters in `ROBUST_STEPS` over many tracks and cars.
 
-    The races are driven in one random order, those first that the given values do not complete, so
-    that the first ones stand for all.
+    The races are driven in one random order, so that the first ones are representative, except that
+    races that the given values do not complete come first.
 
     Parameters
     ----------
     jobs_for : callable
         ``jobs_for(controller) -> list of RaceJob``: the races that judge it.
     controller : ControllerParameters
-        Where the search begins.
+        Start of the search.
     size : Size, optional
         Of the cars; the steps of the search grow with it.
 
@@ -337,7 +337,7 @@ def tune_robust(jobs_for, controller, size=ONE_TENTH):
                 if _key(near) not in candidates
             ]
             groups = [[jobs_for(near)[k] for k in order] for near in around]
-            # Until something completes all races, the search goes for what completes most.
+            # Until a candidate completes all races, the search maximizes the number completed.
             begun = reference if math.isfinite(best.error) else []
             found = yield from _compare(groups, begun, FEWEST, typical_error)
             for near, results in zip(around, found):
@@ -349,14 +349,13 @@ def tune_robust(jobs_for, controller, size=ONE_TENTH):
                 break
     if math.isinf(best.error):
         raise MapRacingError(
-            "tuning: nothing around the given values completes all races; lower grip_use or the "
-            "speed"
+            "tuning: no values near the given ones complete all races; lower grip_use or the speed"
         )
     return [best, *(c for c in candidates.values() if c is not best)]
 
 
 def _around(controller, width, size):
-    """Controllers a step away in one parameter, or in m and q such that the lookahead stays."""
+    """Controllers one step away in one parameter, or in m and q with the same lookahead."""
     steps = {name: step * growth(name, size) for name, step in ROBUST_STEPS.items()}
     moves = []
     for sign in (width, -width):
@@ -367,7 +366,7 @@ def _around(controller, width, size):
         values = {name: getattr(controller, name) for name in move}
         if all(value for name, value in values.items() if name not in ("m_m", "q_s")):
             changes = {name: round(value + move[name], 6) for name, value in values.items()}
-            with suppress(ParameterError):  # beyond the bounds of a parameter
+            with suppress(ParameterError):  # a step beyond the bounds of a parameter
                 around += [controller.with_(**changes)] if changes.get("q_s", 0.0) >= 0.0 else []
     return around
 

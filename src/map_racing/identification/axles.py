@@ -1,13 +1,13 @@
 """Axle forces and slip angles from steady-state cornering.
 
-At constant speed and yaw rate the forces of both axles follow from the lateral acceleration alone,
-the slip angles from the velocity of the center of gravity, the yaw rate and the steering angle
+At constant speed and yaw rate, the forces of both axles follow from the lateral acceleration alone,
+and the slip angles from the velocity of the center of gravity, the yaw rate and the steering angle
 (Becker et al., ICRA 2023, section on the identification of the tires; Voser et al., 2010).
 
-The paper divides the front force by the cosine of the steering angle, which neither its equations
-of motion nor ours (`single_track`) have. A tire identified with it and used without it promises
-``1 / cos(delta)`` more acceleration than was measured, 8 % at 0.4 rad. So the default is the force
-in the equations of motion; ``front_force="paper"`` divides it.
+The paper divides the front force by the cosine of the steering angle, but this cosine is neither in
+its equations of motion nor in ours (`single_track`). A tire identified with it and used without it
+overestimates the acceleration by the factor ``1 / cos(delta)``, 8 % at 0.4 rad. So the default is
+the force in the equations of motion; ``front_force="paper"`` divides it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class AxlePoints(NamedTuple):
     load : float
         Static vertical load [N].
     slip_noise, force_noise : float
-        Standard deviations of their errors [rad], [N], of which only the ratio matters.
+        Standard deviations of their errors [rad], [N]; only their ratio matters.
     difference_noise : float
         Standard deviation of the error of the difference between the slips of both axles [rad].
     """

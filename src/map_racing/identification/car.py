@@ -1,7 +1,7 @@
-"""A car identified from whatever was driven: steady cornering, ordinary laps, or both.
+"""A car identified from any driving: steady cornering, ordinary laps, or both.
 
-Steady cornering tells the curve of each axle's tires. Ordinary driving tells their stiffness and,
-near the limit, the friction. Together the curves are what is believed before the laps are fitted.
+Steady cornering gives the tire curve of each axle. Ordinary driving gives the stiffness and, near
+the limit, the friction. With both, the curves are the prior for the fit to the laps.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from .survey import Survey, survey
 
 __all__ = ["IdentifiedCar", "identify_car"]
 
-# The day of the laps is not that of the circles: least standard deviation of a factor between them.
+# Laps and circles may be from different days: least standard deviation of a factor between them.
 DAY = 0.05
 
 
 @dataclass(frozen=True)
 class IdentifiedCar:
-    """A car identified from recorded driving; at least one of `steady` and `laps` is there.
+    """A car identified from recorded driving; at least one of `steady` and `laps` is not None.
 
     Parameters
     ----------
     base : Vehicle
-        As given: mass, geometry, and what the data do not determine.
+        The given car: mass, geometry, and parameters that the data do not determine.
     steady : Identification or None
-        From steady cornering.
+        Result from steady cornering.
     laps : LapTires or None
-        From ordinary driving; its base is the car from steady cornering, if that is there.
+        Result from ordinary driving; its base is the car from steady cornering, if there is one.
     survey : Survey
     """
 
@@ -50,33 +50,33 @@ class IdentifiedCar:
 
     @property
     def vehicle(self) -> Vehicle:
-        """The car with all that was learned."""
+        """The identified car."""
         return (self.laps or self.steady).vehicle
 
     @property
     def linear_vehicle(self) -> Vehicle:
-        """The car with linear tires: by regression in steady cornering, else the slope at zero."""
+        """The car with linear tires: from regression of steady cornering, or the slope at zero."""
         return linearized(self.vehicle) if self.laps else self.steady.linear_vehicle
 
     @property
     def runs(self) -> list[Run]:
-        """The runs used, with the setup of their sensors."""
+        """The runs used, with their sensor setup."""
         steady = [motion.run for motion in self.steady.motions] if self.steady else []
         return [*steady, *(self.survey.ordinary if self.laps else [])]
 
     @property
     def setup(self) -> SensorSetup:
-        """Of the sensors, as used."""
+        """The sensor setup used."""
         return self.survey.setup
 
     @property
     def corrections(self) -> list[SensorFinding]:
-        """Made to the setup."""
+        """Corrections made to the setup."""
         return self.survey.corrections
 
     @property
     def findings(self) -> list[SensorFinding]:
-        """Of the checks of the sensors, after the corrections."""
+        """Findings of the sensor checks after the corrections."""
         return self.survey.findings
 
     @property
@@ -86,13 +86,13 @@ class IdentifiedCar:
 
     @property
     def refused(self) -> list[tuple[str, str]]:
-        """Labels of the runs that nothing was learned from, and why."""
+        """Labels of the runs that were not used, and why."""
         used = self.laps.runs if self.laps else []
         return [(label, reason) for label, reason in self.survey.refused if label not in used]
 
     @property
     def notes(self) -> list[str]:
-        """What was noted while files were read, and what is doubtful about the result."""
+        """Notes from reading the files, and doubts about the result."""
         notes = [f"{self.base.name}: {note}" for note in self.base.notes]
         if self.steady:
             for motion in self.steady.motions:
@@ -102,9 +102,9 @@ class IdentifiedCar:
 
     @property
     def doubts(self) -> list[str]:
-        """What is doubtful about the result."""
+        """Doubts about the result."""
         friction = self.largest_a_y / GRAVITY
-        why = f", which the {self.largest_a_y:.2f} m/s^2 that were held would take,"
+        why = f", needed for the sustained {self.largest_a_y:.2f} m/s^2,"
         if self.laps and self.laps.parameters["friction"].determined:
             tires = self.vehicle.front, self.vehicle.rear
             identified = self.vehicle.mu * min(tire.peak for tire in tires)
@@ -113,7 +113,7 @@ class IdentifiedCar:
         if friction <= HIGHEST_FRICTION:
             return []
         return [
-            f"a friction of {friction:.2f}{why} expected at most {HIGHEST_FRICTION:g} of rubber "
+            f"a friction of {friction:.2f}{why} expected at most {HIGHEST_FRICTION:g} for rubber "
             "on a floor without downforce: check units and scales of speed, yaw rate and "
             "acceleration"
         ]
@@ -140,8 +140,8 @@ def identify_car(
     Raises
     ------
     IdentificationError
-        If neither steady cornering nor ordinary driving tells anything, or sensors contradict each
-        other (the message says what would repair it).
+        If neither steady cornering nor ordinary driving identifies anything, or sensors contradict
+        each other (the message names the repair).
     """
     limits = limits or SteadyLimits()
     surveyed = survey(runs, base_vehicle, fix, limits, acceleration)
@@ -156,7 +156,7 @@ def identify_car(
                 raise
     if not surveyed.ordinary:
         if steady is None:
-            steady_tires(surveyed, base_vehicle, limits)  # says why
+            steady_tires(surveyed, base_vehicle, limits)  # raises the reason
         return IdentifiedCar(base_vehicle, steady, None, surveyed)
     try:
         before = steady.vehicle if steady else base_vehicle
@@ -184,7 +184,7 @@ def identify_car(
 
 
 def _spreads(steady):
-    """What is believed before the laps where steady cornering was driven: `LapTires`'s spreads."""
+    """Prior spreads for `tires_from_laps` after steady cornering."""
     if steady is None:
         return {}
     spreads = {}

@@ -1,4 +1,4 @@
-"""An identified car as text for the terminal, as plain data, and as the head of its file."""
+"""An identified car as text for the terminal, as plain data, and as the header of its file."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def car_text(
 
 
 def laps_lines(laps: LapTires) -> list[str]:
-    """What ordinary driving tells, a line each."""
+    """Results from ordinary driving, one per line."""
     lines = [
         f"{', '.join(laps.runs)}: ordinary driving, {laps.windows} pieces of 1 s with turning; the "
         f"model explains {laps.explained:.1%} of the yaw rate"
@@ -69,18 +69,18 @@ def laps_lines(laps: LapTires) -> list[str]:
     noise = {"r": "yaw rate {:.3f} rad/s", "a_y": "lateral acceleration {:.2f} m/s^2"}
     noise["v_y"] = "lateral velocity {:.3f} m/s"
     left = ", ".join(noise[name].format(value) for name, value in laps.noise.items())
-    lines.append(f"  left by the model, noise included: {left}")
+    lines.append(f"  residuals of the model, noise included: {left}")
     return [*lines, *delay_text(replace(laps.delays, notes=[])).splitlines()]
 
 
 def shown(laps: LapTires) -> list[tuple]:
-    """The rows of `SHOWN`; of the shape only what was learned."""
+    """The rows of `SHOWN`, without shape parameters that were not determined."""
     hidden = ("shape", "bend")
     return [row for row in SHOWN if row[0] not in hidden or laps.parameters[row[0]].determined]
 
 
 def parameter_text(laps: LapTires, name: str, unit: str, form: str) -> str:
-    """Value and interval of a parameter, or that it stayed as it was and what it may be."""
+    """Value and interval of a parameter, or that the data do not determine it."""
     if name == "friction" and laps.least_friction is None:
         return "linear tires have no limit that could be determined"
     value, low, high, determined = laps.parameters[name]
@@ -91,7 +91,7 @@ def parameter_text(laps: LapTires, name: str, unit: str, form: str) -> str:
 
 
 def demonstrated_text(laps: LapTires) -> str:
-    """The lateral acceleration that was held, and what that says of the friction."""
+    """The sustained lateral acceleration, and the friction that it demonstrates."""
     text = f"{laps.largest_a_y:.2f} m/s^2"
     if laps.least_friction is None:
         return text
@@ -138,7 +138,7 @@ def car_data(
 
 
 def laps_data(laps: LapTires) -> dict[str, Any]:
-    """What ordinary driving tells, as plain data."""
+    """Results from ordinary driving as plain data."""
     return {
         "runs": list(laps.runs),
         "windows": laps.windows,
@@ -152,7 +152,7 @@ def laps_data(laps: LapTires) -> dict[str, Any]:
 
 
 def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
-    """Comment for the head of the vehicle file: what its tires rest on."""
+    """Comment at the top of the vehicle file: the data behind its tires."""
     lines = []
     if found.steady:
         steady = found.steady

@@ -1,4 +1,4 @@
-"""Channel maps: where a recording has which quantity, and how its sensors sit in the car."""
+"""Channel maps: where a recording has each quantity, and how the sensors are mounted."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class SensorSetup:
     time_scale : float
         True seconds per second of the recording.
     speed_scale, yaw_rate_scale : float
-        True value per value of the signal; -1 turns a sign around. The first is of both velocities
-        of the odometry.
+        True value per signal value; -1 flips the sign. `speed_scale` applies to both velocities of
+        the odometry.
     lateral_axis : {"x", "y", "z"}
         Axis of the IMU that points to the car's side.
     lateral_scale, lateral_offset_mps2 : float
@@ -44,10 +44,10 @@ class SensorSetup:
     heading_offset_rad : float
         Heading of the car minus heading of the pose.
     pose_x_m : float
-        Distance of the localized point, and of the odometry's lateral velocity, ahead of the rear
-        axle; ``l_r`` for the center of gravity.
+        Distance ahead of the rear axle of the localized point, to which the odometry's lateral
+        velocity refers, too; ``l_r`` for the center of gravity.
     imu_x_m, imu_y_m : float
-        Place of the IMU ahead of the rear axle and to its left; default: center of gravity.
+        Position of the IMU, ahead of the rear axle and to the left; default: center of gravity.
     """
 
     time_scale: float = 1.0
@@ -101,7 +101,7 @@ class Channel:
     unit : str
         Unit of the recording.
     scale, offset : float
-        The offset is in SI units.
+        Both as in the formula; the offset is in SI units.
     """
 
     source: str
@@ -138,7 +138,7 @@ class ChannelMap:
     Parameters
     ----------
     channels : dict of str to Channel
-        Keys are `CHANNELS`, ``time`` and ``pose_time`` (where x, y and psi have their own clock).
+        Keys are `CHANNELS`, ``time`` and ``pose_time`` (if x, y and psi have their own clock).
     pose_topic : str, optional
         Topic of the pose in a bag.
     setup : SensorSetup
@@ -197,8 +197,8 @@ def _channel(name, entry):
     if servo != [None, None]:
         gain, offset = (finite(f"{name}: servo_gain, servo_offset", value) for value in servo)
         if gain == 0.0 or "scale" in entry or "offset" in entry:
-            raise ParameterError(f"{name}: servo_gain: expected not 0, and no scale beside it")
-        # The servo's position is gain * angle + offset, as the public VESC driver has it.
+            raise ParameterError(f"{name}: servo_gain: expected not 0, and no scale or offset")
+        # The servo's position is gain * angle + offset, as in the public VESC driver.
         entry.update(scale=1.0 / gain, offset=-offset / gain)
     return _dataclass(Channel, name, {"source": sources[0], **entry})
 

@@ -1,6 +1,6 @@
-"""Are poses, sensors and commands of a recording of one clock?
+"""Checks that poses, sensors and commands of a recording share one clock.
 
-Where the times of receipt do not say, the driving does: a car turns after its steering commands and
+If the receipt times do not show it, the driving does: a car turns after its steering commands and
 together with its poses, and its speed begins to change shortly after a step of its command.
 """
 
@@ -20,20 +20,20 @@ from .sensor_findings import SensorFinding
 __all__ = ["check_clocks", "late_twist", "onsets_of_speed"]
 
 MOST_APART_S = 0.08  # between yaw rates and poses
-# Few steps of the steering and averaged yaw rates leave an error: a real car seemed to turn 0.16 s
-# before its commands.
+# The estimate is inaccurate with few steering steps and averaged yaw rates: a real car seemed to
+# turn 0.16 s before its commands.
 EARLIEST_LAG_S = -0.25
-# The speed of real cars begins to change 0.04 to 0.06 s after a step of its command, from
-# standstill 0.12 to 0.16 s.
+# The speed of real cars begins to change 0.04 to 0.06 s after a step of the command, or 0.12 to
+# 0.16 s from standstill.
 EARLIEST_ONSET_S, USUAL_ONSET_S, LATEST_ONSET_S = -0.03, 0.06, 0.2
-# Steps needed, and the least of them; slower than the last a car counts as standing.
+# Number of steps needed, smallest step, and least speed before it, below which the car may stand.
 FEWEST_STEPS, LEAST_STEP_MPS, SLOWEST_STEP_MPS = 3, 0.2, 0.5
 
 
 def check_clocks(
     motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
-    """Do the poses turn when the yaw rate says so, and the car after its commands?"""
+    """Check that the poses turn with the yaw rate, and the car after its commands."""
     return [
         *_commands_late(motions, vehicle),
         *_speeds_late(motions, setup, vehicle),
@@ -52,15 +52,18 @@ def _commands_late(motions, vehicle):
         if lag is not None:
             text = (
                 f"clock: {motion.run.label}: the car turns {abs(lag):.2f} s "
-                f"{'after' if lag > 0.0 else 'before'} its steering commands: they are not of the "
-                "same clock (--steering-delay takes a known delay)"
+                f"{'after' if lag > 0.0 else 'before'} its steering commands: they are on "
+                "different clocks (--steering-delay corrects a known delay)"
             )
             findings.append(SensorFinding("clock", text, critical=True))
     return findings
 
 
 def _speeds_late(motions, setup, vehicle):
-    """Does the speed begin to change shortly after its commands, which came with the steering's?"""
+    """Check that the speed begins to change shortly after its commands.
+
+    Speed and steering are in the same messages, so this also checks the steering commands.
+    """
     findings, time = [], size_of(vehicle).time
     for motion in motions:
         onsets = onsets_of_speed(motion.run, time)
@@ -71,8 +74,8 @@ def _speeds_late(motions, setup, vehicle):
             continue
         text = (
             f"clock: {motion.run.label}: the speed begins to change {abs(late):.2f} s "
-            f"{'after' if late > 0.0 else 'before'} {len(onsets)} steps of its commands: they, and "
-            f"those of the steering, are of another clock{', or very late' if late > 0.0 else ''}"
+            f"{'after' if late > 0.0 else 'before'} {len(onsets)} steps of its commands: drive "
+            f"commands are on another clock{', or very late' if late > 0.0 else ''}"
         )
         fix = {"steering_delay_s": setup.steering_delay_s + late - USUAL_ONSET_S}
         fix = fix if late > 0.0 else {}
@@ -81,18 +84,18 @@ def _speeds_late(motions, setup, vehicle):
 
 
 def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
-    """How long after a step of the commanded speed the speed of a moving car begins to change [s].
+    """Delays from steps of the commanded speed to the response of a moving car [s].
 
     Parameters
     ----------
     run : Run
     time : float, optional
-        Times of a car of this size relative to a 1:10 car's.
+        Factor on times for a car of this size.
 
     Returns
     -------
     list of float
-        One for each step before and after which the command is held, and that the speed shows.
+        One for each step that has a constant command before and after it and a visible response.
     """
     if not {"speed_command", "v_x"} <= set(run.signals):
         return []
@@ -118,10 +121,7 @@ def onsets_of_speed(run: Run, time: float = 1.0) -> list[float]:
 
 
 def late_twist(run: Run) -> str:
-    """What is wrong with speed or yaw rate of the messages of the poses; empty if nothing is.
-
-    They come with the poses, and are of other moments all the same.
-    """
+    """Text if speed or yaw rate are late or early for the poses in their messages; empty if not."""
     if not {"x", "y", "psi"} <= set(run.signals) or run.pose_clock:
         return ""
     (t, x), y, psi = run.signals["x"], run.signals["y"].value, run.signals["psi"].value
@@ -145,8 +145,8 @@ def _poses_late(motions):
         SensorFinding(
             "clock",
             f"clock: {motion.run.label}: the yaw rate comes {abs(motion.clocks_apart_s):.2f} s "
-            f"{'later' if motion.clocks_apart_s > 0.0 else 'earlier'} than the poses turn, and no "
-            "times of receipt tell which of their clocks is wrong",
+            f"{'later' if motion.clocks_apart_s > 0.0 else 'earlier'} than the poses turn, and "
+            "there are no receipt times to show which clock is wrong",
             critical=True,
         )
         for motion in motions

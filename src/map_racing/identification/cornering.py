@@ -1,9 +1,9 @@
-"""From signals on their own times to steady cornering on one clock.
+"""Resamples the signals of a run to one clock and finds steady cornering.
 
-All signals are resampled to one clock and pass one zero-phase low-pass, so that none is delayed
-against another. The velocity of the localized point comes from differences of poses, rotated into
-the car's axes before filtering: there they are constant on a circle. Tires are identified from
-segments of steady speed, yaw rate and steering: constant steering angles or slow ramps.
+All signals pass the same zero-phase low-pass, so that none is delayed against another. The velocity
+of the localized point comes from differences of poses, rotated into the car's axes before
+filtering, because in these axes it is constant on a circle. Tires are identified from segments of
+steady speed, yaw rate and steering: constant steering angles or slow ramps.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ from .limits import RATE_HZ, SteadyLimits
 
 __all__ = ["ProcessedRun", "motion_of"]
 
-# What follows is for 1:10 cars; for larger ones `motion_of` takes it by their size.
-# Localization is lost where its speed or yaw rate differs from the car's sensors by more than this.
+# Speeds and yaw rates are for 1:10 cars; `motion_of` scales them for larger ones.
+# Localization counts as lost if its speed or yaw rate differs from the car's sensors by more than
+# this: share of the sensor's value, plus a constant [m/s, rad/s].
 COHERENT_SPEED, COHERENT_YAW_RATE = (0.2, 0.15), (0.15, 0.25)
 POSE_SPIKE_WINDOW_S = 2.0
 CLOCK_SEARCH_S = 1.5
-# Clocks are plainly apart if a shift leaves less than this share of the squared differences.
+# A clock offset is certain if the shift leaves less than this share of the squared differences.
 PLAIN = 0.3
-# Longer only with a time in ms or with a jump [s].
+# A longer drive [s] has its time in ms, or a jump.
 LONGEST_DRIVE_S = 36000.0
 # The low-pass smears a step over this many periods of its cutoff frequency.
 SMEARED = 0.4
@@ -78,18 +79,18 @@ class ProcessedRun:
     moving, coherent, steady : ndarray of bool
         Whether the car moves; whether localization and sensors agree; whether it is steady.
     beta_noise, a_y_noise, turning_noise : float
-        Standard deviations of the noise that the low-pass left; the last of the yaw rate over the
-        speed [1/m].
+        Standard deviations of the noise after the low-pass; `turning_noise` is for the yaw rate
+        over the speed [1/m].
     clock_offset_s : float
-        Shift of the clock of the poses against the others.
+        Shift applied to the clock of the poses.
     clocks_apart_s : float
-        How much later the yaw rates come than the same turns of the heading, although they are said
-        to be of one clock; 0 where that is not plain.
+        Delay of the yaw rate behind the rate of the heading although both should be on one clock; 0
+        if that is not certain.
     spikes : dict of str to float
         Share of each signal rejected as spikes.
     limits : SteadyLimits
     size : Size
-        Of the car.
+        Size of the car.
     """
 
     run: Run
@@ -153,7 +154,7 @@ def motion_of(
     limits: SteadyLimits | None = None,
     acceleration: str = "imu",
 ) -> ProcessedRun:
-    """Bring a run to one clock.
+    """Resample a run to one clock and find its steady driving.
 
     Parameters
     ----------
@@ -225,7 +226,7 @@ def motion_of(
 
 
 def _without_spikes(run, least):
-    """Signals without spikes on true time, and the share of spikes in each."""
+    """Signals without spikes, on true time, and the share of spikes in each."""
     for name in (*POSE, "steering"):
         if name not in run.signals:
             what = "a drive command or a servo position" if name == "steering" else "poses"
@@ -250,9 +251,10 @@ def _without_spikes(run, least):
 
 
 def _clocks(run, signals, middle, turning):
-    """What to add to the times of the poses, and how far theirs is from another clock [s].
+    """Correction of the pose times, and unexpected offset between the clocks [s].
 
-    Poses with a clock of their own are brought to that of the yaw rates; of others it is only said.
+    Poses with a clock of their own are shifted to match the yaw rates. If both should be on one
+    clock, an offset is only reported.
     """
     if "yaw_rate" not in signals:
         return 0.0, 0.0
@@ -264,14 +266,14 @@ def _clocks(run, signals, middle, turning):
 
 
 def _common_clock(signals, pose_t):
-    """Even times at which all signals exist, and whether each is between samples of all."""
+    """Even times at which all signals exist, and whether each is free of gaps."""
     others = [pose_t, *(s.t for name, s in signals.items() if name not in (*POSE, "steering"))]
     commands = signals["steering"].t
     begin = max(commands[0], *(own[0] for own in others))
     end = min(own[-1] for own in others)
     if end - begin < 1.0:
         raise IdentificationError(
-            f"expected a second in which all signals exist, got {max(end - begin, 0.0):.1f} s"
+            f"expected at least 1 s with all signals, got {max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / RATE_HZ)
     known = near(t, commands, LONGEST_HOLD_S)
@@ -298,7 +300,7 @@ def _sampled(signals, setup, t):
 
 
 def _filtered(columns, known, cutoff_hz):
-    """Low-passed columns, 0 where they are not known, and where they are."""
+    """Low-passed columns, 0 in gaps, and a mask of where they are known."""
     raw = np.stack(list(columns.values()))
     passed, filtered = np.zeros(raw.shape), np.zeros(known.size, dtype=bool)
     for cut in stretches(known):
@@ -333,8 +335,8 @@ def _steady(v_x, r, delta, limits):
 def _poses(run, signals, spikes, least):
     """Times of the valid poses; evenly spaced times and the poses there, without spikes.
 
-    Spikes are detected, and poses interpolated, in the drift of the poses against dead reckoning
-    with the car's own sensors, which changes slowly even while the car moves fast.
+    Spikes are detected, and poses interpolated, on the difference between the poses and dead
+    reckoning with the car's own sensors, which changes slowly even while the car moves fast.
     """
     own, x = signals["x"]
     y = np.interp(own, *signals["y"])
@@ -347,7 +349,7 @@ def _poses(run, signals, spikes, least):
         integral = _integrated(rate_t, rate)
         turned, turned_even = np.interp(psi_t, rate_t, integral), np.interp(t, rate_t, integral)
     drift = psi - turned
-    # Without yaw rate, the heading itself changes within the window.
+    # Without yaw rate the drift is the heading itself, so the window must be shorter.
     window = POSE_SPIKE_WINDOW_S if "yaw_rate" in signals else 0.25 * POSE_SPIKE_WINDOW_S
     middle = np.arctan2(*(running_median(psi_t, part(drift), window) for part in (np.sin, np.cos)))
     distance = np.abs(wrap(drift - middle))
@@ -383,9 +385,9 @@ def _velocities(t, x, y, psi, heading_offset):
 
 
 def _clock_offset(middle, turning, t, rate):
-    """Shift of the clock of the poses that aligns both yaw rates [s], and whether it is plain.
+    """Shift of the pose clock that aligns both yaw rates [s], and whether it is certain.
 
-    It is where the rates differ by far less with the shift than without, and by little.
+    It is certain if the shifted rates differ little, and by far less than without the shift.
     """
     step = 1.0 / RATE_HZ
     grid = np.arange(max(middle[0], t[0]), min(middle[-1], t[-1]), step)
@@ -435,5 +437,5 @@ def _noise(values, cuts, window_s=2.0):
             parts.append((values[cut] - parabola)[half:-half])
     if not parts:
         return 0.0
-    # A parabola through so few samples absorbs part of the noise.
+    # The parabola absorbs part of the noise.
     return 1.2 * float(np.std(np.concatenate(parts)))

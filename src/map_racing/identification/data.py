@@ -1,7 +1,7 @@
-"""Recorded driving as signals: from bags, and from CSV files with a channel map.
+"""Reads recorded driving as signals: from bags, or from CSV files with a channel map.
 
-A run has the signals of one drive, each on its own times, in SI units. Signs, axes and places of
-the sensors are its setup, which a channel map can state and
+A run has the signals of one drive, each with its own times, in SI units. Signs, axes and positions
+of the sensors are its setup, which a channel map can give and
 `map_racing.identification.sensor_checks` can determine.
 """
 
@@ -26,7 +26,7 @@ from .channels import INERTIAL, POSE, ChannelMap, SensorSetup
 
 __all__ = ["Run", "Signal", "is_age", "load_run", "run_of"]
 
-# Poses as old as this are from another clock [s], and synchronized clocks differ by the other.
+# Older poses must be from another clock [s]; synchronized clocks may differ by FUTURE_S.
 OLDEST_S, FUTURE_S = 0.15, 0.02
 
 
@@ -61,11 +61,11 @@ class Run:
     notes : list of str
         Choices, repairs and omissions made while reading.
     pose_lag : (float, float, float), optional
-        From stamp to receipt of the poses [s]: median between the 2.5th and the 97.5th percentile.
+        Receipt time minus timestamp of the poses [s]: 2.5th percentile, median, 97.5th percentile.
     commands_shifted : bool
         See `map_racing.bags.samples.Commands`.
     command_lag : float, optional
-        From stamp to receipt of the commands [s]: median.
+        Median of receipt time minus timestamp of the commands [s].
     """
 
     name: str
@@ -90,8 +90,8 @@ def load_run(source: Source, channels: ChannelMap | None = None) -> Run:
     Parameters
     ----------
     source : str, pathlib.Path or sequence of them
-        A bag of ROS 1 or 2, also a shipped one (``config/recordings``), the bags that are parts of
-        one run, or a CSV file (also ``.gz``), which needs a channel map.
+        A ROS 1 or 2 bag, including shipped ones (``config/recordings``), several bags that are
+        parts of one run, or a CSV file (also ``.gz``), which needs a channel map.
     channels : ChannelMap, optional
         For a bag, only exceptions to the usual sources: pose and twist from odometry (see
         `map_racing.bags.reader.read_recording`), acceleration and yaw rate from the Imu, steering
@@ -100,7 +100,7 @@ def load_run(source: Source, channels: ChannelMap | None = None) -> Run:
     Raises
     ------
     BagError, FileFormatError, ParameterError
-        If the file cannot be read as what it is.
+        If the file cannot be read.
     """
     channels = channels or ChannelMap()
     parts = not isinstance(source, (str, Path))
@@ -155,7 +155,7 @@ def run_of(
     others: dict | None = None,
     setup: SensorSetup | None = None,
 ) -> Run:
-    """A drive of a recording that was read already: poses, velocities and commands.
+    """Make a run from a recording that has been read: poses, velocities and commands.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def run_of(
     name : str or pathlib.Path, optional
         Path of the recording.
     others : dict of str to (ndarray, ndarray), optional
-        Further signals, or others in place of the recording's: times [s] and values [SI].
+        Signals to add, or to replace the recording's: times [s] and values [SI].
     setup : SensorSetup, optional
 
     Returns
@@ -181,7 +181,7 @@ def run_of(
         if lag is not None and math.isfinite(commands.lag):
             command_lag = commands.lag
             if not shifted and np.isin(commands.t, recording.t).mean() > 0.5:
-                # As the controller node does: the stamp names the pose that was answered.
+                # As from the controller node, whose timestamp is that of the answered pose.
                 shifted = not is_age(command_lag)
                 if not shifted:
                     sent, command_lag = sent + command_lag, 0.0
@@ -197,7 +197,7 @@ def run_of(
 
 
 def is_age(lag: float) -> bool:
-    """Whether `lag` [s] from stamp to receipt is possible on one clock."""
+    """Whether a lag [s] from timestamp to receipt is possible on one clock."""
     return -FUTURE_S <= lag <= OLDEST_S
 
 
@@ -215,7 +215,7 @@ def _load_csv(path, channel_map):
         return {
             column: column_index(path, names, column)
             for column in wanted
-            # Only replays and delays of the drive need it.
+            # The speed command is optional: only replays and delays of the drive need it.
             if column in names or not command or column != command.source
         }
 
@@ -237,16 +237,14 @@ def _load_csv(path, channel_map):
         pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
         known = np.isfinite(t + pose_t + values["x"])
         if known.any():
-            # Roughly: the yaw rates align both clocks later.
+            # A rough alignment; the yaw rates refine it later.
             pose_t = pose_t + float(np.median((t - pose_t)[known]))
         signals.update((name, (pose_t, values[name])) for name in POSE if name in values)
     return _run(path, signals, channel_map.setup, notes, clocks["pose_time"] is not None)
 
 
 def _with_units(channels, units):
-    """Channels with the units that the file states, where the channel map has neither these nor a
-    scale.
-    """
+    """Channels with the units stated in the file, unless the channel map has a unit or scale."""
     return {
         name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
         if channel and not channel.unit and abs(channel.scale) == 1.0
@@ -256,7 +254,7 @@ def _with_units(channels, units):
 
 
 def _blank_before_first(values, table, channels, names, what, notes):
-    """Drop rows with all channels of a sensor exactly 0, written before its first message."""
+    """Blank rows in which all channels of a sensor are exactly 0: it had not sent anything yet."""
     columns = [table[channels[name].source] for name in names if name in channels]
     if len(columns) < 2:
         return
@@ -285,7 +283,7 @@ def _run(path, signals, setup, notes, pose_clock=False):
 
 
 def _drop_silent(signals, notes):
-    """Drop velocities that are 0 throughout: fields that nothing fills."""
+    """Drop velocities that are 0 throughout, because nothing fills the field."""
     for name in ("v_x", "v_y", "yaw_rate"):
         if name not in signals or signals[name].value.any():
             continue

@@ -1,9 +1,8 @@
-"""How late a car acts: age of the pose, dead time and lag of the steering and of the drive.
+"""Delays of a car: age of the pose, dead time and lag of the steering and of the drive.
 
-A model of the car stands between the commands and what they cause, because the yaw of a car lags
-behind its wheels by itself; the lag depends on the tires, which are fitted with the delays
-(`output_error`). A delay shows only where the commands move: pieces without turning, or without
-change of speed, do not count.
+The yaw rate lags behind the wheels even without any delay, and that lag depends on the tires. So
+the delays are fitted together with the tires in a model of the car (`output_error`). A delay shows
+only while the commands change: windows without turning, or without a change of speed, do not count.
 """
 
 from __future__ import annotations
@@ -25,23 +24,23 @@ from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
 __all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
 
 ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
-# A window shows a delay of the steering where the yaw rate has this standard deviation; windows
-# needed.
+# Standard deviation of the yaw rate that a window needs to show a delay of the steering; number of
+# windows needed.
 LEAST_TURNING_RADPS, FEWEST_WINDOWS = 0.3, 5
 MOST_WINDOWS = 30
-# A wider interval to either side is no answer [s].
+# Largest half-width of a useful interval [s].
 WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
 # The model must explain this share of the variance.
 LEAST_SHARE = 0.8
-# A servo steps if its best number of samples leaves less than this share of the residuals of one
-# sample more or less, and less than a servo with a lag.
+# A servo is a stepping one if its best number of samples leaves smaller residuals than a servo with
+# a lag, and less than this share of the residuals with one sample more or less.
 STEPPING = 0.9
-# Samples that are tried below the delay of the fit with a lag.
+# Number of samples tried below the delay of the fit with a lag.
 STEPS_AROUND = 3
 OWN = believed(inertia=0.15)
 ANY = believed(front=1.0, rear=1.0, grip=0.3, gain=0.15, inertia=0.3, height=0.03)
 STEP_S = 0.005
-# No delay is known better than half a step of the model [s]: servos have steps, too.
+# No delay is known better than half a step of the model [s], because servos have steps, too.
 COARSE_S = 0.5 * STEP_S
 
 
@@ -53,7 +52,7 @@ class Part(NamedTuple):
     value, low, high : float or None
         [s]; None if not determined.
     reason : str
-        Why it is not determined, or what it rests on.
+        Why it is not determined, or how it was determined.
     """
 
     value: float | None = None
@@ -69,17 +68,17 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Delays:
-    """Delays of a car, and the controller's parameters that follow.
+    """Delays of a car, and the controller parameters that follow from them.
 
     Parameters
     ----------
     delay : Part
-        The controller's ``delay_s``: how much older than its effect a pose is when the command made
-        of it turns the wheels. Age of the pose, dead time and lag of the steering.
+        The controller's ``delay_s``, from the time of a pose until its command turns the wheels:
+        age of the pose plus dead time and lag of the steering.
     speed_lookahead : Part
-        The controller's ``speed_lookahead_s``: what the drive takes longer than the steering.
+        The controller's ``speed_lookahead_s``: by how much the drive is slower than the steering.
     pose_age, steering_dead_time, steering_lag, steering : Part
-        The last is dead time and lag together, which are better known than each.
+        `steering` is the sum of dead time and lag, which is known better than either.
     drive_dead_time, drive_lag : Part
     notes : list of str
     """
@@ -104,11 +103,10 @@ def estimate_delays(
     ----------
     runs : list of Run
     vehicle : Vehicle, optional
-        This car's own file, where the model of it begins.
+        The car's own file, from which the fit starts.
     others : iterable of Vehicle
-        Without such a file: cars of about this size from which the model may begin, whose tires,
-        inertia and steering gain, which makes up for the wheelbase, are free. The one that fits
-        best counts.
+        Without such a file: cars of about this size to start from. Their tires, inertia and
+        steering gain, which also compensates the wheelbase, are free. The best fit is used.
 
     Returns
     -------
@@ -117,7 +115,7 @@ def estimate_delays(
     Raises
     ------
     ParameterError
-        If there is no car to begin from.
+        If there is no car to start from.
     """
     models = [(vehicle, OWN)] if vehicle else [(other, ANY) for other in others]
     if not models:
@@ -162,7 +160,7 @@ def estimate_delays(
 
 
 def _pose_age(runs):
-    """Age of the poses on arrival, and whether commands were shifted to the poses' clock."""
+    """Age of the poses on arrival, and whether commands were shifted to the pose clock."""
     shifted, recorded = any(run.commands_shifted for run in runs), ""
     stamped = []
     for run in runs:
@@ -170,15 +168,15 @@ def _pose_age(runs):
         if lag is None:
             continue
         if not is_age(lag[1]) and run.command_lag is not None and not run.commands_shifted:
-            # The recorder's clock is another one. Commands are stamped when they are sent.
+            # The recorder has another clock. Commands are stamped when they are sent.
             lag = tuple(value - run.command_lag for value in lag)
-            recorded = "relative to the commands', as the recorder's clock is another one"
+            recorded = "relative to the commands', because the recorder has another clock"
         stamped.append(lag)
     if not stamped:
         return Part(reason="the recording does not say when poses were received"), shifted
     low, middle, high = (float(np.median(values)) for values in zip(*stamped))
     if not is_age(middle):
-        reason = f"the stamps of the poses are from another clock ({middle:+.3f} s)"
+        reason = f"the timestamps of the poses are from another clock ({middle:+.3f} s)"
         return Part(reason=reason), shifted
     if low == high == 0.0:
         return Part(reason="poses are stamped when they are received"), shifted
@@ -186,7 +184,7 @@ def _pose_age(runs):
 
 
 def _steering(drives, models, notes):
-    """Dead time and lag of the steering together, and each."""
+    """Sum of dead time and lag of the steering, and each."""
     if not drives:
         return (Part(reason="no drive with commands and yaw rate"),) * 3
     windows = _windows(drives)
@@ -209,12 +207,12 @@ def _steering(drives, models, notes):
         return (Part(reason=reason),) * 3
     samples = _stepping(drives, vehicle, beliefs, found)
     if samples is not None:
-        text = f"the servo moves in steps of {SAMPLE_S:g} s, and is {samples} of them late"
+        text = f"the servo moves in steps of {SAMPLE_S:g} s, with a dead time of {samples} steps"
         dead = _part(samples * SAMPLE_S, 0.5 * SAMPLE_S)
         return dead._replace(reason=text), dead, Part(0.0, 0.0, 0.0)
     if value > AT_LONGEST_S:
         reason = (
-            f"the wheels turn {value:.2f} s or more after their commands, expected less than "
+            f"the wheels turn at least {value:.2f} s after their commands, expected less than "
             f"{LONGEST_DELAY_S:g} s: are commands and measurements on one clock?"
         )
         return (Part(reason=reason),) * 3
@@ -227,7 +225,7 @@ def _steering(drives, models, notes):
 
 
 def _windows(drives):
-    """Windows with turning; the lateral velocity of the car tells its tires, where measured."""
+    """Windows with turning; a measured lateral velocity helps to identify the tires."""
     measured = all("v_y" in drive.measured for drive in drives)
     return windows_of(
         drives,
@@ -240,7 +238,7 @@ def _windows(drives):
 
 
 def _stepping(drives, vehicle, beliefs, found):
-    """Length of the line of a servo that steps, if it is one; otherwise None."""
+    """Dead time of a stepping servo in samples; None if the servo does not step."""
     if not all(on_raster(drive.measured["r"].t) for drive in drives):
         return None
     free = replace(vehicle, delta_rate_max=1e6)
@@ -288,7 +286,7 @@ def _drive(drives):
         if explained < LEAST_SHARE or unsure > WIDEST_DRIVE_S:
             parts.append(
                 Part(
-                    reason=f"{found[name]:.3f} +- {unsure:.3f} s, a model with lag and "
+                    reason=f"{found[name]:.3f} +- {unsure:.3f} s; a model with lag and "
                     f"limits explains {max(explained, 0.0):.0%} of the changes of speed"
                 )
             )
@@ -298,7 +296,7 @@ def _drive(drives):
 
 
 def _speed_lookahead(steering, drive_dead, drive_lag):
-    """The state is predicted by the delay of the steering already: the rest is looked ahead."""
+    """Delay of the drive beyond the steering's, over which the state is already predicted."""
     for part, name in ((steering, "steering"), (drive_dead, "drive"), (drive_lag, "drive")):
         if part.value is None:
             return Part(reason=f"{name}: {part.reason}")
@@ -327,7 +325,7 @@ PARTS = (
 
 
 def delay_data(delays: Delays) -> dict[str, Any]:
-    """The delays as plain data, the controller's ``delay_s`` on top."""
+    """The delays as plain data, the controller's ``delay_s`` first."""
 
     def entries(part, name):
         return {

@@ -1,4 +1,4 @@
-"""The drive between speed command and speed: a dead time and a first-order lag within limits."""
+"""Model of the drive from speed command to speed: dead time and first-order lag within limits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .robust_fit import Believed, Fitted, fit
 
 __all__ = ["driven_speed", "drive_windows", "fit_drive"]
 
-# A window tells of the drive where the standard deviation of the speed is so large.
+# Standard deviation of the speed that a window needs to identify the drive; most windows used.
 LEAST_CHANGE_MPS, MOST_WINDOWS = 0.15, 30
 BELIEVED = {
     "delay": Believed(0.03, 0.1, 0.0, 0.29, 1e-3),
@@ -44,7 +44,7 @@ def driven_speed(windows: Windows, lanes: np.ndarray, begin: int = 0) -> np.ndar
         Sets of dead time [s], lag [s], largest acceleration and deceleration [m/s^2], and speed per
         commanded speed.
     begin : int
-        Step from which the commands count; up to it the speed is the measured one.
+        Step from which the commands apply; before it the speed is the measured one.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def driven_speed(windows: Windows, lanes: np.ndarray, begin: int = 0) -> np.ndar
     command = gain * windows.commands("speed_command", lanes[:, 0])
     v = np.empty((windows.steps + 1, *command.shape[1:]))
     v[: begin + 1] = windows.v_x[: begin + 1, None, :]
-    # Exactly over a step, as far as the limits allow.
+    # The exact response over a step, within the limits.
     follow = -np.expm1(-windows.step / lag)
     up, down = most * windows.step, -least * windows.step
     for k in range(begin, windows.steps):

@@ -1,8 +1,8 @@
-"""Recorded driving as windows over which a model of the car can be driven by the same commands.
+"""Cuts recorded driving into windows in which a model is driven by the recorded commands.
 
-Commands hold until the next one. All that a window needs is prepared once: speed and acceleration
-at the steps of the integration, the integral of the steering command, from which its mean over any
-step follows for any dead time, and the measurements with their places between the steps.
+Commands hold until the next one. Everything that a window needs is prepared once: speed and
+acceleration at the integration steps, the integral of the steering command, which gives its mean
+over any step for any dead time, and the measurements with their places between the steps.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from .filters import LONGEST_GAP_S, LONGEST_HOLD_S, low_passed, near
 
 __all__ = ["Driving", "Held", "Windows", "driving_of", "windows_of", "without_outliers"]
 
-# Clock on which speed and yaw rate are smoothed [Hz], and their low-pass: a drive is no faster.
+# Rate at which speed and yaw rate are smoothed [Hz], and cutoff of the low-pass; a drive is no
+# faster.
 GRID_HZ, SMOOTH_HZ = 100.0, 6.0
-# Slower than this slip angles, and delays, are of no use [m/s].
+# Below this speed slip angles and delays cannot be identified [m/s].
 SLOWEST_MPS = 1.0
-# Longest dead time and lag together that are looked for [s].
+# Longest sum of dead time and lag that is searched for [s].
 LONGEST_DELAY_S = 0.3
-# An estimate from here on is at that bound, and other parameters make up for the rest [s].
+# A larger estimate is at that bound, and other parameters compensate for the rest [s].
 AT_LONGEST_S = 0.285
-# An acceleration of the IMU is lateral if its slope over speed times yaw rate is within these.
+# An IMU's acceleration is lateral if its slope over speed times yaw rate is within these.
 SLOPES = (0.7, 1.4)
-# Window of the median [samples]; an outlier is farther from it than this many median distances, and
-# than the last [m/s, rad/s].
+# Window of the median [samples]; an outlier is farther from it than OUTLIER median distances and
+# than LEAST_OUTLIER [m/s, rad/s].
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
-# Shorter pieces [s] are of no use.
+# Shorter drives [s] are not used.
 SHORTEST_S = 3.0
-# No car that drives faster than the last [m/s] is for so long [s] this factor below its command.
+# A car faster than UNDERWAY_MPS does not stay below its command by a factor of OBEYS for OBEYING_S.
 OBEYING_S, OBEYS, UNDERWAY_MPS = 3.0, 2.5, 2.0
 
 
@@ -65,16 +66,16 @@ class Held(NamedTuple):
         return np.append(0.0, np.cumsum(np.diff(self.t) * self.value[:-1]))
 
     def means(self, t: np.ndarray, step: float, integral: np.ndarray) -> np.ndarray:
-        """Mean over the step that begins at each of `t`, smooth in `t`.
+        """Mean over the step that begins at each of `t`; it depends smoothly on `t`.
 
         Parameters
         ----------
         t : ndarray, shape (n, ...)
-            Begin of the steps [s].
+            Start of the steps [s].
         step : float
-            Their duration [s].
+            Duration of the steps [s].
         integral : ndarray, shape (k,)
-            What `integral` returns.
+            Result of `integral`.
 
         Returns
         -------
@@ -96,7 +97,7 @@ class Driving:
     ----------
     label : str
     steering : Held
-        Angle of the front wheels that the commands ask for [rad].
+        Commanded angle of the front wheels [rad].
     speed_command : Held or None
         [m/s]
     t, v_x, a_long, r : ndarray, shape (n,)
@@ -105,9 +106,9 @@ class Driving:
         ``r`` [rad/s] and, where measured, ``a_y`` of the IMU [m/s^2], and ``v_y`` of the localized
         point [m/s]; ``v_x`` [m/s].
     setup : SensorSetup
-        Of which only the places of the sensors are not applied yet.
+        Already applied, except for the positions of the sensors.
     usable : ndarray of bool, shape (n,)
-        Where the car drives and all signals are there.
+        Where the car drives and all signals exist.
     notes : list of str
     """
 
@@ -130,12 +131,12 @@ def driving_of(run: Run) -> Driving:
     Parameters
     ----------
     run : Run
-        Its setup is applied. Speed and yaw rate that nothing measures come from the poses.
+        Its setup is applied. Unmeasured speed or yaw rate is derived from the poses.
 
     Raises
     ------
     IdentificationError
-        If there are no steering commands, or too little else.
+        If there are no steering commands, or the other signals do not suffice.
     """
     signals, setup, notes = run.signals, run.setup, []
     if "steering" not in signals:
@@ -144,13 +145,13 @@ def driving_of(run: Run) -> Driving:
     if late:
         raise IdentificationError(late)
     scaled = {name: (setup.time_scale * s.t, s.value) for name, s in signals.items()}
-    r, v = _turn_and_speed(setup, scaled, notes)
+    r, v = _yaw_rate_and_speed(setup, scaled, notes)
     begin, end = max(r[0][0], v[0][0]), min(r[0][-1], v[0][-1])
     commands_t, angle = scaled["steering"]
     begin = max(begin, float(commands_t[0]))
     if end - begin < SHORTEST_S:
         raise IdentificationError(
-            f"expected {SHORTEST_S:g} s in which commands, speed and yaw rate exist, "
+            f"expected {SHORTEST_S:g} s with commands, speed and yaw rate, "
             f"got {max(end - begin, 0.0):.1f} s"
         )
     t = np.arange(begin, end, 1.0 / GRID_HZ)
@@ -169,7 +170,7 @@ def driving_of(run: Run) -> Driving:
     usable = (smooth[0] > SLOWEST_MPS) & near(t, commands_t, LONGEST_HOLD_S)
     for name in measured:
         usable &= near(t, measured[name].t, LONGEST_GAP_S)
-    speed = _obeyed(scaled.get("speed_command"), t[usable], smooth[0, usable], notes)
+    speed = _speed_commands(scaled.get("speed_command"), t[usable], smooth[0, usable], notes)
     delay = setup.steering_delay_s
     return Driving(
         run.label,
@@ -186,29 +187,29 @@ def driving_of(run: Run) -> Driving:
     )
 
 
-def _obeyed(command, t, v, notes):
-    """The speed commands; None without, or if they are in another unit for a part of the drive."""
+def _speed_commands(command, t, v, notes):
+    """The speed commands; None if there are none or part of them is in another unit."""
     if command is None or not t.size:
         return None
     command = Held(*command)
-    told = command.value[np.clip(np.searchsorted(command.t, t, "right") - 1, 0, None)]
+    commanded = command.value[np.clip(np.searchsorted(command.t, t, "right") - 1, 0, None)]
     size = round(OBEYING_S * GRID_HZ)
     for k in range(0, t.size - size + 1, size // 2):
         part = slice(k, k + size)
         if t[part][-1] - t[k] > 1.5 * OBEYING_S or np.median(v[part]) < UNDERWAY_MPS:
             continue
-        ratio = float(np.median(told[part] / v[part]))
+        ratio = float(np.median(commanded[part] / v[part]))
         if ratio > OBEYS:
             notes.append(
-                f"from {t[k]:.1f} to {t[part][-1]:.1f} s the speed commanded is {ratio:.1f} times "
-                "the speed: in km/h? No speed commands are used"
+                f"from {t[k]:.1f} to {t[part][-1]:.1f} s the commanded speed is {ratio:.1f} times "
+                "the measured one: in km/h? No speed commands are used"
             )
             return None
     return command
 
 
-def _turn_and_speed(setup, scaled, notes):
-    """Yaw rate and speed, each with its times: measured or, where nothing does, from the poses."""
+def _yaw_rate_and_speed(setup, scaled, notes):
+    """Yaw rate and speed, each with its times: measured or otherwise derived from the poses."""
     r, v = scaled.get("yaw_rate"), scaled.get("v_x")
     if r is None:
         r = _rate_of_heading(scaled)
@@ -225,18 +226,18 @@ def _turn_and_speed(setup, scaled, notes):
 
 @dataclass(frozen=True)
 class Windows:
-    """Pieces of equal length of one or more drives, n in all, in K steps.
+    """Windows of equal length from one or more drives, n in all, of K steps each.
 
     Parameters
     ----------
     step : float
         [s]
     burn_in : int
-        Steps before measurements count: the car forgets how it began.
+        Number of steps in which the initial state decays, before measurements count.
     begin : ndarray, shape (n,)
-        [s]
+        Start of each window [s].
     drive : ndarray of int, shape (n,)
-        Index of the drive of each.
+        Index of each window's drive.
     drives : list of Driving
     v_x, a_long : ndarray, shape (K + 1, n)
         [m/s], [m/s^2]
@@ -267,14 +268,14 @@ class Windows:
         return self.v_x.shape[0] - 1
 
     def at(self, name: str, simulated: np.ndarray) -> np.ndarray:
-        """Simulated values where a quantity was measured.
+        """Simulated values at the times of the measurements.
 
         Parameters
         ----------
         name : str
-            Of the quantity.
+            Name of the quantity.
         simulated : ndarray, shape (K + 1, p, n)
-            Of p simulations of all n windows, after each step.
+            Values of p simulations of all n windows, at each step.
 
         Returns
         -------
@@ -329,13 +330,13 @@ def windows_of(
     length, burn_in, step : float
         Duration that counts, duration before it, and step [s].
     most : int
-        Of more windows those are taken in which `excited` varies most.
+        If there are more windows, those in which `excited` varies most are used.
     channels : tuple of str
         Quantities to observe.
     excited : {"r", "v_x"}
-        What must vary in a window.
+        Signal that must vary in a window.
     least : float
-        By how much: standard deviation of the smoothed signal.
+        Least standard deviation of that signal, smoothed.
 
     Returns
     -------
@@ -371,10 +372,10 @@ def windows_of(
 
 
 def _most_excited(drives, need, skip, excited, least, most):
-    """Times at which windows of `need` samples begin, `skip` apart, and the drive of each."""
+    """Start times and drives of windows of `need` samples, `skip` samples apart."""
     begins, owners, excitement = [], [], []
     for index, drive in enumerate(drives):
-        # A window needs the commands of a while before it.
+        # A window also needs the commands within the longest delay before it.
         known = drive.usable & (drive.t > drive.steering.t[0] + LONGEST_DELAY_S)
         signal = getattr(drive, excited)
         good = np.append(0, np.cumsum(known))
@@ -396,7 +397,7 @@ def _most_excited(drives, need, skip, excited, least, most):
 
 
 def _lateral_acceleration(setup, scaled, t, smooth, notes):
-    """Lateral acceleration of the IMU, if it is one."""
+    """Lateral acceleration of the IMU; None if its axis does not measure it."""
     name = f"a_{setup.lateral_axis}"
     if name not in scaled:
         return None
@@ -428,7 +429,7 @@ def _speed_of_path(scaled):
 
 
 def without_outliers(t, value):
-    """Samples far from the median of their neighbors left out (Hampel's filter).
+    """Leave out samples far from the median of their neighbors (Hampel filter).
 
     Parameters
     ----------

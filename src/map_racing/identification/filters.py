@@ -28,8 +28,8 @@ LONGEST_GAP_S = 0.25
 LONGEST_HOLD_S = 0.6
 """A command holds until the next one, but no longer than this [s]."""
 
-# Window of the local median [s]; a spike is farther from it than this many median distances, and
-# than its threshold, for no longer than this [s].
+# Window of the local median [s]; a spike is farther from it than SPIKE_FACTOR median distances and
+# than its threshold, for at most LONGEST_SPIKE_S.
 SPIKE_WINDOW_S, SPIKE_FACTOR, LONGEST_SPIKE_S = 1.2, 6.5, 0.2
 # Thresholds for 1:10 cars [SI].
 SPIKES = {"x": 0.05, "y": 0.05, "psi": 0.03, "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05}
@@ -49,8 +49,8 @@ def low_passed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarr
     -------
     ndarray, shape (..., n)
     """
-    # Forwards and backwards through a filter of second order: at the cutoff each pass leaves
-    # sqrt(1/2) of the power.
+    # Forwards and backwards through a second-order filter: at the cutoff each pass leaves sqrt(1/2)
+    # of the power.
     once = cutoff_hz / (math.sqrt(2.0) - 1.0) ** 0.25
     padding = min(values.shape[-1] - 1, int(3.0 * rate_hz / cutoff_hz))
     return sosfiltfilt(_sections(min(once / (0.5 * rate_hz), 0.99)), values, padlen=padding)
@@ -62,10 +62,10 @@ def _sections(cutoff):
 
 
 def near(t: np.ndarray, samples: np.ndarray, longest: float) -> np.ndarray:
-    """Whether each time lies in a gap of at most `longest` between samples.
+    """Whether each time is in a gap of at most `longest` between samples.
 
-    The last sample counts as long, if none follows: nobody knows what a car does that rolls on
-    after its last command.
+    After the last sample, times count up to that long, because the car's behavior after its last
+    command is unknown.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def spikes_in(
     t, value : ndarray, shape (n,)
         Times [s] and values.
     least : float
-        No spike is closer.
+        Least distance of a spike from the median.
     window_s : float, optional
         Window of the median [s].
 
@@ -112,14 +112,14 @@ def spikes_in(
 
 
 def briefly_far(t: np.ndarray, distance: np.ndarray, least: float, window_s: float) -> np.ndarray:
-    """Distances that are large for their neighborhood, but only briefly; NaN is none.
+    """Mark distances that are briefly large for their neighborhood; NaN is not marked.
 
-    As `spikes_in`, of distances from what is expected.
+    Like `spikes_in`, but for given distances from the expected values.
     """
     with np.errstate(invalid="ignore"):
         far = distance > np.maximum(SPIKE_FACTOR * running_median(t, distance, window_s), least)
     for cut in stretches(far):
-        # A lasting one is a step: the car brakes, or localization corrected itself.
+        # A longer one is a step: the car brakes, or localization corrects itself.
         if t[cut.stop - 1] - t[cut.start] > LONGEST_SPIKE_S:
             far[cut] = False
     return far

@@ -1,8 +1,8 @@
-"""From recorded driving to a car with identified tires.
+"""Identifies tires from steady cornering.
 
-All signals of a run go to one clock (`cornering`); sensors are checked against physics and
-corrected on demand (`sensor_checks`); steady cornering gives points of axle force over slip angle,
-and the curve through them is the tire (`tire_fit`).
+All signals of a run are brought to one clock (`cornering`), and the sensors are checked against
+physics and corrected on demand (`sensor_checks`). Steady cornering gives points of axle force over
+slip angle, and the curve through them is the tire (`tire_fit`).
 """
 
 from __future__ import annotations
@@ -52,22 +52,22 @@ __all__ = [
 
 POINT_RATE_HZ = 10.0
 WINDOW_S = 1.5
-# Relative errors of, and tires from, smaller lateral accelerations mean nothing [m/s^2].
+# Smaller lateral accelerations are too small to identify tires or judge relative errors [m/s^2].
 SMALLEST_MPS2 = 1.0
 AT_LIMIT = 0.9
-# Runs are not of one car on one floor where the common curve leaves this many times what a curve of
-# one run alone does, and this share of the load.
+# Runs differ in car or floor if the residual of the common curve exceeds MIXED times that of a
+# curve fitted to one run alone, and MIXED_SHARE of the load.
 MIXED, MIXED_SHARE = 2.0, 0.01
 
 
 class Prediction(NamedTuple):
-    """A piece of steady cornering, as measured and as the steady state of a car predicts it.
+    """A segment of steady cornering, measured and predicted by a car's steady state.
 
     Parameters
     ----------
     run : str
     t : float
-        Its middle [s].
+        Middle of the segment [s].
     v, delta : float
         Mean speed [m/s] and steering angle [rad].
     a_y, r : float
@@ -99,14 +99,14 @@ class Axle(NamedTuple):
 
 @dataclass(frozen=True)
 class Identification:
-    """Tires identified from driving data, and what they rest on.
+    """Tires identified from steady cornering, and the data behind them.
 
     Parameters
     ----------
     vehicle, linear_vehicle : Vehicle
         The car with Pacejka tires and with linear tires fitted to the same points, ``mu = 1``.
     base : Vehicle
-        The given car: mass, geometry, and what the data do not determine.
+        The given car: mass, geometry, and parameters that the data do not determine.
     axles : dict of str to Axle
         Keys are ``front`` and ``rear``.
     motions : list of ProcessedRun
@@ -137,8 +137,8 @@ class Identification:
 
     @cached_property
     def findings(self) -> list[SensorFinding]:
-        """Those of the sensor checks, and whether the runs are of one car on one floor."""
-        # Found when it is asked for: a curve for each run takes longer than the common one.
+        """Findings of the sensor checks, and whether the runs differ in car or floor."""
+        # Computed lazily: a curve for each run takes longer than the common one.
         mixture = _mixture(self.motions, self.axles, self.base, self.limits, self.front_force)
         return [*self.checked, *mixture]
 
@@ -149,7 +149,7 @@ class Identification:
 
     @property
     def friction(self) -> float:
-        """Friction coefficient that this acceleration takes [-], a lower bound of the floor's."""
+        """Friction coefficient needed for this acceleration [-], a lower bound of the floor's."""
         return self.largest_a_y / GRAVITY
 
     @property
@@ -168,7 +168,7 @@ class Identification:
         return Parameter(value, value - half, value + half, known)
 
     def predictions(self) -> list[Prediction]:
-        """The fitted data as the identified car predicts them."""
+        """Predictions of the fitted data by the identified car."""
         return predict(self.vehicle, self.motions, self.largest_a_y)
 
 
@@ -187,14 +187,14 @@ def identify(
     Parameters
     ----------
     runs : iterable of Run
-        Runs of one car with one sensor setup: the setup of the first is used for all.
+        Runs of one car with one sensor setup; the setup of the first is used for all.
     base_vehicle : Vehicle
-        Mass and geometry, and the tire parameters to keep where the data determine none.
+        Mass, geometry, and tire parameters to keep if the data do not determine them.
     fix : bool
         Correct the sensor setup where it contradicts physics; by default a critical contradiction
         is an error.
     limits : SteadyLimits, optional
-        What counts as steady.
+        Limits of steady driving.
     front_force : {"model", "paper"}
         See `map_racing.identification.axles.axle_points`.
     acceleration : {"imu", "yaw_rate"}
@@ -209,8 +209,8 @@ def identify(
     Raises
     ------
     IdentificationError
-        If no run has steady cornering, or sensors contradict each other (the message says what
-        would repair it), or no tire curve fits the points.
+        If no run has steady cornering, or sensors contradict each other (the message names the
+        repair), or no tire curve fits the points.
     """
     limits = limits or SteadyLimits()
     surveyed = survey(runs, base_vehicle, fix, limits, acceleration)
@@ -250,7 +250,7 @@ def steady_tires(
 
 
 def _require_evidence(used, surveyed):
-    """Raise an error where no run says anything about tires."""
+    """Raise an error if no run can identify tires."""
     if not used:
         reasons = "; ".join(f"{label}: {reason}" for label, reason in surveyed.refused)
         raise IdentificationError(f"no usable run: {reasons}")
@@ -267,7 +267,7 @@ def _fit_axles(motions, vehicle, limits, front_force):
 
     def fitted(name, points):
         start = getattr(vehicle, name)
-        if isinstance(start, PacejkaTire):  # as it is where mu is 1
+        if isinstance(start, PacejkaTire):  # the fit has mu = 1
             start = dataclasses.replace(start, D=start.D * vehicle.mu)
         try:
             fit = fit_pacejka(points, start, _threshold(vehicle), oversampling)
@@ -278,16 +278,16 @@ def _fit_axles(motions, vehicle, limits, front_force):
     front, rear = points_of(motions, vehicle, front_force)
     rear = fitted("rear", rear)
     if len(motions) > 1:
-        # One run's localization errs in both curves alike, and hardly in the table, which takes
-        # their difference; another run's errs otherwise.
+        # Localization errors shift the slip of both axles equally, so within one run they hardly
+        # affect the table, which depends on the difference. Between runs these errors differ.
         front = beside_rear(front, rear.points, rear.pacejka.tire)
     return {"front": fitted("front", front), "rear": rear}
 
 
 def _mixture(motions, axles, vehicle, limits, front_force):
-    """The finding that a curve of its own fits some run much better than the common one; or none.
+    """Finding that the runs differ in car or floor, if some run's own curve fits it much better.
 
-    So do runs on floors whose friction differs by a tenth.
+    A friction that differs by a tenth is enough.
     """
     odd = []
     for motion in motions if len(motions) > 1 else ():
@@ -299,10 +299,10 @@ def _mixture(motions, axles, vehicle, limits, front_force):
                 continue
             common, alone = (left_by(each, points) for each in (tire, own))
             if common > max(MIXED * alone, MIXED_SHARE * points.load):
-                odd.append(f"{motion.run.label}, {name} {common:.2f} N, one of its own {alone:.2f}")
+                odd.append(f"{motion.run.label}, {name}: {common:.2f} N, its own {alone:.2f} N")
     if not odd:
         return []
-    text = "runs: not of one car on one floor: the common curve leaves of " + "; of ".join(odd)
+    text = "runs: not of one car on one floor: residuals of the common curve: " + "; ".join(odd)
     return [SensorFinding("runs", text, critical=True)]
 
 
@@ -312,7 +312,7 @@ def _oversampling(limits):
 
 
 def _threshold(vehicle):
-    """Where rejection begins [N]: the paper's 10 N of a car of 3.5 kg, by weight."""
+    """Threshold of rejection [N]: the paper's 10 N for 3.5 kg, scaled by mass."""
     return 10.0 * vehicle.m / 3.5
 
 
@@ -349,7 +349,7 @@ def leave_one_out(runs: Iterable[Run], base_vehicle: Vehicle, **options: Any) ->
 
 
 def predict(vehicle: Vehicle, motions: Iterable[ProcessedRun], largest: float) -> list[Prediction]:
-    """Predict pieces of steady cornering of about 1.5 s and at least 1 m/s^2.
+    """Predict segments of steady cornering of about 1.5 s and at least 1 m/s^2.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Checks of pose and steering against the kinematics of a slowly cornering car."""
+"""Checks of pose and steering against the kinematics of slow cornering."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ __all__ = [
     "check_steering_gain",
 ]
 
-# Share of the largest acceleration below which understeer is nearly proportional.
+# Share of the largest acceleration below which understeer is nearly proportional to it.
 LOW_SHARE = 0.45
-# Angles this much beyond the lock are refused: offset and play of a linkage.
+# Angles beyond this factor times the lock are refused; the margin is for offset and play.
 LOCK_MARGIN = 1.05
-# Samples per point; and how many points of a second the low-pass leaves independent.
+# Samples per point, and number of independent points per second after the low-pass.
 PICK, INDEPENDENT_HZ = 5, 2.0
 
 
 def check_pose_point(
     motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
-    """Which point of the car the pose tracks, and whether its heading is the car's axis.
+    """Check which point of the car the pose tracks, and whether its heading is the car's axis.
 
-    For a slowly cornering car ``beta = d r / v - c a_y + heading offset`` at a point `d` ahead of
-    the rear axle, whose slip is proportional to the acceleration.
+    In slow cornering ``beta = d r / v - c a_y + heading offset`` at a point `d` ahead of the rear
+    axle, because the rear slip angle is proportional to the acceleration.
     """
     cornering = _low(motions, vehicle)
     if cornering is None:
@@ -78,10 +78,10 @@ def check_pose_point(
 def check_steering_gain(
     motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
-    """Gain and offset of the steering: at low acceleration the car follows Ackermann.
+    """Check gain and offset of the steering against kinematics at low acceleration.
 
-    The road-wheel angle is ``atan(l_wb r / v) + K a_y`` with the understeer gradient K, and
-    ``gain * signal + offset``.
+    The road-wheel angle ``gain * signal + offset`` must equal ``atan(l_wb r / v) + K a_y`` with the
+    understeer gradient K.
     """
     cornering = _low(motions, vehicle)
     if cornering is None:
@@ -97,7 +97,7 @@ def check_steering_gain(
         return [SensorFinding("steering", text)]
     gain, gain_error, offset, offset_error = _steering(cornering, vehicle, with_offset=True)
     if math.isinf(gain_error):
-        text = "steering: slow cornering does not follow the signal: its gain cannot be told"
+        text = "steering: slow cornering does not follow the signal: its gain is unknown"
         return [SensorFinding("steering", text)]
     text = (
         f"steering: wheels turn {gain:.3f} +- {gain_error:.3f} times the signal "
@@ -123,8 +123,8 @@ def check_steering_gain(
 def _steering(columns, vehicle, with_offset):
     """Gain and offset of the steering with their errors.
 
-    The signal is regressed on the motion: the other way round, the acceleration would explain the
-    yaw rate, to which it is nearly proportional.
+    The signal is regressed on the motion. The other way round, the acceleration would explain the
+    yaw rate, because the two are nearly proportional.
     """
     geometric = np.arctan(vehicle.l_wb * columns["r"] / columns["v"])
     matrix = [geometric, columns["a_y"]] + [np.ones(geometric.size)] * with_offset
@@ -141,9 +141,9 @@ def _steering(columns, vehicle, with_offset):
 def check_front_slip(
     motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
-    """Does the front force oppose the front slip, as it must?
+    """Check that the front force opposes the front slip.
 
-    It does not where the front axle moves farther into the bend than its wheels point.
+    It does not if the front axle moves farther into the bend than its wheels point.
     """
     columns = _cornering(motions)
     if columns is None:
@@ -152,7 +152,7 @@ def check_front_slip(
     side, hard = np.sign(r), np.abs(a_y) > 0.5 * np.percentile(np.abs(a_y), 98.0)
     if np.count_nonzero(hard) < 10:
         return []
-    # By the poses, and without the slip of the rear axle, should their heading be off.
+    # Direction of motion by the poses, and without rear slip in case their heading is off.
     moves = np.arctan(np.tan(beta) + (vehicle.l_wb - setup.pose_x_m) * r / v)
     rolls = np.arctan(vehicle.l_wb * r / v)
     missing = min(
@@ -163,8 +163,8 @@ def check_front_slip(
     wrong = hard & ((moves - delta) * side > 0.0)
     angle, signal = (float(np.median((values * side)[wrong])) for values in (moves, delta))
     text = (
-        f"steering: the signal says {signal:.3f} rad where the front axle moves {angle:.3f} rad "
-        "into the bend: the wheels turn more than it says"
+        f"steering: the signal is {signal:.3f} rad where the front axle moves {angle:.3f} rad "
+        "into the bend: the wheels turn more than the signal"
     )
     low = _low(motions, vehicle)
     if both_sides(r, vehicle):
@@ -186,17 +186,17 @@ def check_front_slip(
 
 
 def _contradiction(low, vehicle, text):
-    """Front slip of the wrong sign, where slow cornering to both sides tells the steering."""
+    """Finding on front slip of the wrong sign, if slow cornering to both sides gives the gain."""
     if low is None or not both_sides(low["r"], vehicle) or _one_speed(low["v"]):
         return [SensorFinding("front slip", text, critical=True)]
     gain, error, _, _ = _steering(low, vehicle, with_offset=True)
     if abs(gain - 1.0) > max(0.05, 3.0 * error):
-        return []  # to be repaired first
+        return []  # check_steering_gain repairs this first
     if math.isinf(error):
         return [SensorFinding("front slip", text, critical=True)]
     text += (
-        f", but slow cornering says {gain:.3f} +- {error:.3f} times as much: these contradict each "
-        "other, and no gain and offset repair both"
+        f", but slow cornering gives {gain:.3f} +- {error:.3f} times the signal: no gain and "
+        "offset satisfy both"
     )
     return [SensorFinding("front slip", text, critical=True)]
 
@@ -204,7 +204,7 @@ def _contradiction(low, vehicle, text):
 def check_lock(
     motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle
 ) -> list[SensorFinding]:
-    """Do the wheels turn beyond their lock?"""
+    """Check that the wheels stay within their lock."""
     beyond = _beyond_lock(motions, vehicle, 1.0)
     if not beyond:
         return []
@@ -214,7 +214,7 @@ def check_lock(
 
 
 def _beyond_lock(motions, vehicle, gain, offset=0.0):
-    """What is wrong with a steering gain that turns the wheels beyond their lock; else empty."""
+    """Text if a steering gain turns the wheels beyond their lock; empty if not."""
     widest = max(
         (
             float(np.max(np.abs(gain * motion.delta[cut] + offset)))
@@ -227,7 +227,7 @@ def _beyond_lock(motions, vehicle, gain, offset=0.0):
         return ""
     return (
         f": it turns the wheels to {widest:.3f} rad, beyond their lock of {vehicle.delta_max:.3f} "
-        "rad (delta_max of the vehicle), so another reason must be found"
+        "rad (delta_max of the vehicle), so there must be another cause"
     )
 
 
@@ -239,7 +239,7 @@ def both_sides(r: np.ndarray, vehicle: Vehicle) -> bool:
     r : ndarray, shape (n,)
         Yaw rates [rad/s].
     vehicle : Vehicle
-        Its size tells what is turning.
+        Its size sets the yaw rate that counts as turning.
     """
     turning = turning_rate(size_of(vehicle))
     left = np.count_nonzero(r > 0.5 * turning)
@@ -248,7 +248,7 @@ def both_sides(r: np.ndarray, vehicle: Vehicle) -> bool:
 
 
 def _one_speed(v):
-    """Whether curvature and lateral acceleration, which is v^2 times as much, look alike."""
+    """Whether the speeds vary too little to separate curvature from lateral acceleration."""
     low, middle, high = np.percentile(v, (5.0, 50.0, 95.0))
     return high - low < 0.15 * middle
 
@@ -288,7 +288,7 @@ def _low(motions, vehicle):
 
 
 def _regression(matrix, values, noise):
-    """Least squares with standard errors, for which two points of a second are independent."""
+    """Least squares with standard errors, for two independent points per second."""
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-9)
     solution = np.linalg.lstsq(matrix / scale, values, rcond=None)[0]
     residual = values - matrix / scale @ solution

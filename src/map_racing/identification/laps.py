@@ -1,12 +1,12 @@
 """Tires from ordinary driving: laps instead of ramps and circles.
 
-The car is driven by its recorded commands through the single-track model (`output_error`), and
-tires, delay and lag of the steering are those with which it does what was measured, as far as that
-tells more than the vehicle file. Below the limit friction and stiffness trade off, so what is
-reported is what is determined: the cornering stiffness of each axle and the understeer gradient
-first, the friction only where the drive came near enough to the limit to bend the tire curves,
-whose shape is uncertain itself. What the data do not determine stays as in the file, and the grip
-that was demonstrated is a lower bound of the friction in any case.
+The single-track model is driven by the recorded commands (`output_error`), and tires, delay and lag
+of the steering are fitted to the measured motion, with the vehicle file as prior. Below the limit
+friction and stiffness trade off. So only what is determined is reported: first the cornering
+stiffness of each axle and the understeer gradient; the friction only if the drive came close enough
+to the limit to bend the tire curves, whose shape is itself uncertain. Parameters that the data do
+not determine stay as in the file. The demonstrated grip is a lower bound of the friction in any
+case.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from .tire_fit import Parameter
 
 __all__ = ["LapTires", "tires_from_laps"]
 
-# A window tells about tires where the yaw rate has this standard deviation [rad/s]; windows needed
-# and used.
+# Standard deviation of the yaw rate that a window needs [rad/s]; number of windows needed, and most
+# used.
 LEAST_TURNING_RADPS, FEWEST_WINDOWS, MOST_WINDOWS = 0.15, 5, 60
 # The model must explain this share of the variance of the yaw rate.
 LEAST_EXPLAINED = 0.8
-# Standard deviations of what is believed before, all but that of `bend` of logarithms of factors.
+# Standard deviations of the prior, of logarithms of factors (except `bend`).
 PRIOR = {
     "front": 0.4,
     "rear": 0.6,
@@ -58,55 +58,55 @@ PRIOR = {
     "inertia": 0.15,
     "gain": 0.02,
 }
-# A gain this many prior standard deviations off is fitted again, with the second as the prior's.
+# If the gain is DOUBT prior standard deviations off, the fit is repeated with the prior ANY_GAIN.
 DOUBT, ANY_GAIN = 2.0, 0.2
-# A factor is determined with a smaller standard deviation.
+# A factor is determined if its standard deviation is at most this.
 DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 0.0}
-# Friction is never taken from a drive that used less than this share of it, whatever the fit says:
-# at small slip the curve of a tire bends so little that errors of its assumed shape decide.
+# A drive that used less than this share of the friction never determines it, whatever the fit says:
+# at small slip the tire curve bends so little that errors of its assumed shape dominate.
 LEAST_USE = 0.5
-# Runs are not of one car on one floor where the common fit leaves this many times what a fit of one
-# run alone does.
+# Runs differ in car or floor if the residual of the common fit exceeds this many times that of a
+# fit to one run alone.
 MIXED = 1.5
-# Differences from 1 and 0 of gain and offset of the steering that are worth a finding.
+# Deviations of steering gain and offset from 1 and 0 that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
-# The shape of the curves is the file's unless that moves the logarithm of the friction by more than
-# the first; then the friction counts only with a standard deviation below the second.
+# The shape of the curves stays the file's unless that changes the logarithm of the friction by more
+# than SHAPE_MATTERS; then the friction counts only if its standard deviation is at most SURE.
 SHAPE_MATTERS, SURE = 0.04, 0.05
-# The grip demonstrated: this percentile of the lateral acceleration below this frequency [Hz].
+# Demonstrated grip: percentile of the lateral acceleration, low-passed at this frequency [Hz].
 SUSTAINED_HZ, SUSTAINED_PERCENT = 1.0, 99.0
 
 
 @dataclass(frozen=True)
 class LapTires:
-    """Tires identified from ordinary driving, and what they rest on.
+    """Tires identified from ordinary driving, and the data behind them.
 
     Parameters
     ----------
     vehicle, base : Vehicle
-        The identified car, and the one whose parameters were believed before.
+        The identified car, and the car that served as prior.
     used : list of Run
         The runs used.
     notes : list of str
     windows : int
         Windows of 1 s that were used.
     parameters : dict of str to Parameter
-        ``front_stiffness_n_per_rad`` and ``rear_stiffness_n_per_rad`` of the whole axle at rest,
-        ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C), ``bend`` (added
-        to E), and of the steering ``gain``, ``offset_rad`` and ``fit_delay_s``: the one delay with
-        which the tires were fitted, which also takes what else shifts the yaw rate. How late the
-        steering is, dead time and lag apart, is in `delays`.
+        ``front_stiffness_n_per_rad`` and ``rear_stiffness_n_per_rad`` of the whole axle under its
+        static load, ``understeer_gradient_rad_s2_per_m``, ``friction``, ``shape`` (factor on C),
+        ``bend`` (added to E), and, for the steering, ``gain``, ``offset_rad`` and ``fit_delay_s``.
+        The latter is the single delay with which the tires were fitted, and includes anything else
+        that shifts the yaw rate; `delays` separates dead time and lag of the steering.
     largest_a_y : float
         Largest sustained lateral acceleration [m/s^2].
     explained : float
-        Share of the variance of the yaw rate.
+        Share of the variance of the yaw rate that the model explains.
     widest : float
-        Largest angle asked of the wheels [rad]: 99th percentile.
+        Largest commanded wheel angle [rad]: 99th percentile.
     noise : dict of str to float
-        Standard deviation of what the model leaves, by quantity [SI].
+        Standard deviation of the residuals, by quantity [SI].
     fitted : Fitted
     runs_finding : SensorFinding or None
-        That the runs are not of one car on one floor.
+        Finding that the runs differ in car or floor.
     """
 
     vehicle: Vehicle
@@ -129,17 +129,17 @@ class LapTires:
 
     @property
     def setup(self) -> SensorSetup:
-        """Of the sensors of these runs."""
+        """Sensor setup of these runs."""
         return self.used[0].setup
 
     @cached_property
     def delays(self) -> Delays:
-        """Of the same runs, with the identified tires."""
+        """Delays of the same runs, with the identified tires."""
         return estimate_delays(self.used, self.vehicle)
 
     @property
     def least_friction(self) -> float | None:
-        """Lower bound of the vehicle's `mu` [-]: what the demonstrated grip takes.
+        """Lower bound of the vehicle's `mu` [-], from the demonstrated grip.
 
         None for linear tires, which have no limit.
         """
@@ -148,7 +148,7 @@ class LapTires:
 
     @property
     def steering_finding(self) -> SensorFinding | None:
-        """That the wheels turn otherwise than commanded, with its repair, if they do so clearly."""
+        """Finding, with its repair, that the wheels clearly turn differently than commanded."""
         gain, offset = self.parameters["gain"], self.parameters["offset_rad"]
         off = [
             abs(value - right) > max(least, 0.75 * (high - low))
@@ -169,7 +169,7 @@ class LapTires:
             return SensorFinding(
                 "steering",
                 f"{text}; but that is {gain.value * self.widest:.3f} rad, beyond their lock of "
-                f"{self.base.delta_max:.3f} rad (delta_max), so another reason must be found",
+                f"{self.base.delta_max:.3f} rad (delta_max), so there must be another cause",
             )
         return SensorFinding(
             "steering",
@@ -196,23 +196,23 @@ def tires_from_laps(
     runs : list of Run
         Drives of one car, with the setup of its sensors.
     base : Vehicle
-        What is believed of the car before.
+        Prior of the car.
     name : str, optional
         Name of the identified car; default: the base's with ``_identified`` appended.
     spreads : dict of str to float, optional
-        Standard deviations of that belief instead of the usual ones: ``front``, ``rear``, ``grip``
-        and ``shape``, logarithms of factors.
+        Standard deviations of the prior instead of the usual ones: ``front``, ``rear``, ``grip``
+        and ``shape``, of logarithms of factors.
 
     Returns
     -------
     LapTires
-        Runs that lack something are left out, and noted.
+        Incomplete runs are left out, and noted.
 
     Raises
     ------
     IdentificationError
-        If there is too little turning, if the commands do not explain it, or if they are later
-        than the fit allows for.
+        If there is too little turning, if the commands do not explain it, or if the delay of the
+        steering exceeds the range of the fit.
     """
     used, drives, notes = _drives_of(runs)
     labels = [run.label for run in used]
@@ -223,11 +223,11 @@ def tires_from_laps(
         raise IdentificationError(
             f"{', '.join(labels)}: expected at least {FEWEST_WINDOWS} s in which the yaw rate "
             f"varies by {LEAST_TURNING_RADPS:g} rad/s at 1 m/s or more, got {windows.count} s: "
-            "straight driving says nothing about tires"
+            "straight driving does not identify tires"
         )
     prior = {**PRIOR, **(spreads or {})}
     if not isinstance(base.front, PacejkaTire):
-        prior.update(grip=0.0, shape=0.0, bend=0.0)  # linear tires have neither
+        prior.update(grip=0.0, shape=0.0, bend=0.0)  # linear tires have none of them
     demonstrated = _demonstrated(drives)
     free, fitted, unknown = _fitted(base, windows, prior, demonstrated)
     explained = _explained(windows, fitted)
@@ -239,9 +239,9 @@ def tires_from_laps(
         )
     if fitted["delay"] > AT_LONGEST_S:
         raise IdentificationError(
-            f"{', '.join(labels)}: the wheels turn {fitted['delay']:.2f} s or more after their "
+            f"{', '.join(labels)}: the wheels turn at least {fitted['delay']:.2f} s after their "
             f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "
-            "one clock (--steering-delay takes a known delay)?"
+            "one clock (--steering-delay corrects a known delay)?"
         )
     angles = [drive.steering.value for drive in drives]
     vehicle = holding(car_of(base, fitted), demonstrated)
@@ -263,7 +263,7 @@ def tires_from_laps(
 
 
 def _drives_of(runs):
-    """Runs that can be used, as driving; and notes on all."""
+    """Usable runs, their driving, and notes on all runs."""
     used, drives, notes = [], [], []
     for run in runs:
         try:
@@ -297,11 +297,11 @@ def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:
 
 
 def _fitted(base, windows, prior, demonstrated):
-    """The fit with all that is uncertain, the one that counts, and the names not determined.
+    """Fit with all parameters free, final fit, and names of the undetermined parameters.
 
-    In the one that counts what is not determined stays as believed.
+    In the final fit undetermined parameters are held at the prior.
     """
-    # There is at least the grip that was demonstrated.
+    # The grip is at least the demonstrated one.
     least = math.log(max(demonstrated / _limit(base), 1e-6))
 
     def beliefs(spreads):
@@ -312,7 +312,7 @@ def _fitted(base, windows, prior, demonstrated):
 
     free = fit_car(base, windows, beliefs(prior))
     if abs(free["gain"]) > DOUBT * prior["gain"]:
-        # The belief in the linkage was wrong: let the data tell it.
+        # The prior of the gain was wrong: let the data determine it.
         prior = {**prior, "gain": ANY_GAIN}
         free = fit_car(base, windows, beliefs(prior), near=free)
     unknown = {
@@ -327,7 +327,7 @@ def _fitted(base, windows, prior, demonstrated):
         return free, free, unknown
     fitted = fit_car(base, windows, beliefs(held), near=free)
     if "grip" not in unknown and abs(fitted["grip"] - free["grip"]) > SHAPE_MATTERS:
-        # With the file's shape the data ask for another friction: then the shape is wrong.
+        # The file's shape changes the friction, so the shape is wrong.
         if free.deviation({"grip": 1.0}) <= SURE:
             return free, free, unknown - {"shape", "bend"}
         unknown = unknown | {"grip"}
@@ -337,30 +337,30 @@ def _fitted(base, windows, prior, demonstrated):
 
 
 def _mixture(base, drives, labels, prior, fitted):
-    """The finding that fits of their own explain some runs much better than the common one."""
+    """Finding that the runs differ in car or floor, if some run's own fit is much better."""
     odd = []
     for drive, label in zip(drives, labels):
         windows = windows_of([drive], excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
         if windows.count < FEWEST_WINDOWS:
             continue
         own = fit_car(base, windows, believed(**prior), near=fitted)
-        common, alone = (_left(base, windows, values) for values in (fitted, own))
+        common, alone = (_residual(base, windows, values) for values in (fitted, own))
         if common > MIXED * alone:
-            odd.append(f"{label} {common:.3f} rad/s of its yaw rate, one of its own {alone:.3f}")
+            odd.append(f"{label}: {common:.3f} rad/s of yaw rate, its own {alone:.3f} rad/s")
     if not odd:
         return None
-    text = "runs: not of one car on one floor: the common fit leaves of " + "; of ".join(odd)
+    text = "runs: not of one car on one floor: residuals of the common fit: " + "; ".join(odd)
     return SensorFinding("runs", text, critical=True)
 
 
-def _left(base, windows, fitted):
-    """Standard deviation of what a fit leaves of the yaw rate, without outliers [rad/s]."""
+def _residual(base, windows, fitted):
+    """Robust standard deviation of a fit's yaw rate residuals [rad/s]."""
     simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
     return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))
 
 
 def _limit(vehicle: Vehicle) -> float:
-    """Lateral acceleration at which the first axle has no more to give [m/s^2]."""
+    """Lateral acceleration at which the first axle saturates [m/s^2]."""
     return vehicle.mu * GRAVITY * min(vehicle.front.peak, vehicle.rear.peak)
 
 
@@ -370,7 +370,7 @@ def _explained(windows: Windows, fitted: Fitted) -> float:
 
 
 def _parameters(vehicle, fitted, free, unknown):
-    """Values of the fit that counts, with the intervals of the one with all that is uncertain."""
+    """Values of the final fit, with the intervals of the fit with all parameters free."""
     parameters = {}
 
     def put(name, value, deviation, known):
@@ -395,7 +395,7 @@ def _parameters(vehicle, fitted, free, unknown):
         free.deviation({"front": -per_front, "rear": per_rear}),
         not {"front", "rear"} & unknown,
     )
-    # Linear tires have no limit: nothing is known of it.
+    # Linear tires have no limit, so the friction keeps the spread of the prior.
     spread = free.deviation({"grip": 1.0}) or PRIOR["grip"]
     put_factor("friction", vehicle.mu, spread, "grip" not in unknown)
     put_factor(
@@ -410,7 +410,7 @@ def _parameters(vehicle, fitted, free, unknown):
 
 
 def _demonstrated(drives: list[Driving]) -> float:
-    """Largest sustained lateral acceleration, of speed and yaw rate [m/s^2]."""
+    """Largest sustained lateral acceleration, from speed and yaw rate [m/s^2]."""
     held = [
         np.abs(low_passed(drive.v_x * drive.r, GRID_HZ, SUSTAINED_HZ)[drive.usable])
         for drive in drives

@@ -1,4 +1,4 @@
-"""What counts as steady cornering, and other choices of the identification that have options."""
+"""Limits of steady cornering, and other constants of the identification that have options."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ..validation import POSITIVE, check, documented, parameter
 
 __all__ = ["RATE_HZ", "REPLAY_WINDOW_S", "SteadyLimits"]
 
-REPLAY_WINDOW_S = 2.0  # over which a car is driven by the commands alone
-RATE_HZ = 50.0  # of the clock on which all signals of a drive are put
+REPLAY_WINDOW_S = 2.0  # in which a car is driven by the commands alone
+RATE_HZ = 50.0  # of the common clock of a drive's signals
 
 
 @documented
 @dataclass(frozen=True)
 class SteadyLimits:
-    """What counts as steady; rates are taken from the low-passed signals."""
+    """Limits of steady driving; rates are taken from the low-passed signals."""
 
     cutoff_hz: float = parameter(
         "Cutoff of the low-pass, where half of the power passes", "Hz", low=POSITIVE, default=1.0

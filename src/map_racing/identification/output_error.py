@@ -1,11 +1,11 @@
 """The single-track model driven by recorded commands, and its fit to what was measured.
 
-Output error: the model runs by itself through a window, from the speed and the commands alone, and
-its yaw rate, lateral acceleration and lateral velocity are compared with the measured ones. The
-servo between command and wheels has a dead time and a first-order lag within the rate of the
-vehicle. All windows, and the steps of the parameters for the Jacobian, are integrated side by side
-as columns of arrays, in a linearly implicit trapezoidal rule, which is stable however stiff the
-tires are (Rosenbrock, 1963).
+This is the output-error method: the model runs freely through a window, driven by the speed and the
+commands alone, and its yaw rate, lateral acceleration and lateral velocity are compared with the
+measured ones. The servo between command and wheels has a dead time and a first-order lag within the
+vehicle's steering rate. All windows, and the parameter steps for the Jacobian, are integrated side
+by side as columns of arrays, by a linearly implicit trapezoidal rule, which is stable however stiff
+the tires are (Rosenbrock, 1963).
 """
 
 from __future__ import annotations
@@ -33,26 +33,29 @@ NAMES = (
     "shape",
     "bend",
 )
-"""The parameters: logarithms of factors on the cornering stiffness of both axles, on the grip, on
-the steering gain and on the moment of inertia; dead time and lag of the steering together [s], the
-lag's share of them, offset of the steering [rad], height of the center of gravity above the
-vehicle's [m], and logarithm of a factor on the shape factor C of both tires, and what is added to
-their E: both bend the curve between its slope at zero slip and its peak."""
+"""Names of the parameters.
 
-# Dead time and lag from which the search begins [s]; the better result counts.
+``front``, ``rear``, ``grip``, ``gain`` and ``inertia`` are logarithms of factors on the cornering
+stiffness of each axle, the grip, the steering gain and the moment of inertia. ``delay`` is the sum
+of dead time and lag of the steering [s], ``share`` the lag's share of it, ``offset`` the steering
+offset [rad], ``height`` the height of the center of gravity above the vehicle file's value [m].
+``shape``, the logarithm of a factor on C of both tires, and ``bend``, which is added to their E,
+change the curve between its slope at zero slip and its peak."""
+
+# Delays from which the search starts [s]; the better result is used.
 START_DELAYS = (0.03, 0.08)
-# First guess of the noise, before the residuals tell it.
+# First guess of the noise, before residuals are known.
 NOISE = {"r": 0.05, "a_y": 0.4, "v_y": 0.08}
 
 
 def believed(**spreads: float) -> dict[str, Believed]:
-    """What is believed of the parameters before the fit.
+    """Priors of the parameters.
 
     Parameters
     ----------
     **spreads : float
-        Standard deviations of parameters around the vehicle's, instead of the usual ones; 0 holds
-        a parameter. ``share`` is around a half.
+        Standard deviations around the vehicle's parameters, instead of the usual ones; 0 holds a
+        parameter. The prior of ``share`` is around a half.
     """
     usual = {
         "front": (0.0, 0.4, -2.5, 2.5, 1e-3),
@@ -95,8 +98,8 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
     shape = delta.shape[1:]
     m, l_f, l_r = vehicle.m, vehicle.l_f, vehicle.l_r
     I_z = _spread(vehicle.I_z * np.exp(theta[:, 7])[:, None], shape)
-    # The axles side by side, in arrays of one shape: half as many calls of NumPy, each without the
-    # work of matching shapes, which is what the time goes into.
+    # Both axles side by side in arrays of one shape: this halves the number of NumPy calls and
+    # avoids broadcasting, which takes most of the time.
     curve = _curves(vehicle, theta, shape)
     arm = _spread(np.array([l_f, -l_r])[:, None, None], (2, *shape))
     F = _loads(vehicle, windows, theta)
@@ -113,7 +116,7 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
         alpha = np.arctan(tan)
         alpha[0] -= delta[k]
         P, S = curve(alpha)
-        # Forces to the right, and their slopes over v_y.
+        # Forces, positive to the right, and their slopes over v_y.
         P = F_k * P
         P_f, P_r = P
         np.divide(P_f + P_r, -m, out=a_y)
@@ -125,7 +128,7 @@ def simulate(vehicle: Vehicle, windows: Windows, theta: np.ndarray) -> dict[str,
         U = arm * T
         S_f, T_f = S[0], T[0]
         moment = T_f + T[1]
-        # The wheels turn on: the force at their mean angle of the step.
+        # The wheels keep turning: change of the front force at their mean angle over the step.
         turned = ahead[k] * S_f * steep[0]
         f_1 = h * (a_y + turned / m - v_k * r - v_next[k] * r)
         f_2 = h * (l_f * (turned - P_f) + l_r * P_r) / I_z
@@ -155,7 +158,7 @@ def _loads(vehicle, windows, theta):
 def at_sensors(
     vehicle: Vehicle, windows: Windows, simulated: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """What `simulate` returns, as it is measured where the sensors are.
+    """Transform the result of `simulate` to the positions of the sensors.
 
     Parameters
     ----------
@@ -180,14 +183,14 @@ def at_sensors(
 
 
 def _wheels(vehicle, windows, theta):
-    """Angle of the wheels at each step, and its mean over the step less that."""
+    """Wheel angle at each step, and by how much its mean over the step exceeds it."""
     total, share, gain, offset = theta[:, 3], theta[:, 4], np.exp(theta[:, 5]), theta[:, 6]
     command = windows.commands("steering", total * (1.0 - share))
     command = gain[:, None] * np.clip(command, -vehicle.delta_max, vehicle.delta_max)
     command += offset[:, None]
     lag = np.maximum(total * share, 1e-6)[:, None]
     follow = -np.expm1(-windows.step / lag)
-    # Of an exponential approach; a turn at full rate is halfway on average.
+    # Mean of an exponential approach; a turn at full rate is halfway on average.
     mean = 1.0 / follow - lag / windows.step
     slew = vehicle.delta_rate_max * windows.step
     follow = _spread(follow, command.shape[1:])
@@ -203,9 +206,9 @@ def _wheels(vehicle, windows, theta):
 
 
 def _curves(vehicle, theta, shape):
-    """Forces and slopes of both tires, normalized, over slip angles of shape (2, p, n).
+    """Function from slip angles, shape (2, p, n), to normalized forces and slopes of both tires.
 
-    Slopes at zero slip and C are scaled by factors, and E is moved.
+    Slopes at zero slip and C are scaled by factors, and E is shifted.
     """
     tires = vehicle.front, vehicle.rear
     front, rear, grip, wide = (np.exp(theta[:, i])[:, None] for i in (0, 1, 2, 9))
@@ -251,12 +254,12 @@ def fit_car(
     Parameters
     ----------
     vehicle : Vehicle
-        The car, whose parameters are the center of what is believed.
+        The car, whose parameters are the center of the prior.
     windows : Windows
     beliefs : dict of str to Believed, optional
         See `believed`.
     near : Fitted, optional
-        Where to begin.
+        Fit to start from.
 
     Returns
     -------

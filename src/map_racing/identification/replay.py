@@ -1,9 +1,9 @@
 """Validation by replay: a car driven open loop by the commands of a recording.
 
-The recording is cut into windows. In each the car begins as it was measured; after a short while in
-which it forgets how it began, only the steering and speed commands drive it. What it does then is
-compared with what was measured: nothing is fed back, so errors grow with the length of the window,
-which is stated.
+The recording is cut into windows. In each the car starts from the measured state; after a short
+time in which the initial state decays, only the steering and speed commands drive it. Its motion is
+then compared with the measured one. Nothing is fed back, so errors grow with the length of the
+window, which is reported.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ __all__ = [
 
 STEP_S, BURN_IN_S, SHORTEST_S, LONGEST_S = 0.005, 0.3, 0.2, 60.0
 ALL = 100000  # more windows than any recording has
-# Of a servo that nobody measured: dead time and lag together [s], and how much it may differ.
+# Prior of the sum of a servo's dead time and lag, and its standard deviation [s].
 USUAL_DELAY_S, DELAY_SPREAD_S = 0.05, 0.03
 FEWEST_WINDOWS, MOST_WINDOWS = 5, 40
-# The car's model ends where it stands [m/s].
+# Lowest speed of the model [m/s]; it does not hold at standstill.
 SLOWEST_MPS = 0.3
 HEADING_HZ = 3.0
 LEAST_BEYOND = 0.02  # share of the driving that is worth a note
 
-# Shares are of what was measured, or of this where it was less: an error on a straight is no large
-# share of a turn.
+# Errors are given as shares of the measured RMS, but at least of this value, because on a straight
+# the measured RMS is close to 0.
 LEAST_MEASURED = {"yaw rate": 0.3, "lateral acceleration": 1.0, "speed": 1.0}
 
 UNITS = {
@@ -60,16 +60,16 @@ TIRES = ("front", "rear", "grip", "shape", "gain", "offset", "inertia", "height"
 
 
 class Actuators(NamedTuple):
-    """What stands between commands and wheels.
+    """Parameters of the actuators between commands and motion.
 
     Parameters
     ----------
     delay, share : float
-        Dead time and lag of the steering together [s], and the lag's share of them.
+        Sum of dead time and lag of the steering [s], and the lag's share of it.
     drive : ndarray or None
-        Parameters of `map_racing.identification.drive.driven_speed`; None where nothing tells them.
+        Parameters of `map_racing.identification.drive.driven_speed`; None if unknown.
     fitted : bool, optional
-        Whether the steering's are fitted, not the usual ones.
+        Whether the steering parameters are fitted; otherwise they are the usual ones.
     """
 
     delay: float
@@ -84,16 +84,17 @@ class ChannelError(NamedTuple):
     Parameters
     ----------
     rms : float
-        Of all windows, noise of the sensor included; of the drift at the end of each [SI].
+        RMS error over all windows, sensor noise included; for the drift, over the ends of the
+        windows [SI].
     worst : float
-        The largest RMS error of a window [SI].
+        Largest RMS error of a window [SI].
     worst_t : float
-        When that window begins [s].
+        Start of that window [s].
     noise : float
-        What is left of the sensor's noise in what was measured, roughly; 0 for the drift [SI].
+        Approximate sensor noise left in the measurement; 0 for the drift [SI].
     share : float
-        `rms` as a share of the RMS of what was measured, see `LEAST_MEASURED`; the drift's of the
-        distance driven.
+        `rms` as a share of the measured RMS, see `LEAST_MEASURED`; for the drift, of the distance
+        driven.
     """
 
     rms: float
@@ -120,7 +121,7 @@ class Replay:
     Parameters
     ----------
     length : float
-        Of each window [s].
+        Length of each window [s].
     runs : list of RunReplay
     refused : list of (str, str)
         Labels of runs that could not be replayed, and why.
@@ -201,10 +202,10 @@ def replay(
         Their setup is applied.
     actuators : Actuators
     length : float, optional
-        Of the windows [s].
+        Length of the windows [s].
     reached : float, optional
-        Lateral acceleration up to which the tires were identified [m/s^2]: what is beyond it is
-        noted, as there they are extrapolated.
+        Lateral acceleration up to which the tires were identified [m/s^2]; driving beyond it is
+        noted, because there the tires are extrapolated.
 
     Raises
     ------
@@ -259,7 +260,7 @@ def _replayed(vehicle, run, actuators, length, reached):
             )
     driven = drive.speed_command is not None and actuators.drive is not None
     if not driven:
-        notes.append("speed as measured: no speed commands, or nothing tells of the drive")
+        notes.append("speed as measured: no speed commands, or the drive was not identified")
     else:
         lane = actuators.drive[None]
         v_x = driven_speed(windows, lane, windows.burn_in)[:, 0, :]
@@ -279,7 +280,7 @@ def _replayed(vehicle, run, actuators, length, reached):
 
 
 def _commanded(drive, notes):
-    """The drive without stops: a command of 0 m/s does not say whether the car brakes or rolls."""
+    """The drive without stops, because a car commanded 0 m/s may either brake or roll out."""
     if drive.speed_command is None:
         return drive
     at = np.searchsorted(drive.speed_command.t, drive.t, side="right") - 1
@@ -291,7 +292,7 @@ def _commanded(drive, notes):
 
 
 def _errors(drive: Driving, windows, simulated, path, with_speed):
-    """Errors of all channels, on the clock of the smoothed signals."""
+    """Errors of all channels, at the times of the smoothed signals."""
     each = round(1.0 / GRID_HZ / windows.step)
     skip = windows.burn_in // each
     count = windows.steps // each + 1
@@ -332,13 +333,13 @@ def _when(windows, at):
 
 
 def _smooth(drive, name):
-    """A measured quantity on the even times, without delay."""
+    """A measured quantity at the even times, smoothed without delay."""
     values = np.interp(drive.t, *without_outliers(*drive.measured[name]))
     return low_passed(values, GRID_HZ, SMOOTH_HZ)
 
 
 def _noise(drive, name, smooth):
-    """Standard deviation of the noise that the low-pass left, from what it removed."""
+    """Standard deviation of the noise left by the low-pass, estimated from what it removed."""
     t, value = without_outliers(*drive.measured[name])
     passes = min(2.0 * SMOOTH_HZ * float(np.median(np.diff(t))), 0.8)
     taken = float(np.std(value - np.interp(t, drive.t, smooth)))
@@ -360,7 +361,7 @@ def _path(run, t, clock_offset):
 
 
 def _drift(path, v, v_y, r):
-    """How far to the left of where the car was it is at the end of each window [m], shape (n,)."""
+    """Lateral position error at the end of each window, left positive [m], shape (n,)."""
     x, y, psi = path
     step = 1.0 / GRID_HZ
 

@@ -54,13 +54,13 @@ def prediction_errors(predictions: Iterable[Prediction]) -> dict[str, dict[str, 
 
 
 def worst_prediction(predictions: Iterable[Prediction]) -> dict[str, Any] | None:
-    """The worst relative error of the yaw rate, and how many are small.
+    """The worst relative error of the yaw rate, and the number of small ones.
 
     Returns
     -------
     dict or None
-        ``holds``, of which ``within_5_percent``, and of the worst ``error``, ``run``, ``t_s`` and
-        ``v_mps``; None without predictions.
+        Number of segments ``holds``, number of those ``within_5_percent``, and ``error``, ``run``,
+        ``t_s`` and ``v_mps`` of the worst; None without predictions.
     """
     errors = [(abs(p.r_predicted / p.r - 1.0), p) for p in predictions]
     errors = [entry for entry in errors if math.isfinite(entry[0])]
@@ -127,7 +127,7 @@ def report_data(found: Identification, left_out: list[Prediction] | None = None)
 
 
 def recorded_notes(found: Identification) -> list[str]:
-    """What was noted while the runs and the vehicle file were read, one line each."""
+    """Notes from reading the runs and the vehicle file, one line each."""
     notes = [f"{motion.run.label}: {note}" for motion in found.motions for note in motion.run.notes]
     return [*(f"{found.base.name}: {note}" for note in found.base.notes), *notes]
 
@@ -201,7 +201,7 @@ def _axle(name, axle, base):
     if fit.saturated:
         reach = "the peak was reached"
     elif fit.reach >= AT_PEAK:
-        reach = "they do not show whether that is the peak: they scatter, or do not rise to it"
+        reach = "whether that is the peak is unclear: the points scatter, or do not rise to it"
     else:
         reach = (
             f"not saturated: the forces end at {fit.reach:.0%} of the curve's peak, where it "
@@ -231,7 +231,7 @@ def _axle(name, axle, base):
         lines.append(f"  Pacejka, measured: {', '.join(known)}")
     if unknown:
         lines.append(
-            f"  Pacejka, not determined alone (kept near {base}'s, and within the "
+            f"  Pacejka, not determined individually (kept near {base}'s, within "
             f"bounds): {', '.join(unknown)}"
         )
     _, low, high, _ = (value / points.load for value in linear.stiffness_n_per_rad)
@@ -251,7 +251,7 @@ def _summary(found):
         f"(--front-force paper) it would be up to {share:.1%} larger"
         if found.front_force == "model"
         else "front force divided by the cosine of the steering angle, as in the paper: the table, "
-        f"whose model has no such cosine, promises up to {share:.1%} more than was measured"
+        f"whose model has no such cosine, gives up to {share:.1%} more than was measured"
     )
     return [
         f"largest sustained lateral acceleration: {found.largest_a_y:.2f} m/s^2, friction at least "
@@ -265,7 +265,7 @@ def _summary(found):
 
 
 def _understeer(gradient):
-    """The understeer gradient with its interval, and what that says of the car."""
+    """The understeer gradient with its interval, and the car's tendency."""
     value, low, high, determined = gradient
     interval = f"{value:+.5f} rad per m/s^2 (95 %: {low:+.5f} to {high:+.5f})"
     if not determined:
@@ -287,7 +287,7 @@ def _predictions(what, predictions):
 
 
 def comparison(base: Vehicle, vehicle: Vehicle, largest_a_y: float) -> list[str]:
-    """The tables of a car before and after, where `largest_a_y` [m/s^2] was reached."""
+    """Comparison of a car's tables before and after; the data reached `largest_a_y` [m/s^2]."""
     lines = [
         "",
         f"table of {base.name} (before) and of {vehicle.name} (after): largest lateral "
@@ -305,8 +305,8 @@ def comparison(base: Vehicle, vehicle: Vehicle, largest_a_y: float) -> list[str]
     beyond = max((limit for limit in limits if limit is not None), default=0.0)
     if beyond > 1.05 * largest_a_y:
         lines.append(
-            f"  beyond the {largest_a_y:.2f} m/s^2 that were reached, the new table is "
-            "extrapolated: drive faster, or steer farther, to measure it"
+            f"  beyond the {largest_a_y:.2f} m/s^2 that the data reached, the new table is "
+            "extrapolated: drive faster or steer farther to measure it"
         )
     return lines
 
@@ -315,7 +315,7 @@ _WHICH = ("before", "after")
 
 
 def tables(base: Vehicle, vehicle: Vehicle) -> list[dict[str, Any]]:
-    """Limits, and angles at shares of the smaller one, of the tables of two cars at some speeds."""
+    """Limits of two cars' tables at some speeds, and angles at shares of the smaller limit."""
     made = {}
     for which, car in zip(_WHICH, (base, vehicle)):
         for v in SPEEDS_MPS:

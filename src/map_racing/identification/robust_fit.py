@@ -1,9 +1,9 @@
-"""Fit of a simulated model to measurements: robust, bounded, with priors and honest intervals.
+"""Fits a simulated model to measurements: robust, bounded, with priors and realistic intervals.
 
-Levenberg and Marquardt's method on Huber's loss. A model is given by what it predicts for several
-sets of parameters at once, because one pass over time for all of them costs hardly more than one
-for a single set. Intervals follow from how much the windows disagree with each other (a sandwich
-covariance, clustered by window), so that errors that last, such as a wrong model's, widen them.
+It uses the Levenberg-Marquardt method with the Huber loss. The model predicts for several sets of
+parameters at once, because one pass over time for all of them costs hardly more than one for a
+single set. Intervals follow from the disagreement between the windows (a sandwich covariance,
+clustered by window), so that persistent errors, such as from a wrong model, widen them.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ import numpy as np
 __all__ = ["CONFIDENCE", "Believed", "Fitted", "fit"]
 
 CONFIDENCE = 1.96  # of a normal distribution: 95 %
-HUBER = 2.5  # residuals beyond this many standard deviations pull no harder
+HUBER = 2.5  # standard deviations beyond which the pull of a residual does not grow
 MOST_STEPS = 25
-ROUGH, FINE = 1e-3, 1e-6  # relative gain of a step that ends the search
+ROUGH, FINE = 1e-3, 1e-6  # relative gain of a step below which the search ends
 LEAST_NOISE = 1e-4
 
 
 class Believed(NamedTuple):
-    """A parameter before the fit.
+    """Prior of a parameter.
 
     Parameters
     ----------
     center, spread : float
-        Mean and standard deviation of what is believed; a spread of inf is no belief, one of 0
-        holds the parameter.
+        Mean and standard deviation; with a spread of inf there is no prior, with 0 the parameter is
+        held.
     low, high : float
         Bounds.
     step : float
-        For finite differences.
+        Step for finite differences.
     """
 
     center: float
@@ -45,7 +45,7 @@ class Believed(NamedTuple):
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit.
+    """Result of a fit.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Fitted:
     noise: dict[str, float]
 
     def __getitem__(self, name: str) -> float:
-        """A parameter."""
+        """Value of a parameter."""
         return float(self.values[self.names.index(name)])
 
     def deviation(self, gradient: dict[str, float]) -> float:
@@ -83,16 +83,17 @@ def fit(
     Parameters
     ----------
     predict : callable
-        ``predict(lanes)`` gives, for sets of parameters of shape (k, p), each quantity where it was
-        measured, shape (k, n).
+        ``predict(lanes)`` returns, for sets of parameters of shape (k, p), each quantity at its
+        measurements, shape (k, n).
     observed : dict of str to tuple
-        By quantity; first of the tuple the window of each measurement, last its value.
+        For each quantity a tuple that begins with the windows of the measurements and ends with
+        their values.
     believed : dict of str to Believed
-        In the order of the parameters.
+        Priors in the order of the parameters.
     starts : list of dict
-        Changes of the centers from which to search; the best result counts.
+        Changes of the centers to start from; the best result is used.
     noise : dict of str to float
-        First guess for each quantity.
+        First guess of the noise of each quantity.
 
     Returns
     -------
@@ -133,7 +134,7 @@ class _Problem:
         self.measured = {name: columns[-1] for name, columns in observed.items()}
 
     def errors(self, theta):
-        """Predicted minus measured, by quantity: at `theta`, and a step of each parameter away."""
+        """Predicted minus measured, by quantity: at `theta`, then with each parameter stepped."""
         free = self.free
         lanes = np.repeat(theta[None], free.size + 1, axis=0)
         lanes[np.arange(1, free.size + 1), free] += self.steps(theta)
@@ -156,7 +157,7 @@ class _Problem:
         return float(np.sum(rows) + 0.5 * np.sum(self.precision * away * away))
 
     def normal(self, theta, residual, jacobian):
-        """Hessian and gradient, the beliefs included."""
+        """Hessian and gradient, priors included."""
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
         weighted = jacobian * weight[:, None]
         hessian = weighted.T @ jacobian + np.diag(self.precision)
@@ -165,7 +166,7 @@ class _Problem:
         return hessian, gradient
 
     def minimize(self, theta, errors, noise, tolerance):
-        """The minimum near `theta`, where the errors are known; its errors, and its cost."""
+        """The minimum near `theta`, whose errors are given; its errors and cost."""
         low, high = self.low[self.free], self.high[self.free]
         residual, jacobian = self.linearized(theta, errors, noise)
         cost, damping = self.cost(theta, residual), 1e-3

@@ -1,7 +1,7 @@
-"""Do the sensors of a recording agree with physics, and if not, what would repair it?
+"""Checks the sensors of a recording against physics, and proposes repairs.
 
 Steady cornering is overdetermined: lateral acceleration is speed times yaw rate, yaw rate is the
-rate of the heading, speed is path per time, a slowly rolling car follows Ackermann, and left turns
+rate of the heading, speed is path per time, a slow car follows Ackermann geometry, and left turns
 mirror right turns. Each contradiction is reported with the change of the `SensorSetup` that would
 repair it; `kinematic_checks` has the checks of pose and steering.
 """
@@ -36,10 +36,10 @@ LEAST_STANDING_S = 0.4
 # An IMU axis measures lateral acceleration if it follows speed times yaw rate with at least this
 # slope (its unit may be g) and this share of its variance explained.
 LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
-# Standard errors by which a scale or offset of the accelerometer must be off to count; samples per
-# independent one after the low-pass.
+# A scale or offset of the accelerometer is wrong if it is off by this many standard errors; samples
+# per independent one after the low-pass.
 SURE, INDEPENDENT = 3.0, RATE_HZ / 2.0
-# A setup with contradictions after this many corrections is beyond repair.
+# Corrections after which repair is given up.
 MOST_CORRECTIONS = 16
 
 
@@ -50,9 +50,9 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
     ----------
     motions : list of ProcessedRun
     setup : SensorSetup
-        Setup of the motions.
+        Setup with which the motions were processed.
     vehicle : Vehicle
-        Its geometry.
+        Provides the geometry.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
     for checker in (check_clocks, _heading, _rates):
         findings += checker(motions, setup, vehicle)
         if any(finding.critical for finding in findings):
-            # Everything else is judged by speed, yaw rate and heading.
+            # All further checks rely on speed, yaw rate and heading.
             return findings
     for checker in (
         _steering_sign,
@@ -87,7 +87,7 @@ def check(motions: list[ProcessedRun], setup: SensorSetup, vehicle: Vehicle) -> 
 def correct(
     motions_with: Callable, setup: SensorSetup, vehicle: Vehicle
 ) -> tuple[SensorSetup, list[SensorFinding]]:
-    """Repair the setup one contradiction at a time: each repair changes the next check.
+    """Repair the setup one contradiction at a time, because each repair affects later checks.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def correct(
 
 
 def _heading(motions, setup, vehicle):
-    """Does the heading point forwards?"""
+    """Check that the heading points forwards."""
     beta = np.abs(_pooled(motions, "beta", "moving"))
     if np.median(beta) < 0.5 * math.pi:
         return []
@@ -122,7 +122,7 @@ def _heading(motions, setup, vehicle):
     return [
         SensorFinding(
             "heading",
-            f"heading: the pose moves {np.median(beta):.2f} rad off its own heading: it points "
+            f"heading: the pose moves {np.median(beta):.2f} rad off its heading, which points "
             "backwards",
             {"heading_offset_rad": turned},
             critical=True,
@@ -131,7 +131,7 @@ def _heading(motions, setup, vehicle):
 
 
 def _rates(motions, setup, vehicle):
-    """Yaw rate against the rate of the heading, speed against path per time."""
+    """Check yaw rate against the rate of the heading, and speed against path per time."""
     r, turning = _pooled(motions, "r", "moving"), _pooled(motions, "heading_rate", "moving")
     turns = np.abs(turning) > turning_rate(size_of(vehicle))
     v, path = _pooled(motions, "v_x", "moving"), _pooled(motions, "path_speed", "moving")
@@ -143,7 +143,7 @@ def _rates(motions, setup, vehicle):
     if min(abs(yaw), abs(speed)) < 0.1:
         what = "yaw rate" if abs(yaw) < 0.1 else "speed"
         text = (
-            f"{what}: {min(abs(yaw), abs(speed)):.2f} times what the poses say: it measures "
+            f"{what}: {min(abs(yaw), abs(speed)):.2f} times that of the poses: it measures "
             "something else, and can be left out of the channel map, unless a unit is wrong"
         )
         return [SensorFinding(what, text, critical=True)]
@@ -188,7 +188,7 @@ def _steering_sign(motions, setup, vehicle):
 
 
 def _lateral_axis(motions, setup, vehicle):
-    """Which axis of the IMU, with which sign, measures the lateral acceleration?"""
+    """Check which axis of the IMU measures the lateral acceleration, and its sign."""
     motions = [motion for motion in motions if motion.axes and motion.acceleration == "imu"]
     if not motions:
         return []
@@ -207,7 +207,7 @@ def _lateral_axis(motions, setup, vehicle):
     own = setup.lateral_axis
     low, middle, high = np.percentile(expected, (5.0, 50.0, 95.0))
     if high - low < abs(middle) and own in fits and not follows(own):
-        # Bends to one side at about one acceleration show no slope, but whether that is there.
+        # Bends to one side at about one acceleration show no slope; compare the level instead.
         there = np.median(np.concatenate([motion.axes[own][motion.steady] for motion in motions]))
         if 0.5 < setup.lateral_scale * there / middle < 2.0:
             return []
@@ -241,7 +241,7 @@ def _lateral_axis(motions, setup, vehicle):
 
 
 def _lateral_scale(motions, setup, vehicle):
-    """Offset of the accelerometer, and body roll, which it measures as acceleration."""
+    """Check scale and offset of the accelerometer; body roll appears as a scale."""
     motions = [motion for motion in motions if motion.axes and motion.acceleration == "imu"]
     if not motions:
         return []
@@ -274,9 +274,10 @@ def _lateral_scale(motions, setup, vehicle):
 
 
 def _scale_and_offset(expected, measured, standing):
-    """Slope and offset of a line, and their standard errors; the offset at rest where known.
+    """Slope and offset of a line, and their standard errors.
 
-    The low-pass leaves about two independent samples per second.
+    The offset is taken at standstill if known. The low-pass leaves about two independent samples
+    per second.
     """
     count = max(expected.size / INDEPENDENT, 1.0)
     if standing is not None:
@@ -294,7 +295,7 @@ def _scale_and_offset(expected, measured, standing):
 
 
 def _lateral_velocity(motions, setup, vehicle):
-    """Does the lateral velocity of the odometry agree with the poses?"""
+    """Compare the lateral velocity of the odometry with the poses."""
     motions = [motion for motion in motions if motion.v_y_odometry is not None]
     if not motions:
         return []
@@ -354,7 +355,7 @@ def _expected(motions, mask):
 
 
 def _standing(motion):
-    """Where the car stands, away from where it stops: the body still moves there."""
+    """Where the car stands, except just after stopping, when the body still moves."""
     still = (np.abs(motion.v_x) < STANDSTILL_MPS) & (np.abs(motion.r) < 0.05)
     still &= np.any([axis != 0.0 for axis in motion.axes.values()], axis=0)
     margin = np.ones(round(RATE_HZ) + 1)

@@ -8,11 +8,11 @@ from ..vehicle.size import Size
 
 __all__ = ["SensorFinding", "turning_rate"]
 
-TURNING_RADPS = 0.3  # a 1:10 car turns, and its yaw rate can be compared
+TURNING_RADPS = 0.3  # least yaw rate of a 1:10 car that counts as turning
 
 
 def turning_rate(size: Size) -> float:
-    """Yaw rate above which a car of this size turns, and its yaw rate can be compared [rad/s]."""
+    """Least yaw rate that counts as turning for a car of this size [rad/s]."""
     return TURNING_RADPS / size.time
 
 
@@ -27,9 +27,9 @@ class SensorFinding:
     text : str
         The measurement, in one line.
     fix : dict
-        Changes of the `SensorSetup` that repair a contradiction; empty without one.
+        Changes of the `SensorSetup` that repair a contradiction; empty if there is none.
     critical : bool
-        Whether tires identified without the repair would be meaningless.
+        Whether identified tires would be meaningless without the repair.
     """
 
     check: str

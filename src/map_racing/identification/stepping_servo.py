@@ -1,8 +1,8 @@
-"""A servo that turns in steps: at each sample by its full rate toward the command, or not at all.
+"""A stepping servo: at each sample it turns by its full rate toward the command, or not at all.
 
-So does the servo of the public ROS 1 simulator, behind a line of delayed samples. Around a held
-command it goes to and fro, which a first-order lag cannot; where the yaw rate shows it, the dead
-time is a whole number of samples, and is known exactly.
+The servo of the public ROS 1 simulator does so, behind a delay line. It oscillates around a held
+command, which a first-order lag cannot reproduce. If the yaw rate shows this, the dead time is a
+whole number of samples and is known exactly.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ JITTER_S = 1e-3
 
 
 def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: int) -> Driving:
-    """The same drive with the angle that such a servo would have had instead of the commands.
+    """The drive with the angle of such a servo in place of its commands.
 
     Parameters
     ----------
     driving : Driving
     rate, lock : float
-        Of the servo [rad/s], [rad].
+        Rate and lock of the servo [rad/s], [rad].
     samples : int
-        Length of the line.
+        Length of the delay line.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: i
     first = stamps[0] + float(np.median(_off_raster(stamps)))
     ticks = np.arange(first, stamps[-1], SAMPLE_S)
     commands = driving.steering
-    # A command given before the next sample counts for this one.
+    # A command sent before the next sample applies to this one.
     last = np.searchsorted(commands.t, ticks + SAMPLE_S - 1e-6) - 1
     last = np.maximum(np.append(np.zeros(samples, dtype=int), last)[: ticks.size], 0)
     wanted = commands.value[last].tolist()
@@ -51,7 +51,7 @@ def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: i
         error = target - angle
         if abs(error) > DEAD_BAND_RAD:
             angle = min(max(angle + math.copysign(move, error), -lock), lock)
-    # Nothing is noisy there: the speed as it was, whose rate may change at each sample.
+    # A simulated speed has no noise: use it unsmoothed, as its rate may change at each sample.
     v_t, v = driving.measured["v_x"]
     v_t = first + SAMPLE_S * np.round((v_t - first) / SAMPLE_S)
     v_t, own = np.unique(v_t, return_index=True)
@@ -67,9 +67,9 @@ def behind_stepping_servo(driving: Driving, rate: float, lock: float, samples: i
 
 
 def on_raster(t: np.ndarray) -> bool:
-    """Whether times are whole samples apart, as in a simulation and nowhere else.
+    """Whether times are whole samples apart, which happens only in simulation.
 
-    In one that runs in real time, some are late.
+    In a simulation in real time, some are late.
 
     Parameters
     ----------
@@ -81,5 +81,5 @@ def on_raster(t: np.ndarray) -> bool:
 
 
 def _off_raster(t):
-    """How much later than whole samples after the first [s]."""
+    """Offset of times from whole samples after the first [s]."""
     return (t - t[0]) - SAMPLE_S * np.round((t - t[0]) / SAMPLE_S)

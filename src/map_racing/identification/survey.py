@@ -1,6 +1,6 @@
-"""What recorded drives are good for: their motion, checks of their sensors, and a setup for all.
+"""Surveys recorded drives: their motion, checks of their sensors, and a common setup.
 
-Steady cornering (`identify`) and ordinary driving (`laps`) are told apart here.
+It separates steady cornering, for `identify`, from ordinary driving, for `laps`.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Survey(NamedTuple):
     Parameters
     ----------
     setup : SensorSetup
-        As used, after corrections.
+        The setup used, after corrections.
     corrections, findings : list of SensorFinding
-        Made, and what the checks found after them.
+        Corrections made, and findings of the checks after them.
     steady : list of ProcessedRun
         Runs with steady cornering.
     ordinary : list of Run
-        Runs without, in which the car drives and its sensors agree.
+        Other runs in which the car drives and its sensors agree.
     refused : list of (str, str)
         All runs without steady cornering, with the reason.
     """
@@ -54,13 +54,12 @@ def survey(
     limits: SteadyLimits | None = None,
     acceleration: str = "imu",
 ) -> Survey:
-    """Look at drives; parameters as for `map_racing.identification.identify.identify`.
+    """Survey drives; parameters as for `map_racing.identification.identify.identify`.
 
     Raises
     ------
     IdentificationError
-        If there are no runs, or if sensors contradict each other (the message says what would
-        repair it).
+        If there are no runs, or if sensors contradict each other (the message names the repair).
     """
     runs = list(runs)
     if not runs:
@@ -85,7 +84,7 @@ def survey(
 
 
 def _motions(runs, setup, vehicle, limits, acceleration):
-    """Motions of the runs and whether each is steady, the unsteady runs, the ordinary ones."""
+    """Motions of the runs and whether each is steady; refused runs; ordinary runs."""
     motions, refused, ordinary = [], [], []
     for run in runs:
         changed = dataclasses.replace(run, setup=setup)
@@ -94,7 +93,7 @@ def _motions(runs, setup, vehicle, limits, acceleration):
         except IdentificationError as error:
             why = str(error)
             if f"a_{setup.lateral_axis}" not in run.signals and acceleration == "imu":
-                # Ordinary driving tells of tires without an IMU, too.
+                # Ordinary driving identifies tires without an IMU, too.
                 _, also, found = _motions([run], setup, vehicle, limits, "yaw_rate")
                 ordinary += found
                 others = [reason for _, reason in also if not found and reason != why]

@@ -1,15 +1,15 @@
-"""The curve through the points of an axle (`axles`): its tire.
+"""Fits a tire curve to the points of an axle (`axles`).
 
 Two things differ from the paper (Becker et al., ICRA 2023, section on the identification of the
 tires); tests show why:
 
-- Localization's errors are in the slip of both axles alike. So the points of the stiffer rear axle
-  are moved to its curve, and those of the front axle as far: what they differ by, yaw rate and
-  steering tell without localization.
+- Localization errors shift the slip of both axles equally. So the points of the stiffer rear axle
+  are moved to its curve, and those of the front axle by the same amount; the difference of both
+  slips depends only on yaw rate and steering.
 - Slip angles are noisy, too; on a stiff axle the noise exceeds the slip. Least squares on the
   force then gives too soft a curve, with any amount of data. So the residual is the first-order
   distance to the curve in the metric of both noises (Sampson 1982) [N], which equals the paper's
-  without slip noise.
+  residual if there is no slip noise.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ LOWER = np.array([0.3, 1.0, 0.05, -5.0])
 UPPER = np.array([150.0, 1.5, 4.0, 1.1])
 # Prior standard deviations of C, ln D and E around their start; worth one measurement.
 PRIOR_SPREAD = np.array([0.15, 0.3, 0.5])
-# A parameter is determined if the data bring its spread below this share of the prior's.
+# A parameter is determined if the data reduce its spread below this share of the prior's.
 UNDETERMINED = 0.5
-# The peak is reached if the measured forces end at this share of it or beyond, the upper end of its
-# interval is at most this many times the largest of them,
+# The peak is reached if the measured forces extend to AT_PEAK of it, the upper end of its interval
+# is at most ABOVE times the largest force,
 AT_PEAK, ABOVE = 0.95, 1.1
-# and the smallest of them are below this share of the largest: they rose to it.
+# and the smallest forces are below this share of the largest, so that they rise to it.
 RISEN = 0.75
 FEWEST_POINTS = 20
-NEAREST_STEPS = 5  # to the nearest place of a curve
-FEW_POINTS = 300  # are enough for the first fit
+NEAREST_STEPS = 5  # iterations to the nearest point of a curve
+FEW_POINTS = 300  # enough for the first fit
 
 
 class Parameter(NamedTuple):
@@ -130,15 +130,15 @@ class LinearFit:
 
 
 def beside_rear(front: AxlePoints, rear: AxlePoints, tire: PacejkaTire) -> AxlePoints:
-    """Points of the front axle without the errors of the sideslip, as the rear axle tells them.
+    """Points of the front axle without the sideslip errors that the rear axle reveals.
 
     Parameters
     ----------
     front, rear : AxlePoints
-        Of the same motions.
+        Points of the same motions.
     tire : PacejkaTire
-        Of the rear axle: its points are moved to the nearest place of the curve, and the front
-        axle's as far.
+        Tire of the rear axle: its points are moved to the nearest point of the curve, and the front
+        axle's by the same amount.
 
     Returns
     -------
@@ -166,11 +166,11 @@ def fit_pacejka(
     ----------
     points : AxlePoints
     start : PacejkaTire, optional
-        C, D and E to keep where the data determine none.
+        C, D and E to keep if the data do not determine them.
     threshold : float
         See above [N].
     oversampling : float
-        Points per independent measurement: low-passed neighbors are dependent, and confidence
+        Points per independent measurement: low-passed neighbors are correlated, and confidence
         intervals must not shrink with the sampling rate.
 
     Raises
@@ -259,7 +259,7 @@ def _ratio(points):
 
 
 def _prior(start):
-    """C, ln D and E at which to stay."""
+    """Prior means of C, ln D and E."""
     if not isinstance(start, PacejkaTire):
         return np.array([1.3, 0.0, 0.0])
     _, C, D, E = np.clip([start.B, start.C, start.D, start.E], LOWER, UPPER)
@@ -283,16 +283,13 @@ def _errors(theta, slip, force, load, ratio):
 
 
 def _covered(theta, slip, force, load, ratio):
-    """98th percentile of the slip of the points, each moved to the nearest place of the curve."""
+    """98th percentile of the slip of the points, each moved to the nearest point of the curve."""
     moved = slip + _to_curve(theta, slip, force, load, ratio)
     return float(np.percentile(np.abs(moved), 98.0))
 
 
 def _to_curve(theta, slip, force, load, ratio, steps=1):
-    """How much more slip the nearest place of the curve has than each point [rad].
-
-    By Gauss's and Newton's steps.
-    """
+    """Slip from each point to the nearest point of the curve [rad], by Gauss-Newton steps."""
     move = np.zeros_like(slip)
     for _ in range(steps):
         normalized, slope = _curve(theta, slip + move)
@@ -303,7 +300,7 @@ def _to_curve(theta, slip, force, load, ratio, steps=1):
 
 
 def _robust(slip, force, load, ratio, prior):
-    """First fit, robust against a quarter of gross outliers: the best of several starts."""
+    """First fit, robust against up to a quarter of outliers: the best of several starts."""
     scale = max(0.02 * load, 0.1)
     some = slice(None, None, max(slip.size // FEW_POINTS, 1))
     slip, force = slip[some], force[some]
@@ -329,7 +326,7 @@ def _robust(slip, force, load, ratio, prior):
 
 
 def _stiffnesses(slip, force, load):
-    """Guesses of the normalized slope at zero: chords of points with less than half the force."""
+    """Guesses of the normalized slope at zero, from points with less than half the force."""
     small = (np.abs(force) < 0.5 * np.percentile(np.abs(force), 95)) & (np.abs(slip) > 1e-4)
     chords = force[small] / (load * slip[small]) if small.any() else np.array([10.0])
     middle = float(np.clip(np.median(chords), 1.0, 150.0))
@@ -353,8 +350,9 @@ def _least_squares(begin, slip, force, load, ratio, prior, noise):
 def _intervals(theta, jacobian, noise, load, most):
     """95 % intervals from the covariance, what is determined, and whether the peak was reached.
 
-    A parameter is determined if the data bring its spread well below the prior's; the peak, and
-    what shapes it, also need data that reach it, so that its interval ends below `most` [N].
+    A parameter is determined if the data reduce its spread well below the prior's. The peak, and
+    the parameters that shape it, also need data that reach it, so that its interval ends below
+    `most` [N].
     """
     information = jacobian.T @ jacobian / max(noise, 1e-9) ** 2
     spread = np.array(

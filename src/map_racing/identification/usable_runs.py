@@ -1,4 +1,4 @@
-"""Which runs say something about tires, and which of steady cornering."""
+"""Decides which runs can identify tires, and which contain steady cornering."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from .sensor_findings import turning_rate
 __all__ = ["is_localized", "reason_to_refuse", "reason_unsteady"]
 
 LEAST_USABLE_S = 2.0
-# Of a drive for steady cornering at least this share is steady; else it is ordinary driving.
+# Least share of a drive that must be steady; with less it is ordinary driving.
 LEAST_STEADY_SHARE = 0.2
 LARGEST_ANGLE = 1.0  # largest plausible road-wheel angle [rad]
-# Spread of the ratios of localization to sensors in one run beyond which no constant explains them.
+# Largest spread of the ratio of localization to sensors in a run that a wrong scale can explain.
 LARGEST_SPREAD = 0.35
 
 
 def reason_to_refuse(motion: ProcessedRun) -> str:
-    """Why a run says nothing about tires; empty if it is usable."""
+    """Why a run cannot identify tires; empty if it is usable."""
     if not motion.moving.any():
         return f"the car never drove (fastest {np.max(np.abs(motion.v_x)):.2f} m/s)"
     if _diverged(motion):
         return "localization diverged: its speed or yaw rate has no constant ratio to the car's"
-    if _astray(motion):
+    if _misaligned(motion):
         return (
-            "the poses do not move where their heading points, nor at a constant angle to it: "
-            "is an axis of the position turned around, or are the axes swapped?"
+            "the poses do not move along their heading, nor at a constant angle to it: "
+            "is an axis of the position inverted, or are the axes swapped?"
         )
     usable, driven, text = _steady_driving(motion)
     if usable >= LEAST_USABLE_S:
@@ -44,18 +44,18 @@ def reason_to_refuse(motion: ProcessedRun) -> str:
 
 
 def reason_unsteady(motion: ProcessedRun) -> str:
-    """Why a run that is usable says nothing about steady cornering; empty if it does."""
+    """Why a usable run does not count as steady cornering; empty if it does."""
     usable, driven, text = _steady_driving(motion)
     return "" if usable >= max(LEAST_USABLE_S, LEAST_STEADY_SHARE * driven) else text
 
 
 def is_localized(motion: ProcessedRun) -> bool:
     """Whether the car drove, and its poses can be compared with its sensors."""
-    return bool(motion.moving.any()) and not _diverged(motion) and not _astray(motion)
+    return bool(motion.moving.any()) and not _diverged(motion) and not _misaligned(motion)
 
 
 def _steady_driving(motion):
-    """Seconds of usable steady driving, of driving, and both in words."""
+    """Seconds of usable steady driving and of driving, and both in words."""
     driven = np.count_nonzero(motion.moving) / RATE_HZ
     steady = np.count_nonzero(motion.steady) / RATE_HZ
     usable = sum(cut.stop - cut.start for cut in motion.segments()) / RATE_HZ
@@ -77,11 +77,11 @@ def _diverged(motion):
     return bool(
         _spread(ratio) > LARGEST_SPREAD
         or (turns.size > RATE_HZ and _spread(turns) > LARGEST_SPREAD)
-        or _astray(motion)
+        or _misaligned(motion)
     )
 
 
-def _astray(motion):
+def _misaligned(motion):
     """Whether the poses move in all directions relative to their own heading."""
     beta = motion.beta[motion.moving & (motion.path_speed > STANDSTILL_MPS)]
     if beta.size < RATE_HZ:

@@ -6,7 +6,7 @@ from std_msgs.msg import ColorRGBA
 
 __all__ = ["WALL", "gradient"]
 
-# The color map viridis, as in the figures: brighter means more.
+# The color map viridis, as in the figures; brighter means a larger value.
 _STOPS = (
     (0.27, 0.00, 0.33),
     (0.23, 0.32, 0.55),

@@ -46,24 +46,24 @@ from .waypoints import RacelineSubscriber, waypoint_array_class, waypoint_messag
 __all__ = ["ControllerNode", "main"]
 
 SWITCH_S = 0.0005
-# Do not log the same failure again within this time [s].
+# Shortest interval between log messages of the same failure [s].
 QUIET_S = 1.0
-# Stop commands sent when the node ends: several, as the first may meet a full queue.
+# Stop commands sent when the node ends: several, because the first may be lost in a full queue.
 LAST_COMMANDS, LAST_PERIOD_S = 5, 0.02
-# Longest wait [s of wall time] for /clock to reach a pose that overtook it.
+# Longest wait [s of wall time] for /clock to catch up with a pose that overtook it.
 CLOCK_PATIENCE_S = 1.0
 
 POSE_TYPES = {"odom": Odometry, "pose": PoseStamped, "tf": TFMessage}
 
 
 def _build():
-    """Controller and supervisor from the node's parameters, and names for the settings."""
+    """Build controller and supervisor from the node's parameters, with names for the settings."""
     source = get_parameter("controller", "map", "shipped name or file")
     car = get_parameter("vehicle", "nuc4", "shipped name or file")
     vehicle = load_vehicle(car)
     for note in vehicle.notes:
         rospy.logwarn("~vehicle: %s", note)
-    table = get_parameter("lookup_table", "", "CSV; empty: of the vehicle's tires")
+    table = get_parameter("lookup_table", "", "CSV; empty: from the vehicle's tires")
     parameters = overridden(load_controller_parameters(source, vehicle))
     if table and parameters.steering_map == "ackermann":
         raise ParameterError(f"~lookup_table: {source} is pure pursuit and uses none")
@@ -92,7 +92,7 @@ class ControllerNode:
             raise ParameterError(f"~pose_source: expected odom, pose or tf, got {pose_source!r}")
         self._sectors = get_parameter("sectors", "", "speed_scaling.yaml; empty: none")
         if self._sectors:
-            read_yaml_mapping(self._sectors)  # the rest needs a raceline
+            read_yaml_mapping(self._sectors)  # further checks need a raceline
         self._frames = (
             frame(get_parameter("map_frame", "map", "frame of poses and raceline")),
             frame(get_parameter("base_frame", "base_link", "frame of the car, pose_source tf")),
@@ -101,7 +101,7 @@ class ControllerNode:
         files = (
             get_parameter("save_to", f"{default}{{steering_map}}.yaml", "controller file of ~save"),
             get_parameter(
-                "save_vehicle_to", f"{default}{{vehicle}}_{{time}}.yaml", "learned, file of ~save"
+                "save_vehicle_to", f"{default}{{vehicle}}_{{time}}.yaml", "learned car of ~save"
             ),
         )
         self._controller, self._supervisor, self._names, vehicle = _build()
@@ -113,7 +113,7 @@ class ControllerNode:
         self._start(source, pose_source)
 
     def _start(self, source, pose_source):
-        """Advertise, then subscribe: the first pose may drive the car."""
+        """Advertise first, then subscribe, because the first pose may already drive the car."""
         self._logged_plan, self._logged_doubts, self._published_speeds = None, [], None
         self._logged_sectors = ""
         self._reader, self._clock = StateReader(), SteadyClock()
@@ -151,12 +151,13 @@ class ControllerNode:
         )
         self._subscribe_poses(pose_source)
         self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)
-        # The garbage collector need not look through what exists now while the car drives.
+        # Exempt present objects from garbage collection, which would delay control steps.
         gc.collect()
         gc.freeze()
 
     def _advertise(self):
-        # With a queue of 1, rospy drops commands of a busy computer, others for each subscriber.
+        # With a queue of 1, rospy on a busy computer drops commands, different ones for each
+        # subscriber.
         self._drive = _publisher("drive", AckermannDriveStamped)
         self._guidance = _publisher("guidance", Guidance)
         self._tracking = _publisher("tracking", Tracking)
@@ -191,10 +192,10 @@ class ControllerNode:
                 self._act(begin, message.header, lambda t: read(message, t))
 
     def _await_clock(self, header):
-        """Let simulated time reach a pose that overtook it: they come on different connections."""
+        """Wait until /clock reaches a pose that overtook it on another connection."""
         end = time.monotonic() + CLOCK_PATIENCE_S
         while header.stamp > rospy.Time.now():
-            # Stamps that are in the future hold up no more than one pose.
+            # Timestamps in the future delay at most one pose.
             if not self._clock_follows or time.monotonic() > end:
                 self._clock_follows = False
                 return
@@ -212,7 +213,7 @@ class ControllerNode:
             self._act(begin, header, lambda t: self._reader.plane(t, *pose))
 
     def _act(self, begin, header, read):
-        """One control step on the state that `read` returns; any failure in it stops the car."""
+        """Run a control step on the state that `read` returns; any failure in it stops the car."""
         now = self._clock.now()
         header.frame_id = frame(header.frame_id) or self._frames[0]
         try:
@@ -226,7 +227,7 @@ class ControllerNode:
             self._supervisor.fail()
             try:
                 self._command(header, self._supervisor.decide(now, None))
-            except Exception:  # not even the supervisor works: an unramped stop
+            except Exception:  # the supervisor fails, too: stop without a ramp
                 self._send(header, self._last_angle, 0.0)
 
     def _step(self, begin, now, header, read):
@@ -250,7 +251,7 @@ class ControllerNode:
         self._command(header, self._supervisor.refuse(now))
 
     def _restart(self):
-        """Time was set back: forget the past, as the controller does."""
+        """Start over, as the controller does, after time was set back."""
         rospy.loginfo("time was set back: starting over")
         self._reader.reset()
         self._diagnosis.restart()
@@ -277,7 +278,7 @@ class ControllerNode:
 
     def _send(self, header, steering_angle, speed):
         self._last_angle = steering_angle
-        # One message for all commands: creating one takes as long as a control step.
+        # Reuse one message, because creating one takes as long as a control step.
         command = self._message
         command.header = self._order.ordered(header)
         command.drive.steering_angle = steering_angle
@@ -368,15 +369,15 @@ class ControllerNode:
                 self._diagnosis.refused = ""
             text = "raceline of %s: %.2f m"
             if not driven:
-                text += ", which runs against the motion of the car: it has to stand first"
+                text += ", which runs against the motion of the car: it has to stop first"
             rospy.loginfo(text, raceline.source, raceline.length)
             if driven:
                 self._announce()
 
     def _announce(self, again=True):
-        """Publish settings and speeds, if not `again` these only where they have changed.
+        """Publish settings and planned speeds; without `again`, the speeds only if changed.
 
-        Log where the car drives slower than the raceline.
+        Also log speed plan, sectors and doubts that are new.
         """
         controller = self._controller
         raceline, plan = controller.raceline, controller.plan
@@ -420,7 +421,7 @@ class ControllerNode:
     # -- requests ----------------------------------------------------------------------------
 
     def _on_stop_topic(self, message):
-        # Several nodes may watch over the car: none withdraws the stop of another.
+        # Several nodes may watch the car; none may withdraw another's stop.
         sender = message._connection_header["callerid"]
         with self._lock:
             if message.data:
@@ -431,8 +432,8 @@ class ControllerNode:
         if others:
             rospy.logwarn_throttle(
                 10.0,
-                f"stop_driving: false from {sender}, but {' and '.join(others)} asked for the "
-                "stop: it stays until false comes from there, or ~resume",
+                f"stop_driving: false from {sender}, but {' and '.join(others)} requested the "
+                "stop: it stays in force until they send false, or ~resume is called",
             )
 
     def _on_stop(self, _):
@@ -460,8 +461,8 @@ class ControllerNode:
             return TriggerResponse(False, "nothing was learned: adaptation is off")
         with self._lock:
             learned.forget()
-        rospy.loginfo("what was learned is forgotten: believes the vehicle file again")
-        return TriggerResponse(True, "believes the vehicle file again")
+        rospy.loginfo("adaptation reset to the vehicle file")
+        return TriggerResponse(True, "adaptation reset to the vehicle file")
 
 
 _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
@@ -469,6 +470,6 @@ _UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
 
 def main():
     """Run the node."""
-    # rospy sends in a thread of its own, which must not wait 5 ms for the one that computes.
+    # rospy sends in a separate thread, which must not wait 5 ms for the computing one.
     sys.setswitchinterval(SWITCH_S)
     run("controller", urgent(ControllerNode))

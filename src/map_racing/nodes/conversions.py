@@ -1,4 +1,4 @@
-"""Conversion between messages and the types of the core."""
+"""Conversion between messages and the types of the packages without ROS."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ __all__ = [
     "to_time",
 ]
 
-# A pose whose stamp is before the last command's by more than this [s] shows a clock that was set.
+# A timestamp earlier than the last command's by more than this [s] means that the clock was set.
 LONGEST_OVERTAKEN_S = 1.0
 
 
 def stamp_ns(header: Header, received_ns: int) -> int:
-    """Time stamp of a message [ns]; its time of arrival if it has none (0).
+    """Timestamp of a message [ns]; its receipt time if it has none (0).
 
     Parameters
     ----------
     header : std_msgs/Header
     received_ns : int
-        ``rospy.Time.now().to_nsec()`` of its arrival.
+        Receipt time, ``rospy.Time.now().to_nsec()``.
     """
     return header.stamp.secs * 1000000000 + header.stamp.nsecs or received_ns
 
@@ -58,7 +58,7 @@ def frame(name: str) -> str:
 
 
 def heading(q: Quaternion) -> float:
-    """Heading [rad] of a quaternion; NaN for zeros, which nobody filled in."""
+    """Heading [rad] of a quaternion; NaN if it was left at zeros."""
     length = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
     if not length > SHORTEST_QUATERNION:
         return math.nan
@@ -68,7 +68,7 @@ def heading(q: Quaternion) -> float:
 
 
 def plane_pose(pose: Pose) -> tuple:
-    """``x, y, psi`` [m, m, rad] of a pose; NaN for what is not credible."""
+    """``x, y, psi`` [m, m, rad] of a pose; implausible values are NaN."""
     x, y = pose.position.x, pose.position.y
     if not (abs(x) < FARTHEST and abs(y) < FARTHEST):
         x = y = math.nan
@@ -83,17 +83,17 @@ def set_plane_pose(pose: Pose, x: float, y: float, psi: float) -> None:
 
 
 class StampOrder:
-    """Stamps of commands in the order in which they are sent.
+    """Keeps the timestamps of commands in the order in which they are sent.
 
-    A stop without poses is stamped when it is sent, later than a late pose that then comes: without
-    order nobody knows by the stamps which command is in force.
+    A stop without poses is stamped when it is sent, so a late pose may follow with an earlier
+    timestamp. Without order, timestamps would not show which command is in force.
     """
 
     def __init__(self):
         self._last = genpy.Time()
 
     def ordered(self, header: Header) -> Header:
-        """The header, or one like it that is stamped after the last; the next command has it."""
+        """The header for the next command, restamped if it is earlier than the last one."""
         stamp, last = header.stamp, self._last
         if stamp < last and (last - stamp).to_sec() < LONGEST_OVERTAKEN_S:
             stamp = last + genpy.Duration(0, 1)
@@ -103,10 +103,10 @@ class StampOrder:
 
 
 class StateReader:
-    """States of the car from the messages of one topic.
+    """Makes states of the car from the messages of one topic.
 
-    A component of the velocity that has always been 0 counts as not measured: ``v_x`` and the yaw
-    rate are then estimated from the poses, and ``v_y`` is NaN.
+    A velocity component that has always been 0 counts as not measured: ``v_x`` and the yaw rate are
+    then estimated from the poses, and ``v_y`` is NaN.
     """
 
     def __init__(self):

@@ -1,4 +1,4 @@
-"""Whether the car drives and why not: ``/diagnostics`` and the log of the controller node."""
+"""Reports whether the car drives, and why not: ``/diagnostics`` and the controller node's log."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Diagnosis"]
 
-# Do not log the same reason again within this time [s].
+# Shortest interval between log messages of the same reason [s].
 QUIET_S = 1.0
-# Period of the log of what a waiting car still lacks [s].
+# Interval at which the log says what a waiting car lacks [s].
 MISSING_S = 2.0
 
 
@@ -37,9 +37,9 @@ class Diagnosis:
     controller : Controller
     supervisor : Supervisor
     lock : threading.RLock
-        Held by whoever changes these two.
+        Held while either of these changes.
     pose_source, pose_topic, pose_type : str
-        Where poses come from, for people; resolved topic and type that the master knows.
+        Source of the poses for the log; resolved topic and type as the master knows them.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Diagnosis:
         ]
 
     def restart(self):
-        """Drop the statistics: time was set back."""
+        """Reset the statistics after time was set back."""
         self._statistics = _Statistics()
 
     def add(self, latency: float, result: ControlResult | None):
@@ -82,7 +82,7 @@ class Diagnosis:
             return
         before, self._reported = self._reported, now_reported
         now = time.monotonic()
-        # Log a new reason once: neither when it flickers nor when the stopping car has stopped.
+        # Log a new reason once, not when it flickers or when a stopping car has stopped.
         if now > self._quiet_until.get(reason, 0.0) and (before is None or reason is not before[1]):
             self._quiet_until[reason] = now + QUIET_S
             log = rospy.logwarn if mode in (Mode.STOPPING, Mode.STOPPED) else rospy.loginfo
@@ -126,7 +126,7 @@ class Diagnosis:
         }
 
     def _missing(self):
-        """What a waiting car lacks: text, topic and type; the latter None if no topic lacks it."""
+        """What a waiting car lacks: text, topic and type, both None if it is not a message."""
         if self._supervisor.mode is not Mode.WAITING:
             return
         if math.isnan(self._supervisor.pose_age) and self._supervisor.reason is not Reason.FRAME:
@@ -175,7 +175,7 @@ class _Statistics:
 
 
 def _believed(adaptation):
-    """What is believed of the day, with intervals of 95 %, and whether it is being learned."""
+    """The belief with 95 % intervals, and whether it is being learned."""
     if adaptation is None:
         return {"adaptation": "off"}
     belief, frozen = adaptation.belief, adaptation.frozen

@@ -1,4 +1,4 @@
-"""Node ``lap_evaluator``: laps of live or replayed driving, equal to the laps of its recording."""
+"""Node ``lap_evaluator``: laps of live or replayed driving, same as from its recording."""
 
 import math
 import queue
@@ -34,9 +34,9 @@ __all__ = ["LapEvaluatorNode", "main"]
 _STOP = object()
 _SILENCE_S = 5.0  # warn after this time without poses
 _SUMMARY_S = 5.0  # longest wait of a shutdown for the final summary
-# A shutdown ends after this many looks without a new message, with this pause before each [s], and
-# after this time in any case [s]. Looks are counted, because time also passes while a busy computer
-# does not let this process read.
+# A shutdown ends after this many polls without a new message, at this interval [s], and after this
+# time in any case [s]. Polls are counted, because time also passes while a busy computer keeps this
+# process from reading.
 _LOOKS, _REST_S, _LAST_MESSAGES_S = 15, 0.02, 6.0
 _NAN = math.nan
 LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
@@ -45,7 +45,7 @@ LAP_TEXT_COLOR = (1.0, 1.0, 1.0)
 class LapEvaluatorNode:
     """Queues messages, evaluates them in one thread and publishes the laps.
 
-    Callbacks only queue, so that no message is lost, however fast a bag is played.
+    Callbacks only enqueue, so that no message is lost however fast a bag is played.
     """
 
     def __init__(self):
@@ -57,7 +57,7 @@ class LapEvaluatorNode:
         deviation = get_parameter("max_deviation", 0.0, "off track beyond [m]; 0: walls, or 2 m")
         stop = get_parameter("max_stop", LapLimits().max_stop, "longest stop in a lap [s]")
         braking = get_parameter(
-            "max_deceleration", LapLimits().max_deceleration, "a wall brakes harder [m/s^2]"
+            "max_deceleration", LapLimits().max_deceleration, "more is a collision [m/s^2]"
         )
         patience = get_parameter("patience", 1.0, "longest wait for a drive command [s]")
         csv = get_parameter("csv", "", "file that laps are appended to; empty: none")
@@ -97,7 +97,7 @@ class LapEvaluatorNode:
         self._listen(source, pose)
 
     def _listen(self, source, pose):
-        """Subscribe: from now on callbacks queue."""
+        """Subscribe; from now on callbacks enqueue messages."""
         self._idle = threading.Event()
         self._idle.set()
         rospy.on_shutdown(self._stop)
@@ -119,7 +119,7 @@ class LapEvaluatorNode:
         self._subscribe(pose, kind, add, sender.sent)
 
     def _subscribe(self, topic, kind, handle, counts=lambda _: True):
-        # Without a queue size nothing is dropped; the buffer holds many messages.
+        # Without a queue size no message is dropped; the buffer holds many of them.
         rospy.Subscriber(
             topic,
             kind,
@@ -147,7 +147,7 @@ class LapEvaluatorNode:
     def _stop(self):
         """Let the last lap be published before rospy closes the topics.
 
-        A busy computer has not yet read all that was sent when a bag that is played fast ends.
+        When a bag that is played fast ends, a busy computer has not yet read all messages.
         """
         end, looks, arrived = time.monotonic() + _LAST_MESSAGES_S, 0, self._arrived
         while looks < _LOOKS and time.monotonic() < end:
@@ -176,7 +176,7 @@ class LapEvaluatorNode:
             if self._queue.empty():
                 self._laps.advance(time.monotonic())
             elif self._queue.qsize() % 256 == 0:
-                # Whatever came within the patience is still in the queue, however late it is now.
+                # Use receipt times: a late command within the patience may still be in the queue.
                 self._laps.advance(received)
 
     # -- input ---------------------------------------------------------------------------------
@@ -212,17 +212,17 @@ class LapEvaluatorNode:
         self._no_poses = ""
         header, at = message.header, pose.position
         stamp = stamp_ns(header, received_ns)
-        if not stamp:  # before the first time on /clock, and without a stamp
+        if not stamp:  # no timestamp, and nothing on /clock yet
             return
         if not self._in_frame(frame(header.frame_id) or "map", stamp):
             return
         if self._laps.raceline is None:
-            rospy.logwarn_throttle(10.0, "poses wait for a raceline")
+            rospy.logwarn_throttle(10.0, "poses received, but no raceline yet")
         psi = heading(pose.orientation)
         self._laps.add_pose(stamp, at.x, at.y, *velocity, received, received_ns - stamp, psi)
 
     def _in_frame(self, name, stamp):
-        """Whether a pose is in the frame that counts; where that is a new one, a run begins."""
+        """Whether a pose is in the frame that is used; if that frame changes, a new run begins."""
         topic, before = self._pose_topic[0], self._frames.frame
         doubt = frame_warning(topic, name)
         counts, only = self._frames.counts(name, stamp), self._frames.frame

@@ -1,4 +1,4 @@
-"""Arguments of roslaunch, which ignores those that it does not know."""
+"""Checks the arguments of roslaunch, which ignores unknown ones."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _PASSED_ON = "include/nodes.launch"
 
 
 def check_launch_arguments(words: list[str] | None = None) -> None:
-    """Refuse an argument that does not count: misspelled, or set by the launch file itself.
+    """Refuse an argument without effect: misspelled, or set by the launch file itself.
 
-    The car would drive otherwise than was meant.
+    Otherwise the car would not drive as intended.
 
     Parameters
     ----------
     words : list of str, optional
-        The command line of roslaunch; by default that of the process that started this one. What
-        is none, or launches other files than the shipped ones, is not judged.
+        The command line of roslaunch; by default that of the parent process. Other commands and
+        launch files are not checked.
 
     Raises
     ------
     ParameterError
-        Naming the argument, and those that are spelled like it.
+        Naming the argument, and similar ones.
     """
     words = _command_of_parent() if words is None else words
     programs = [i for i, word in enumerate(words[:3]) if Path(word).name == "roslaunch"]
@@ -39,7 +39,7 @@ def check_launch_arguments(words: list[str] | None = None) -> None:
     words = [word for word in words[programs[0] + 1 :] if not word.startswith("-")]
     given = [word.partition(":=")[0] for word in words if ":=" in word]
     folder = config_directory().parent / "launch"
-    # Values of options, as in -p 11312, may stand anywhere between them.
+    # Option values, as in -p 11312, may be anywhere in between.
     after = words[words.index("map_racing") :] if "map_racing" in words else []
     file = next((word for word in after if (folder / word).is_file()), None)
     if file is None:
@@ -56,7 +56,7 @@ def check_launch_arguments(words: list[str] | None = None) -> None:
 
 
 def _arguments(folder, file):
-    """Names of the arguments that count: what a file works out or sets on the way is not asked."""
+    """Names of the arguments that a user can set, without those that the files set themselves."""
     own, inner = (ElementTree.parse(folder / one).getroot() for one in (file, _PASSED_ON))
     known, passed = (
         {one.get("name") for one in root.findall("arg") if "value" not in one.attrib}
@@ -68,7 +68,7 @@ def _arguments(folder, file):
 
 
 def _command_of_parent():
-    """Words of the command that started this process; empty where they cannot be read."""
+    """Words of the parent process's command; empty if they cannot be read."""
     try:
         return Path(f"/proc/{os.getppid()}/cmdline").read_text().split("\0")[:-1]
     except (OSError, ValueError):

@@ -1,7 +1,7 @@
-"""The log of a node, written in threads of its own: no reader of the log can delay or end the node.
+"""Writes the log of a node in separate threads, so that its reader cannot delay or end the node.
 
-Lines are written under the lock of a control step. A terminal that is paused, a pipe that nobody
-reads, and a disk that hangs would stop the commands with them; a pipe that is closed raises.
+A control step logs while it holds its lock. A paused terminal, a pipe that nobody reads or a
+hanging disk would therefore block the commands, and a closed pipe would raise.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from rospy.impl.rosout import RosOutHandler
 
 __all__ = ["write_beside"]
 
-# At most this many records wait for a slow reader; later ones are lost.
+# Most records that wait for a slow reader; further ones are lost.
 MOST_WAITING = 1000
-# The end of the program waits this long [s] for the last lines.
+# Longest wait for the last lines at the end of the program [s].
 LAST_LINES_S = 1.0
 
 
-class _Beside(logging.Handler):
-    """Hands records to a handler in a thread of its own."""
+class _Threaded(logging.Handler):
+    """Passes records to a handler in a separate thread."""
 
     def __init__(self, handler):
         super().__init__(handler.level)
@@ -37,23 +37,23 @@ class _Beside(logging.Handler):
     def _write(self):
         while True:
             record = self._records.get()
-            # Not `handle`: the end of the program would wait for its lock.
+            # Not `handle`, whose lock would block the end of the program.
             with suppress(Exception):
                 self._handler.emit(record)
             self._records.task_done()
 
     def flush(self):
-        """Wait for the last lines, but not for ever; called at the end of the program."""
+        """Wait a limited time for the last lines; called at the end of the program."""
         end = time.monotonic() + LAST_LINES_S
         while self._records.unfinished_tasks and time.monotonic() < end:
             time.sleep(0.001)
 
 
 def write_beside() -> None:
-    """Have all handlers of the log write in threads of their own, except ``/rosout``."""
+    """Make all log handlers except ``/rosout`` write in separate threads."""
     others = logging.root.manager.loggerDict.values()
     for logger in [logging.root, *(o for o in others if isinstance(o, logging.Logger))]:
         for handler in list(logger.handlers):
-            if not isinstance(handler, (_Beside, RosOutHandler, logging.NullHandler)):
+            if not isinstance(handler, (_Threaded, RosOutHandler, logging.NullHandler)):
                 logger.removeHandler(handler)
-                logger.addHandler(_Beside(handler))
+                logger.addHandler(_Threaded(handler))

@@ -1,8 +1,8 @@
 """Node ``lookahead_visualizer``: lookahead, steering, car and trail as markers.
 
-They are drawn from the message ``guidance``; without it, as in replays of other stacks' bags, car
-and trail are drawn from the poses. The raceline is the one on ``global_waypoints``, colored by the
-speeds on ``driven_waypoints``.
+They are drawn from the messages on ``guidance``. Without these, as in replays of other stacks'
+bags, car and trail are drawn from the poses. The raceline comes from ``global_waypoints`` and is
+colored by the speeds on ``driven_waypoints``.
 """
 
 import math
@@ -32,14 +32,14 @@ from .waypoints import RacelineSubscriber, waypoint_array_class
 
 __all__ = ["LookaheadVisualizer", "main"]
 
-# Lifetime of markers [s]: long enough not to flicker, short enough not to show anything stale.
+# Lifetime of markers [s]: long enough to avoid flicker, short enough not to show stale data.
 _LIFETIME = 0.5
 _TRAIL_LIFETIME = 5.0
-# Distance between points of the trail [m]; beyond the larger one the car was reset.
+# Distance between points of the trail, and distance that means the car was reset [m].
 _TRAIL_STEP, _TRAIL_JUMP = 0.05, 2.0
 # Draw the poses after this time without guidance [ns].
 _UNGUIDED_NS = 500000000
-# Racelines whose lengths differ by less than this share are taken for the same one.
+# Racelines whose lengths differ by less than this share count as the same one.
 _SAME_LENGTH = 0.01
 _CIRCLE = [2.0 * math.pi * i / 48 for i in range(49)]
 
@@ -49,7 +49,7 @@ ARC_COLOR = (1.0, 0.0, 1.0)
 STEERING_COLOR = (0.0, 1.0, 1.0)
 CAR_COLOR = (0.1, 0.4, 1.0)
 LABEL_COLOR = (1.0, 0.5, 0.0)
-# Of the trail, for no error and the largest; distinct from the colors of speeds.
+# Colors of the trail for zero and largest error; distinct from the colors of speeds.
 ERROR_COLORS = (0.65, 0.8, 1.0), (1.0, 0.4, 0.0)
 
 
@@ -82,7 +82,7 @@ class LookaheadVisualizer:
         self._l_wb = vehicle.l_wb
         self._trail_length = trail
         self._trail = deque()
-        # Each topic has a thread of its own.
+        # Each topic has its own thread.
         self._coloring, self._drawing = threading.Lock(), threading.Lock()
         self._tracker = self._shown = self._driven = None
         self._guided_ns = -_UNGUIDED_NS
@@ -142,7 +142,7 @@ class LookaheadVisualizer:
                 self._draw([self._drawn_car()], stamp, frame)
 
     def _is_due(self, stamp, x, y, deviation):
-        """Extend the trail; whether markers are due."""
+        """Extend the trail, and return whether markers are due."""
         if stamp < self._last_ns:
             self._restart()
         self._last_ns = stamp
@@ -176,7 +176,7 @@ class LookaheadVisualizer:
         self._color_course()
 
     def _color_course(self):
-        """Draw the raceline by the speeds that are driven on it, or by its own."""
+        """Draw the raceline, colored by the planned speeds, or by its own if these are unknown."""
         with self._coloring:
             raceline, speed = self._shown, None
             if raceline is None:
@@ -184,7 +184,7 @@ class LookaheadVisualizer:
             if self._driven is not None:
                 s, v = self._driven
                 length = s[-1] + s[1] - s[0]
-                # The controller may still follow another one.
+                # The controller may still be following another raceline.
                 if abs(length - raceline.length) < _SAME_LENGTH * raceline.length:
 
                     def speed(at):
@@ -217,7 +217,7 @@ class LookaheadVisualizer:
         yield _line("arc", frame, arc_color, 0.05, points_of(arc, 0.04))
         yield self._drawn_steering(guidance.steering_angle)
         yield self._drawn_car()
-        # The label is beside the circle, where it hides nothing.
+        # Beside the circle the label hides nothing.
         size, text = (0.0, 0.0, 0.3), _label(guidance, self._belief)
         label = _marker(Marker.TEXT_VIEW_FACING, "label", frame, LABEL_COLOR, size)
         _place(label, x, y + distance + 0.3, 0.3)
@@ -242,7 +242,7 @@ class LookaheadVisualizer:
 
     def _drawn_trail(self, frame):
         points = points_of((x, y) for x, y, _, _ in self._trail)
-        # Broad and beneath the raceline, so that both are visible where they coincide.
+        # Wider than the raceline and beneath it, so that both are visible where they coincide.
         trail = _line("trail", frame, CAR_COLOR, 0.14, points, _TRAIL_LIFETIME)
         trail.colors = [error_color(error / self._error) for _, _, error, _ in self._trail]
         return trail
@@ -279,7 +279,7 @@ def _lookahead_point(guidance, frame):
 
 
 def _label(guidance, belief):
-    """Why the car does not drive, or a demand beyond the grip; and the grip that is believed."""
+    """Text saying why the car does not drive or what exceeds the grip, and the believed grip."""
     lines = []
     if guidance.mode != Guidance.MODE_DRIVING:
         lines.append(guidance.mode + (f": {guidance.reason}" if guidance.reason else ""))

@@ -37,7 +37,7 @@ def make_marker(
     scale: tuple = (0.0, 0.0, 0.0),
     lifetime: float = 0.0,
 ) -> Marker:
-    """Marker with stamp 0, so that RViz uses the latest transform.
+    """Marker with timestamp 0, so that RViz uses the latest transform.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def make_marker(
     scale : tuple of 3 floats, optional
         Its meaning depends on the kind [m].
     lifetime : float, optional
-        Time after which it disappears unless it is replaced [s]; 0: never.
+        Time after which it disappears unless replaced [s]; 0: never.
     """
     marker = Marker(ns=namespace, type=kind, action=Marker.ADD)
     marker.header.frame_id = frame
@@ -70,7 +70,7 @@ def delete_all() -> MarkerArray:
 
 
 def track_box(raceline: Raceline) -> tuple[float, float, float, float]:
-    """Smallest and largest x, smallest and largest y [m] of a raceline and its walls."""
+    """Bounds ``x_min, x_max, y_min, y_max`` [m] of a raceline with its walls."""
     x, y = raceline.x, raceline.y
     if raceline.d_left is not None:
         left = raceline.to_cartesian(raceline.s, raceline.d_left)
@@ -86,13 +86,13 @@ def _side(raceline):
 
 
 def lap_text_place(raceline: Raceline, size: float = 0.0) -> tuple[float, float, float]:
-    """Center x, y [m] of the three lines of lap text above the track, and the height of one [m].
+    """Center x, y of the three lines of lap text above the track, and height of a line [m].
 
     Parameters
     ----------
     raceline : Raceline
     size : float, optional
-        Height of a line; 0: as fits the track.
+        Height of a line [m]; 0: fitted to the track.
     """
     x_min, x_max, _, y_max = track_box(raceline)
     size = size or _TEXT * _side(raceline)
@@ -112,12 +112,12 @@ def raceline_markers(raceline: Raceline, rows: np.ndarray, frame: str) -> Marker
     Returns
     -------
     visualization_msgs/MarkerArray
-        It first deletes all former markers of the topic.
+        It first deletes all earlier markers of the topic.
     """
     closed = {name: [*rows[name].tolist(), float(rows[name][0])] for name in rows.dtype.names}
     least = min(closed["vx_mps"])
     span = max(closed["vx_mps"]) - least or 1.0
-    # Seen from above the whole track, too.
+    # Wide enough to be visible when the whole track is in view.
     width = max(0.06, _LINE * _side(raceline))
     line = make_marker(Marker.LINE_STRIP, "raceline", frame, WALL, scale=(width, 0.0, 0.0))
     line.points = points_of(zip(closed["x_m"], closed["y_m"]), 0.01)
@@ -133,6 +133,6 @@ def raceline_markers(raceline: Raceline, rows: np.ndarray, frame: str) -> Marker
             wall.points = points_of(zip(x.tolist(), y.tolist()))
             array.markers.append(wall)
     for marker in array.markers:
-        # Use the latest transform, whatever its time.
+        # Makes RViz use the latest transform, whatever its time.
         marker.frame_locked = True
     return array

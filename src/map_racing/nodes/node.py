@@ -1,4 +1,4 @@
-"""Common to all nodes: parameters, start and end, clock, and whose messages count."""
+"""Shared by all nodes: parameters, start and shutdown, clock, and choice of the publisher."""
 
 from __future__ import annotations
 
@@ -38,26 +38,26 @@ __all__ = [
 # A wall clock that drifts this far [s] from the monotonic clock was set.
 CLOCK_STEP_S = 0.2
 MASTER_PERIOD_S = 10.0
-# Simulated time must run after this time [s].
+# Warn if there is no simulated time after this time [s].
 CLOCK_S = 5.0
 Value = TypeVar("Value", bool, int, float, str, list)
-# A node takes its pose from one of these types.
+# Message types from which a node can take its pose.
 _POSES = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped")
-# Most topics in one line of the log.
+# Most topics listed in a line of the log.
 _MOST_TOPICS = 12
-# A node that has published nothing for this long [s] is gone.
+# A publisher that has been silent for this long [s] counts as gone.
 _SENDER_GONE_S = 1.0
 
 
 def get_parameter(name: str, default: Value, meaning: str) -> Value:
-    """Read a private parameter and log its value, and whether that is the default.
+    """Read a private parameter, and log its value and whether it is the default.
 
     Parameters
     ----------
     name : str
         Without the ``~``.
     default : bool, int, float, str or list
-        The parameter must have its type; an integer passes for a float.
+        The parameter must have this type; an integer is accepted for a float.
     meaning : str
         For the log, with the unit.
 
@@ -81,7 +81,7 @@ def get_parameter(name: str, default: Value, meaning: str) -> Value:
 
 
 def overridden(values: object) -> object:
-    """A dataclass of parameters, with the values that are private parameters of the node.
+    """A dataclass of parameters, overridden by the private parameters of the node.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def overridden(values: object) -> object:
     Returns
     -------
     object
-        Of the same class.
+        An object of the same class.
 
     Raises
     ------
@@ -112,14 +112,14 @@ def run(name: str, make: Callable[[], object]) -> None:
     ----------
     name : str
     make : callable
-        Makes the node, which may have a method ``run`` that returns when the node is shut down. A
+        Creates the node, which may have a method ``run`` that returns on shutdown. A
         `MapRacingError` ends the node with one line and exit code 1.
     """
     to_launch_folder()
     logging.getLogger("rosout").addFilter(_harmless)
     _wait_for_master()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        # A node started with nohup outlives its terminal.
+        # A node started with nohup ignores the end of its terminal.
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _shut_down)
     node = None
@@ -143,14 +143,14 @@ def run(name: str, make: Callable[[], object]) -> None:
 
 
 def _harmless(record):
-    """Take a line of the log, with what a terminal would obey written out."""
+    """Log filter that makes control characters visible instead of effective."""
     record.msg, record.args = printable(record.getMessage(), lines=True), ()
     return True
 
 
 def _wait_for_master():
     """Wait for the master; Ctrl-C works here, but not in ``init_node`` without a master."""
-    # An exception would look like a missing master to `is_master_online`.
+    # `is_master_online` would take an exception for a missing master.
     interrupted = threading.Event()
     signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     try:
@@ -172,14 +172,14 @@ def _wait_for_master():
 
 
 def _watch_master():
-    """Log a master that is gone or was restarted; existing connections stay."""
+    """Log when the master is gone or was restarted; existing connections stay up."""
     while sleep(MASTER_PERIOD_S):
         try:
             rosgraph.Master(rospy.get_name()).lookupNode(rospy.get_name())
         except rosgraph.MasterError:
             rospy.logerr(
-                "the ROS master was started again and does not know this node: new nodes and "
-                "commands do not reach it; restart the node"
+                "the ROS master was restarted and does not know this node: new nodes and commands "
+                "do not reach it; restart the node"
             )
         except Exception as error:
             rospy.logerr(
@@ -188,22 +188,22 @@ def _watch_master():
 
 
 def _watch_clock():
-    """Log that there is no simulated time, although ``/use_sim_time`` is true.
+    """Warn if there is no simulated time although ``/use_sim_time`` is true.
 
-    Then timers stand still and each stamp is 0: a node would wait without saying why.
+    Timers then do not run and every timestamp is 0, so the node would wait without saying why.
     """
     wait = CLOCK_S
     while not rospy.rostime.is_wallclock() and sleep(wait) and rospy.Time.now().is_zero():
         why = why_silent("/clock", "rosgraph_msgs/Clock")
         rospy.logwarn(
             f"/use_sim_time is true, but there is no time on /clock ({why}): everything waits. For "
-            "real time: rosparam set /use_sim_time false, and start the nodes again"
+            "real time: rosparam set /use_sim_time false, and restart the nodes"
         )
         wait *= 2.0
 
 
 def why_silent(topic: str, kind: str) -> str:
-    """Why no messages come on a topic, by what the master knows, and which topics have some.
+    """Why a topic is silent, as far as the master knows, and which topics have such messages.
 
     Parameters
     ----------
@@ -220,10 +220,10 @@ def why_silent(topic: str, kind: str) -> str:
         return "the ROS master does not answer"
     nodes, found = published.get(topic), types.get(topic, kind)
     if nodes and found == kind:
-        return f"{nodes[0]} publishes it, but none came"
+        return f"{nodes[0]} publishes it, but no message has arrived"
     why = f"{nodes[0]} publishes {found} there, expected {kind}" if nodes else "nobody publishes it"
     alike = _POSES if kind in _POSES else (kind,)
-    # What this node publishes itself is none that it waits for.
+    # The node does not wait for its own topics.
     own = [rospy.get_name()]
     others = [name for name in sorted(published) if published[name] != own]
     others = [f"{name} ({types[name]})" for name in others if types.get(name) in alike]
@@ -233,18 +233,18 @@ def why_silent(topic: str, kind: str) -> str:
 
 
 def _shut_down(number, _):
-    """Handle a signal in a thread of its own.
+    """Handle a signal in a separate thread.
 
     rospy's own handler calls the master in the interrupted thread, and deadlocks if that thread is
-    waiting for the master's answer, as a starting node mostly is.
+    waiting for the master's answer, as a starting node usually is.
     """
     threading.Thread(target=rospy.signal_shutdown, args=(f"signal {number}",)).start()
 
 
 def to_launch_folder() -> None:
-    """Change to the folder of the shell that called roslaunch, which starts nodes in ``ROS_HOME``.
+    """Change to the folder in which the user called roslaunch, so that relative paths work.
 
-    Relative paths are then the user's.
+    roslaunch starts nodes in ``ROS_HOME``.
     """
     folder = os.environ.get("MAP_RACING_LAUNCH_FOLDER", "")
     if os.path.isdir(folder):
@@ -252,20 +252,20 @@ def to_launch_folder() -> None:
 
 
 def ros_home() -> Path:
-    """Folder of files that ROS keeps for the user."""
+    """Folder in which ROS keeps the user's files."""
     return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
 
 
 class SteadyClock:
     """ROS time without the steps of a wall clock that is set.
 
-    A car must not stop dead, nor drive on for an hour, because its computer found a time server.
-    Simulated time is left alone.
+    A car must neither stop dead nor ignore a dropout for an hour because its computer found a time
+    server. Simulated time is not changed.
 
     Attributes
     ----------
     steps : float
-        Sum of the steps so far [s], to be subtracted from stamps.
+        Sum of the steps so far [s], to be subtracted from timestamps.
     """
 
     def __init__(self):
@@ -285,14 +285,14 @@ class SteadyClock:
 
 
 class FirstSender:
-    """Picks the first of several nodes that publish on one topic, for as long as it publishes.
+    """Selects the first of several nodes that publish a topic, as long as it publishes.
 
     Parameters
     ----------
     topic : str
         For the log.
     on_other : callable, optional
-        Called with a warning when another sends.
+        Called with a warning when another node publishes.
     """
 
     def __init__(self, topic: str, on_other: Callable[[str], object] = lambda text: None):
@@ -300,7 +300,7 @@ class FirstSender:
         self._on_other = on_other
 
     def sent(self, message: object) -> bool:
-        """Whether a message comes from the node that counts."""
+        """Whether a message comes from the selected node."""
         sender, now = message._connection_header["callerid"], time.monotonic()
         if sender != self._sender:
             if now - self._heard < _SENDER_GONE_S:
@@ -317,7 +317,7 @@ class FirstSender:
 
 
 def sleep(seconds: float) -> bool:
-    """Wait by the wall clock; false if the node is shut down meanwhile."""
+    """Sleep by the wall clock; false if the node is shut down meanwhile."""
     end = time.monotonic() + seconds
     while not rospy.is_shutdown():
         left = end - time.monotonic()

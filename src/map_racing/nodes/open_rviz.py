@@ -1,7 +1,7 @@
-"""``open_rviz``: open RViz on the track that is driven.
+"""``open_rviz``: open RViz with the view fitted to the track.
 
 A layout has a fixed view. This waits for the raceline, fits the view of the shipped layout to the
-track, and becomes RViz.
+track, and then replaces itself by RViz.
 """
 
 from __future__ import annotations
@@ -25,18 +25,16 @@ from .waypoints import RacelineSubscriber
 
 __all__ = ["fitted", "main"]
 
-# Without a raceline for this long [s], RViz opens on the view of the layout.
+# Without a raceline for this long [s], RViz opens with the view of the layout.
 PATIENCE_S = 10.0
-# What is left of the window for the track: RViz has menus and a panel around it [pixel].
+# Width and height of the window that menus and panels take up [pixel].
 PANELS = 380, 95
-# Free share on each side.
+# Share of the view left free on each side.
 MARGIN = 0.04
 
 
 def fitted(layout: dict, raceline: Raceline) -> dict:
-    """A layout with its current view, from above, on the whole track and the text of the laps.
-
-    The grid goes with it.
+    """Fit the view from above, and the grid, to the whole track and the lap text.
 
     Parameters
     ----------
@@ -68,7 +66,7 @@ def fitted(layout: dict, raceline: Raceline) -> dict:
 
 
 class _Opener:
-    """Waits for the raceline, writes the layout."""
+    """Waits for the raceline, writes the layout, and opens RViz."""
 
     def __init__(self):
         self._raceline, self._came = None, threading.Event()
@@ -87,7 +85,7 @@ class _Opener:
                 break
         layout = read_yaml_mapping(config_directory() / "map_racing.rviz")
         if self._raceline is None:
-            rospy.logwarn("no raceline within %g s: the view is of the reference track", PATIENCE_S)
+            rospy.logwarn("no raceline within %g s: the view fits the reference track", PATIENCE_S)
         else:
             layout = fitted(layout, self._raceline)
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -99,11 +97,11 @@ class _Opener:
         if rospy.is_shutdown():
             return
         if shutil.which("rviz") is None:
-            raise MapRacingError("there is no rviz here: sudo apt install ros-noetic-rviz")
+            raise MapRacingError("rviz is not installed: sudo apt install ros-noetic-rviz")
         rospy.signal_shutdown("RViz takes over")
         os.execvp("rviz", ["rviz", "-d", str(self.path), *sys.argv[1:]])
 
 
 def main():
-    """Wait for the raceline, then become RViz."""
+    """Wait for the raceline, then open RViz."""
     run("rviz", _Opener)

@@ -1,8 +1,8 @@
-"""``play``: play a bag once its subscribers are there.
+"""``play``: play a bag once its subscribers are ready.
 
-A node takes seconds to start on a small computer, and misses what is played before. Where stamps
+A node takes seconds to start on a small computer, and misses messages played before. If timestamps
 are missing or from another clock, a copy is played in which each message has the time that an
-evaluation of the bag takes.
+evaluation of the bag would use.
 """
 
 from __future__ import annotations
@@ -26,40 +26,42 @@ __all__ = ["main"]
 
 PATIENCE_S = 60.0
 CONNECTING_S = 3.0
-# Messages of a topic that wait for a subscriber that is busy: rosbag's own 100 are a quarter of a
-# second of a bag that is played ten times as fast.
+# Queue for a busy subscriber: rosbag's default of 100 lasts only a quarter of a second at ten times
+# real time.
 QUEUE = 10000
 AWAIT = "--await="
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Wait for subscribers, then become ``rosbag play``.
+    """Wait for subscribers, then run ``rosbag play``.
 
     Parameters
     ----------
     arguments : list of str, optional
         ``--await=NODE:TOPIC`` names a subscriber to wait for, and may be repeated; all others go to
-        ``rosbag play``. What begins with no dash is a bag: options have their values behind ``=``.
+        ``rosbag play``. Arguments without a dash are bags, so options need the form
+        ``--option=value``.
 
     Returns
     -------
     int
-        Exit code, if a bag or a subscriber is missing, or a copy was played; otherwise it does not
-        return.
+        Exit code if a bag or a subscriber is missing, or a copy was played; otherwise ``rosbag``
+        replaces this process.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     to_launch_folder()
     options = [argument for argument in arguments if not argument.startswith(AWAIT)]
     if not any(option.startswith(("-d", "--delay")) for option in options):
-        # Subscribed is not yet connected, which rosbag gives a second: too little where all starts
-        # at once on a busy computer.
+        # Subscribers still have to connect. The second that rosbag allows is too short when
+        # everything starts at once on a busy computer.
         options.insert(0, f"--delay={CONNECTING_S:g}")
     if not any(option.startswith("--queue") for option in options):
         options.insert(0, f"--queue={QUEUE}")
     bags = [o for o in options if not o.startswith("-") and ":=" not in o]
     for bag in bags:
         if not os.path.isfile(bag):
-            print(f"play: bag: {bag or 'none given'}: no such file in {os.getcwd()}")
+            missing = f"{bag}: no such file in {os.getcwd()}"
+            print(f"play: bag: {missing if bag else 'expected its name, got none'}")
             return 1
         try:
             BagFile(bag).close()
@@ -71,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         copies = _copies(bags, [topic for _, topic in awaited], folder)
         code = _await_all(awaited)
         if code == 0 and copies:
-            # Not replaced by rosbag: the copies are deleted afterwards.
+            # Play in a child process, because the copies must be deleted afterwards.
             return _play([copies.get(option, option) for option in options])
     if code == 0:
         os.execvp("rosbag", ["rosbag", "play", *options])
@@ -79,24 +81,24 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _copies(bags, topics, folder):
-    """Copies by the names of their bags, of those whose stamps are not the times to take."""
+    """Copies, by name, of bags whose timestamps the evaluation would replace."""
     copies = {}
     for number, bag in enumerate(bags):
         copy = Path(folder) / f"{number}.bag"
         try:
             if write_restamped(bag, copy, topics[0] if topics else None):
                 print(
-                    f"play: {bag}: stamps missing or from another clock: replaced by those of the "
-                    "evaluation"
+                    f"play: {bag}: timestamps missing or from another clock: replaced by those of "
+                    "the evaluation"
                 )
                 copies[bag] = str(copy)
         except MapRacingError as error:
-            print(f"play: {error}; it is played as it is")
+            print(f"play: {error}; it is played unchanged")
     return copies
 
 
 def _await_all(awaited):
-    """Wait for subscribers; exit code, 0 if all are there."""
+    """Wait for subscribers; return the exit code, 0 if all are ready."""
     end = time.monotonic() + PATIENCE_S
     for node, topic in awaited:
         while not _subscribed(node, topic):
@@ -111,10 +113,10 @@ def _await_all(awaited):
 
 
 def _play(options):
-    """Play in a child process; its exit code."""
+    """Play in a child process, and return its exit code."""
     with subprocess.Popen(["rosbag", "play", *options]) as player:
         while True:
-            with suppress(KeyboardInterrupt):  # the player gets the signal, too
+            with suppress(KeyboardInterrupt):  # the player receives the signal, too
                 return player.wait()
 
 

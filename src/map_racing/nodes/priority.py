@@ -1,7 +1,7 @@
-"""Real-time priority of a node that commands the car, where the computer grants it.
+"""Real-time priority of a node that commands the car, if the computer permits it.
 
-Without it, a process that wants the processor waits its turn, for tens of milliseconds where
-several others want it as well.
+Without it, the node may wait tens of milliseconds for the processor when several other processes
+compute.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ THREADS = "/proc/self/task"
 
 
 def urgent(make: Callable[[], object]) -> Callable[[], object]:
-    """A function that makes a node with the priority of its parameter ``~realtime_priority``."""
+    """Wrap a node's constructor to take the priority of the parameter ``~realtime_priority``."""
 
     def build():
-        wanted = get_parameter("realtime_priority", 1, "1 to 99; 0: as the other processes")
+        wanted = get_parameter("realtime_priority", 1, "1 to 99; 0: ordinary")
         if not 0 <= wanted <= HIGHEST:
             raise ParameterError(f"~realtime_priority: expected 0 to {HIGHEST}, got {wanted}")
         refused = take_priority(wanted) if wanted else ""
         if refused:
             rospy.logwarn(
-                "no real-time priority (%s): where other processes want the processor, commands "
-                "and stops come tens of milliseconds later. rtprio in /etc/security/limits.conf "
-                "permits it, see doc/safety.md; ~realtime_priority 0 does without",
+                "no real-time priority (%s): on a busy computer, commands and stops may be tens of "
+                "milliseconds late. Permit it by rtprio in /etc/security/limits.conf, see "
+                "doc/safety.md, or set ~realtime_priority to 0",
                 refused,
             )
         return make()
@@ -42,20 +42,20 @@ def urgent(make: Callable[[], object]) -> Callable[[], object]:
 
 
 def take_priority(priority: int) -> str:
-    """Give all threads of this process, and so those to come, a real-time priority.
+    """Give a real-time priority to all threads of this process, present and future.
 
     A process that was started with one keeps it.
 
     Returns
     -------
     str
-        Why not; empty if it has one.
+        Why that failed; empty if the process has one.
     """
     if _scheduled():
         return ""
     try:
         for thread in os.listdir(THREADS):
-            with suppress(ProcessLookupError):  # it has ended
+            with suppress(ProcessLookupError):  # the thread has ended
                 os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
     except (OSError, AttributeError) as error:  # AttributeError: not on Linux
         return getattr(error, "strerror", None) or "not on this system"

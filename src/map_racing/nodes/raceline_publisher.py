@@ -20,7 +20,7 @@ __all__ = ["RacelinePublisherNode", "main"]
 
 
 class RacelinePublisherNode:
-    """Publishes latched, and repeats the waypoints as the public stacks do."""
+    """Publishes latched messages, and repeats the waypoints as the public stacks do."""
 
     def __init__(self):
         self._raceline = load_raceline(
@@ -64,7 +64,7 @@ class RacelinePublisherNode:
             message.header.stamp = rospy.Time.now()
             message.header.frame_id = self._frame
             waypoints.publish(message)
-            # By the wall clock, so that a paused replay still repeats the raceline.
+            # Wall clock, so that the raceline is repeated even while a replay is paused.
             if not sleep(self._period):
                 return
 

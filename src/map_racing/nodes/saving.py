@@ -1,4 +1,4 @@
-"""Service ``~save`` of the controller node: what it drives with, as files to start from."""
+"""Service ``~save`` of the controller node: saves its settings as files to start from."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ __all__ = ["Saver"]
 
 
 class Saver:
-    """Writes the controller file and, where something was learned, a vehicle file.
+    """Writes the controller file and, if something was learned, a vehicle file.
 
     Parameters
     ----------
     controller : Controller
     supervisor : Supervisor
     lock : threading.RLock
-        Held while what is saved is looked up.
+        Held while the values to save are read.
     controller_file : str
-        ``{steering_map}`` stands for the steering map's name; a file there is replaced.
+        ``{steering_map}`` is replaced by the steering map's name; an existing file is overwritten.
     vehicle_file : str
-        ``{vehicle}`` stands for the car's name, ``{time}`` for date and time; a file there is kept,
-        and saving refused.
+        ``{vehicle}`` is replaced by the car's name, ``{time}`` by date and time. If the file
+        exists, nothing is saved.
     vehicle : str
-        The vehicle that the node started with, for the head of the file.
+        The vehicle that the node started with, for the file's header.
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class Saver:
         self._vehicle = vehicle
 
     def save(self) -> list[str]:
-        """Write; the names of the files.
+        """Write the files, and return their names.
 
-        With adaptation the controller's delay is the learned one.
+        With adaptation the saved delay is the learned one.
 
         Raises
         ------
         MapRacingError
-            If a file cannot be written, or there is a vehicle file of this name.
+            If a file cannot be written, or the vehicle file exists.
         OSError
             If a folder cannot be made.
         """
@@ -81,8 +81,8 @@ class Saver:
         vehicle_path = _path(self._vehicle_file, vehicle=name, time=stamp)
         if vehicle_path.exists():
             raise MapRacingError(
-                f"{vehicle_path} exists and is kept, and nothing is saved: name another file in "
-                "~save_vehicle_to, such as one with {time}"
+                f"{vehicle_path} exists, so nothing is saved: set ~save_vehicle_to to another "
+                "file, such as one with {time}"
             )
         when = time.strftime("%Y-%m-%d %H:%M UTC", now)
         save_vehicle(vehicle, vehicle_path, f"{summary}\n{when}; the vehicle was {self._vehicle}.")

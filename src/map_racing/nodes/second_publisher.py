@@ -1,6 +1,6 @@
-"""Node ``second_publisher``: odometry beside the first, off to the left.
+"""Node ``second_publisher``: a second odometry on the same topic, shifted to the left.
 
-The simulator starts it for the fault of that name: two publishers of one topic are two nodes.
+The simulator starts it for the fault of that name, because a second publisher must be another node.
 """
 
 import math
@@ -15,7 +15,7 @@ __all__ = ["SecondPublisher", "main"]
 
 
 class SecondPublisher:
-    """Repeats each odometry of another node, `~aside` meters to the left of the car."""
+    """Repeats each odometry message of another node, shifted ``~aside`` meters to the left."""
 
     def __init__(self):
         self._aside = get_parameter("aside", 2.0, "distance to the left [m]")

@@ -30,17 +30,17 @@ from .transforms import TransformBroadcaster
 __all__ = ["SimulatorNode", "main"]
 
 SECOND = 1000000000
-CLOCK_PERIOD_NS = 10000000  # of /clock, besides the arrival of each pose
-LONGEST_CATCH_UP = 0.5  # s; after a longer pause of the computer, simulated time is lost
-CONNECTING_S = 0.5  # after which a connection that is counted carries messages, too
-LOCKSTEP_PATIENCE = 2.0  # s of wall time to wait for the answer to a pose
+CLOCK_PERIOD_NS = 10000000  # of /clock, in addition to the arrival of each pose
+LONGEST_CATCH_UP = 0.5  # s; if the computer stalls for longer, simulated time is skipped
+CONNECTING_S = 0.5  # time until a counted connection actually carries messages
+LOCKSTEP_PATIENCE = 2.0  # longest wait for the answer to a pose [s of wall time]
 
 
 class SimulatorNode:
     """Advances the car to each event and publishes its sensors.
 
-    Without ``~clock_rate`` stamps are wall time. With it, simulated time begins at 1 s, runs that
-    many times as fast, and is published on ``/clock``.
+    Without ``~clock_rate`` timestamps are wall time. With it, simulated time begins at 1 s, runs
+    that many times as fast as real time, and is published on ``/clock``.
     """
 
     def __init__(self):
@@ -104,7 +104,7 @@ class SimulatorNode:
     # -- time ----------------------------------------------------------------------------------
 
     def _start_clock(self):
-        # Wall time at simulated time 0; in real time stamps count from here as well.
+        # Wall time at simulated time 0, from which real-time timestamps count, too.
         self._rate = self._clock_rate or 1.0
         self._wall_origin = time.monotonic()
         if self._clock_rate:
@@ -133,7 +133,7 @@ class SimulatorNode:
             time.sleep(max(wall - time.monotonic(), 0.0))
 
     def _advance(self):
-        """Drive up to the present and publish what is measured on the way."""
+        """Drive up to the present, and publish the measurements made until then."""
         car = self._car.car
         step = car.plant.time_step
         behind = (time.monotonic() - self._wall_origin) * self._rate - car.now
@@ -177,13 +177,13 @@ class SimulatorNode:
         return self._odom.get_num_connections() and self._drive.get_num_connections()
 
     def _wait_for_answer(self, stamp):
-        """Wait for the command computed from the pose with this stamp."""
+        """Wait for the command computed from the pose with this timestamp."""
         if self._has_controller():
             begin = time.monotonic()
             self._changed.wait_for(
                 lambda: self._answered >= stamp or rospy.is_shutdown(), LOCKSTEP_PATIENCE
             )
-            # Simulated time stood still meanwhile, and does not catch up.
+            # Simulated time stood still meanwhile and must not catch up.
             waited = time.monotonic() - begin
             self._wall_origin += max(0.0, waited - self._car.car.plant.time_step / self._rate)
 
@@ -277,7 +277,7 @@ class SimulatorNode:
         pose = PoseStamped()
         pose.header.stamp, pose.header.frame_id = stamp, map_frame
         _set_pose(pose.pose, measured, seen.quaternion)
-        # The odometry comes last, as controllers act on it.
+        # The odometry comes last, because controllers act on it.
         self._imu.publish(imu)
         self._transforms.send(map_frame, self._base, stamp_ns, *measured[1:4])
         self._truth.publish(self._odometry(seen.true, stamp, self._map))
@@ -291,7 +291,7 @@ class SimulatorNode:
         _set_pose(message.pose.pose, state, quaternion)
         twist = message.twist.twist
         twist.linear.x, twist.angular.z = state.v_x, state.r
-        # Like real odometry that does not measure it.
+        # As in real odometry that does not measure it.
         twist.linear.y = 0.0 if math.isnan(state.v_y) else state.v_y
         return message
 

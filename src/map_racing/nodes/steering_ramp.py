@@ -32,7 +32,7 @@ from .watchdog import Watchdog
 
 __all__ = ["SteeringRampNode", "main"]
 
-# Reasons of the supervisor while nothing is wrong.
+# Reasons of the supervisor when nothing is wrong.
 READY = (Reason.NONE, Reason.STOP_REQUESTED)
 LOOK_S = 0.05
 QUIET_S = 1.0
@@ -40,7 +40,7 @@ LAST_COMMANDS, LAST_PERIOD_S = 10, 0.02
 
 
 class SteeringRampNode:
-    """Answers each pose with a command, under the supervisor that the controller has."""
+    """Answers each pose with a command, under the same supervisor as the controller."""
 
     def __init__(self):
         vehicle = load_vehicle(get_parameter("vehicle", "nuc4", "its lock, speed and grip"))
@@ -71,7 +71,7 @@ class SteeringRampNode:
         self._watchdog = Watchdog(self._lock, self._clock, self._supervisor, self._watch)
 
     def _read_area(self, vehicle):
-        """Where the car may drive, and whether the maneuver fits in."""
+        """Read the area, and log whether the maneuver fits into it."""
         self._radius = get_parameter("radius", 8.0, "radius of the area around the first pose [m]")
         box = get_parameter("box", [], "area instead: x_min, x_max, y_min, y_max [m]")
         if not 0.0 < self._radius < math.inf:
@@ -85,7 +85,7 @@ class SteeringRampNode:
         (rospy.loginfo if fits else rospy.logwarn)("%s", text)
 
     def _read_dead_man(self):
-        """Which button must be held."""
+        """Read which button must be held."""
         self._dead_man = get_parameter("dead_man", True, "whether a button must be held")
         self._button = get_parameter("button", 5, "index of that button in the joystick's message")
         self._patience = get_parameter(
@@ -126,7 +126,7 @@ class SteeringRampNode:
         self._hold(message.data)
 
     def _hold(self, held):
-        # By the wall clock, as a hand holds the button.
+        # Wall clock, because a person holds the button.
         self._held_until = time.monotonic() + self._patience if held else -math.inf
 
     def _on_odometry(self, message):
@@ -141,7 +141,7 @@ class SteeringRampNode:
                 self._supervisor.fail()
                 try:
                     self._command(message.header, self._supervisor.decide(now, None))
-                except Exception:  # not even the supervisor works: an unramped stop
+                except Exception:  # the supervisor fails, too: stop without a ramp
                     self._halt(message.header)
 
     def _answer(self, now, message):
@@ -163,13 +163,13 @@ class SteeringRampNode:
         return self._supervisor.decide(now, self._maneuver(now, state) if trusted else None)
 
     def _restart(self):
-        """Time was set back, as in a simulation that begins anew: so does the ramp."""
+        """Restart the ramp after time was set back, as by a restarted simulation."""
         rospy.loginfo("time was set back: starting over")
         if self._ramp is not None:
             self._ramp.interrupt()
 
     def _maneuver(self, now, state):
-        """What the maneuver asks for at a pose that can be trusted, as from a controller."""
+        """Request of the maneuver at a trusted pose, in the form of a controller's result."""
         supervisor = self._supervisor
         held = not self._dead_man or time.monotonic() < self._held_until
         enabled = held and supervisor.trouble(now) is Reason.NONE
@@ -183,7 +183,7 @@ class SteeringRampNode:
                 f"({state.x:.2f}, {state.y:.2f}) is outside of the area, {self._ramp.area}: drive "
                 "the car back into it, or set a larger ~radius or ~box",
             )
-        # A stop is the supervisor's: within the grip at the speed that the car has.
+        # Leave stops to the supervisor, which keeps them within the grip at the measured speed.
         if command.speed > 0.0:
             supervisor.withdraw("maneuver")
         else:
@@ -199,7 +199,7 @@ class SteeringRampNode:
             self._send(header, decision.steering_angle, decision.speed)
 
     def _halt(self, header):
-        """Stop at once, where the supervisor cannot; after the end that was done."""
+        """Stop without a ramp if the supervisor fails, unless the node has ended."""
         if not self._ended:
             self._send(header, self._angle, 0.0)
 

@@ -1,6 +1,6 @@
 """Transforms in the plane from and to ``/tf`` and ``/tf_static``, in plain Python.
 
-tf2's buffer is compiled for one version of Python only.
+They avoid tf2's buffer, which is compiled for one version of Python only.
 """
 
 from __future__ import annotations

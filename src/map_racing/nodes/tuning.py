@@ -25,9 +25,7 @@ _REJECTED = "reconfigure rejected: %s; the values in use stay"
 
 
 class _Server(Server):
-    """The server clamps values to their ranges, so that a slip drives at a limit: this one rejects
-    the change.
-    """
+    """Rejects values out of range, which the base class would clamp to a limit."""
 
     def update_configuration(self, changes):
         try:
@@ -54,14 +52,14 @@ class TuningServer:
     Parameters
     ----------
     driver : SupervisedController
-        Its steering map and largest speed are kept: the speed can be lowered, never raised above
-        the one at the start.
+        Its steering map is kept for switching back; its largest speed can be lowered, but never
+        raised above the one at the start.
     lock : threading.RLock
-        Held while a change is applied, so that it falls between two control steps.
+        Held while a change is applied, so that it happens between two control steps.
     announce : callable
         Called when something has changed.
     table : str, optional
-        File of a lookup table that stands for the vehicle's tires, which then cannot be adapted.
+        File of a lookup table that replaces the vehicle's tires; adaptation is then impossible.
     """
 
     def __init__(
@@ -82,7 +80,7 @@ class TuningServer:
         shipped[parameters.steering_map] = parameters
         self._lookaheads = {kind: (p.m_m, p.q_s) for kind, p in shipped.items()}
         # Start with the values in use, not with those that an earlier run left on the parameter
-        # server, and with ranges that include them: clients send all values at each call.
+        # server. The ranges must include them, because clients send all values with each call.
         values = self._in_use()
         ControllerConfig.defaults.update(values)
         for name, value in values.items():

@@ -1,4 +1,4 @@
-"""Notices poses that stop coming, at the moment at which the limit is exceeded."""
+"""Notices a dropout of the poses as soon as it exceeds the limit."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Watchdog"]
 
-# Longest time between two calls [s]: until the first pose, and for a clock that is set back.
+# Longest interval between calls [s], for the time before the first pose and a clock set back.
 IDLE_S = 0.1
 
 
 class Watchdog:
-    """Calls a function at the deadline of a supervisor, from a thread of its own.
+    """Calls a function at the deadline of a supervisor, in a separate thread.
 
-    Each pose moves the deadline on; the thread wakes at the one that it knew, and sleeps again.
+    Each pose postpones the deadline; the thread wakes at the old one, and sleeps again.
 
     Parameters
     ----------
     lock : threading.RLock
-        Held by whoever uses the supervisor; also during the call.
+        Guards the supervisor; also held during the call.
     clock : SteadyClock
     supervisor : Supervisor
     watch : callable

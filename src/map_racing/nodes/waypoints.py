@@ -1,4 +1,4 @@
-"""Racelines as ``f110_msgs/WpntArray``, without a build of that package.
+"""Racelines as ``f110_msgs/WpntArray``, without needing that package.
 
 A ROS 1 publisher sends the definition of its messages when it connects.
 """
@@ -33,7 +33,7 @@ _classes = {}
 
 
 def _generated(kind, md5sum, definition):
-    """Message class of a definition, cached: each one costs a temporary module."""
+    """Message class of a definition, cached because each one creates a temporary module."""
     key = kind, md5sum
     if key not in _classes:
         _classes[key] = generate_dynamic(kind, definition)
@@ -83,7 +83,7 @@ def raceline_from_message(message: rospy.AnyMsg, source: str) -> Raceline:
     ----------
     message : rospy.AnyMsg
     source : str
-        Topic, for the texts of errors.
+        Topic, for error messages.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def raceline_from_message(message: rospy.AnyMsg, source: str) -> Raceline:
                 if array.wpnts and hasattr(array.wpnts[0], field)
             }
     except Exception as error:
-        # genpy raises all kinds of errors for a definition or message that it cannot parse.
+        # genpy raises errors of any kind if it cannot parse a definition or message.
         raise RacelineError(f"{source}: cannot read {kind}: {error}") from error
     columns = columns_of_waypoints(fields)
     if "x" not in columns or "y" not in columns or not len(columns["x"]):
@@ -120,10 +120,10 @@ def raceline_from_message(message: rospy.AnyMsg, source: str) -> Raceline:
 
 
 class RacelineSubscriber:
-    """Racelines of a topic; a repeated one is ignored.
+    """Receives racelines from a topic; repetitions are ignored.
 
-    Two nodes with different racelines would alternate. The parameter ``~waypoints_from`` names the
-    node that counts; without it, it is the first one for as long as it publishes.
+    Only one node's racelines are used, because those of two nodes would alternate. The parameter
+    ``~waypoints_from`` names that node; by default it is the first one, as long as it publishes.
 
     Parameters
     ----------
@@ -131,12 +131,12 @@ class RacelineSubscriber:
     on_raceline : callable
         Called with each new Raceline.
     on_error : callable
-        Called with the RacelineError of an invalid message, once for the same content.
+        Called with the RacelineError of an invalid message, once per content.
     """
 
     def __init__(self, topic: str, on_raceline: Callable, on_error: Callable):
         self._on_raceline, self._on_error = on_raceline, on_error
-        sender = get_parameter("waypoints_from", "", "node whose racelines count; empty: the first")
+        sender = get_parameter("waypoints_from", "", "node to take racelines from; empty: first")
         self._only = rospy.resolve_name(sender) if sender else ""
         self._content = self._sender = None
         self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
@@ -158,7 +158,7 @@ class RacelineSubscriber:
             self._on_raceline(raceline)
 
     def _counts(self, sender):
-        """Whether a node's racelines count."""
+        """Whether a node's racelines are used."""
         holder = self._only or self._sender
         topic = self._subscriber.resolved_name
         if sender != holder and holder and (self._only or self._publishes(holder)):

@@ -1,4 +1,4 @@
-"""Section of the report on what the cars were driven with."""
+"""Section of the report on files, notes and settings."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from .html import heading_of, table
 
 __all__ = ["driven_with"]
 
-# Notes that a page shows.
+# Most notes on a page.
 _MOST_NOTES = 60
 
 
 def driven_with(runs: list[RunAnalysis]) -> str:
-    """File, notes and settings of each run; of several side by side, first what differs."""
+    """File, notes and settings of each run; several runs side by side, differences first."""
     parts = ['<section id="driven-with"><h2>Driven with</h2>\n']
     settled = [run for run in runs if run.settings is not None]
     for run in runs:
@@ -29,7 +29,7 @@ def driven_with(runs: list[RunAnalysis]) -> str:
 
 
 def _side_by_side(runs):
-    """Settings of several runs: first those that differ, a column for each run."""
+    """Settings of several runs, a column for each, differences first."""
     columns = [dict(_flat(run.settings.values)) for run in runs]
     keys = list(dict.fromkeys(key for column in columns for key in column))
     rows = [[key, *(column.get(key, "–") for column in columns)] for key in keys]

@@ -1,7 +1,7 @@
-"""One HTML file with everything in it: text, tables, data and scripts.
+"""A self-contained HTML file: text, tables, data and scripts.
 
-Whatever comes from files or topics passes `escape`, or goes into the page as JSON, so a name can
-never become markup. A content security policy keeps the page from loading anything.
+Everything from files or topics passes through `escape`, or goes into the page as JSON, so a name
+can never become markup. A content security policy keeps the page from loading anything.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ _MOST = 32767
 
 
 class Markup(str):
-    """Text that is HTML already, which `escape` leaves as it is."""
+    """Text that is already HTML; `escape` leaves it unchanged."""
 
 
 def escape(text: object) -> str:
-    """Text as it may stand in HTML, also in an attribute; NaN is a dash."""
+    """Text escaped for HTML, including attributes; NaN becomes a dash."""
     if isinstance(text, Markup):
         return text
     if isinstance(text, float) and text != text:
         return "&ndash;"
     readable = str(text).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    # Marks that turn the direction of writing would turn what stands beside them, too.
+    # Marks that change the writing direction would also affect the text beside them.
     return html.escape(printable(readable, lines=True), quote=True)
 
 
 def heading_of(name: str, among: Sequence) -> str:
-    """The name of a run above what is said of it, if there are several."""
+    """Heading with the name of a run, if there are several."""
     return f"<h3>{escape(name)}</h3>\n" if len(among) > 1 else ""
 
 
@@ -75,7 +75,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence], kind: str = "") -> str:
 def pack(values: np.ndarray | None) -> dict | None:
     """Numbers as base64 of 16-bit integers, ``o + k q``, for the page's script; None stays None.
 
-    They are exact to 1/65,000 of their range; not finite ones are not known.
+    They are exact to 1/65,000 of their range; values that are not finite become unknown.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def plotly_script() -> str:
 def document(
     title: str, body: str, data: object = None, scripts: Sequence[str] = (), plotly: bool = False
 ) -> str:
-    """A page of its own.
+    """A complete page.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def document(
     body : str
         HTML.
     data : object, optional
-        For the scripts, which find it as JSON in the element ``data``.
+        For the scripts, as JSON in the element ``data``.
     scripts : sequence of str, optional
         Names of shipped files in ``config/pages``.
     plotly : bool, optional
@@ -159,7 +159,7 @@ def document(
     ]
     if data is not None:
         text = json.dumps(for_json(data), separators=(",", ":"), allow_nan=False)
-        # Neither an end of the script nor a comment can appear in it.
+        # So that the JSON can contain neither the end of the script nor a comment.
         parts.append(f'<script type="application/json" id="data">{_harmless(text)}</script>\n')
     if plotly:
         parts.append(f"<script>{plotly_script()}</script>\n")

@@ -1,4 +1,4 @@
-"""Sections of the report on what to change: speeds of the next heat, and the car as it drove."""
+"""Sections of the report with advice: speeds of the next heat, and the car as it drove."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .html import escape, heading_of, table
 
 __all__ = ["advice_of", "car_section", "speeds_section"]
 
-# What differs less from what was driven with is as good [s], [rad], shares.
+# Smaller differences from the values in use do not matter [s], [rad], shares.
 _SAME_DELAY, _SAME_ANGLE = 0.01, math.radians(1.0)
 _SAME_GRIP, _SAME_STIFFNESS = 0.1, 0.25
-_BOUNDED = "not determined: the end of what is looked for; is it the file of this car?"
+_BOUNDED = "not determined: at the end of the search range; is it the file of another car?"
 
 
 def advice_of(run: RunAnalysis) -> Advice | str:
@@ -41,7 +41,8 @@ def speeds_section(runs: list[RunAnalysis], advices: list) -> str:
         parts.append(
             '<p class="hint">Scales of the raceline&#x27;s speed. <code>map-racing advise RUN '
             "--speed-sectors speed_scaling.yaml</code> writes them; drive them at speed_scale 1. "
-            "Sure grip: how much the mean lap used of what the tires surely have that day.</p>\n"
+            "Sure grip: share of the grip that the tires surely have that day, used by the mean "
+            "lap.</p>\n"
         )
     return "".join([*parts, "</section>\n"])
 
@@ -57,7 +58,9 @@ def car_section(runs: list[RunAnalysis], advices: list) -> str:
         else:
             text = "The recording does not say which car it is: give --vehicle."
             if run.limits is not None:
-                text = "The recording has no commands, which tell delay, grip and steering."
+                text = (
+                    "The recording has no commands, which are needed for delay, grip and steering."
+                )
             parts.append(f'<p class="hint">{text}</p>\n')
     return "".join([*parts, "</section>\n"])
 

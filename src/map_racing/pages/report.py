@@ -17,11 +17,11 @@ from .report_data import chart_data, charted_laps
 
 __all__ = ["report_page"]
 
-# A page may have this size [bytes]. What is left beside plotly.js and the tables is for the charts'
-# data, but at least the second.
+# Largest size of a page [bytes], and least size of the charts' data, which gets what plotly.js and
+# the tables leave.
 _PAGE, _LEAST = 5_800_000, 200_000
-# Rows of states and notes that a page shows, laps in its tables and as buttons, and other runs that
-# each is compared with.
+# Most rows of states and notes, laps in tables, laps as buttons, and other runs that each is
+# compared with.
 _MOST_ROWS, _MOST_LAPS, _MOST_BUTTONS, _MOST_OTHERS = 60, 1000, 200, 5
 
 
@@ -68,7 +68,7 @@ def report_page(runs: list[RunAnalysis]) -> str:
 
 
 def _comparisons(run, runs):
-    """References with the places that cost most against each."""
+    """References, each with the places that cost most against it."""
     if not run.profile.counted:
         return []
     others = [o for o in runs if o is not run and o.profile.counted and same_track(run, o)]
@@ -81,8 +81,8 @@ def _comparisons(run, runs):
     ]
 
 
-def _some(laps, most, best=None):
-    """Laps as they are, or of many the best, those that do not count and others at equal steps."""
+def _selected_laps(laps, most, best=None):
+    """All laps or, of many, the best, those that do not count and others at equal steps."""
     if len(laps) <= most:
         return laps
     kept = [i for i, lap in enumerate(laps) if not lap.valid][: most // 2]
@@ -110,7 +110,7 @@ def _track_name(run):
     name = recorded.get("name") if isinstance(recorded, dict) else None
     waypoints = run.recording.waypoints
     if waypoints is not None and name == waypoints.topic.rpartition("/")[2]:
-        name = f"raceline of {waypoints.topic}"  # the node knows no other name of it
+        name = f"raceline of {waypoints.topic}"  # the node knows only its topic
     name = name or (line.name if line.name != run.name else "")
     return f"{name or 'raceline'}, {line.length:.1f} m"
 
@@ -128,7 +128,7 @@ def _first_screen(runs, compared):
         summary, best = run.result.summary, run.profile.best
         rows.append(
             [
-                *([_breaking(run.name)] if len(runs) > 1 else []),
+                *([_breakable(run.name)] if len(runs) > 1 else []),
                 f"{summary.laps_completed} of {len(run.result.laps)}",
                 f"{best.lap.lap_time_s:.3f} s (lap {best.lap.lap})" if best else "none",
                 f"{run.ideal.time_s:.3f} s" if run.ideal else "–",
@@ -162,7 +162,7 @@ def _first_screen(runs, compared):
 
 
 def _doubts(runs):
-    """What makes the numbers of runs doubtful, a line each."""
+    """Warnings about the runs, one line each."""
     parts = []
     for run in runs:
         mark = "warning: "
@@ -176,8 +176,8 @@ def _doubts(runs):
     return "".join(parts)
 
 
-def _breaking(name):
-    """A name that may go on in another line behind its parts."""
+def _breakable(name):
+    """A name that may break into another line after its parts."""
     return Markup(re.sub("[_./-]", r"\g<0><wbr>", escape(name)))
 
 
@@ -205,20 +205,20 @@ def _place_list(i, j, reference, places, run):
 
 
 def _stretch(place):
-    """Begin and end, with decimals only where they are needed to tell them apart."""
+    """Begin and end, with decimals only if needed to tell them apart."""
     digits = 0 if abs(place.end - place.begin) >= 1.5 else 1
     return f"{place.begin:.{digits}f} to {place.end:.{digits}f}"
 
 
 def _lap_strip(runs):
-    """Every stretch with its validity, as buttons that choose it for the charts."""
+    """Buttons for all stretches, with validity, that select them for the charts."""
     parts = []
     for i, run in enumerate(runs):
         charted = {id(profile.lap): k for k, profile in enumerate(run.profile.laps)}
         best = run.profile.best
         chips = []
         most = max(_MOST_BUTTONS // len(runs), 20)
-        for lap in _some(run.result.laps, most, best.lap if best else None):
+        for lap in _selected_laps(run.result.laps, most, best.lap if best else None):
             time = "" if math.isnan(lap.lap_time_s) else f" {lap.lap_time_s:.3f}"
             mark = "✓" if lap.valid else f"✗ {lap.reason}"
             kind = "valid" if lap.valid else "invalid"
@@ -274,11 +274,12 @@ def _map():
 def _grip(runs):
     known = any(run.limits is not None for run in runs)
     text = (
-        "The lines are sideways what the tires of the vehicle file give, lengthwise the "
-        "acceleration and braking that the controller plans with, or else the vehicle file has."
+        "The lines are the limits: laterally of the vehicle file's tires, longitudinally the "
+        "acceleration and braking that the controller plans with or, if unknown, the vehicle "
+        "file's."
         if known
-        else "The car is not known: no settings are in the recording, so give --vehicle for the "
-        "limits of its tires and for what its table asks of the steering."
+        else "The car is not known, because the recording has no settings: give --vehicle for the "
+        "limits of its tires and the steering of its table."
     )
     return (
         '<section id="grip"><h2>Grip</h2>\n<div id="gg" class="plot"></div>\n'
@@ -318,14 +319,17 @@ def _laps(runs):
     most, left_out = max(_MOST_LAPS // len(runs), 20), 0
     for run in runs:
         best = run.profile.best
-        laps = _some(run.result.laps, most, best.lap if best else None)
+        laps = _selected_laps(run.result.laps, most, best.lap if best else None)
         left_out += len(run.result.laps) - len(laps)
         sectors = len(laps[0].sector_times_s) if laps else 0
         head = ["lap", "time", *(f"sector {i}" for i in range(1, sectors + 1))]
         head += ["error RMS", "mean", "95 %", "largest", "clearance", "mean speed", "top speed"]
         head += ["speed error", "saturated", "counts"]
         saturated = {id(profile.lap): profile.saturated for profile in run.profile.laps}
-        rows = [[*_lap_cells(lap), _share([saturated.get(id(lap), math.nan)])] for lap in laps]
+        rows = [
+            [*_lap_cells(lap, run.followed), _share([saturated.get(id(lap), math.nan)])]
+            for lap in laps
+        ]
         rows = [[*row, "yes" if lap.valid else lap.reason] for row, lap in zip(rows, laps)]
         parts += [heading_of(run.name, runs), table(head, rows)]
     said = "Saturated: share of the time in which the steering was at its largest useful angle."
@@ -334,7 +338,7 @@ def _laps(runs):
     return "".join([*parts, f'<p class="hint">{said}</p></section>\n'])
 
 
-def _lap_cells(lap):
+def _lap_cells(lap, followed):
     return [
         lap.lap,
         _number(lap.lap_time_s, "{:.3f} s"),
@@ -346,7 +350,7 @@ def _lap_cells(lap):
         _number(lap.min_clearance_m, "{:.2f} m"),
         _number(lap.mean_speed_mps, "{:.2f} m/s"),
         _number(lap.max_speed_mps, "{:.2f} m/s"),
-        _number(lap.rms_speed_error_mps, "{:.2f} m/s"),
+        _number(lap.rms_speed_error_mps if followed else math.nan, "{:.2f} m/s"),
     ]
 
 
@@ -378,7 +382,7 @@ def _poses(runs):
         )
     parts.append(table(head, rows))
     parts.append(
-        '<p class="hint">Above and below: exceeded in 1 % of the time, against the command '
+        '<p class="hint">Above and below: exceeded 1 % of the time, relative to the command '
         "delayed by the lag. Age: from stamp to receipt; the oldest is exceeded by 1 %.</p>\n"
     )
     for run in runs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 import numpy as np
@@ -12,7 +13,7 @@ from .html import pack
 
 __all__ = ["chart_data", "charted_laps"]
 
-# Size of a value [bytes]; the rest of the data is a tenth more.
+# Size of a value [bytes], including a tenth for the rest of the data.
 _VALUE = 1.1 * 8.0 / 3.0
 _CHARTED = ("v", "v_command", "d", "steering", "steering_table", "a_lat", "a_lon")
 # Speeds at which the limit of the tires is drawn.
@@ -20,15 +21,15 @@ _LIMITS = 40
 
 
 def chart_data(runs: list[RunAnalysis], compared: list, shown: list[list[int]]) -> dict:
-    """What the page's script draws.
+    """Data for the page's script.
 
     Parameters
     ----------
     runs : list of RunAnalysis
     compared : list of list of (Reference, list of Place)
-        Of each run, the places that cost most against each of its references.
+        For each run, the places that cost most against each of its references.
     shown : list of list of int
-        Of each run, indices of the laps to chart, see `charted_laps`.
+        For each run, indices of the laps to chart, see `charted_laps`.
 
     Returns
     -------
@@ -70,20 +71,20 @@ def _place(place):
 
 
 def charted_laps(runs: list[RunAnalysis], budget: float) -> list[list[int]]:
-    """Indices of the laps whose charts the page has: all, or as many as its size allows.
+    """Indices of the laps in the charts: all, or as many as the size of the page allows.
 
-    Of many, the best and the last, and others at equal steps.
+    If there are too many: the best, the last, and others at equal steps.
 
     Parameters
     ----------
     runs : list of RunAnalysis
     budget : float
-        Size of their data [bytes].
+        Largest size of their data [bytes].
 
     Returns
     -------
     list of list of int
-        Of each run.
+        One list for each run.
     """
     cost = [_VALUE * (len(_CHARTED) + 1) * run.profile.track.s.size for run in runs]
     wanted = sum(c * len(run.profile.laps) for c, run in zip(cost, runs))
@@ -108,6 +109,9 @@ def _lap(run, index):
     known = np.isfinite(time)
     total = float(time[known][-1]) if known.any() else 0.0
     even = total * track.s / track.length
+    values = dict(profile.values)
+    if not run.followed:  # not a speed, such as a throttle
+        values["v_command"] = np.full(track.s.size, math.nan)
     return {
         "index": index,
         "number": lap.lap,
@@ -115,7 +119,7 @@ def _lap(run, index):
         "valid": lap.valid,
         "total": total,
         "residual": pack(time - even),
-        **{name: pack(profile.values[name]) for name in _CHARTED},
+        **{name: pack(values[name]) for name in _CHARTED},
     }
 
 
@@ -137,7 +141,7 @@ def _track(run):
 
 
 def _limit(run):
-    """What the tires give: lateral limit over speed, and longitudinal limits [m/s^2]."""
+    """Limits: lateral over speed, and longitudinal [m/s^2]."""
     limits = run.limits
     if limits is None:
         return None

@@ -12,10 +12,10 @@ from .html import Markup, document, escape, table
 
 __all__ = ["season_page"]
 
-# Okabe and Ito, which the color-blind can tell apart; then again.
+# Okabe and Ito: distinguishable by the color-blind; repeated if there are more.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 640, 200, 70, 28, 28
-_MANY = 150  # points that are drawn smaller
+_MANY = 150  # more points are drawn smaller
 _TRENDS = (
     ("best_lap_time_s", "best lap [s]"),
     ("mean_lap_time_s", "mean lap [s]"),
@@ -50,7 +50,7 @@ def season_page(heats: Sequence[dict]) -> str:
     Returns
     -------
     str
-        HTML, which needs nothing else.
+        Self-contained HTML.
     """
     heats = [dict(heat, bag=name) for heat, name in zip(heats, _short(heats))]
     read = [heat for heat in heats if not heat["reason"]]
@@ -80,7 +80,7 @@ def season_page(heats: Sequence[dict]) -> str:
 
 
 def _short(heats):
-    """Paths of the bags below the folder that has them all."""
+    """Paths of the bags relative to their common folder."""
     paths = [os.path.abspath(heat["bag"]) for heat in heats]
     base = os.path.commonpath([os.path.dirname(path) for path in paths])
     return [os.path.relpath(path, base) for path in paths]

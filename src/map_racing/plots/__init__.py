@@ -1,11 +1,10 @@
-"""Figures, the only room that imports matplotlib."""
+"""Figures; the only package that imports matplotlib."""
 
 import os as _os
 
 from ..errors import MapRacingError as _MapRacingError
 
-# Figures are written to files: the backend that the user has chosen, which may not exist, is not
-# loaded.
+# Figures are written to files: do not load the user's backend, which may not exist.
 _backend = _os.environ.pop("MPLBACKEND", None)
 try:
     import matplotlib as _matplotlib  # noqa: F401

@@ -47,11 +47,11 @@ TUNED = {
     "heading_weight_m": "w_h = {:.3g} m",
     "steering_rate_weight_ms": "w_u = {:.3g} m s",
 }
-WHOLE = ("days_completed",)  # of these there are no parts
+WHOLE = ("days_completed",)  # columns of whole numbers
 
 
 def plot_tuning(m, q, error, best: tuple[float, float], title: str, names=("m_m", "q_s")) -> Figure:
-    """Lateral error over the pairs of parameters that were driven, (m, q) of the lookahead.
+    """Lateral error over the pairs of parameters driven, (m, q) of the lookahead.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def plot_tuning(m, q, error, best: tuple[float, float], title: str, names=("m_m"
         The chosen pair, drawn as a star.
     title : str
     names : tuple of str, optional
-        Of the parameters, if others.
+        Names of the parameters, if not these.
 
     Returns
     -------
@@ -224,7 +224,7 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
     """
     wide, high = float(np.ptp(raceline.x)) + 6.0, float(np.ptp(raceline.y)) + 5.0
     columns = max(map(len, rows))
-    # Panels of the shape of the track, in inches, with room for ticks and titles between them.
+    # Panels with the aspect ratio of the track [in], with room for ticks and titles.
     panel = min(4.2, 13.5 / columns)
     height, across, between = panel * high / wide, 0.4, 0.6
     edges = {"left": 0.7, "right": 0.15, "bottom": 0.95, "top": 0.7}
@@ -246,7 +246,7 @@ def plot_trajectories(raceline: Raceline, rows: list, title: str) -> Figure:
             axes.margins(0.15, 0.17)
             driven = {"color": COLORS[0], "lw": 1.2, "zorder": 3, "label": "driven"}
             axes.plot(path[:, 0], path[:, 1], **driven)
-            if crashed and len(path):  # without a path it ended before the first pose
+            if crashed and len(path):  # without a path, the race ended before the first pose
                 end = {"color": COLORS[1], "ms": 11, "mew": 2.5, "zorder": 6}
                 axes.plot(*path[-1], "x", label="crash", **end)
             axes.set_title(name, fontsize="medium")
@@ -314,7 +314,7 @@ def plot_comparison(
 
 
 def plot_robustness(races, title):
-    """Error of every race, tracks across and cars down; crosses were not completed.
+    """Error of every race, tracks across and cars down; crosses mark races not completed.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ def plot_tires(axles: Mapping[str, Any]) -> Figure:
     Parameters
     ----------
     axles : dict of str to Axle
-        See `map_racing.identification.identify`; drawn positive in left turns.
+        See `map_racing.identification.identify`; left turns are drawn as positive.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def plot_prediction(predictions: Sequence[Any], title: str) -> Figure:
         axes.grid(alpha=0.25)
         handles, labels = axes.get_legend_handles_labels()
     figure.suptitle(title)
-    # Runs may be many, with long names: one legend for both, beneath.
+    # There may be many runs with long names: one legend for both, below.
     rows = -(-len(labels) // 4)
     height = figure.get_figheight() + 0.2 * rows + 0.1
     figure.set_figheight(height)
@@ -185,7 +185,7 @@ def plot_drive(drive: Any) -> Figure:
         for cut in drive.segments():
             axes.axvspan(drive.t[cut][0], drive.t[cut][-1], color=COLORS[5], alpha=0.25, lw=0.0)
         last = number == len(rows) - 1
-        # Broad beneath the other line, so that both are visible where they coincide.
+        # A broad line below the other, so that both are visible where they coincide.
         style = {"lw": 2.4, "alpha": 0.6, "label": "measured"} if last else {"lw": 1.3}
         axes.plot(drive.t, values, color=COLORS[0], **style)
         if last:

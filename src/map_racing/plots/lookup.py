@@ -38,7 +38,7 @@ def plot_lookup_surface(table: Any) -> Figure:
     top = float(np.nanmax(a_lat))
     mappable = cm.ScalarMappable(Normalize(0.0, top), cm.viridis)
     mappable.set_array([])
-    # Old versions of matplotlib draw cells without a value: make them transparent.
+    # Old versions of matplotlib also draw cells without a value: make them transparent.
     known = np.isfinite(a_lat)
     height = np.where(known, a_lat, 0.0)
     colors = mappable.to_rgba(height)
@@ -63,7 +63,7 @@ def plot_lookup_surface(table: Any) -> Figure:
 def plot_lookup_curves(table: Any) -> Figure:
     """Lookup table as curves: steering angle over lateral acceleration, one per speed.
 
-    Dots mark the largest reachable acceleration; beyond it a curve is dotted.
+    Dots mark the largest reachable acceleration, beyond which a curve is dotted.
 
     Parameters
     ----------

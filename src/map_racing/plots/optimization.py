@@ -28,10 +28,10 @@ def plot_optimized(
     line : Raceline
         With speeds and distances to the walls.
     reference : Raceline
-        Compared with the line where it is beside it; with or without speeds.
+        Line to compare with; with or without speeds.
     walls : Walls
     image : MapImage, optional
-        Map from which the walls were taken, drawn beneath.
+        Map of the walls, drawn in the background.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def plot_optimized(
     if image is not None:
         draw_map(track, image)
     figure.colorbar(path, ax=track, label="speed [m/s]", fraction=0.04, pad=0.03)
-    # Where the middle line is beside the line: the two differ in length.
+    # Project the middle line onto the line: their lengths differ.
     feet = zip(reference.x.tolist(), reference.y.tolist(), reference.psi.tolist())
     beside = np.array([line.project(*place).s for place in feet])
     _draw_profile(top, line, reference, beside, "kappa", "curvature [1/m]")
@@ -87,7 +87,7 @@ def _draw_lines(track, line, reference, walls):
 
 
 def _draw_profile(axes, line, reference, beside, column, label):
-    """A column of both lines over the distance along the first."""
+    """Draw a column of both lines over the distance along the first."""
     middle, optimized = getattr(reference, column), getattr(line, column)
     if middle is not None:
         order = np.argsort(beside, kind="mergesort")

@@ -37,7 +37,7 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
     EvaluationError
         If the result has no traces.
     ParameterError
-        If the color is another.
+        If `color_by` is neither.
     """
     if color_by not in ("speed", "error"):
         raise ParameterError(f"color_by: expected speed or error, got {color_by!r}")
@@ -51,7 +51,7 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
         low, high = float(values.min()), float(values.max())
     else:
         colors, label = DEVIATION, "lateral deviation, left positive [m]"
-        # A single excursion would leave no color for the rest.
+        # A single excursion would use up the color range.
         high = float(np.percentile(np.abs(values), 99.5))
         low = -high
 
@@ -73,7 +73,7 @@ def plot_path(result, color_by: str = "speed", title: str | None = None) -> Figu
 def plot_laps(result, title: str | None = None) -> Figure:
     """Lateral deviation and speed of each lap over the distance from the start line.
 
-    Beside the speed stands the one commanded in the best lap or, where no commands were recorded,
+    The speed is shown with the commanded speed of the best lap or, if no commands were recorded,
     the raceline's. Stretches that do not count are drawn only if no lap counts.
 
     Parameters
@@ -92,7 +92,7 @@ def plot_laps(result, title: str | None = None) -> Figure:
     label = "other laps" if best else "driven"
     for lap in laps:
         if lap is not best:
-            # With many laps only their bundle matters; the best one stands out.
+            # Many laps form a band; highlight the best one.
             style = {"color": COLORS[5], "lw": 0.9, "alpha": max(0.25, 1.0 / len(laps) ** 0.5)}
             _draw_lap(top, bottom, lap.trace, label=label, **style)
             label = None
@@ -161,7 +161,7 @@ def plot_boxes(named_results, title: str | None = None) -> Figure:
                 whiskerprops={"color": color},
                 capprops={"color": color},
             )
-            # Spread sideways so that equal laps do not hide each other.
+            # Spread sideways, so that equal laps do not hide each other.
             shift = np.linspace(-0.12, 0.12, values.size) if values.size > 1 else np.zeros(1)
             axes.plot(position + shift, values, "o", ms=4, color=color, alpha=0.7, zorder=3)
         axes.set_xlim(0.4, len(named) + 0.6)
@@ -179,8 +179,8 @@ def plot_differences(named_results) -> Figure:
 
     The upper plot has the mean deviation of each run and the band of its valid laps. The others
     compare each further run with the first: the RMS of the deviation of its laps at a place, and
-    the time from the start line to there, on average over its laps. Above zero a run is worse, and
-    where the difference of time rises it is slower.
+    the time from the start line to there, on average over its laps. Above zero a run is worse;
+    where the time difference rises, it is slower.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class _OverDistance(NamedTuple):
 
 
 def _over_distance(result):
-    """The valid laps of a run over the distance; None without any."""
+    """The valid laps of a run over distance; None without any."""
     laps = [lap.trace for lap in result.laps if lap.valid and lap.trace is not None]
     if not laps:
         return None

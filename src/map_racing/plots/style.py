@@ -1,7 +1,7 @@
 """Colors, size, layout and saving of all figures.
 
-Every function that draws returns a `matplotlib.figure.Figure` without window or global state;
-`save` writes it. Within `own_settings` both look the same for every user. The colors can be
+Every drawing function returns a `matplotlib.figure.Figure` without window or global state; `save`
+writes it. Within `own_settings` figures look the same for every user. The colors can be
 distinguished with any color vision (Okabe-Ito, viridis).
 """
 
@@ -37,7 +37,8 @@ __all__ = [
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 WALL, RACELINE = "0.5", "0.1"
 DPI = 130
-# Gray in the middle: white, as in the usual diverging maps, would hide a path without error.
+# Gray in the middle: with white, as in common diverging maps, a path without error would be
+# invisible.
 DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#D55E00", "0.75", "#0072B2"])
 
 
@@ -58,7 +59,7 @@ def save(figure: Figure, path: str | Path) -> None:
     """
     try:
         with warnings.catch_warnings():
-            # A letter that the font lacks is drawn as a box.
+            # Ignore missing glyphs: they are drawn as boxes.
             warnings.filterwarnings("ignore", "Glyph")
             figure.savefig(str(path), dpi=DPI)
     except (OSError, ValueError) as error:
@@ -73,17 +74,17 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def finished(figure: Figure, top: float = 1.0, bottom: float = 0.0) -> Figure:
-    """The figure with its layout between two shares of the height, for a title and a legend."""
+    """The figure, laid out between two shares of its height, to leave room for title and legend."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")
-        # Twice: new sizes of axes change their ticks, whose labels may need more room.
+        # Twice: resizing axes changes their ticks, whose labels may need more room.
         for _ in range(2):
             figure.tight_layout(rect=(0.0, bottom, 1.0, top))
     return figure
 
 
 def legend_above(axes: Axes, title: str = "", columns: int = 4) -> None:
-    """Title, and the legend in rows between it and the axes, where it hides no data."""
+    """Title, and below it the legend in rows above the axes, where it hides no data."""
     handles, labels = axes.get_legend_handles_labels()
     rows = -(-len(handles) // columns)
     axes.set_title(title, pad=6.0 + 15.0 * rows)
@@ -101,7 +102,7 @@ def legend_above(axes: Axes, title: str = "", columns: int = 4) -> None:
 
 
 def size_for(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Size of a figure in the shape of a track, fit for a screen.
+    """Size of a figure with the aspect ratio of a track, fit for a screen.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from .style import RACELINE, WALL
 __all__ = ["draw_distances", "draw_map", "draw_track", "draw_walls"]
 
 START = "k"
-_NOT_FREE = 0.82  # gray of what a map has as wall or unknown
+_NOT_FREE = 0.82  # gray for walls and unknown cells of a map
 _MOST_CELLS = 2000  # of a map in each direction; more cannot be seen
 
 
@@ -24,7 +24,7 @@ def draw_track(
 ) -> None:
     """Walls, raceline, start line, direction and distances, to scale.
 
-    Paths drawn over it with a ``zorder`` of 3 or more hide the raceline, never the other way round.
+    Paths with a ``zorder`` of 3 or more are drawn over the raceline.
 
     Parameters
     ----------
@@ -35,7 +35,8 @@ def draw_track(
     most_marks : int, optional
         Largest number of marks of the distance.
     room : float, optional
-        Distance of texts and arrows from the track, as a share of its size: more for a small panel.
+        Distance of texts and arrows from the track, as a share of its size; larger for a small
+        panel.
     """
     draw_walls(axes, line)
     every = line.sample(np.append(line.s, line.length))
@@ -44,7 +45,7 @@ def draw_track(
 
 
 def draw_walls(axes: Axes, line: Raceline) -> None:
-    """Both walls, where the raceline has them, with axes to scale."""
+    """Both walls, if the raceline has them, to scale."""
     s = np.append(line.s, line.length)
     if line.d_left is not None:
         curve = line.sample(s)
@@ -60,7 +61,7 @@ def draw_walls(axes: Axes, line: Raceline) -> None:
 def draw_distances(
     axes: Axes, line: Raceline, start_s: float = 0.0, most_marks: int = 12, room: float = 0.03
 ) -> None:
-    """Start line, and outside of the track the distance from it and arrows in driving direction.
+    """Start line and, outside the track, distances from it and arrows in driving direction.
 
     Parameters
     ----------
@@ -72,18 +73,18 @@ def draw_distances(
     ends = line.to_cartesian(np.full(2, start_s), np.array([left, -right]))
     axes.plot(*ends, color=START, lw=2.5, solid_capstyle="butt", label="start line", zorder=5)
 
-    # Outside: to the right of a lap that is driven counter-clockwise.
+    # Outside is to the right if the lap is driven counter-clockwise.
     side = -1.0 if float(np.sum(line.kappa)) > 0.0 else 1.0
     step = _round_step(line.length / most_marks)
     marks = np.arange(0.0, line.length - 0.2 * step, step)
     for distance in marks:
-        x, y = _beside(line, start_s + distance, side, 0.012 * size)
+        x, y = _outward(line, start_s + distance, side, 0.012 * size)
         axes.plot(x, y, color=START, lw=1.0, zorder=4)
-        x, y = _beside(line, start_s + distance, side, (room + 0.005) * size)
+        x, y = _outward(line, start_s + distance, side, (room + 0.005) * size)
         text = {"ha": "center", "va": "center", "fontsize": "x-small", "color": "0.25"}
         axes.text(x[1], y[1], f"{distance:g} m", clip_on=True, zorder=4, **text)
     for distance in marks[:: max(1, math.ceil(marks.size / 4))] + 0.5 * step:
-        x, y = _beside(line, start_s + distance, side, room * size)
+        x, y = _outward(line, start_s + distance, side, room * size)
         psi, reach = line.pose(start_s + distance).psi, 0.025 * size
         along = reach * math.cos(psi), reach * math.sin(psi)
         axes.annotate(
@@ -96,28 +97,28 @@ def draw_distances(
 
 
 def _round_step(least):
-    """The smallest 1, 2 or 5 times a power of ten that is at least so large."""
+    """The smallest 1, 2 or 5 times a power of ten that is at least a value."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= least)
 
 
-def _beside(line, s, side, beyond):
-    """From the wall of a side, or the raceline, outward by a distance [m]."""
+def _outward(line, s, side, beyond):
+    """Points at a distance [m] outward from the wall of a side, or from the raceline."""
     wall = 0.0 if line.d_left is None else line.widths_at(s)[0 if side > 0.0 else 1]
     return line.to_cartesian(np.full(2, s), side * np.array([wall, wall + beyond]))
 
 
 def draw_map(axes: Axes, image: MapImage) -> None:
-    """Draw a map beneath what is in the axes, without changing what they show.
+    """Draw a map in the background, without changing the limits of the axes.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
     image : MapImage
-        What is not free is gray.
+        Cells that are not free are gray.
     """
     limits = axes.get_xlim(), axes.get_ylim()
-    axes.set_facecolor(str(_NOT_FREE))  # beyond the image all is unknown
+    axes.set_facecolor(str(_NOT_FREE))  # everything beyond the image is unknown
     corners = image.to_cells([(x, y) for x in limits[0] for y in limits[1]])
     rows, columns = image.free.shape
     left, low = (max(0, int(math.floor(value)) - 1) for value in corners.min(axis=0))

@@ -1,4 +1,4 @@
-"""A simulated car on a track, between a command and the next pose."""
+"""A simulated car on a track: takes commands, returns measured poses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .grip import Grip
 
 __all__ = ["COMMAND_TIMEOUT", "Observation", "SimulatedCar", "hits_wall"]
 
-# The command multiplexer of the public stacks drops an input that is silent for this long [s].
+# The command multiplexer of the public stacks drops an input after this long without a message [s].
 COMMAND_TIMEOUT = 0.2
 
 
@@ -27,9 +27,9 @@ class Observation(NamedTuple):
     acceleration : (float, float)
         Longitudinal and lateral acceleration of the IMU [m/s^2].
     frame : str
-        Frame of the pose; empty for the raceline's.
+        Frame of the pose; empty for the raceline's frame.
     quaternion : float
-        Length of the quaternion that gives the heading.
+        Norm of the quaternion that gives the heading.
     """
 
     true: tuple
@@ -41,13 +41,13 @@ class Observation(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """One control step: what was true, what was measured, what was commanded.
+    """One control step: true state, measurement and command.
 
-    `true`, `measured`, `arrival` and `acceleration` are those of the `Observation`;
-    `steering_angle` is the true one [rad]; `result` is the command that answered, a
+    `true`, `measured`, `arrival` and `acceleration` are from the `Observation`. `steering_angle` is
+    the true one [rad]. `result` is the command in response, a
     :class:`~map_racing.control.controller.ControlResult` or a
-    :class:`~map_racing.control.steering_ramp.RampCommand`; `belief` the controller's of the tires
-    after the step, None if it does not learn them.
+    :class:`~map_racing.control.steering_ramp.RampCommand`. `belief` is what the controller believes
+    about the tires after the step, None if it does not learn them.
     """
 
     true: tuple
@@ -60,7 +60,7 @@ class Sample(NamedTuple):
 
     @classmethod
     def of(cls, seen: Observation, steering_angle: float, result: tuple, belief=None) -> Sample:
-        """The step in which an observation was answered."""
+        """The step that responded to an observation."""
         return cls(*seen[:4], steering_angle, result, belief)
 
 
@@ -74,16 +74,16 @@ class SimulatedCar:
     plant : Plant or PublicSimulator
     localization : Localization, optional
         Latency and noise of the poses. Without it the poses are the plant's own
-        ``measured_state()``, at once.
+        ``measured_state()``, without latency.
     rate : float, optional
-        Poses per second instead of the plant's ``localization_rate_hz``.
+        Poses per second; by default the plant's ``localization_rate_hz``.
     faults : Faults, optional
-        What goes wrong.
+        Faults to inject.
 
     Attributes
     ----------
     tick : int
-        Time in steps of the plant; a reset of the car does not reset it.
+        Time in steps of the plant; resetting the car does not change it.
     """
 
     def __init__(self, plant, localization=None, rate=None, faults=None):
@@ -95,7 +95,7 @@ class SimulatedCar:
             self._latency = localization.parameters.localization_latency_s
         self._pending = deque()
         self._poses = self.tick = self._start = 0
-        # A pose belongs to the last tick before it is due, and acts from that tick on.
+        # A pose is taken at the last tick before it is due.
         self._due = 0.0
 
     def put(self, x, y, psi):
@@ -118,7 +118,7 @@ class SimulatedCar:
         return max(self.tick, math.ceil(due / self.plant.time_step - 1.0 + 1e-9))
 
     def observe(self):
-        """Measure if it is due, and collect what arrives.
+        """Measure if due, and collect the observations that arrive.
 
         Returns
         -------
@@ -133,7 +133,7 @@ class SimulatedCar:
         if self._due < soon:
             taken = self._measure(now)
             for seen in [taken] if self.faults is None else self.faults.measured(taken):
-                # Poses come in order: one that is delayed holds up those after it.
+                # Poses arrive in order, so a delayed one holds up the next ones.
                 last = self._pending[-1].arrival if self._pending else seen.arrival
                 self._pending.append(seen._replace(arrival=max(seen.arrival, last)))
             self._poses += 1
@@ -156,7 +156,7 @@ class SimulatedCar:
         return Observation(true, measured, now + self._latency, acceleration)
 
     def advance(self, steering_angle, speed, ticks=1):
-        """Drive for so many ticks under the given commands [rad, m/s]."""
+        """Drive for `ticks` steps under the given commands [rad, m/s]."""
         faults = self.faults
         if faults is None or not faults.active:
             self.plant.advance(steering_angle, speed, ticks)
@@ -170,8 +170,8 @@ class SimulatedCar:
 class DrivenCar:
     """A simulated car under asynchronous commands, as a node drives it.
 
-    A command applies until the next one, at most for `COMMAND_TIMEOUT`: then the car stops with the
-    wheels as they are. A car that touches a wall stands there until it is reset.
+    A command applies until the next one, but at most for `COMMAND_TIMEOUT`; then the car stops
+    without moving the steering. A car that touches a wall stays there until it is reset.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class DrivenCar:
     raceline : Raceline
         Its widths give the walls.
     on_faults : callable, optional
-        Called with the faults that have begun and those that have ended, where any has.
+        Called with the lists of faults that have begun and ended, if any has.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class DrivenCar:
         self._steering_angle, self._speed, self._commanded = 0.0, 0.0, 0
 
     def put(self, x, y, psi):
-        """Put the rear axle somewhere, at rest, without command."""
+        """Place the rear axle, at rest and without a command."""
         self.car.put(x, y, psi)
         self._tracker.reset()
         self.crashed = False
@@ -218,7 +218,7 @@ class DrivenCar:
         Yields
         ------
         Observation
-            At the tick of its arrival; a command given at once acts from there on.
+            At the tick of its arrival; a command given in response acts from this tick on.
         """
         car = self.car
         while car.tick < tick:

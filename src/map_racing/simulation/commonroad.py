@@ -1,4 +1,4 @@
-"""Plants of the CommonRoad vehicle models, which others wrote.
+"""Plants with the CommonRoad vehicle models, a third-party package.
 
 The package ``commonroad-vehicle-models`` (BSD) has the equations and the parameters of passenger
 cars: the multi-body model (29 states: a sprung body and two axles on springs and dampers, four
@@ -6,14 +6,15 @@ wheels with rotation, PAC2002 tires with combined slip and camber) and the singl
 (9 states: the same tires on two axles, with load transfer and rotating wheels). Althoff and
 Würsching, "CommonRoad: Vehicle Models", 2020.
 
-Both take a rate of the steering angle and an acceleration; servo and drive are those of the other
-plants. They are integrated by the midpoint rule with fixed steps: of a millisecond it is as close
-as RK4, for half the work. Their wheels turn so stiffly at low speed, at
-``R_w^2 C / (I_y_w v)`` per second, that below a few m/s (`CommonRoadCar.slowest`) the package's
-kinematic model drives the car instead, as in the package itself below 0.1 m/s.
+The inputs of both are the steering rate and the acceleration; servo and drive are those of the
+other plants. The equations are integrated by the midpoint rule with fixed steps; at a millisecond
+it is as accurate as RK4, for half the work. At low speed the wheel rotation is stiff, with a rate
+of ``R_w^2 C / (I_y_w v)``, so below a few m/s (`CommonRoadCar.slowest`) the package's kinematic
+model takes over, as it does in the package below 0.1 m/s.
 
-The equations end where a wheel rolls backward, and the kinematic model holds for none that moves
-sideways: a car that has spun so far slides to a halt with locked wheels, and drives on from there.
+The equations fail for a wheel that rolls backward, and the kinematic model does not hold for a car
+that moves sideways. A car that has spun that far slides to a halt with locked wheels, and drives on
+from there.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ __all__ = ["PARAMETER_SETS", "CommonRoadCar", "CommonRoadParameters"]
 
 # Parameter sets of the package, by its numbers. The fourth is a truck with a trailer.
 PARAMETER_SETS = {"ford_escort": 1, "bmw_320i": 2, "vw_vanagon": 3}
-# What a wheel under its static load may use of the stability limit, 2 per step.
+# Largest rate of a wheel's rotation under static load, times the step; the stability limit is 2.
 STIFFEST = 1.4
 # Parameters of the package that its equations do not read.
 _UNUSED = frozenset(
@@ -44,9 +45,9 @@ _SUSPENSION = """
     h_raf h_rar I_uf I_ur K_lt D_f D_r E_f E_r
 """
 _NOT_USED = {"multi_body": _UNUSED, "drift": _UNUSED | frozenset(_SUSPENSION.split())}
-# The kinematic model takes over again at this share of the speed at which it hands over.
+# The kinematic model takes over again below this share of the speed at which it hands over.
 HYSTERESIS = 0.9
-# A car that moves more sideways than this share of forward does not roll.
+# A car whose lateral velocity exceeds this share of the forward one has spun.
 SPUN = 0.5
 
 
@@ -55,8 +56,8 @@ SPUN = 0.5
 class CommonRoadParameters(PlantParameters):
     """A car of the CommonRoad models; a plant file with ``model: commonroad`` holds these.
 
-    Rate and lock of the steering are the vehicle's, if lower than those of the model. The tires are
-    the model's: the vehicle is what controllers know of the car.
+    Steering rate and lock are the vehicle's, if lower than the model's. The tires are the model's;
+    the vehicle is only what controllers know about the car.
     """
 
     dynamics: str = parameter(
@@ -84,11 +85,11 @@ class CommonRoadParameters(PlantParameters):
 
 
 class _Equations(NamedTuple):
-    """What the package has for one kind of dynamics."""
+    """The package's functions for one kind of dynamics."""
 
-    derivatives: Callable  # of the state, under (rate of the steering angle, acceleration)
+    derivatives: Callable  # of the state, for inputs (steering rate, acceleration)
     initial: Callable  # state from (x, y, delta, v, psi, r, beta)
-    axles: tuple[str, ...]  # of the tires, in the order in which the equations ask for them
+    axles: tuple[str, ...]  # of the tires, in the order in which the equations read them
     motion: Callable  # (v_x, v_y) from the state
     acceleration: Callable  # (a_x, a_y) from the state and its derivatives
 
@@ -135,7 +136,7 @@ class CommonRoadCar(ActuatedCar):
     slowest : float
         Speed below which the car is kinematic [m/s].
     sliding : bool
-        Whether the car has spun too far for the equations, and slides to a halt.
+        Whether the car has spun too far for the equations and slides to a halt.
     """
 
     time_step = 0.001
@@ -160,7 +161,7 @@ class CommonRoadCar(ActuatedCar):
         self._check()
 
     def reset(self, x, y, psi, speed=0.0):
-        """Put the car's rear axle somewhere, driving straight; time starts at 0."""
+        """Place the car's rear axle, driving straight; time starts at 0."""
         super().reset(x, y, psi, speed)
         _, x, y = self.state[:3]
         self.sliding = False
@@ -178,7 +179,7 @@ class CommonRoadCar(ActuatedCar):
             self.slowest = stiffer * self._slowest(self._nominal)
 
     def advance(self, steering_command, speed_command, steps=1):
-        """Integrate so many time steps under the given commands."""
+        """Integrate `steps` time steps under the given commands."""
         for _ in range(steps):
             self._advance(steering_command, speed_command)
 
@@ -206,12 +207,12 @@ class CommonRoadCar(ActuatedCar):
             v_x, v_y = self._model.motion(self._x)
             r = self._x[5]
             if v_x < HYSTERESIS * self.slowest:
-                # The kinematic model would turn a spin into rolling straight ahead.
+                # In the kinematic model a spun car would roll straight ahead.
                 self.sliding = abs(v_y) > SPUN * abs(v_x)
                 self._dynamic = False
                 self._x = [*self._x[:3], math.hypot(v_x, v_y), self._x[4]]
         else:
-            # The center of gravity moves across the car as far as geometry turns it.
+            # Kinematic sideslip of the center of gravity.
             v, beta = self._x[3], self._kinematic_sideslip()
             v_x, v_y = v * math.cos(beta), v * math.sin(beta)
             r = v_y / self._car.b
@@ -222,7 +223,7 @@ class CommonRoadCar(ActuatedCar):
         self.state = CarState(self._steps * step, x, y, psi, v_x, v_y, r)
 
     def _slide(self, angle):
-        """Slide on with locked wheels, turning ever slower, until the car stands."""
+        """Slide with locked wheels and decaying yaw rate until the car stands."""
         step = self.time_step
         _, x, y, psi, v_x, v_y, r = self.state
         speed = math.hypot(v_x, v_y)
@@ -266,7 +267,7 @@ class CommonRoadCar(ActuatedCar):
         return self._integration_step * car.R_w**2 * stiffness / (car.I_y_w * STIFFEST)
 
     def _check(self):
-        """Refuse a vehicle that is another car."""
+        """Refuse a vehicle file that describes another car."""
         car, vehicle = self._nominal, self.vehicle
         for name, own in (("l_f", car.a), ("l_r", car.b), ("m", car.m)):
             given = getattr(vehicle, name)
@@ -311,10 +312,10 @@ def _filled(target, values, where, dynamics):
 
 
 def _scaled(car, grip, parameters, axles):
-    """A parameter set on the tires of the day, with a factor on their friction.
+    """A parameter set with scaled tires.
 
-    The package has one set of tire coefficients for all wheels. Where the axles differ, the
-    equations get each wheel's own when they ask for the tire, which they do in a fixed order.
+    The package has one set of tire coefficients for all wheels. If the axles differ, the equations
+    get each wheel's own tire when they read it, which they do in a fixed order.
     """
     front, rear = (
         _tire(car.tire, grip * parameters.mu_scale, stiffness)
@@ -327,7 +328,7 @@ def _scaled(car, grip, parameters, axles):
 
 
 def _tire(tire, mu, stiffness):
-    """Tire coefficients with forces scaled by `mu`, and the cornering stiffness on its own."""
+    """Tire coefficients with all forces scaled by `mu`, cornering stiffness by `stiffness` too."""
     factors = {
         **dict.fromkeys(("p_dx1", "p_kx1", "p_vx1", "p_dy1", "p_vy1", "p_vy3"), mu),
         "p_ky1": mu * stiffness,
@@ -337,7 +338,7 @@ def _tire(tire, mu, stiffness):
 
 
 class _PerAxle:
-    """A parameter set whose `tire` is that of the wheel whose turn it is."""
+    """A parameter set whose `tire` returns the tires of the wheels in turn."""
 
     def __init__(self, car, tires):
         self.__dict__.update(vars(car))

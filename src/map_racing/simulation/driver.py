@@ -1,4 +1,4 @@
-"""What answers the poses of a simulated car: a controller alone, or supervised as on the car."""
+"""Drivers of a simulated car: a controller alone, or supervised as on the real car."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Command(NamedTuple):
 
 
 class DirectDriver:
-    """A controller alone: each pose is answered, whatever it is."""
+    """A controller without a supervisor; every pose gets a command."""
 
     deadline = None
     commands = ()
@@ -38,19 +38,19 @@ class DirectDriver:
 
 
 class SupervisedDriver:
-    """A controller under its supervisor, as the node drives, without ROS.
+    """A controller under its supervisor, as in the node but without ROS.
 
     Parameters
     ----------
     controller : Controller
     limits : SafetyLimits, optional
-        By default those of the car's size.
+        By default scaled to the car's size.
 
     Attributes
     ----------
     supervisor : Supervisor
     commands : list of Command
-        All of them, also those without a pose.
+        All commands, including those sent without a pose.
     """
 
     def __init__(self, controller, limits=None):
@@ -62,7 +62,7 @@ class SupervisedDriver:
 
     @property
     def deadline(self):
-        """Time at which `watch` has to be called unless a pose comes [s], or None."""
+        """Time at which to call `watch` unless a pose comes [s], or None."""
         return self.supervisor.deadline
 
     def step(self, seen):
@@ -71,7 +71,7 @@ class SupervisedDriver:
         Returns
         -------
         ControlResult
-            With the command as decided; invalid where the controller was not asked.
+            With the supervisor's command; status invalid if the controller was not run.
         """
         now, state = seen.arrival, seen.measured
         if seen.frame:
@@ -84,14 +84,14 @@ class SupervisedDriver:
         return result._replace(steering_angle=decision.steering_angle, speed=decision.speed)
 
     def watch(self, now):
-        """Notice a dropout of the poses; the command for it, or None."""
+        """Notice a dropout of the poses; return the command for it, or None."""
         decision = self.supervisor.watch(now)
         if decision is not None:
             self.commands.append(Command(now, decision))
         return decision
 
     def begin(self, fault):
-        """Take a fault that is none of the car: what operators and neighbors do."""
+        """Begin a fault outside the car, caused by operators or other nodes."""
         supervisor, name = self.supervisor, fault.fault
         if name == "stop_requested":
             supervisor.request_stop("service")
@@ -107,7 +107,7 @@ class SupervisedDriver:
             self._follow(reversed_raceline(self._raceline))
 
     def end(self, fault):
-        """Take the end of such a fault."""
+        """End a fault outside the car."""
         if fault.fault == "raceline_lost":
             self.supervisor.raceline_changed(True)
         elif fault.fault == "raceline_reversed":
@@ -119,7 +119,7 @@ class SupervisedDriver:
 
 
 def reversed_raceline(raceline: Raceline) -> Raceline:
-    """The same line, driven the other way round."""
+    """The same line in the opposite direction."""
     s = np.arange(0.0, raceline.length, 0.2)[::-1]
     x, y = (np.array(values) for values in zip(*(raceline.position(at) for at in s.tolist())))
     speed = None if raceline.speed is None else [raceline.speed_at(at) for at in s.tolist()]

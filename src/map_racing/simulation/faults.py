@@ -1,4 +1,4 @@
-"""Faults by name, for rehearsals: what localization, actuators, floor and operators do wrong.
+"""Faults for rehearsals: what goes wrong with localization, actuators, floor and operators.
 
 A schedule is a list of `Fault`; a file holds it as ``faults``, a list of entries such as
 ``{fault: pose_jump, at_s: 5.0, for_s: 1.0, size: 0.8}``.
@@ -25,7 +25,7 @@ COASTING = 0.5
 
 
 class Kind(NamedTuple):
-    """What a fault is; `unit` and `default` of its size, None if it has none, and valid range."""
+    """Kind of fault: text, unit, default (None if it has no size) and valid range of its size."""
 
     text: str
     unit: str = ""
@@ -34,7 +34,7 @@ class Kind(NamedTuple):
     high: float = math.inf
     # Who can inject it: race has no messages, the simulator no controller.
     where: tuple = ("race", "simulator")
-    # Method of the plant that does it.
+    # Method that the plant needs for it.
     method: str = ""
 
 
@@ -116,7 +116,7 @@ def kinds_table() -> str:
 
 
 def check_name(option: str, name: object) -> None:
-    """Refuse what is no name of a fault, with the names that are spelled like it.
+    """Refuse an unknown name of a fault, suggesting similar ones.
 
     Raises
     ------
@@ -136,23 +136,21 @@ def check_name(option: str, name: object) -> None:
 @documented
 @dataclass(frozen=True)
 class Fault:
-    """One fault of a schedule. Time and place bound it; both have to hold."""
+    """One fault of a schedule. It is active when both its time and its place apply."""
 
     fault: str = parameter("Its name", choices=tuple(KINDS))
     at_s: float = parameter("Simulated time at which it begins", "s", low=0.0, default=0.0)
-    for_s: float = parameter(
-        "Time for which it lasts; the default is to the end", "s", low=POSITIVE, default=1e9
-    )
+    for_s: float = parameter("Duration; by default until the end", "s", low=POSITIVE, default=1e9)
     from_m: float = parameter("Arc length at which its place begins", "m", low=0.0, default=0.0)
     to_m: float = parameter(
-        "Arc length at which its place ends, below `from_m` across the start line; as both are 0, "
-        "it is everywhere",
+        "Arc length at which its place ends, less than `from_m` if it crosses the start line; if "
+        "both are 0, it is everywhere",
         "m",
         low=0.0,
         default=0.0,
     )
     size: float | None = parameter(
-        "How large it is, in the unit of its kind; by default that of the kind", default=None
+        "Size in the unit of its kind; by default the kind's default", default=None
     )
 
     def __post_init__(self):
@@ -172,7 +170,7 @@ class Fault:
             )
 
     def holds(self, t: float, s: float) -> bool:
-        """Whether it is there at a time [s] and arc length [m]."""
+        """Whether it is active at a time [s] and arc length [m]."""
         on_time = self.at_s <= t < self.at_s + self.for_s
         return on_time and is_between(self.from_m, self.to_m, s)
 
@@ -184,7 +182,7 @@ def load_faults(path: str | Path, lap: float = math.inf) -> list[Fault]:
     ----------
     path : str or pathlib.Path
     lap : float, optional
-        Length of the raceline [m], on which all places have to be.
+        Length of the raceline [m]; all places must be on it.
 
     Raises
     ------
@@ -233,7 +231,7 @@ class Faults:
     where : {"race", "simulator"}
         Who injects them.
     seed : int, optional
-        Of the noise.
+        Seed of the noise.
 
     Raises
     ------
@@ -243,7 +241,7 @@ class Faults:
     Attributes
     ----------
     active : dict of str to Fault
-        What is there now.
+        Faults that are active now.
     """
 
     def __init__(self, schedule, plant, where, seed=1):
@@ -273,12 +271,12 @@ class Faults:
         self._schedule = []
 
     def update(self, t: float, s: float) -> tuple[list[Fault], list[Fault]]:
-        """What is there at a time [s] and arc length of the raceline [m].
+        """Set `active` for a time [s] and arc length of the raceline [m].
 
         Returns
         -------
         begun, ended : list of Fault
-            Since the last call.
+            Faults that have begun and ended since the last call.
         """
         before = self.active
         self.active = {fault.fault: fault for fault in self._schedule if fault.holds(t, s)}
@@ -291,7 +289,7 @@ class Faults:
         return begun, ended
 
     def _begin(self, before):
-        """Set up what was not there before, and undo what was."""
+        """Set up the faults that have begun, and undo those that have ended."""
         active, plant = self.active, self._plant
         if "servo_stuck" not in active:
             self._angle = None
@@ -313,14 +311,14 @@ class Faults:
 
     @property
     def grip(self) -> float:
-        """Factor on the friction, for `Grip`, which sets it."""
+        """Factor on the friction, which `Grip` applies."""
         return self._size("grip_lost", 1.0)
 
     def _size(self, name, default):
         return self.active[name].size if name in self.active else default
 
     def measured(self, seen):
-        """What comes of one measurement.
+        """Apply the faults to one measurement.
 
         Parameters
         ----------
@@ -329,7 +327,7 @@ class Faults:
         Returns
         -------
         list of Observation
-            Nothing, or one.
+            One, or none in a dropout.
         """
         active = self.active
         if not active:
@@ -379,7 +377,7 @@ class Faults:
         ]
 
     def commanded(self, steering_angle: float, speed: float) -> tuple[float, float]:
-        """What a command [rad, m/s] becomes on its way to the actuators, at each tick."""
+        """Apply the faults to a command [rad, m/s]; called at each tick."""
         active = self.active
         if not active:
             return steering_angle, speed
@@ -405,6 +403,6 @@ class Faults:
         return steering_angle, self._size("motor_runaway", speed)
 
     def advanced(self):
-        """Hold a blocked car in its place, after each tick."""
+        """Hold a blocked car in place; called after each tick."""
         if self._place is not None:
             self._plant.hold(*self._place)

@@ -14,16 +14,16 @@ __all__ = ["Grip", "GripChange", "is_between", "read_grip_changes"]
 @documented
 @dataclass(frozen=True)
 class GripChange:
-    """Friction that is different from some time on, at some place, or both.
+    """A change of friction from some time on, at some place, or both.
 
     A plant file holds a list of them, ``grip_changes``, such as ``{factor: 0.8, after_s: 12.0}`` or
     ``{factor: 0.7, from_m: 31.0, to_m: 34.0}``.
     """
 
     factor: float = parameter("Factor on the friction coefficient", low=0.1, high=2.0)
-    after_s: float = parameter("Simulated time from which it counts", "s", low=0.0, default=0.0)
+    after_s: float = parameter("Simulated time at which it begins", "s", low=0.0, default=0.0)
     until_s: float = parameter(
-        "Simulated time until which it counts; the default is never reached",
+        "Simulated time at which it ends; by default never",
         "s",
         low=POSITIVE,
         default=1e9,
@@ -32,8 +32,8 @@ class GripChange:
         "Arc length of the raceline at which the place begins", "m", low=0.0, default=0.0
     )
     to_m: float = parameter(
-        "Arc length at which it ends, below `from_m` for a place across the start line; as both "
-        "are 0, it is everywhere",
+        "Arc length at which it ends, less than `from_m` if it crosses the start line; if both are "
+        "0, it is everywhere",
         "m",
         low=0.0,
         default=0.0,
@@ -45,12 +45,15 @@ class GripChange:
             raise ParameterError(f"until_s: expected more than after_s, got {self.until_s:g}")
 
     def holds(self, t: float, s: float) -> bool:
-        """Whether it counts at a time [s] and arc length [m]."""
+        """Whether it applies at a time [s] and arc length [m]."""
         return self.after_s <= t < self.until_s and is_between(self.from_m, self.to_m, s)
 
 
 def is_between(begin: float, end: float, s: float) -> bool:
-    """Whether an arc length is at a place, maybe across the start line; no place is everywhere."""
+    """Whether an arc length is within a place, which may cross the start line.
+
+    A place without length is everywhere.
+    """
     if begin <= end:
         return begin <= s < end or begin == end
     return s >= begin or s < end
@@ -62,7 +65,7 @@ class Grip:
     Parameters
     ----------
     plant : Plant or PublicSimulator
-        Its parameters have the changes. Those that hold at the same time and place multiply.
+        Its parameters list the changes. Changes at the same time and place multiply.
     """
 
     def __init__(self, plant):
@@ -71,7 +74,7 @@ class Grip:
     def update(self, t, s, fault=1.0):
         """Set the friction for a simulated time [s] and an arc length of the raceline [m].
 
-        A `fault` is one more factor.
+        `fault` is an additional factor.
         """
         factors = [change.factor for change in self._changes if change.holds(t, s)]
         self._plant.set_grip(math.prod(factors, start=fault))

@@ -1,7 +1,7 @@
-"""The simulated car: single-track dynamics behind real actuators, seen through a real localization.
+"""The simulated car: single-track dynamics with realistic actuators and localization.
 
-The plant has its own parameters. A controller that only ever meets its own model proves nothing, so
-a plant file names a vehicle and by how much its tires differ from it.
+The plant has its own parameters. A controller tested only against its own model proves nothing, so
+a plant file names a vehicle and how much the plant's tires differ from it.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ def _delay(what):
 
 
 def _noise(what, unit, most):
-    # More is in another unit, as in mm or degrees.
+    # A larger value must be in another unit, such as mm or degrees.
     text = f"Standard deviation of white noise on {what}"
     return parameter(text, unit, low=0.0, high=most, default=0.0)
 
 
 @dataclass(frozen=True)
 class ScaledVehicle:
-    """What all plants have: a vehicle, and how far its tires differ from the vehicle file."""
+    """Parameters of all plants: a vehicle, and how far the tires differ from the vehicle file."""
 
     vehicle: str | Vehicle = parameter(
         "Geometry, masses, limits and nominal tires: a Vehicle, or in files the name of a shipped "
@@ -55,7 +55,7 @@ class ScaledVehicle:
     front_stiffness_scale: float = _scale("Cornering stiffness of the front tires")
     rear_stiffness_scale: float = _scale("Cornering stiffness of the rear tires")
     grip_changes: tuple = parameter(
-        "What changes the friction during a race: mappings with a factor, and time or place",
+        "Changes of the friction during a race: mappings with a factor, and time or place",
         default=(),
     )
 
@@ -80,7 +80,7 @@ class ScaledVehicle:
 class PlantParameters(ScaledVehicle):
     """A simulated car; a file in ``config/plants`` holds the same names.
 
-    Rate and lock of the steering are the vehicle's.
+    Steering rate and lock are the vehicle's.
     """
 
     steering_delay_s: float = _delay("Dead time of the steering servo")
@@ -107,7 +107,7 @@ class PlantParameters(ScaledVehicle):
     yaw_rate_noise_radps: float = _noise("the yaw rate", "rad/s", 2.0)
     acceleration_noise_mps2: float = _noise("the acceleration that the IMU reports", "m/s^2", 20.0)
     measures_v_y: bool = parameter(
-        "Whether the odometry reports the lateral velocity; else it is NaN", default=True
+        "Whether the odometry reports the lateral velocity; otherwise it is NaN", default=True
     )
 
     reference_point = "rear_axle"
@@ -119,10 +119,10 @@ class PlantParameters(ScaledVehicle):
 
 
 class ActuatedCar:
-    """What all cars of :class:`PlantParameters` have: a servo, a drive, and the rear axle's pose.
+    """Base of the cars of :class:`PlantParameters`: servo, drive, and the rear axle's pose.
 
-    The state is that of the center of gravity; reports are for the rear axle (``base_link``). A
-    subclass integrates it in ``advance``.
+    The state refers to the center of gravity, the reported pose to the rear axle (``base_link``).
+    Subclasses integrate the state in ``advance``.
 
     Parameters
     ----------
@@ -146,12 +146,12 @@ class ActuatedCar:
         lag = parameters.steering_time_constant_s
         self._servo_gain = 1.0 - math.exp(-self.time_step / lag) if lag else 1.0
         self.set_drive(1.0, 1.0)
-        # A lag shorter than the step would overshoot, and end a braking backwards.
+        # With a lag shorter than the step, braking would overshoot into reverse.
         self._drive_lag = max(parameters.drive_time_constant_s, self.time_step)
         self.reset(0.0, 0.0, 0.0)
 
     def reset(self, x, y, psi, speed=0.0):
-        """Put the car's rear axle somewhere, driving straight; time starts at 0."""
+        """Place the car's rear axle, driving straight; time starts at 0."""
         self.state = moved(CarState(0.0, x, y, psi, speed, 0.0, 0.0), self.vehicle.l_r)
         self.steering_angle = 0.0
         self.acceleration = (0.0, 0.0)
@@ -161,17 +161,17 @@ class ActuatedCar:
         self._speed_line = deque([speed] * round(self.parameters.drive_delay_s / step))
 
     def reference_state(self):
-        """True state of the rear axle, which localization sees and which follows the raceline."""
+        """True state of the rear axle, which localization reports and which follows the line."""
         return moved(self.state, -self.vehicle.l_r)
 
     def set_drive(self, acceleration, braking):
-        """Set the shares of acceleration and braking that the drive has from the next step on."""
+        """Scale the drive's acceleration and braking limits from the next step on."""
         vehicle = self.vehicle
         self._drive_limits = vehicle.a_max * acceleration, -vehicle.a_brake_max * braking
 
     def _servo(self, angle, target, step):
         """Servo: first-order lag within rate and lock."""
-        # Comparisons: calls of min and max would take three times as long.
+        # Comparisons, because min and max take three times as long.
         vehicle = self.vehicle
         lock, slew = vehicle.delta_max, vehicle.delta_rate_max * step
         target = lock if target > lock else -lock if target < -lock else target
@@ -200,17 +200,17 @@ class Plant(ActuatedCar):
         if factor != self._grip:
             self._grip = factor
             vehicle = replace(self.vehicle, mu=self.vehicle.mu * factor)
-            # RK4 is stable up to a rate of 2.78 per step. Tires that are too stiff for that at
-            # walking pace are damped up to a higher speed.
+            # RK4 is stable up to a rate of 2.78 per step. Tires too stiff for that at low speed are
+            # damped up to a higher speed.
             v_eps = max(V_EPS, factor * self._fastest * self.time_step / 2.5)
             self._derivatives = single_track_derivatives(vehicle, v_eps)
 
     def hold(self, x, y, psi):
-        """Keep the rear axle in a place, at rest; time and actuators go on."""
+        """Keep the rear axle in place, at rest; time and actuators continue."""
         self.state = moved(CarState(self.state.t, x, y, psi, 0.0, 0.0, 0.0), self.vehicle.l_r)
 
     def advance(self, steering_command, speed_command, steps=1):
-        """Integrate so many time steps under the given commands."""
+        """Integrate `steps` time steps under the given commands."""
         step, servo, drive = self.time_step, self._servo, self._drive
         half, sixth = 0.5 * step, step / 6.0
         steering_line, speed_line = self._steering_line, self._speed_line
@@ -252,7 +252,7 @@ class Plant(ActuatedCar):
 
 
 class Localization:
-    """White noise on what the car measures, from a seed.
+    """White noise on the car's measurements, from a seed.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ class Localization:
         Returns
         -------
         CarState
-            ``v_y`` is NaN where the plant does not measure it.
+            ``v_y`` is NaN if the plant does not measure it.
         """
         parameters, gauss = self.parameters, self._gauss
         return CarState(
@@ -291,6 +291,6 @@ class Localization:
         )
 
     def measure_acceleration(self, acceleration):
-        """Noisy longitudinal and lateral acceleration [m/s^2], as an IMU gives them."""
+        """Noisy longitudinal and lateral acceleration [m/s^2], as from an IMU."""
         noise = self.parameters.acceleration_noise_mps2
         return tuple(value + self._gauss(0.0, noise) for value in acceleration)

@@ -1,4 +1,4 @@
-"""Plants that can be raced: read from a plant file and built."""
+"""Reads plant files and builds their plants."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
     Parameters
     ----------
     source : str or pathlib.Path
-        Shipped plant or plant file; its vehicle may be a file beside it.
+        Shipped plant or plant file; its vehicle may be a file in the same folder.
 
     Raises
     ------
@@ -54,16 +54,16 @@ def load_plant(source: str | Path) -> PlantParameters | PublicSimulatorParameter
 def build_plant(
     parameters: PlantParameters | PublicSimulatorParameters, seed: int
 ) -> tuple[Plant | CommonRoadCar | PublicSimulator, Localization | None]:
-    """A car to drive and its localization with noise from a seed.
+    """Build a car and its localization, with noise from a seed.
 
-    The public simulator has no localization: its poses are true.
+    The public simulator has no localization, because its poses are exact.
 
     Raises
     ------
     ParameterError
         If the seed is negative.
     """
-    if seed < 0:  # `random` would take it for the positive one
+    if seed < 0:  # `random` would use its absolute value
         raise ParameterError(f"seed: expected 0 or more, got {seed}")
     if isinstance(parameters, PublicSimulatorParameters):
         return PublicSimulator(parameters), None

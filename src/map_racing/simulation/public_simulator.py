@@ -1,9 +1,9 @@
 """The plant of the public ROS 1 simulator, ``f1tenth_simulator``, as the MAP authors run it.
 
-A second plant, not ours, to check the closed loop against figures that were measured elsewhere: the
-CommonRoad single-track model with linear tires and small angles, one Euler step per 10 ms, steering
-commands through a delay line of five samples, a bang-bang servo and a crude speed controller.
-Model and figures as published with that simulator; a recording of it obeys them to rounding.
+It serves to check the closed loop against figures that others measured: the CommonRoad single-track
+model with linear tires and small angles, Euler steps of 10 ms, a delay line of five samples for
+steering commands, a bang-bang servo and a crude speed controller. Model and figures are as
+published with that simulator; they reproduce a recording of it up to rounding.
 """
 
 import math
@@ -32,9 +32,8 @@ class PublicSimulatorParameters(ScaledVehicle):
     """
 
     h_cg_m: float = parameter(
-        "Height of the center of gravity, as the recording shows it. The published model file of "
-        "the same car has 0.02 m, which would hide most of the load that braking takes off the "
-        "rear",
+        "Height of the center of gravity, from a recording of the simulator. The published model "
+        "file of the same car has 0.02 m, which would hide most of the load transfer under braking",
         "m",
         low=0.0,
         default=0.074,
@@ -50,15 +49,15 @@ class PublicSimulatorParameters(ScaledVehicle):
         "Poses per second", "Hz", low=1.0, high=1.0 / TIME_STEP, default=40.0
     )
 
-    # It publishes the pose of the center of gravity under the name of base_link.
+    # The simulator publishes the pose of the center of gravity as base_link.
     reference_point = "center_of_gravity"
 
 
 class PublicSimulator:
     """Plant with the interface of :class:`map_racing.simulation.plant.Plant`.
 
-    Its pose is that of the center of gravity, which it publishes as ``base_link``, and it reports
-    no lateral velocity; so does this class.
+    Like the simulator, it reports the pose of the center of gravity as ``base_link`` and no lateral
+    velocity.
 
     Parameters
     ----------
@@ -68,7 +67,7 @@ class PublicSimulator:
     Attributes
     ----------
     speed : float
-        Magnitude of the velocity, which the simulator calls ``linear.x`` [m/s].
+        Magnitude of the velocity, which the simulator publishes as ``linear.x`` [m/s].
     slip_angle : float
         Angle from heading to velocity [rad].
     """
@@ -94,17 +93,17 @@ class PublicSimulator:
         self._grip = factor
 
     def set_drive(self, acceleration, braking):
-        """Set the shares of acceleration and braking that the drive has from the next step on."""
+        """Scale the drive's acceleration and braking limits from the next step on."""
         vehicle = self.vehicle
         self._drive_limits = vehicle.a_max * acceleration, vehicle.a_brake_max * braking
 
     def hold(self, x, y, psi):
-        """Keep the car in a place, at rest; time and steering go on."""
+        """Keep the car in place, at rest; time and steering continue."""
         self.x, self.y, self.psi = x, y, psi
         self.speed = self.slip_angle = self.yaw_rate = 0.0
 
     def reset(self, x, y, psi, speed=0.0):
-        """Put the car somewhere, driving straight; time starts at 0."""
+        """Place the car, driving straight; time starts at 0."""
         self.x, self.y, self.psi, self.speed = x, y, psi, speed
         self.slip_angle = self.yaw_rate = self.steering_angle = 0.0
         self.acceleration = (0.0, 0.0)
@@ -126,11 +125,11 @@ class PublicSimulator:
         )
 
     def measured_state(self):
-        """What the simulator publishes: speed along the heading and no lateral velocity."""
+        """State as the simulator publishes it: speed along the heading, no lateral velocity."""
         return self.reference_state()._replace(v_x=self.speed, v_y=math.nan)
 
     def advance(self, steering_command, speed_command, steps=1):
-        """So many Euler steps of 10 ms under the given commands."""
+        """Integrate Euler steps of 10 ms under the given commands."""
         for _ in range(steps):
             self._advance(steering_command, speed_command)
 
@@ -189,7 +188,7 @@ class PublicSimulator:
         return v * math.tan(delta) * math.cos(beta) / self.vehicle.l_wb
 
     def _kinematic_model(self, v, beta, r, delta, rate, accel):
-        """Kinematic single-track model, differentiated, for walking speed."""
+        """Kinematic single-track model, differentiated, for low speed."""
         l_wb, l_r = self.vehicle.l_wb, self.vehicle.l_r
         tan, cos = math.tan(delta), math.cos(delta)
         beta_dot = l_r / (l_wb * cos * cos) / (1.0 + (l_r / l_wb * tan) ** 2) * rate

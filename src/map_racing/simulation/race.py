@@ -22,16 +22,16 @@ from .grip import Grip
 __all__ = ["Outcome", "RaceLog", "Work", "race"]
 
 
-# The race begins and ends so far past the line [m] that noise does not take a 1:10 car back over
-# it. Without faults it does not end either before a pose from beyond the line has arrived, so that
-# the last lap is recorded to its end, however fast the car and however late its poses.
+# The race begins and ends this far past the start line [m], so that noise does not take a 1:10 car
+# back over it. Without faults it ends only after a pose from beyond the line has been answered, so
+# that the last lap is recorded completely however fast the car and late its poses.
 START_S = 0.3
 
-# A car that does not get HEADWAY [m] farther along the track within PATIENCE [s] has stalled.
+# A car that does not advance by HEADWAY [m] along the track within PATIENCE [s] has stalled.
 HEADWAY, PATIENCE = 0.5, 10.0
 
-# Time is looked at at least this often [s].
-LOOK = 0.1
+# Longest interval between checks of the time limits [s].
+CHECK_S = 0.1
 
 
 class Outcome(Enum):
@@ -43,15 +43,15 @@ class Outcome(Enum):
 
 
 class Work(NamedTuple):
-    """What the steps of a controller cost.
+    """Processor time of a controller's steps.
 
     Parameters
     ----------
     steps : int
     median_s, p99_s : float
-        Processor time of a step: median and 99th percentile [s].
+        Median and 99th percentile of the time per step [s].
     failed : int
-        Steps that followed an earlier plan, because none was found.
+        Steps that followed an earlier solution because none was found.
     late : int
         Steps during which another pose arrived.
     """
@@ -65,7 +65,7 @@ class Work(NamedTuple):
 
 @dataclass
 class RaceLog:
-    """A race as it happened.
+    """Log of a race.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ class RaceLog:
         Simulated time [s].
     samples : list of Sample
     commands : list of Command
-        Under supervision all commands with their reasons; else empty.
+        With a supervisor, all commands with their reasons; otherwise empty.
     truth : list of CarState
-        Under supervision the true states at the times of measurement, also of poses that did not
-        arrive; else empty.
+        With a supervisor, the true states at the times of measurement, including poses that did not
+        arrive; otherwise empty.
     work : Work or None
-        What the controller's steps cost, if that was to be measured.
+        Processor time of the controller's steps, if it was measured.
     """
 
     outcome: Outcome
@@ -99,8 +99,8 @@ class RaceLog:
         Returns
         -------
         list of (float, Reason, float)
-            Time of the first command that slowed the car down, its reason, and the time at which it
-            drove again; NaN if it did not [s].
+            Time of the first command of the stop, its reason, and time of the first command to
+            drive again, NaN if there is none [s].
         """
         found = []
         for t, decision in self.commands:
@@ -141,33 +141,33 @@ def race(
     Parameters
     ----------
     plant : Plant or PublicSimulator
-        It is put on the raceline.
+        Placed on the raceline.
     controller : Controller
-        Acts on each pose as it arrives.
+        Answers each pose as it arrives.
     raceline : Raceline
-        Gives the start and, where it has widths, the walls: a reference point closer to a wall than
+        Gives the start and, if it has widths, the walls: a reference point closer to a wall than
         half the car's width ends the race as a crash.
     localization : Localization, optional
         Latency and noise of the poses. Without it the poses are the plant's own
-        ``measured_state()``, at once.
+        ``measured_state()``, without latency.
     rate : float, optional
-        Poses per second instead of the plant's ``localization_rate_hz``.
+        Poses per second; by default the plant's ``localization_rate_hz``.
     laps : int
-        Timed laps.
+        Number of timed laps.
     time_limit : float, optional
-        Simulated time after which the race is called stalled [s]. Without it only a car that makes
-        no headway for 10 s has stalled, however slow a race is asked for.
+        Simulated time after which the race counts as stalled [s]. Without it, only a car that makes
+        no headway for 10 s has stalled, however slow the race.
     progress : callable, optional
         Called now and then with the laps driven so far, as a float.
     limits : SafetyLimits, optional
-        Race under a supervisor with these limits, as the node drives. Also without them, with the
-        default ones, where there are faults.
+        Race under a supervisor with these limits, as the node does. If there are faults, there is
+        always a supervisor, by default with the default limits.
     faults : iterable of Fault, optional
-        What goes wrong.
+        Faults to inject.
     slowdown : float, optional
-        Let a command act only after the processor time of its step, times this; of the poses that
-        arrive meanwhile the last is used. Such races depend on the computer. Without it a step
-        takes no time.
+        Delay each command by the processor time of its step, times this factor; of the poses that
+        arrive meanwhile only the last is used. The result then depends on the computer. Without it
+        a step takes no time.
 
     Returns
     -------
@@ -202,13 +202,13 @@ def race(
             if supervised:
                 truth.append(taken.true)
             if faults is not None:
-                _take(driver, *faults.update(car.now, s))
+                _apply_faults(driver, *faults.update(car.now, s))
             grip.update(car.now, s, 1.0 if faults is None else faults.grip)
             answered = math.inf if faults is not None else samples[-1].true[0] if samples else 0.0
             outcome = referee.see(car.now, s, d, answered)
             if progress is not None and poses % 40 == 0:
                 progress(referee.driven / raceline.length)
-        outcome = outcome or referee.look_at_clock(car.now)
+        outcome = outcome or referee.check_clock(car.now)
         if outcome is not None:
             break
         for seen, result in processor.take(car.now, arrived):
@@ -229,9 +229,9 @@ def race(
 
 
 def _stride(car, driver, processor):
-    """Ticks until something happens; time is looked at in between, should nothing."""
+    """Ticks until the next event, or the next check of the time limits."""
     step = car.plant.time_step
-    stop = min(car.next_event, car.tick + round(LOOK / step))
+    stop = min(car.next_event, car.tick + round(CHECK_S / step))
     if driver.deadline is not None:
         stop = min(stop, math.ceil(driver.deadline / step - 1e-6))
     if processor.due is not None:
@@ -239,7 +239,7 @@ def _stride(car, driver, processor):
     return max(stop - car.tick, 1)
 
 
-def _take(driver, begun, ended):
+def _apply_faults(driver, begun, ended):
     for fault in begun:
         driver.begin(fault)
     for fault in ended:
@@ -247,7 +247,7 @@ def _take(driver, begun, ended):
 
 
 class _Referee:
-    """How far the car has come along the track [m], and how the race ends."""
+    """Tracks the distance driven along the track [m], and decides how the race ends."""
 
     def __init__(self, raceline, start_s, laps, width, time_limit):
         self._raceline, self._start_s, self._width = raceline, start_s, width
@@ -257,10 +257,10 @@ class _Referee:
         self._headway, self._headway_at = start_s, 0.0
 
     def see(self, now, s, d, answered):
-        """The outcome, if the race ends with the car at a place on the track.
+        """Outcome if the race ends with the car at `s`, `d`; otherwise None.
 
-        A race is only completed when a pose from beyond the line was answered: `answered` is the
-        time of the last one that was.
+        A race is completed only once a pose from beyond the line has been answered; `answered` is
+        the time of the last answered pose.
         """
         if self._last_s is not None:
             self.driven += math.remainder(s - self._last_s, self._raceline.length)
@@ -275,14 +275,14 @@ class _Referee:
             return Outcome.COMPLETED
         return None
 
-    def look_at_clock(self, now):
-        """The outcome, if the race has taken too long."""
+    def check_clock(self, now):
+        """Outcome if the race has taken too long; otherwise None."""
         late = now > self._time_limit or now > self._headway_at + PATIENCE
         return Outcome.STALLED if late else None
 
 
 class _Processor:
-    """Computes the steps of a controller, at once or in the time that they take."""
+    """Runs the steps of a controller, instantly or with their processor time as a delay."""
 
     def __init__(self, step, slowdown, tick):
         self._step, self._slowdown, self._tick = step, slowdown, tick
@@ -290,7 +290,7 @@ class _Processor:
         self._done = self._waiting = self.due = None
 
     def take(self, now, arrived):
-        """Observations and results whose commands act now."""
+        """Observations and results whose commands take effect now."""
         if self._slowdown is None:
             return [(seen, self._step(seen)) for seen in arrived]
         finished = []
@@ -306,7 +306,7 @@ class _Processor:
             began = thread_time()
             self._done = seen, self._step(seen)
             self._times.append(thread_time() - began)
-            # Commands act at ticks: at the nearest, or all would be late by one.
+            # Round to the nearest tick; rounding up would delay every command by one.
             ticks = round(self._slowdown * self._times[-1] / self._tick)
             if ticks:
                 self.due = now + ticks * self._tick
@@ -315,7 +315,7 @@ class _Processor:
         return finished
 
     def work(self, controller):
-        """What it was, as a `Work`."""
+        """Summary as a `Work`."""
         times = self._times or [0.0]
         return Work(
             len(self._times),

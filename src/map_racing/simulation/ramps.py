@@ -31,15 +31,15 @@ def drive_ramps(
     ramps : sequence of RampParameters, optional
         Default: one at the default speed for a car of this size.
     seed : int
-        Of the noise.
+        Seed of the noise.
     progress : callable, optional
         Called with the simulated time [s] about once a second.
 
     Raises
     ------
     ParameterError
-        If the car cannot do what is asked, leaves the area, 50 m around the start for a 1:10 car
-        and what the first circle takes for a larger one, or does not reach its speed.
+        If the car cannot drive the ramp, does not reach its speed, or leaves the area: 50 m around
+        the start for a 1:10 car, room for the first circle for a larger one.
     """
     plant, localization = build_plant(plant_parameters, seed)
     ramps = tuple(ramps) if ramps is not None else (RampParameters.of(plant.vehicle),)

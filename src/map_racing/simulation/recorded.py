@@ -1,4 +1,4 @@
-"""Simulated driving as the bag that a real car would have recorded."""
+"""Writes simulated driving to a bag like that of a real car."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def write_race_bag(
 ) -> None:
     """Write a race to a ROS 1 bag.
 
-    Localization is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, stamped with the time
-    of measurement and received when it arrived; commands are on the drive topic, the IMU on
-    ``/vesc/sensors/imu/raw``, the raceline on ``/global_waypoints``, the true motion on
-    ``/ground_truth/odom``, the settings on ``/map_racing/settings``, what an adaptive controller
-    believes on ``/map_racing/belief``, and states of the supervisor on ``/diagnostics``.
+    Localization is on ``/car_state/odom``, ``/car_state/pose`` and ``/tf``, with the time of
+    measurement as timestamp and the arrival as receipt time. Commands are on the drive topic, the
+    IMU on ``/vesc/sensors/imu/raw``, the raceline on ``/global_waypoints``, the true motion on
+    ``/ground_truth/odom``, the settings on ``/map_racing/settings``, the belief of an adaptive
+    controller on ``/map_racing/belief``, and states of the supervisor on ``/diagnostics``.
 
     Parameters
     ----------
     path : str or pathlib.Path
-        Replaced in one step when the bag is complete.
+        An existing file is replaced once the bag is complete.
     log : RaceLog
     raceline : Raceline
     compression : {"lz4", "bz2", None}, optional
     settings : str, optional
-        What the car was driven with, see `map_racing.control.settings`.
+        Settings of the controller, see `map_racing.control.settings`.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def write_ramp_bag(
 
 
 def _measured(bag, sample, pose):
-    """Write the measurements of a sample; the times when they were taken and arrived [ns]."""
+    """Write the measurements of a sample; return their timestamp and receipt time [ns]."""
     seen = sample.measured
     stamp, arrival = _time(seen.t), _time(sample.arrival)
     bag.odometry(stamp, *seen[1:], received=arrival)

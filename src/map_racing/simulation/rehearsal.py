@@ -1,7 +1,7 @@
-"""Every fault once, at 4 m/s in a bend: what the supervised car does.
+"""Rehearsals: how the supervised car reacts to each fault at 4 m/s in a bend.
 
-The table of the page on safety is made of these. Distances, speeds and times are those of a 1:10
-car, and follow the size of a larger one.
+They give the table of the page on safety. Distances, speeds and times are for a 1:10 car and are
+scaled for a larger one.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ __all__ = [
 
 SPEED = 4.0  # m/s
 STRAIGHT, RADIUS, HALF_WIDTH = 12.0, 4.0, 2.0  # m
-# In the middle of the first bend, and until the end of the rehearsal [s].
+# The fault begins in the middle of the first bend; end of the rehearsal [s].
 BEGIN, END = 4.5, 18.0
 # The driver calls ~resume this long after the end of the fault [s].
 RESUMES_AFTER = 4.0
@@ -52,23 +52,23 @@ STANDSTILL = 0.05  # m/s
 
 @dataclass(frozen=True)
 class Scenario:
-    """One row: a fault, its size, and how long it lasts [s]."""
+    """One row of the table: a fault, its size, and how long it lasts [s]."""
 
     fault: str
     size: float | None = None
     for_s: float = 2.0
 
     def schedule(self, time: float = 1.0) -> list[Fault]:
-        """The fault, and the driver who resumes after it; `time` is the factor on times."""
+        """The fault and the driver's ~resume after it; `time` is a factor on times."""
         resumed = Fault("resumed", BEGIN * time + self.for_s + RESUMES_AFTER, 1.0)
         return [Fault(self.fault, BEGIN * time, self.for_s, size=self.size), resumed]
 
     def of_size(self, size: Size) -> Scenario:
-        """The same for a car of another size."""
+        """The scenario for a car of another size."""
         kind = KINDS[self.fault]
         grows = {"m": size.length, "m/s": size.time, "rad/s": 1.0 / size.time}.get(kind.unit, 1.0)
         value = None if self.size is None else self.size * grows
-        # What is within the limit of the poses' age stays there.
+        # A fault shorter than the largest age of a pose must stay shorter.
         long = self.for_s > SafetyLimits.max_pose_age_s
         return replace(self, size=value, for_s=self.for_s * (size.time if long else 1.0))
 
@@ -80,7 +80,7 @@ class Scenario:
         return kind.text if size is None else f"{kind.text}: {size:.6g} {kind.unit}".rstrip()
 
 
-# The resume of the driver is part of each; what race cannot inject is tested on the nodes.
+# Each ends with the driver's ~resume. Faults that race cannot inject are tested on the nodes.
 SCENARIOS = (
     Scenario("pose_dropout", for_s=0.15),
     Scenario("pose_dropout"),
@@ -128,19 +128,19 @@ SCENARIOS = (
 
 
 class Bounds(NamedTuple):
-    """The largest of all commands, and the limits that hold for them.
+    """The largest commands of a rehearsal, and their limits.
 
     Parameters
     ----------
     commands : int
         Number of commands.
     speed, max_speed : float
-        Largest speed, and the limit [m/s].
+        Largest speed, and its limit [m/s].
     angle, lock : float
         Largest steering angle, and the lock [rad].
     beyond : float
-        By how much an angle is beyond the one of the largest lateral acceleration at the measured
-        speed [rad]; negative where none is.
+        Largest excess of an angle over that of the largest lateral acceleration at the measured
+        speed [rad]; negative if there is none.
     """
 
     commands: int
@@ -153,26 +153,26 @@ class Bounds(NamedTuple):
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What came of a scenario.
+    """Result of a scenario.
 
     Parameters
     ----------
     scenario : Scenario
     log : RaceLog
     reason : Reason
-        Of the first stop; NONE without one.
+        Reason of the first stop; NONE without one.
     begins_s : float
-        Time from the fault to the first command that slows the car down; NaN without a stop.
+        Time from the fault to the first command of the stop; NaN without a stop.
     stands_s : float
         Time from the fault until the car stands; NaN if it does not.
     aside_m : float
-        Largest lateral error from the fault on, and until the car stands if it does.
+        Largest lateral error from the fault until the car stands, or until the end.
     back_s : float
         Time from the end of the fault until the car drives again; NaN if it does not.
     resumed : bool
-        Whether that took the service ``~resume``.
+        Whether the car needed the service ``~resume`` to drive again.
     bounds : Bounds
-        What no command went beyond.
+        Largest commands, and their limits.
     """
 
     scenario: Scenario
@@ -239,7 +239,7 @@ def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
     car : str, optional
         Shipped plant or plant file.
     seed : int, optional
-        Of the noise.
+        Seed of the noise.
 
     Returns
     -------
@@ -287,7 +287,7 @@ def rehearse(scenario: Scenario, car: str = "nuc4", seed: int = 1) -> Rehearsal:
 
 
 def bounds_of(log: RaceLog, parameters: ControllerParameters, vehicle: Vehicle) -> Bounds:
-    """What no command of a supervised race went beyond."""
+    """Largest commands of a supervised race, and their limits."""
     slowing = build_slowing(parameters, vehicle)
     measured = {sample.arrival: sample.measured.v_x for sample in log.samples}
     v_x, beyond = 0.0, -math.inf

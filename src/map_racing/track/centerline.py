@@ -1,8 +1,8 @@
 """Centerline and widths of a track from a map image.
 
-The car's center can go where the nearest wall is at least half a passage away. What remains of the
-free space is a ring with one wall outside and one inside; narrower passages and gaps in walls are
-closed. The centerline is the curve in the ring equally far from both walls.
+The car's center can go where the nearest wall is at least half a passage away. This closes narrower
+passages and gaps in walls, and leaves a ring of free space with one wall outside and one inside.
+The centerline is the curve in the ring that is equally far from both walls.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ __all__ = ["track_from_map", "walls_from_map", "widest_place"]
 
 # Islands up to this share of the size of the largest are obstacles on the track.
 _OBSTACLE = 1.0 / 3.0
-# Jump of the distance to a wall, relative to the usual one, beside a gap.
+# At a gap the distance to the wall jumps by at least this much, relative to its median.
 _JUMP = 1.0
-# The centerline is smoothed over this share of the width of the track.
+# The centerline is smoothed over this share of the track width.
 _SMOOTHED = 0.15
-_SPACING = 0.1  # of the points of the centerline [m]
+_SPACING = 0.1  # of the centerline's points [m]
 
 
 def track_from_map(
@@ -52,7 +52,7 @@ def track_from_map(
     psi : float, optional
         Direction of travel there [rad], to within 75 degrees; by default counter-clockwise.
     passage : float
-        Close what is narrower than this [m]: at least the car's width. A larger value closes gaps
+        Close passages narrower than this [m], at least the car's width. A larger value closes gaps
         in walls; the narrowest place of the track must still be wider.
     speckle : float, optional
         Remove walls of less area than this as lidar noise [m^2]; by default walls of one or two
@@ -94,7 +94,7 @@ def track_from_map(
 
     clear = _clearance(image, distance)
     half = 0.5 * passage
-    line, kept = _as_driven(_smooth(points, clear, half), start, psi)
+    line, kept = _oriented(_smooth(points, clear, half), start, psi)
     findings += kept
     widths, more = _widths(line, clear, half, 4.0 * float(distance.max()))
     findings += more
@@ -111,7 +111,7 @@ def track_from_map(
 
 
 def widest_place(image: MapImage, speckle: float | None = None) -> tuple[float, float] | None:
-    """The place of the largest free space that is farthest from walls, a start to suggest.
+    """Place in the largest free space that is farthest from walls, to suggest as a start.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def walls_from_map(image: MapImage, line: Raceline) -> tuple[np.ndarray, np.ndar
 
 
 def _clearance(image, distance):
-    """Function from points to their distances to the nearest wall."""
+    """Function that maps points to their distances to the nearest wall."""
 
     def clear(at):
         where = image.to_cells(at).T[::-1] + 1.0
@@ -180,25 +180,25 @@ def _clearance(image, distance):
 
 
 def _widths(line, clear, half, farthest):
-    """Distances from a line to the walls, openings closed, and findings."""
+    """Distances from a line to the walls, with openings closed, and findings."""
     at, normal = points_and_normals(line)
-    # Half a passage wide, so that no post between two normals is missed.
+    # March with a clearance of half a passage, so that no post between two normals is missed.
     widths = [march(clear, at, side * normal, half, farthest) + half for side in (1.0, -1.0)]
     widths, openings = _without_openings(widths, line)
     if not openings:
         return widths, []
     x, y, deep = max(openings, key=lambda opening: opening[2])
     text = (
-        f"{len(openings)} opening{'s' * (len(openings) != 1)} in the walls shorter than the track "
-        f"is wide closed, the deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
+        f"{len(openings)} opening{'s' * (len(openings) != 1)} in the walls, shorter than the track "
+        f"width, closed; the deepest, {deep:.1f} m, at ({x:.2f}, {y:.2f})"
     )
     return widths, [Finding("openings", NOTE, text)]
 
 
 def _free_space(image, speckle):
-    """Free cells, with the smallest walls removed, and findings.
+    """Free cells, with the smallest walls removed; wall distances [m]; findings.
 
-    Between them the distance of each cell, and of a margin of one, to the nearest wall [m].
+    The distances include a margin of one cell around the map.
     """
     limit = 2.5 * image.resolution**2 if speckle is None else speckle
     labels, count = ndimage.label(~image.free, structure=np.ones((3, 3)))
@@ -208,15 +208,15 @@ def _free_space(image, speckle):
     free, findings = image.free | small[labels], list(image.findings)
     if small.any():
         count = int(small.sum())
-        text = f"{count} speck{'s' * (count != 1)} of walls removed as noise"
+        text = f"{count} speck{'s' * (count != 1)} removed from the walls as noise"
         findings.append(Finding("speckle", NOTE, text))
-    # Beyond the image all is wall. The surface of a wall is half a cell before its center.
+    # Outside the image everything is wall. A wall's surface is half a cell before its center.
     apart = np.maximum(ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5, -0.5)
     return free, apart * image.resolution, findings
 
 
 def _bad_start(image, start, labels, distance, passage, row, column):
-    """Why the start is not on the track, and the nearest place that is."""
+    """Message saying why the start is not on the track, and the nearest place that is."""
     where = f"{image.source}: start ({start[0]:.2f}, {start[1]:.2f})"
     if not labels.any():
         return f"{where}: no place on the map is {passage:.2f} m wide"
@@ -237,16 +237,16 @@ def _bad_start(image, start, labels, distance, passage, row, column):
         if 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1] and labels[row, column]:
             text += (
                 f". Without the yaw of the map's origin, {image.origin[2]:g} rad, it would be on "
-                "the track: was it read off in a program that ignores the yaw?"
+                "the track: was it taken from a program that ignores the yaw?"
             )
     return text
 
 
 def _check_not_cut(image, ring, distance, start, passage):
-    """Refuse a passage so wide that the track itself is closed somewhere."""
+    """Refuse a passage so wide that it closes the track itself somewhere."""
     if _encloses(ring):
         return
-    # The widest passage, to a cell, at which the way around is open.
+    # Bisect for the widest passage, to within a cell, that leaves the track open.
     low, high = 0.0, passage
     if not _encloses(_around(distance > 0.0, start)):
         return
@@ -257,14 +257,14 @@ def _check_not_cut(image, ring, distance, start, passage):
     row, column = _narrowest(_around(distance >= 0.5 * low, start))
     x, y = image.to_world([[column - 1, row - 1]])[0]
     raise RacelineError(
-        f"{image.source}: passages narrower than {passage:.2f} m are closed, and that closes the "
-        f"track itself, which is {low:.2f} m wide near ({x:.2f}, {y:.2f}): choose a passage below "
-        f"that (--passage {math.floor(20.0 * low) / 20.0:.2f}; a car must still fit)"
+        f"{image.source}: a passage of {passage:.2f} m closes the track itself, which is "
+        f"{low:.2f} m wide near ({x:.2f}, {y:.2f}): choose a narrower passage (--passage "
+        f"{math.floor(20.0 * low) / 20.0:.2f}; a car must still fit)"
     )
 
 
 def _around(room, start):
-    """The connected part of the room around a cell; empty if that is not in it."""
+    """The connected part of the room that contains a cell; empty if the cell is outside."""
     labels, _ = ndimage.label(room)
     return (labels == labels[start]) & (labels[start] > 0)
 
@@ -282,7 +282,7 @@ def _narrowest(ring):
 
 
 def _encloses(ring):
-    """Whether there are cells inside of a region."""
+    """Whether a region encloses other cells."""
     return ndimage.label(~ring, structure=np.ones((3, 3)))[1] > 1
 
 
@@ -313,7 +313,7 @@ def _two_sides(image, ring, passage):
         )
         raise RacelineError(
             f"{image.source}: expected one loop, got {len(large)} ways around islands at {places}. "
-            f"Close the wrong way by a black line in the image, or gaps in walls by a passage "
+            f"Close wrong ways with a black line in the image, or gaps in walls with a passage "
             f"wider than {passage:.2f} m"
         )
     inner, outer, findings = labels == first, labels == outside, []
@@ -326,7 +326,7 @@ def _two_sides(image, ring, passage):
     for k, to_inner, to_outer in zip(obstacles, *gaps):
         nearer = "inner" if to_inner < to_outer else "outer"
         x, y = _center(image, boxes[k - 1])
-        text = f"obstacle at ({x:.2f}, {y:.2f}): closed toward the {nearer} wall"
+        text = f"obstacle at ({x:.2f}, {y:.2f}): joined to the {nearer} wall"
         findings.append(Finding("obstacle", WARNING, text))
         side = inner if nearer == "inner" else outer
         side |= labels == k
@@ -340,13 +340,13 @@ def _center(image, box):
 
 
 def _smooth(points, clear, half):
-    """Closed curve without the steps of the cells and kinks, as even points."""
+    """Smooth a closed curve, removing the steps of the cells and kinks; evenly spaced points."""
     closed = np.concatenate((points, points[:1]))
     s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))))
     count = 2 * len(points)
     at = np.arange(count) * (s[-1] / count)
     even = np.stack([np.interp(at, s, column) for column in closed.T], axis=1)
-    # The curve has a kink where another wall becomes the nearest.
+    # The curve has a kink where a different wall becomes the nearest.
     deviation = _SMOOTHED * 2.0 * float(np.median(clear(even)))
     even, _ = smooth_between(even, s[-1], deviation, clear, half)
     line = Raceline(*even.T)
@@ -354,8 +354,8 @@ def _smooth(points, clear, half):
     return Raceline(at.x, at.y)
 
 
-def _as_driven(line, start, psi):
-    """Line from its point beside the start, in the direction of travel."""
+def _oriented(line, start, psi):
+    """The line in the direction of travel, beginning beside the start, and findings."""
     findings = []
     place = line.project(*start)
     if psi is None:
@@ -375,10 +375,10 @@ def _as_driven(line, start, psi):
 
 
 def _without_openings(widths, line):
-    """Widths without deep short openings, gaps in a wall; position and depth of each opening.
+    """Close deep, short gaps in the walls; return the widths, and place and depth of each gap.
 
-    In the corner of a room the width changes from point to point by little more than the points are
-    apart; beside a gap it jumps.
+    In the corner of a room the width changes from point to point by little more than their spacing;
+    at a gap it jumps.
     """
     window = max(3, int(round(float(np.median(widths[0] + widths[1])) / line.ds)) | 1)
     window = min(window, line.n // 4 * 2 + 1)

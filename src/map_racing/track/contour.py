@@ -1,4 +1,4 @@
-"""The contour of a grid of numbers where they are 0."""
+"""The zero contour of a grid of numbers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ __all__ = ["zero_contour"]
 def zero_contour(level: np.ndarray) -> np.ndarray:
     """Longest closed curve around the negative values, as columns and rows, shape (n, 2).
 
-    Marching squares: the curve crosses each edge between a negative and another value where linear
-    interpolation is 0, with the negative values to its left.
+    By marching squares: the curve crosses each edge between a negative and a non-negative value
+    where the linear interpolation is 0, and has the negative values to its left.
     """
     negative = level < 0.0
     following, place = {}, {}
@@ -28,7 +28,7 @@ def zero_contour(level: np.ndarray) -> np.ndarray:
     low, high = negative[:-1], negative[1:]
     corners = low[:, :-1] + 2 * low[:, 1:] + 4 * high[:, 1:] + 8 * high[:, :-1]
     for row, column in np.argwhere((corners > 0) & (corners < 15)).tolist():
-        # Edges counter-clockwise from the lower one; signs: whether the first end is negative.
+        # Edges counter-clockwise from the lower one; signs[k]: whether edge k starts negative.
         case = int(corners[row, column])
         edges = (
             (row, column, False),
@@ -37,11 +37,11 @@ def zero_contour(level: np.ndarray) -> np.ndarray:
             (row, column, True),
         )
         signs = [bool(case >> k & 1) for k in range(4)]
-        # Around the cell, the curve leaves where the sign changes from negative.
+        # Going around the cell, the curve leaves where the sign changes from negative.
         leaves = [k for k in range(4) if signs[k] and not signs[(k + 1) % 4]]
         enters = [k for k in range(4) if not signs[k] and signs[(k + 1) % 4]]
         for k in leaves:
-            # With two pairs, each curve separates its negative corner.
+            # In the ambiguous case each curve cuts off one negative corner.
             end = enters[0] if len(enters) == 1 else (k - 1) % 4
             following[crossing(*edges[k])] = crossing(*edges[end])
     longest = []

@@ -1,4 +1,4 @@
-"""How fast the corners of a raceline can be driven within the limit of a lookup table."""
+"""Speeds at which the corners of a raceline reach the limit of a lookup table."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from .raceline import Raceline
 
 __all__ = ["Corner", "corners", "runs_around"]
 
-FASTEST_MPS = 30.0  # unless the table goes on
-# A bend is a corner where its curvature exceeds this share of the largest, or where the speed is
-# as close to the limit as this share of the closest place.
+FASTEST_MPS = 30.0  # unless the table reaches farther
+# A bend is a corner where its curvature exceeds SHARE of the largest, or where speed / limit
+# exceeds NEAR times the largest ratio of the lap.
 SHARE, NEAR = 0.25, 0.9
 
 
 class Corner(NamedTuple):
-    """The place of a corner with the smallest margin to the limit.
+    """The place in a corner that is closest to the limit.
 
     Parameters
     ----------
@@ -28,9 +28,8 @@ class Corner(NamedTuple):
     curvature : float
         Curvature there [1/m], positive to the left.
     limit_speed : float
-        Speed that takes all of the table's lateral acceleration [m/s]; inf beyond 30 m/s
-        and the table's last speed, 0 where
-        the bend is tighter than any angle of the table.
+        Speed that uses all of the table's lateral acceleration [m/s]; inf above 30 m/s and the
+        table's last speed, 0 if the bend is tighter than any angle of the table.
     speed : float
         Speed of the raceline there [m/s]; NaN if it has none.
     """
@@ -63,7 +62,7 @@ def corners(raceline: Raceline, table) -> list[Corner]:
     Raises
     ------
     RacelineError
-        If it has no corners.
+        If there are no corners.
     """
     kappa = np.asarray(raceline.kappa)
     largest = float(np.max(np.abs(kappa)))
@@ -89,16 +88,16 @@ def corners(raceline: Raceline, table) -> list[Corner]:
 
 
 def _limit_speeds(table, kappa):
-    """Speeds at which ``v^2 kappa`` is the limit of the table, by interpolation."""
+    """Speeds at which ``v^2 kappa`` reaches the limit of the table, by interpolation."""
     v = np.linspace(0.02, max(FASTEST_MPS, float(table.speeds[-1])), 3000)
-    # Largest curvature that can be driven at each speed, made to decrease with speed.
+    # Largest curvature that can be driven at each speed, made non-increasing.
     allowed = np.minimum.accumulate(table.max_lateral_acceleration(v) / (v * v))
     limit = np.where(kappa > allowed[0], 0.0, np.interp(-kappa, -allowed, v))
     return np.where(kappa < allowed[-1], math.inf, limit)
 
 
 def runs_around(kind: np.ndarray) -> list[np.ndarray]:
-    """Cells of each run of neighbors that have one value, not 0, around the lap.
+    """Cells of each run of equal non-zero values around the lap.
 
     Parameters
     ----------
@@ -107,7 +106,7 @@ def runs_around(kind: np.ndarray) -> list[np.ndarray]:
     Returns
     -------
     list of ndarray of int
-        Over the end of the array where a run does.
+        Indices of each run, which may wrap around the end of the array.
     """
     changes = np.flatnonzero(kind != np.roll(kind, 1))
     if not changes.size:

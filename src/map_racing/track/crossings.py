@@ -26,7 +26,7 @@ def crossings(a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
     Notes
     -----
     Candidates are segments whose midpoints are closer than the sum of their half lengths, found
-    with two trees. Long segments are cut first, as a few of them would make all pairs candidates.
+    with two trees. Long segments are cut first, because a few would make all pairs candidates.
     """
     number_a, start_a, way_a = _pieces(a)
     if b is None:
@@ -44,12 +44,12 @@ def crossings(a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
         other = point_tree(start_b + 0.5 * way_b)
         near = tree.sparse_distance_matrix(other, reach, output_type="ndarray")
         i, j = near["i"], near["j"]
-    # The ends of each segment lie on different sides of the other one.
+    # Segments cross if the ends of each are on different sides of the other.
     between = start_b[j] - start_a[i]
     area = _cross(way_a[i], way_b[j])
     with np.errstate(divide="ignore", invalid="ignore"):
         along_a, along_b = _cross(between, way_b[j]) / area, _cross(between, way_a[i]) / area
-        # A polyline that crosses itself in a vertex does so but for rounding.
+        # Tolerance for a polyline that crosses itself exactly at a vertex.
         low, high = (-1e-9, 1.0 + 1e-9) if b is None else (0.0, 1.0)
         cross = (along_a >= low) & (along_a < high) & (along_b >= low) & (along_b < high)
     pairs = np.stack((number_a[i[cross]], number_b[j[cross]]), axis=1)
@@ -60,7 +60,7 @@ def crossings(a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
 
 
 def _pieces(vertices):
-    """Segments cut to at most four usual lengths: numbers, starts and vectors."""
+    """Segments cut to at most four times the usual length: numbers, starts and vectors."""
     ways = np.roll(vertices, -1, axis=0) - vertices
     lengths = np.hypot(ways[:, 0], ways[:, 1])
     usual = max(np.median(lengths), lengths.sum() / (4.0 * len(lengths)))

@@ -29,8 +29,8 @@ ERROR = "error"
 class Place(NamedTuple):
     """A point of a raceline as given.
 
-    ``index`` counts from 0, ``line`` is the line of the file from 1, None where there are no lines.
-    Arc length ``s`` [m] is None where there is no curve. Position ``x``, ``y`` [m].
+    ``index`` counts from 0; ``line`` in the file counts from 1, None without a text file. Arc
+    length ``s`` [m] is None without a curve. Position ``x``, ``y`` [m].
     """
 
     index: int
@@ -51,11 +51,11 @@ class Finding(NamedTuple):
     Attributes
     ----------
     code : str
-        Short name of the kind, for programs; it stays when texts change.
+        Short name of the kind, for programs; it does not change with the text.
     severity : {"note", "warning", "error"}
     text : str
     places : tuple of Place
-        The worst point, or all of them in order. Empty if it is everywhere.
+        The worst point, or all of them in order. Empty if the finding concerns the whole line.
     """
 
     code: str
@@ -70,7 +70,7 @@ class Finding(NamedTuple):
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Sort findings: errors before warnings before notes, otherwise in their order."""
+    """Sort findings: errors, warnings, notes, each in their original order."""
     order = (ERROR, WARNING, NOTE)
     return sorted(findings, key=lambda finding: order.index(finding.severity))
 
@@ -81,7 +81,7 @@ def points(count: int, adjective: str = "") -> str:
 
 
 def raceline_warnings(raceline: Raceline, origin: str = "") -> list[str]:
-    """Doubts about a raceline from `origin`, and so about all that is driven or measured by it."""
+    """Warnings about a raceline from `origin`, which apply to all results based on it."""
     origin = origin or raceline.name or raceline.source
     doubts = [finding for finding in raceline.findings if finding.severity == WARNING]
     return [f"raceline {origin}: {finding}" for finding in doubts]

@@ -1,13 +1,13 @@
-"""Tracks from a seed: closed smooth racelines with walls, as many as are wanted.
+"""Random tracks from a seed: smooth closed racelines with walls.
 
-A track is drawn as a closed polygon whose corners are rounded by arcs. Smoothing that line with a
-narrow Gaussian gives the centerline its continuous curvature; smoothing it with a wider one gives
-the raceline, which cuts the corners by about half the variance times the curvature. Walls follow
-the centerline at a constant distance.
+A track is drawn as a closed polygon with corners rounded by arcs. Smoothing that line with a narrow
+Gaussian gives the centerline, with continuous curvature; smoothing it with a wider one gives the
+raceline, which cuts the corners by about half the variance times the curvature. Walls follow the
+centerline at a constant distance.
 
 Random numbers come from `random.Random`, whose sequence of `random()` is the same in all versions
-of Python. The same seed therefore gives the same track everywhere, but for rounding: on all
-versions of numpy tried, to less than 1e-9 m.
+of Python. A seed therefore gives the same track everywhere up to rounding: less than 1e-9 m with
+all versions of numpy tried.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ __all__ = ["TrackShape", "draw_track", "rounded_polygon", "smoothed", "wall_dist
 STEP = 0.02  # of the drawn line [m]
 SPACING = 0.1  # of the points of a raceline [m]
 
-# Corners beside the ends of the straights, how much wider than the tightest one they may be, and
-# the least length of the lap for each of them, over the tightest radius.
+# Number of corners in addition to the straights, their largest radius, and the least lap length per
+# corner, the latter two relative to the tightest radius.
 CORNERS, WIDEST, ROOM = (3, 7), 3.5, 5.0
-# Laps longer than this, over the tightest radius, bend both ways; shorter ones have no room for it.
-# Opposite bends have at least this share of the tightest curvature.
+# Laps longer than this, relative to the tightest radius, bend both ways; shorter ones lack the
+# room. Bends to the minor side have at least this share of the tightest curvature.
 BOTH_WAYS, SOME_BEND = 25.0, 0.15
 # Smoothing of the centerline and of the raceline, as shares of the tightest radius.
 CENTERLINE, RACELINE = 0.25, 0.55
-# Most drawings before a shape is called impossible; only the first of them must bend both ways.
+# Number of attempts before a shape counts as impossible; only the first ones must bend both ways.
 MOST_TRIES, INSISTENT_TRIES = 2000, 400
-# Between the walls of two stretches that run side by side [m].
+# Thickness of the wall between two stretches that run side by side [m].
 WALL = 0.1
 
 
 @dataclass(frozen=True)
 class TrackShape:
-    """What a generated track is like.
+    """Shape of a generated track, and limits for its speeds.
 
     Parameters
     ----------
@@ -54,17 +54,17 @@ class TrackShape:
     tightest_radius : float
         Least radius of curvature of the raceline [m], to 5 %.
     straights : int
-        Long straights, 0 to 4.
+        Number of long straights, 0 to 4.
     width : float
         From wall to wall [m].
     left : bool
-        Whether the lap goes round to the left; where there is room it bends both ways in any case.
+        Whether the lap runs counter-clockwise; if there is room, it bends both ways in any case.
     a_lat_max_mps2, a_drive_max_mps2, a_brake_max_mps2 : float
-        Limits of the vehicle for which the speeds are made [m/s^2]: those of the friction ellipse.
+        Friction ellipse of the vehicle for which the speeds are made [m/s^2].
     v_max_mps : float
         Largest speed [m/s].
     beyond : float
-        Factor on the lateral limit: above 1 the speeds are deliberately faster than the tires hold.
+        Factor on the lateral limit; above 1 the speeds deliberately exceed the grip.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def draw_track(seed, shape=None, name=""):
     seed : int
     shape : TrackShape, optional
     name : str, optional
-        Of the raceline; ``track<seed>`` if not given.
+        Name of the raceline; by default ``track<seed>``.
 
     Returns
     -------
@@ -150,13 +150,13 @@ def draw_track(seed, shape=None, name=""):
 def _corners(draw, shape):
     """Corners around a center as angle, distance (at most 1) and radius [m], or None.
 
-    Corners at the ends of straights lie farther apart.
+    Corners at the ends of straights are farther apart.
     """
     count = shape.straights + CORNERS[0] + int(draw() * (CORNERS[1] - CORNERS[0] + 1))
     count = max(3, min(count, int(shape.length / (ROOM * shape.tightest_radius))))
-    wide = 2.2 if count > 4 else 1.3  # of few corners none can be far from all others
+    wide = 2.2 if count > 4 else 1.3  # with few corners, none can be far from all others
     gaps = [(wide if k < shape.straights else 1.0) * (0.8 + 0.4 * draw()) for k in range(count)]
-    for k in range(count - 1, 0, -1):  # any order
+    for k in range(count - 1, 0, -1):  # shuffle
         other = int(draw() * (k + 1))
         gaps[k], gaps[other] = gaps[other], gaps[k]
     if max(gaps) > 0.42 * sum(gaps):
@@ -171,11 +171,11 @@ def _corners(draw, shape):
 
 
 def _fitted(corners, shape, insist):
-    """Raceline with walls of scaled corners, or None if they do not become one."""
+    """Raceline with walls through scaled corners; None if the shape cannot be met."""
     size, shrink = shape.length / 5.0, 0.85
     side = 1.0 if shape.left else -1.0
     for _ in range(12):
-        drawn = _that_fit(
+        drawn = _with_fitting_radii(
             [
                 (size * away * math.cos(angle), side * size * away * math.sin(angle), radius)
                 for angle, away, radius in corners
@@ -196,8 +196,8 @@ def _fitted(corners, shape, insist):
     return None
 
 
-def _that_fit(corners):
-    """The corners with radii so small that each arc keeps to its halves of the sides beside it."""
+def _with_fitting_radii(corners):
+    """The corners, with radii reduced so that each arc uses at most half of either side."""
     points = np.array([corner[:2] for corner in corners])
     sides = np.roll(points, -1, axis=0) - points
     length = np.hypot(sides[:, 0], sides[:, 1])
@@ -208,7 +208,7 @@ def _that_fit(corners):
 
 
 def _length_and_curvature(path, deviation):
-    """Length [m] and curvature [1/m] of the path that `smoothed` makes, without making it."""
+    """Length [m] and curvature [1/m] of the path from `smoothed`, without building it."""
     wave = 1j * np.fft.fftfreq(len(path), STEP) * 2.0 * math.pi
     spectrum = np.fft.fft(path[:, 0] + 1j * path[:, 1])
     spectrum *= np.exp(-0.5 * (wave.imag * deviation) ** 2)
@@ -241,14 +241,14 @@ def _walled(path, shape):
 
 
 def rounded_polygon(corners, step=STEP):
-    """Points of a closed polygon with rounded corners, from the middle of its first side on.
+    """Points of a closed polygon with rounded corners, starting in the middle of its first side.
 
     Parameters
     ----------
     corners : list of tuple
         x, y and radius of each corner [m].
     step : float, optional
-        Distance of the points [m].
+        Spacing of the points [m].
 
     Returns
     -------
@@ -258,7 +258,7 @@ def rounded_polygon(corners, step=STEP):
     Raises
     ------
     ValueError
-        If the arc of a corner would begin before that of the last one ends.
+        If the arc of a corner would begin before the previous one ends.
     """
     vertices = np.array([corner[:2] for corner in corners])
     middle = 0.5 * (vertices[0] + vertices[1])
@@ -287,7 +287,7 @@ def rounded_polygon(corners, step=STEP):
 
 
 def smoothed(path, deviation, step=STEP):
-    """A closed path blurred by a Gaussian.
+    """Smooth a closed path by a Gaussian.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def smoothed(path, deviation, step=STEP):
     deviation : float
         Standard deviation [m].
     step : float, optional
-        Distance of the points [m].
+        Spacing of the points [m].
 
     Returns
     -------

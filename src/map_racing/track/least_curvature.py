@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 __all__ = ["least_curvature"]
 
-# Relative gain of a Gauss-Newton step that ends them, and their largest number.
+# Relative gain below which the Gauss-Newton steps end, and their largest number.
 _STEP_GAIN, _MOST_STEPS = 1e-6, 40
 
 
@@ -44,7 +44,7 @@ def least_curvature(
     alpha : ndarray, shape (n,)
         Offsets to start from [m].
     tension : float
-        Weight of the length beside the squared curvature [1/m^2].
+        Weight of the length relative to the squared curvature [1/m^2].
 
     Returns
     -------
@@ -77,7 +77,7 @@ def _model(points, normals, alpha, tension):
     side = np.roll(path, -1, axis=0) - path
     length = np.hypot(side[:, 0], side[:, 1])
     ahead = np.roll(normals, -1, axis=0)
-    # Derivatives of direction and length of each side, by the offsets of its two ends.
+    # Derivatives of direction and length of each side with respect to the offsets of its ends.
     turn_end = (side[:, 0] * ahead[:, 1] - side[:, 1] * ahead[:, 0]) / length**2
     turn_begin = -(side[:, 0] * normals[:, 1] - side[:, 1] * normals[:, 0]) / length**2
     grow_end = np.sum(side * ahead, axis=1) / length
@@ -89,10 +89,10 @@ def _model(points, normals, alpha, tension):
     )
     span = 0.5 * (length + np.roll(length, 1))
     root = np.sqrt(span)
-    # Residuals whose squares sum up to the integral, and their derivatives by the offsets before,
-    # at and after each point.
+    # Residuals whose squares sum up to the integral, and their derivatives with respect to the
+    # offsets before, at and after each point.
     residual = angle / root
-    shrink = -0.25 * angle / (span * root)  # by twice the span
+    shrink = -0.25 * angle / (span * root)  # derivative with respect to twice the span
     j_before = -np.roll(turn_begin, 1) / root + shrink * np.roll(grow_begin, 1)
     j_at = (turn_begin - np.roll(turn_end, 1)) / root + shrink * (grow_begin + np.roll(grow_end, 1))
     j_after = turn_end / root + shrink * grow_end
@@ -102,7 +102,7 @@ def _model(points, normals, alpha, tension):
     first = j_at * j_after + np.roll(j_at * j_before, -1)
     second = np.roll(j_before * j_after, -1)
 
-    # A length grows with the square of what its ends move across it.
+    # A length grows with the square of the lateral motion of its ends.
     half = 0.5 * tension
     gradient = gradient + half * (grow_begin + np.roll(grow_end, 1))
     across = half * length
@@ -121,11 +121,11 @@ def _bounded_minimum(model, low, high):
     """
     _, gradient, main, first, second = model
     n = gradient.size
-    # Moving the whole line changes no curvature: a small term on the diagonal keeps the matrix
-    # regular; its effect vanishes with the step.
+    # Moving the whole line does not change the curvature, so a small term on the diagonal keeps the
+    # matrix regular; its effect vanishes with the step.
     main = main + 1e-9 * main.mean()
 
-    # Some room, even where the track is only as wide as the car.
+    # Some room even where the track is only as wide as the car.
     room = np.maximum(high - low, 1e-6)
     x = np.clip(0.0, low + 0.05 * room, low + 0.95 * room)
     scale = float(np.max(np.abs(gradient))) + 1e-12
@@ -141,7 +141,7 @@ def _bounded_minimum(model, low, high):
             break
         try:
             factor = system.factor(main + push_low / to_low + push_high / to_high, first, second)
-        except LinAlgError:  # rounding errors: nothing left to gain
+        except LinAlgError:  # only rounding errors are left to gain
             break
         state = to_low, to_high, push_low, push_high
         direction = partial(_direction, system, factor, dual, state)
@@ -161,7 +161,7 @@ def _bounded_minimum(model, low, high):
 
 
 def _direction(system, factor, dual, state, target_low, target_high):
-    """Newton's direction to these products of distance and multiplier, and its feasible shares."""
+    """Newton direction toward target complementarity products, and its feasible step lengths."""
     to_low, to_high, push_low, push_high = state
     wanted_low, wanted_high = target_low - push_low * to_low, target_high - push_high * to_high
     move = system.solve(factor, wanted_low / to_low - wanted_high / to_high - dual)
@@ -184,8 +184,8 @@ def _room(value, move):
 class _Cyclic:
     """Symmetric cyclic pentadiagonal matrices, reordered as banded ones.
 
-    In the order 0, n - 1, 1, n - 2, ... indices at most two apart around the lap are at most four
-    apart.
+    The order 0, n - 1, 1, n - 2, ... brings indices at most two apart around the lap to places at
+    most four apart.
     """
 
     def __init__(self, n):

@@ -1,4 +1,4 @@
-"""How closed points run: several loops, an end that overlaps the start, turns back."""
+"""Checks the order of points of a closed line: several loops, overlapping ends, reversals."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..angles import wrap
 __all__ = ["BACK", "LARGEST_GAP", "first_loop", "overlap", "turns", "turns_back"]
 
 LARGEST_GAP = 3.0  # from the last point to the first, in median distances
-BACK = 2.1  # turn that no track makes at one point [rad]
+BACK = 2.1  # no track turns by this much at one point [rad]
 
 
 def first_loop(xy: np.ndarray) -> tuple[int, int] | None:
     """Find where the second of several loops begins.
 
-    Several loops are separate stretches that are closed each, or a track that repeats its own way
-    in the same direction.
+    Several loops are either separate closed stretches, or repeated laps of one track in the same
+    direction.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def first_loop(xy: np.ndarray) -> tuple[int, int] | None:
 
 
 def _separate_loops(xy, chords):
-    """Stretches far apart from each other, each of which is closed."""
+    """End of the first of several closed stretches far apart, and their number."""
     usual = float(np.median(chords))
     ends = np.flatnonzero(chords[:-1] > 10.0 * usual) + 1
     if not ends.size:
@@ -54,10 +54,10 @@ def _separate_loops(xy, chords):
 
 
 def _repeated_laps(xy, ways, chords):
-    """Several laps: many points have another one beside them that runs the same way, much later.
+    """End of the first of several laps, and their number.
 
-    The start and the end of a single lap lie beside each other, too, and so do points in a wrong
-    order; neither counts.
+    Laps are repeated if many points have a much later one beside them that runs the same way. The
+    start and end of a single lap and points in a wrong order are excluded.
     """
     n = len(xy)
     back = turns_back(xy)
@@ -90,7 +90,7 @@ def _repeated_laps(xy, ways, chords):
 
 
 def overlap(xy: np.ndarray) -> int:
-    """Count the last points that lie past the first one, where the lap is already complete.
+    """Count the last points that overlap the start of the lap.
 
     Parameters
     ----------
@@ -100,14 +100,14 @@ def overlap(xy: np.ndarray) -> int:
     Returns
     -------
     int
-        0 if none do.
+        0 if there are none.
     """
     if len(xy) < 8:
         return 0
     ways = np.roll(xy, -1, axis=0) - xy
     closing = ways[-1]
     size = math.hypot(*closing)
-    # The closing chord runs against the first and the last one.
+    # With an overlap, the closing chord runs against the first and the last chord.
     if any(closing.dot(way) > -0.5 * (size * math.hypot(*way)) for way in (ways[0], ways[-2])):
         return 0
     usual = float(np.median(np.hypot(ways[:, 0], ways[:, 1])))
@@ -117,7 +117,7 @@ def overlap(xy: np.ndarray) -> int:
 
 
 def turns_back(xy: np.ndarray) -> np.ndarray:
-    """Indices of the points at which the way turns by more than `BACK`.
+    """Indices of the points at which the line turns by more than `BACK`.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def turns_back(xy: np.ndarray) -> np.ndarray:
 
 
 def turns(xy: np.ndarray) -> np.ndarray:
-    """Turn at each point from the chord before to the chord after.
+    """Turn at each point, from the chord before it to the chord after it.
 
     Parameters
     ----------

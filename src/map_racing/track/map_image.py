@@ -16,9 +16,9 @@ from .findings import NOTE, WARNING, Finding
 
 __all__ = ["MapImage", "edge_finding", "read_map_image"]
 
-# What map_saver writes for unknown cells, and the threshold that it writes beside.
+# Gray value and free_thresh that map_saver writes for unknown cells.
 _UNSEEN, _SAVERS_FREE = 205, 0.196
-# Larger images are refused: Pillow would read them and use all memory.
+# Larger images are refused, because Pillow would use up all memory.
 _MOST_PIXELS = 100_000_000
 
 
@@ -36,7 +36,7 @@ class MapImage(NamedTuple):
     source : str
         The YAML file, for error messages.
     findings : tuple of Finding
-        What was noticed while reading.
+        Findings made while reading.
     """
 
     free: np.ndarray
@@ -107,23 +107,23 @@ def read_map_image(path: str | Path) -> MapImage:
     free, findings = _free_cells(_gray(path.parent / header.image), header)
     if header.origin[2] != 0.0:
         text = (
-            f"the map is turned by the yaw of its origin, {header.origin[2]:g} rad, as map_server "
-            "says; a line made by a program that ignores it does not fit"
+            f"the map is rotated by the yaw of its origin, {header.origin[2]:g} rad, as in "
+            "map_server; lines from programs that ignore the yaw will not fit"
         )
         findings.append(Finding("origin-yaw", NOTE, text))
     return MapImage(free[::-1], header.resolution, header.origin, str(path), tuple(findings))
 
 
 def edge_finding(image: MapImage, ring: np.ndarray, passage: float) -> list[Finding]:
-    """Doubt about a track that ends where its map does; empty without.
+    """Doubt about a track that reaches the edge of its map; empty if it does not.
 
     Parameters
     ----------
     image : MapImage
     ring : ndarray of bool, shape (rows, columns)
-        Cells that are half a passage away from walls, and from the edge.
+        Cells at least half a passage away from walls and from the edge.
     passage : float
-        Its width [m].
+        Width of a passage [m].
 
     Returns
     -------
@@ -141,7 +141,7 @@ def edge_finding(image: MapImage, ring: np.ndarray, passage: float) -> list[Find
 
 
 class _Header(NamedTuple):
-    """What the YAML file says; `missing` are thresholds that it does not state."""
+    """Contents of the YAML file; `missing` lists the thresholds that it lacks."""
 
     image: str
     resolution: float
@@ -182,14 +182,14 @@ def _read_header(path):
 
 
 def _free_cells(gray, header):
-    """Mask of the free cells of an image, and what was found."""
+    """Mask of the free cells of an image, and findings."""
     _, _, _, negate, free_below, occupied_above, missing = header
-    # The rule of map_server: the darker a cell, the more likely it is occupied.
+    # As in map_server: the darker a cell, the more likely it is occupied.
     occupied = gray / 255.0 if negate else (255.0 - gray) / 255.0
     free = (occupied < free_below) & (occupied <= occupied_above)
     taken = {"free_thresh": free_below, "occupied_thresh": occupied_above}
     findings = [
-        Finding("thresholds", WARNING, f"{key} is missing: taken as {taken[key]:g}")
+        Finding("thresholds", WARNING, f"{key} is missing: {taken[key]:g} assumed")
         for key in missing
     ]
     if occupied_above < free_below:
@@ -198,7 +198,7 @@ def _free_cells(gray, header):
             f"{occupied_above:g} are free and all others occupied, as in map_server"
         )
         findings.append(Finding("thresholds", NOTE, text))
-    # A map of map_saver, which may have been inverted, and in which some cells may be painted.
+    # Was the map written by map_saver? It may have been inverted, and some cells painted.
     saved = 255 - gray if negate else gray
     unseen = int(np.sum(free & (saved == _UNSEEN)))
     painted = int(np.sum((saved > 0) & (saved < 254) & (saved != _UNSEEN)))
@@ -206,7 +206,7 @@ def _free_cells(gray, header):
         free &= saved != _UNSEEN
         free &= occupied < _SAVERS_FREE
         text = (
-            f"free_thresh {free_below:g} would free the {unseen} cells that map_saver wrote as "
+            f"free_thresh {free_below:g} would make {unseen} cells free that map_saver wrote as "
             f"unknown (gray {_UNSEEN}): taken as unknown"
         )
         findings.append(Finding("unknown-cells", WARNING, text))
@@ -223,7 +223,7 @@ def _number(path, content, key, default=None):
 
 def _gray(path):
     """Gray values of an image: color channels averaged, transparency ignored."""
-    # Imported here: commands and nodes that read no map need no Pillow.
+    # Imported here, because commands and nodes that read no map do not need Pillow.
     from PIL import Image
 
     try:
@@ -233,8 +233,8 @@ def _gray(path):
                     f"{path}: expected at most {_MOST_PIXELS} pixels, got {file.size[0]} x "
                     f"{file.size[1]}"
                 )
-            file.load()  # an array of a damaged image may hide the error
-            # Pillow clips more than 8 bits: nearly all would be white, that is, free.
+            file.load()  # np.asarray may hide the error of a damaged image
+            # Pillow clips more than 8 bits, so that nearly all would be white, that is, free.
             if file.mode in ("F", "I") or file.mode.startswith("I;"):
                 return _of_16_bits(path, np.asarray(file))
             if file.mode not in ("L", "RGB"):
@@ -247,7 +247,7 @@ def _gray(path):
 
 
 def _of_16_bits(path, gray):
-    """16-bit gray values as 8-bit ones, as map_server does."""
+    """16-bit gray values as 8-bit ones, as in map_server."""
     if gray.dtype.kind == "f" or gray.min() < 0 or gray.max() > 65535:
         raise FileFormatError(f"{path}: expected gray values or colors of 8 or 16 bits")
     return np.asarray(gray // 256, dtype=np.uint8)

@@ -16,7 +16,7 @@ __all__ = [
 ]
 
 MEETING = 0.9
-"""Normals are cut at this share of the way to where they meet: farther points change order."""
+"""Normals are cut at this share of the distance to where they meet; beyond it points swap order."""
 
 
 def points_and_normals(line: Raceline | CurveSamples) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +107,7 @@ def offsets_between_walls(
 
 
 def _clear_offset(points, normals, walls, clearance):
-    """Offsets that move points slightly too close to a wall away from it, else 0."""
+    """Offsets that move points away from a wall they are slightly too close to; otherwise 0."""
     offset = np.zeros(len(points))
     free = walls.distance(points)
     missing = np.maximum(clearance - free, 0.0)

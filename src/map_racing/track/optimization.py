@@ -45,7 +45,7 @@ __all__ = [
     "with_fastest_speeds",
 ]
 
-# Relative gain below which no new reference line is taken, and the largest number of them.
+# Relative gain below which the passes with new reference lines end, and their largest number.
 _PASS_GAIN, _MOST_PASSES = 1e-4, 8
 # Tolerance of the clearance [m], also between the points, and the largest number of corrections.
 _CLOSE_ENOUGH, _MOST_ROUNDS = 1e-4, 8
@@ -65,7 +65,7 @@ class OptimizedLine(NamedTuple):
     raceline : Raceline
         The path, with distances to the walls, without speeds.
     reference : Raceline
-        Smoothed middle line between the walls, where the search began, with distances to the walls.
+        Smoothed middle line between the walls, with distances to them, where the search began.
     walls : Walls
         The walls that the path keeps clear of.
     clearance : float
@@ -73,7 +73,7 @@ class OptimizedLine(NamedTuple):
     tension : float
         Weight of the length in the objective [1/m^2].
     findings : tuple of Finding
-        What was repaired or cut on the way.
+        Repairs and cuts made during the search.
     """
 
     raceline: Raceline
@@ -85,7 +85,7 @@ class OptimizedLine(NamedTuple):
 
 
 def squared_curvature(raceline: Raceline, step: float = 0.1) -> float:
-    """Integral of the squared curvature over one lap, ``sum(kappa^2) ds``, at even samples.
+    """Integral of the squared curvature over one lap, ``sum(kappa^2) ds``, with even samples.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def minimum_curvature(
     clearance : float
         Least distance from the path to the walls [m]: half the car's width plus a margin.
     tension : float, optional
-        Weight of the length beside the squared curvature [1/m^2]: the objective is the integral
-        of ``kappa^2 + tension``.
+        Weight of the length relative to the squared curvature [1/m^2]: the objective is the
+        integral of ``kappa^2 + tension``.
     step : float, optional
         Distance between the points that are moved [m].
     progress : callable, optional
@@ -183,9 +183,9 @@ def fastest_line(
 ) -> OptimizedLine:
     """Find the fastest of the paths between least curvature and least length.
 
-    The path of least squared curvature takes detours where they cost little curvature. Tension
-    shortens it. Of the paths with at most 5 % more squared curvature the one with the shortest lap
-    time is taken; one with more must be 2 % faster, as the inside of a ring is.
+    The path of least squared curvature makes detours wherever they reduce the curvature a little.
+    Tension shortens it. Of the paths with at most 5 % more squared curvature, the one with the
+    shortest lap time is chosen; a path with more must be 2 % faster, like the inside of a ring.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def fastest_line(
         raise RacelineError(f"{search.name}: no line for this car: {error}") from None
     least = squared_curvature(line, step)
     mean = least / line.length
-    # The fastest of all, and the fastest with little more than the least curvature.
+    # `best` is the fastest of all, `close` the fastest with little more than the least curvature.
     best = close = (time, line, 0.0)
     slower = 0
     for weight in _TENSIONS:
@@ -224,7 +224,7 @@ def fastest_line(
             _, time = raceline_speeds(line, **limits)
         except ParameterError:
             break
-        # Where a little tension changes nothing, more of it may.
+        # If a little tension changes nothing, more of it may.
         slower = slower + 1 if time > (1.0 + 1e-4) * best[0] else 0
         best = min(best, (time, line, tension), key=lambda item: item[0])
         if squared_curvature(line, step) <= (1.0 + _RISE) * least:
@@ -264,7 +264,7 @@ class _Search:
         self._cut, self._lines = None, 0
 
     def time_of_track(self, limits):
-        """Lap time on the path given [s]; inf where it cannot be driven or is too close."""
+        """Lap time on the given path [s]; inf if the car cannot drive it or it is too close."""
         if clearance_of(self.track, self.track) < self.clearance - _CLOSE_ENOUGH:
             return math.inf
         try:
@@ -273,7 +273,7 @@ class _Search:
             return math.inf
 
     def best(self, line, tension):
-        """Best line, improved pass by pass within reach of the normals of the last one."""
+        """Best line, improved pass by pass along the normals of the last one."""
         if not 0.0 <= tension < math.inf:
             raise ParameterError(f"tension: expected 0 or more, got {tension}")
         best = None
@@ -292,7 +292,7 @@ class _Search:
         findings = list(self.walls.findings)
         if self._cut:
             text = (
-                f"{self._cut} normals of the middle line cut before they meet inside bends; the "
+                f"{self._cut} normals of the middle line cut before they meet inside bends; "
                 "normals of later lines reach farther"
             )
             findings.append(Finding("cut-normals", NOTE, text))
@@ -318,7 +318,7 @@ class _Search:
         return smooth
 
     def _one_pass(self, line, tension):
-        """Best line within reach of the normals of another."""
+        """Best line within the normals of another."""
         count = max(8, int(round(line.length / self.step)))
         points, normals = even_points(line, count)
         wanted = np.full(count, self.clearance)
@@ -330,8 +330,8 @@ class _Search:
         if np.any(high < low - 1e-3):
             k = int(np.argmin(high - low))
             raise self._too_narrow(points[k], normals[k])
-        # Between two points the line can pass a corner of a wall too closely: the clearance of
-        # these points is raised by what is missing.
+        # Between two points the line can pass a corner of a wall too closely: then raise the
+        # clearance of these points by the missing distance.
         for _ in range(_MOST_ROUNDS):
             alpha = least_curvature(points, normals, low, np.maximum(low, high), alpha, tension)
             line = Raceline(*(points + alpha[:, None] * normals).T)
@@ -397,7 +397,7 @@ def _check_single(track, clearance, name):
     pairs = point_tree(points).query_pairs(clearance, output_type="ndarray")
     apart = np.abs(at.s[pairs[:, 0]] - at.s[pairs[:, 1]])
     apart = np.minimum(apart, track.length - apart)
-    # Around a bend of up to half a turn the way is at most pi / 2 times the straight distance.
+    # In a bend of up to half a turn the arc length is at most pi / 2 times the straight distance.
     twice = pairs[apart > 4.0 * clearance]
     if len(twice):
         i, j = (int(k) for k in min(twice.tolist()))
@@ -412,7 +412,7 @@ def _clearance_after(line, walls, count, clearance):
     ends = np.append(line.s_points, line.length)
     if ends.size != count + 1:
         raise RacelineError("expected points at least 0.1 mm apart: take a larger step")
-    # Dense enough that a corner of a wall is nearer in between by a few thousandths only.
+    # Dense enough that a wall corner between two samples is nearer by only a few thousandths.
     parts = max(4, math.ceil(line.length / count / (0.2 * clearance)))
     parts = np.linspace(0.0, 1.0, parts, endpoint=False)
     at = line.sample(ends[:-1, None] + parts * np.diff(ends)[:, None])

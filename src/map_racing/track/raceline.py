@@ -8,8 +8,8 @@ tracks), and scalar queries are pure-float arithmetic, because the overhead of o
 exceeds a whole query: 0.2 us for a speed, 1 us for a pose, 2 us for a projection from a guess and
 3 us for the point ahead (CPython 3.11).
 
-Lateral deviation ``d`` is positive to the left of the direction of travel, curvature ``kappa``
-positive in left-hand bends.
+Lateral error ``d`` is positive to the left of the direction of travel, curvature ``kappa`` positive
+in left-hand bends.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class CurvePoint(NamedTuple):
 
 
 class CurveSamples(NamedTuple):
-    """Arrays along the curve; what is not known of the raceline is None.
+    """Arrays along the curve; columns that the raceline lacks are None.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class CurveSamples(NamedTuple):
 class Projection(NamedTuple):
     """Foot of the perpendicular from a position onto the curve.
 
-    Arc length ``s`` [m] in [0, length), lateral deviation ``d`` [m] positive to the left, and the
+    Arc length ``s`` [m] in [0, length), lateral error ``d`` [m] positive to the left, and the
     curve's heading ``psi`` [rad] and curvature ``kappa`` [1/m] there.
     """
 
@@ -109,7 +109,7 @@ class Raceline:
     name : str, optional
         Short name for titles and tables.
     source : str, optional
-        Where the points come from; error messages begin with it.
+        Origin of the points; error messages begin with it.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Raceline:
         Arc length of the given points, without the dropped ones [m].
     name, source : str
     findings : tuple of map_racing.track.findings.Finding
-        What was noticed in a file or message; empty for a raceline made from arrays.
+        Findings from the file or message; empty for a raceline made from arrays.
 
     Raises
     ------
@@ -203,7 +203,7 @@ class Raceline:
                 f"expected a closed track, but the last point is {chord:.2f} m from the first"
             )
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            raise self._error("expected a track, but the points run there and back on one line")
+            raise self._error("expected a track, but the points run back and forth on one line")
         self.s_points = s_points[:-1]
         self.length = length = float(s_points[-1])
         self.n = n = x.size
@@ -321,7 +321,7 @@ class Raceline:
         )
 
     def sample(self, s: _Array) -> CurveSamples:
-        """All quantities at many arc lengths at once.
+        """Sample all columns at many arc lengths.
 
         Parameters
         ----------
@@ -342,12 +342,12 @@ class Raceline:
         return CurveSamples(s, *self._curve(s), *columns)
 
     def to_cartesian(self, s: _Array, d: _Array) -> tuple[np.ndarray, np.ndarray]:
-        """Positions at arc length `s` and lateral deviation `d`: the inverse of `project`.
+        """Positions at arc length `s` and lateral error `d`: the inverse of `project`.
 
         Parameters
         ----------
         s, d : float or array_like
-            Arc length [m], taken modulo the length, and deviation [m], positive to the left.
+            Arc length [m], taken modulo the length, and lateral error [m], positive to the left.
 
         Returns
         -------
@@ -367,8 +367,8 @@ class Raceline:
         x, y : float
             Position [m].
         psi : float, optional
-            Heading of the car [rad]: only parts of the curve within 90 degrees of it count. It
-            tells branches apart where the track crosses itself or runs back alongside.
+            Heading of the car [rad]; only parts of the curve within 90 degrees of it count. It
+            distinguishes branches where the track crosses itself or runs back alongside.
 
         Returns
         -------
@@ -395,7 +395,7 @@ class Raceline:
         foot = self.project_near(x, y, s, reach=2.0 * self.ds)
         if foot is not None and abs(foot.d) <= distance + 1e-9:
             return foot
-        # At a center of curvature all points around it are equally close: any of them will do.
+        # From a center of curvature all points of the arc are equally close: any will do.
         point = self.pose(s)
         side = math.cos(point.psi) * (y - point.y) - math.sin(point.psi) * (x - point.x)
         return Projection(s, math.copysign(distance, side), point.psi, point.kappa)
@@ -449,12 +449,12 @@ class Raceline:
                     return None
                 norm = math.sqrt(tx * tx + ty * ty)
                 values = (
-                    s if s < length else 0.0,  # the modulo of -1e-17 is the length itself
+                    s if s < length else 0.0,  # rounding: -1e-17 % length is the length itself
                     (tx * ey - ty * ex) / norm,
                     math.atan2(ty + 2.0 * step * ky, tx + 2.0 * step * kx),
                     2.0 * (tx * ky - ty * kx) / (norm * norm * norm),
                 )
-                # As Projection(...), which takes twice as long.
+                # Same as Projection(...), in half the time.
                 return _new(Projection, values)
         return None
 
@@ -476,8 +476,9 @@ class Raceline:
         Returns
         -------
         LookaheadPoint
-            The point at `s_from` if it is farther than `distance` already. The farthest point of
-            the half lap ahead, to one cell, if none is that far. Its `distance` is the true one.
+            The point at `s_from` if that is already farther than `distance`. If no point is that
+            far, the farthest one of the half lap ahead, to within a cell. The `distance` of the
+            result is its actual distance.
 
         Raises
         ------
@@ -487,8 +488,8 @@ class Raceline:
         length, ds, per_ds, cells = self.length, self.ds, self._per_ds, self._cells
         near = s_from
         end = far = s_from + 0.5 * length
-        # Without a minimum step a curve that grazes the circle would take forever. An excursion
-        # beyond `distance` shorter than this step is missed.
+        # Without a minimum step a curve that grazes the circle would take forever. The price: an
+        # excursion beyond `distance` that is shorter than this step is missed.
         least = max(0.01 * distance, 0.001 * length)
         s = s_from
         while True:

@@ -1,4 +1,4 @@
-"""Fastest speeds along a closed curve for a car of given acceleration limits."""
+"""Fastest speeds along a closed curve for given acceleration limits."""
 
 import math
 
@@ -8,7 +8,7 @@ from ..errors import ParameterError
 
 __all__ = ["accelerations", "lap_time", "raceline_speeds", "speed_profile"]
 
-# Longest cell of a raceline's profile [m]: four times shorter ones change the lap time of the
+# Longest cell of a raceline's profile [m]; cells a quarter as long change the lap time of the
 # shipped tracks by less than 0.1 %.
 _CELL = 0.025
 
@@ -20,7 +20,7 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
     ``(v^2 kappa / a_lat_max)^2 + (a_long / a_long_max)^2 <= 1``, where the longitudinal limit is
     `a_drive_max` or `a_brake_max`. Between two points acceleration is constant and curvature is
     linear; each cell's acceleration is bounded by its higher curvature at its higher speed, so that
-    no place between the points exceeds a limit either.
+    the limits also hold between the points.
 
     Parameters
     ----------
@@ -30,12 +30,13 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
         The step [m].
     a_lat_max, a_drive_max, a_brake_max : float or callable
         Largest lateral, driving and braking acceleration [m/s^2]: positive numbers, or functions
-        that take an array of speeds [m/s], for which the driving limit may end at 0.
+        of an array of speeds [m/s], whose driving limit may drop to 0.
     v_max : float or array_like, shape (n,)
-        Top speed [m/s]: of the car, or at each point, where it may be 0.
+        Top speed [m/s] of the car, or at each point, where it may be 0.
     v_min : float, optional
-        Points too tight for this speed [m/s] are driven at it, beyond the lateral limit. With 0
-        they are an error where they are too tight for any speed.
+        Points too tight for this speed [m/s] are driven at it although it exceeds the lateral
+        limit; at lower speeds the lateral share of the grip is at most ``(v / v_min)^2``. With 0, a
+        point too tight for any speed is an error.
 
     Returns
     -------
@@ -50,13 +51,12 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
 
     Notes
     -----
-    The speed reached at the end of a cell grows with that at its beginning. So the fastest profile
-    is one for all points at once: whatever else respects the cells' bounds is nowhere faster.
+    The speed reached at the end of a cell grows with the speed at its beginning. So one profile is
+    the fastest at all points at once: any other that respects the cells' bounds is nowhere faster.
 
-    For that, a limit must not grow with speed, the lateral one as curvature,
-    ``a_lat_max(v) / v^2``. Where it does, its least value at any lower speed counts: what the car
-    can do at a speed it can do at all lower ones. Functions are tabulated over v^2, rounded to the
-    safe side between the entries.
+    This requires that the longitudinal limits and the curvature limit ``a_lat_max(v) / v^2`` do not
+    grow with speed. If one does, its least value at any lower speed is used. Functions are
+    tabulated over v^2 and rounded to the safe side between the entries.
     """
     kappa = np.abs(np.asarray(kappa, dtype=float))
     if kappa.ndim != 1 or not kappa.size or not np.all(np.isfinite(kappa)):
@@ -67,12 +67,11 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
             raise ParameterError(f"speed profile: expected {key} > 0, got {value}")
     if np.shape(v_max) not in ((), kappa.shape) or np.min(v_max) < 0.0:
         raise ParameterError("speed profile: expected one v_max >= 0, or one at each point")
-    limits = _Limits(a_lat_max, a_drive_max, a_brake_max, max(float(highest), v_min))
+    limits = _Limits(a_lat_max, a_drive_max, a_brake_max, max(float(highest), v_min), v_min)
     most = 1.0 / limits.radius(v_min) if v_min > 0.0 else math.inf
     tight = kappa > most
-    kappa = np.minimum(kappa, most)
     cell = np.maximum(kappa, np.roll(kappa, -1))
-    point = np.maximum(cell, np.roll(cell, 1))
+    point = np.minimum(np.maximum(cell, np.roll(cell, 1)), most)
     if np.any(point * limits.tightest > 1.0 + 1e-12):
         k = int(np.argmax(kappa))
         raise ParameterError(
@@ -82,14 +81,14 @@ def speed_profile(kappa, ds, *, a_lat_max, a_drive_max, a_brake_max, v_max, v_mi
     square = np.minimum(limits.fastest(point), np.square(v_max))
     tight |= np.roll(tight, 1) | np.roll(tight, -1)
     square[tight] = np.minimum(square[tight], v_min * v_min)
-    square[square < 1e-18] = 0.0  # a car that stands; its grip over v^2 would overflow
-    # Nothing lowers the slowest point, since from there speed can only grow in both directions:
-    # one pass each way around the lap, begun there, is the converged solution.
+    square[square < 1e-18] = 0.0  # standstill, where the lateral share over v^2 would overflow
+    # Nothing lowers the slowest point, because from there speed can only grow in both directions.
+    # So one pass each way around the lap, begun there, gives the converged solution.
     start = int(np.argmin(square))
     square = np.roll(square, -start).tolist()
     cell = np.roll(cell, -start).tolist()
     square = limits.accelerate(square, cell, 2.0 * ds, limits.drive)
-    # Mirrored, with the slowest point kept first, braking is driving.
+    # In the mirrored lap, with the slowest point kept first, braking is driving.
     square = limits.accelerate(square[:1] + square[:0:-1], cell[::-1], 2.0 * ds, limits.brake)
     return np.roll(np.sqrt(square[:1] + square[:0:-1]), start)
 
@@ -101,19 +100,19 @@ def raceline_speeds(raceline, **limits):
     ----------
     raceline : Raceline
     **limits
-        As of `speed_profile`.
+        As for `speed_profile`.
 
     Returns
     -------
     speed : ndarray, shape (n,)
-        Speed at the raceline's cells [m/s], for `Raceline.s`.
+        Speed at the raceline's cells, `Raceline.s` [m/s].
     time : float
         Lap time [s].
 
     Raises
     ------
     ParameterError
-        As of `speed_profile`.
+        As for `speed_profile`.
     """
     parts = max(1, math.ceil(raceline.ds / _CELL - 1e-9))
     count = parts * raceline.n
@@ -123,22 +122,22 @@ def raceline_speeds(raceline, **limits):
 
 
 class _Limits:
-    """Limits of the car as lists over the squared speed, straight in between.
+    """Limits of the car as lists over the squared speed, linear in between.
 
-    ``radius`` is the tightest one that can be held, ``v^2 / a_lat_max``, proportional to the
-    squared speed for a constant limit. Functions are kept as `_ENTRIES` values: eight times as many
-    change lap times of ``nuc4`` by less than 0.1 ms, and take ten times longer.
+    ``radius`` is the tightest radius the car can hold, ``v^2 / a_lat_max``; for a constant limit it
+    is proportional to the squared speed. Functions are tabulated at `_ENTRIES` values; eight times
+    as many change lap times of ``nuc4`` by less than 0.1 ms and take ten times longer.
     """
 
     _ENTRIES, _BETWEEN = 2049, 4
 
-    def __init__(self, a_lat_max, a_drive_max, a_brake_max, v_max):
+    def __init__(self, a_lat_max, a_drive_max, a_brake_max, v_max, v_min):
         given = {"a_lat_max": a_lat_max, "a_drive_max": a_drive_max, "a_brake_max": a_brake_max}
         constant = not any(callable(limit) for limit in given.values())
         entries = 2 if constant else self._ENTRIES
-        self._end = v_max**2
+        self._end, self._slow = v_max**2, v_min * v_min
         fine = np.linspace(0.0, self._end, (entries - 1) * self._BETWEEN + 1)
-        # A lateral limit from geometry is 0 at standstill, where its radius is not.
+        # A kinematic lateral limit is 0 at standstill, but its radius is not: avoid 0 / 0.
         speed = np.sqrt(np.maximum(fine, 1e-6 * self._end / fine.size))
         columns = {key: self._values(key, limit, speed) for key, limit in given.items()}
         radius = (fine if constant else speed**2) / columns["a_lat_max"]
@@ -169,7 +168,7 @@ class _Limits:
         return values
 
     def _table(self, fine, side=1.0):
-        """Every few of `fine` values, moved to one side so far that none in between is beyond."""
+        """Thin out `fine` values, shifted to one side so that interpolation bounds all of them."""
         table = side * fine[:: self._BETWEEN]
         cells = side * fine[:-1].reshape(-1, self._BETWEEN)
         part = np.arange(self._BETWEEN) / self._BETWEEN
@@ -199,18 +198,21 @@ class _Limits:
         return np.minimum(entries[k] + np.clip(part, 0.0, None) * entries[1], self._end)
 
     def accelerate(self, square, kappa, double_ds, a_long):
-        """Limit squared speeds to what the grip left over by lateral acceleration reaches."""
+        """Limit squared speeds to those reached with the grip that cornering leaves."""
         radius = self._radius
         per_entry = (len(radius) - 1) / self._end
         last = len(radius) - 2
+        slow = self._slow
+        most = 1.0 / slow if slow > 0.0 else math.inf
         reached = square[0]
         limited = [reached]
         for i in range(1, len(square)):
             begin, tight = reached, kappa[i - 1]
             reached = square[i]
             if reached > begin:
-                # The limits at the end hold for the cell. With them fixed the ellipse is a
-                # quadratic equation; they change little with speed, and are read again.
+                # The limits at the end speed apply to the whole cell. With them fixed, the ellipse
+                # gives a quadratic equation; they change little with speed, so a few iterations
+                # converge. `use` is the lateral share divided by the squared speed.
                 for _ in range(50):
                     entry = reached * per_entry
                     k = int(entry)
@@ -219,6 +221,8 @@ class _Limits:
                     part = entry - k
                     gain = double_ds * (a_long[k] + part * (a_long[k + 1] - a_long[k]))
                     use = tight * (radius[k] + part * (radius[k + 1] - radius[k])) / reached
+                    if reached <= slow and use > most:
+                        use = most
                     grip = 1.0 + use * use * (gain * gain - begin * begin)
                     end = begin
                     if grip > 0.0:
@@ -237,7 +241,7 @@ class _Limits:
 
 
 def lap_time(speed, ds):
-    """Time of one lap at constant acceleration from each point to the next.
+    """Lap time with constant acceleration from each point to the next.
 
     Parameters
     ----------
@@ -249,7 +253,7 @@ def lap_time(speed, ds):
     Returns
     -------
     float
-        Lap time [s]; infinite if the car would stand still between two points.
+        Lap time [s]; infinite if the speed is 0 at two neighboring points.
     """
     speed = np.asarray(speed, dtype=float)
     both = speed + np.roll(speed, -1)
@@ -262,7 +266,7 @@ def accelerations(speed, ds):
     Parameters
     ----------
     speed, ds
-        As of `lap_time`.
+        As for `lap_time`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Closed splines through points, and their form with cells of equal arc length."""
+"""Closed splines through points, and their resampling at equal arc lengths."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from scipy.interpolate import CubicSpline
 
 __all__ = ["OVERLAP", "closed_spline", "distinct_points", "resample_by_arc_length"]
 
-# Points closer than this are one point written twice [m]; the densest real tracks have 2 mm.
+# Points closer than this are duplicates [m]; the densest real tracks have a spacing of 2 mm.
 _SAME_POINT = 1e-4
 # Cells of 0.1 m follow any drivable curve. Coarse points get at most 16 cells each, which keeps
-# memory linear in the number of points whatever their unit. Dense points get cells of 2 cm, or a
-# thousandth of the lap: finer ones would not fit the processor's cache, and each control step would
-# take 20 % longer.
+# memory linear in the number of points whatever their unit. Dense points get cells of at least 2 cm
+# or a thousandth of the lap; finer ones would not fit the processor's cache and would make each
+# control step 20 % slower.
 _CELL, _CELLS_PER_POINT = 0.1, 16
 _FINEST, _FINEST_OF_LAP = 0.02, 0.001
 
@@ -36,8 +36,8 @@ def distinct_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray of bool, shape (n_points,)
-        False for a point less than 0.1 mm from the one kept before it, and for last points less
-        than that from the first.
+        False for a point less than 0.1 mm from the previous one kept, and for points at the end
+        that close to the first.
     """
     keep = np.ones(x.size, dtype=bool)
     close = np.hypot(np.diff(x), np.diff(y)) < _SAME_POINT
@@ -54,23 +54,23 @@ def distinct_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def closed_spline(u: np.ndarray, x: np.ndarray, y: np.ndarray) -> CubicSpline:
-    """Cubic spline through closed points, with parameter `u` at each and, last, at the first again.
+    """Closed cubic spline through points.
 
     The points are continued around the lap on both sides by `OVERLAP` points. The influence of the
     end conditions decays at least by half per point, so none of it is left inside. (The periodic
-    spline of SciPy 1.3 has a kink at the last point but one where the spacing is uneven.)
+    spline of SciPy 1.3 has a kink at the last point but one if the spacing is uneven.)
 
     Parameters
     ----------
     u : ndarray, shape (n + 1,)
-        Strictly increasing.
+        Parameter at each point and, last, at the first one again; strictly increasing.
     x, y : ndarray, shape (n,)
         Points [m]; the first is not repeated.
 
     Returns
     -------
     CubicSpline
-        From the parameter to positions [m], shape (2,).
+        Maps the parameter to positions [m], shape (2,).
     """
     index = np.arange(-OVERLAP, x.size + OVERLAP + 1)
     turn, point = np.divmod(index, x.size)
@@ -92,7 +92,7 @@ def resample_by_arc_length(
     s : ndarray, shape (n_points + 1,)
         Arc length at each point and, last, of the whole lap [m].
     x, y : ndarray, shape (n_cells,)
-        Positions at the start of each cell [m]; not finite where the curve turns on the spot.
+        Positions at the start of each cell [m]; not finite where the curve reverses on the spot.
     """
     chords = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)
     u = np.concatenate(([0.0], np.cumsum(chords)))
@@ -115,7 +115,7 @@ def resample_by_arc_length(
     width = wanted * chords[segment] / (s[segment + 1] - s[segment])
     for _ in range(4):
         tangents = velocity(begin + width)
-        # Where the curve stands still, as at a turn on the spot, there is no place for a cell.
+        # Where the curve reverses on the spot its tangent is zero.
         with np.errstate(divide="ignore", invalid="ignore"):
             width -= (arc(begin, width) - wanted) / np.hypot(tangents[:, 0], tangents[:, 1])
     points = spline(begin + width)

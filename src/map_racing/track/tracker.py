@@ -15,9 +15,9 @@ FARTHEST_STEP = 3.0
 class RacelineTracker:
     """Continuous projection of a moving car onto a raceline.
 
-    Each update searches around where the last projection must have moved to, so the car stays on
+    Each update searches around the place predicted from the last projection, so the car stays on
     its own branch where the track crosses itself or runs back alongside. The whole track is
-    searched only when that projection is not plausible: on the first update, after a jump of the
+    searched only on the first update or if the local result is not plausible: after a jump of the
     pose, when the projection moved much farther than the pose, or when the car is too far from the
     curve.
 
@@ -31,10 +31,10 @@ class RacelineTracker:
     Attributes
     ----------
     reacquired : bool
-        The last update searched the whole track and found the car elsewhere than expected; also
-        true of the first update.
+        Whether the last update searched the whole track and found the car elsewhere than expected;
+        true on the first update.
     lost : bool
-        The last update left the car farther from the curve than `max_deviation`.
+        Whether the car was farther from the curve than `max_deviation` at the last update.
     """
 
     def __init__(self, raceline: Raceline, *, max_deviation: float | None = None):
@@ -58,8 +58,8 @@ class RacelineTracker:
         Parameters
         ----------
         x, y, psi
-            As for `Raceline.project`. Where the whole track is searched, a branch within 90
-            degrees of the heading is preferred, if one is close enough.
+            As for `Raceline.project`. A search of the whole track prefers a branch within 90
+            degrees of the heading, if one is close enough.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""The walls beside a track, and how far a car can go toward them."""
+"""The walls of a track, and how far a car can move toward them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Walls", "clearance_of", "march", "smooth_between"]
 
 
 class Walls:
-    """The two walls of a track as polylines, to measure distances to.
+    """The two walls of a track as polylines, for measuring distances.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Walls:
     segments : ndarray, shape (n, 2, 2)
         Start and end of each piece of wall [m].
     findings : tuple of Finding
-        What was left out.
+        Parts of the walls that were left out.
 
     Raises
     ------
@@ -38,7 +38,7 @@ class Walls:
     Notes
     -----
     Inside a bend tighter than the track is wide, neighboring normals cross before they reach the
-    wall, and the wall's points run backwards through the track. Points that lie inside the track of
+    wall, and the wall's points run backwards through the track. Wall points inside the track at
     their own bend are left out, and the gaps closed.
     """
 
@@ -78,9 +78,7 @@ class Walls:
             )
             self.findings = (Finding("crossing-normals", NOTE, text),)
         if shared:
-            text = (
-                f"{shared} points of walls lie inside another stretch of the track: they bound both"
-            )
+            text = f"{shared} wall points are inside another stretch of the track: they bound both"
             self.findings += (Finding("shared-ground", WARNING, text),)
         self._begin, end = np.concatenate(begins), np.concatenate(ends)
         self._along = end - self._begin
@@ -90,7 +88,7 @@ class Walls:
 
     @staticmethod
     def _inside(wall, width, tree, line, normal, at, length):
-        """How deep wall points lie inside the track around them, and whether in their own bend."""
+        """Depth of wall points inside the track nearest to them, and whether it is their own."""
         distance, foot = tree.query(wall)
         along = np.abs(np.mod(at.s - at.s[foot] + 0.5 * length, length) - 0.5 * length)
         left = np.sum((wall - line[foot]) * normal[foot], axis=1) > 0.0
@@ -98,7 +96,7 @@ class Walls:
         return there - distance, along < 4.0 * width
 
     def _densify(self, spacing):
-        """Index points along all segments: the nearest points belong to the nearest segment."""
+        """Index points along all segments, densely enough to find the nearest segment."""
         parts = np.maximum(1, np.ceil(np.sqrt(self._square) / spacing)).astype(int)
         segment = np.repeat(np.arange(parts.size), parts)
         share = (np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / (
@@ -134,12 +132,12 @@ class Walls:
         """Whether points lie between the walls.
 
         A ray from such a point crosses the walls an odd number of times. Unlike the offset from the
-        line, that holds in bends tighter than the track is wide, too.
+        line, this also works in bends tighter than the track is wide.
 
         Parameters
         ----------
         points : ndarray, shape (n, 2)
-            [m]; neighbors close to each other make it fast.
+            [m]; fastest if neighboring points are close to each other.
 
         Returns
         -------
@@ -178,7 +176,7 @@ class Walls:
         Returns
         -------
         ndarray, shape (n,)
-            [m]; negative by what is missing where the start itself is too close to a wall.
+            [m]; negative by the missing distance if the start itself is too close to a wall.
         """
         return march(self.distance, points, directions, clearance, farthest)
 
@@ -200,8 +198,8 @@ def march(
 ) -> np.ndarray:
     """Measure how far points can move in a direction, keeping a clearance from all walls.
 
-    Sphere tracing: each step is as long as the nearest wall allows in any direction, so that no
-    wall is jumped over.
+    By sphere tracing: each step is as long as the distance to the nearest wall in any direction, so
+    that no wall is skipped.
 
     Parameters
     ----------
@@ -216,7 +214,8 @@ def march(
         See `Walls.reach`.
     """
     clearance = np.broadcast_to(clearance, len(points))
-    # An optimized line runs along the clearance: from there a step away from the wall is free.
+    # An optimized line runs exactly at the clearance. Start with a short step off the wall, since
+    # the first step would be 0.
     away = 1e-3 * farthest
     begin, after = (distance(points + s * directions) - clearance for s in (0.0, away))
     reached = np.where((np.abs(begin) < away) & (after > np.maximum(begin, 0.0)), away, 0.0)
@@ -238,14 +237,14 @@ def smooth_between(
     distance: Callable[[np.ndarray], np.ndarray],
     clearance: float,
 ) -> tuple[np.ndarray, bool]:
-    """Smooth a closed line by a Gaussian, as far as it stays between the walls.
+    """Smooth a closed line by a Gaussian as strongly as the walls allow.
 
     Parameters
     ----------
     points : ndarray, shape (n, 2)
         Line at equal steps [m].
     length : float
-        Its length [m].
+        Length of the line [m].
     deviation : float
         Standard deviation of the Gaussian along the line [m], halved until the line keeps clear.
     distance : callable

@@ -1,4 +1,4 @@
-"""Whether a lookup table belongs to a vehicle: the difference from the vehicle's own table."""
+"""Checks whether a lookup table belongs to a vehicle by comparing it with the vehicle's own."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from .lookup import LookupTable
 
 __all__ = ["LARGEST_COMPARED", "LARGEST_DIFFERENCE", "TableDifference", "compare_tables"]
 
-# Larger lateral accelerations [m/s^2] are reached only by linear tires, which never slide, and
-# tables made by integration for a fixed time have not settled there.
+# Only linear tires, which never slide, reach larger lateral accelerations [m/s^2]; tables made by
+# integrating for a fixed time have not settled there.
 LARGEST_COMPARED = 25.0
-LARGEST_DIFFERENCE = 0.05  # [m/s^2], well below what tires change from one day to the next
+LARGEST_DIFFERENCE = 0.05  # [m/s^2], well below the day-to-day change of tires
 
 
 class TableDifference(NamedTuple):
@@ -24,11 +24,11 @@ class TableDifference(NamedTuple):
     compared : int
         Cells compared.
     largest : float
-        Largest absolute difference [m/s^2]; 0 where none is compared.
+        Largest absolute difference [m/s^2]; 0 if no cell was compared.
     speed, angle : float
-        Its place [m/s], [rad].
+        Where it occurs [m/s], [rad].
     beyond : int
-        Cells not compared, since the expected acceleration exceeds `LARGEST_COMPARED`.
+        Cells not compared because the expected acceleration exceeds `LARGEST_COMPARED`.
     one_sided : int
         Cells with a stable steady state in only one of the tables.
     """

@@ -1,4 +1,4 @@
-"""Grids of lookup tables: for which speeds and steering angles they are computed."""
+"""Speeds and steering angles for which lookup tables are computed."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ GRID_SPEEDS = 0.2, 100.0
 
 
 def default_grid(vehicle: Vehicle, v_max: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Speeds and angles so fine that interpolation errors hardly matter.
+    """Speeds and angles dense enough that interpolation errors hardly matter.
 
     There are 257 angles, and about one column per 0.1 m/s from 0.1 m/s on; the notes of
-    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. Larger cars
-    have columns as much farther apart as they are faster, and angles that are denser the smaller
-    they are: at full speed they steer by hundredths of a radian.
+    `LookupTable` quantify the errors. The table of ``nuc4`` takes 27 ms to compute. For larger cars
+    the spacing of the columns scales with their speed, and small angles are denser, because at full
+    speed they steer by hundredths of a radian.
 
     Parameters
     ----------
     vehicle : Vehicle
     v_max : float, optional
-        Fastest column [m/s], from 0.2 to 100; default: the vehicle's, within these bounds. Faster
-        than its columns a table extrapolates.
+        Fastest column [m/s], from 0.2 to 100; default: the vehicle's, within these bounds. Above
+        it the table extrapolates.
 
     Returns
     -------

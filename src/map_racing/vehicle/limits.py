@@ -35,7 +35,7 @@ def speed_limits(
     v_max : float, optional
         Top speed [m/s], if lower than the vehicle's.
     power : float, optional
-        Power of the drive [W]: at the speed v it accelerates by at most ``power / (m v)``.
+        Power of the drive [W], which limits the acceleration at speed v to ``power / (m v)``.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def speed_limits(
         table = steady_state_table(vehicle, *default_grid(vehicle, column))
     drive = longitudinal_scale * vehicle.a_max
     if power is not None:
-        corner = power / (vehicle.m * drive)  # the speed at which a_max takes all the power
+        corner = power / (vehicle.m * drive)  # speed up to which a_max is the limit, not the power
 
         def drive(v, most=drive):
             return most * corner / np.maximum(v, corner)

@@ -22,7 +22,7 @@ __all__ = ["LookupTable", "Provenance", "load_table"]
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a table, written beside its CSV as ``<stem>.meta.yaml``.
+    """Origin of a table, saved next to its CSV as ``<stem>.meta.yaml``.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ class Provenance:
 
 
 class _Column(NamedTuple):
-    """One speed of the inverse: steering angle over the share of the reachable acceleration."""
+    """The inverse at one speed: steering angle over the share of the reachable acceleration."""
 
     limit: float  # largest reachable acceleration [m/s^2]
     shares: list[float]  # a_lat / limit, strictly ascending from 0 to 1
     angles: list[float]  # [rad], strictly ascending from 0
-    slopes: list[float]  # [rad] per share, of the interval that begins at each node
+    slopes: list[float]  # [rad] per share, in the interval that begins at each node
 
 
-# A cell with more than this many times the acceleration of a rolling car is suspect; in published
-# tables and those of shipped cars it is at most 1.1 times.
+# A cell with more than this many times the kinematic acceleration is suspect; in published tables
+# and those of the shipped cars the ratio is at most 1.1.
 _SPIKE = 3.0
 
 
@@ -68,7 +68,7 @@ class LookupTable:
     speeds : array_like, shape (n_speeds,)
         Speeds [m/s], positive, ascending.
     angles : array_like, shape (n_angles,)
-        Steering angles [rad], not negative, ascending; published tables repeat one.
+        Steering angles [rad], not negative, ascending, possibly repeated as in published tables.
     a_lat : array_like, shape (n_angles, n_speeds)
         Steady-state lateral acceleration [m/s^2]; NaN where the car has no stable steady state.
     provenance : Provenance, optional
@@ -80,7 +80,7 @@ class LookupTable:
         The table, read-only.
     provenance : Provenance or None
     l_wb : float
-        Wheelbase [m], from `provenance`, else estimated from the row of the smallest angle.
+        Wheelbase [m], from `provenance`, or estimated from the row of the smallest angle.
 
     Raises
     ------
@@ -90,15 +90,15 @@ class LookupTable:
     Notes
     -----
     In steady state ``delta = l_wb a / v^2 + K(a)`` up to the curvature of the arctangent. The
-    inverse is exact at the nodes and interpolates where that law is nearly straight:
+    inverse is exact at the nodes and interpolates in variables in which this law is nearly linear:
 
     - across acceleration, linearly on the rising branch of each column, over the share
       ``a / a_max(v)``, so that neighboring columns begin and end together;
-    - across speed, linearly in ``1 / v^2``, the reciprocal of ``a_max`` alike.
+    - across speed, linearly in ``1 / v^2``, and the reciprocal of ``a_max`` likewise.
 
-    Below the slowest column it blends with v^2 into the geometry of a rolling car, whose reach is 0
-    at standstill. Above the fastest one ``a_max`` is constant, and the law gives a column for
-    infinite speed, kept rising where an oversteering car would have none.
+    Below the slowest column it blends with v^2 into the kinematics of a car that rolls without
+    slip, where ``a_max`` is 0 at standstill. Above the fastest column ``a_max`` is constant, and
+    the law gives a column for infinite speed, kept rising where an oversteering car has none.
 
     Between the nodes, from standstill to 15 m/s, steering angles of ``nuc4`` differ from the exact
     solution by at most 0.21 mrad up to 95 % of the limit on the published grid, and by 0.18 mrad up
@@ -165,7 +165,7 @@ class LookupTable:
         delta : float
             Steering angle [rad], positive to the left.
         saturated : bool
-            Whether the car cannot reach `a_lat`; `delta` is then the angle of the largest it can.
+            Whether `a_lat` is out of reach; `delta` is then the angle of the largest `a_lat`.
 
         Raises
         ------
@@ -221,7 +221,7 @@ class LookupTable:
     def acceleration(self, v: float | np.ndarray, delta: float | np.ndarray) -> float | np.ndarray:
         """Steady-state lateral acceleration [m/s^2], bilinear between the cells of the table.
 
-        NaN beyond the table and beside cells that are NaN.
+        NaN outside the table and next to cells that are NaN.
 
         Parameters
         ----------
@@ -279,9 +279,9 @@ class LookupTable:
         return float(np.polyfit(self._w, first, 1)[0])
 
     def _refuse_spikes(self):
-        """Refuse a cell far above geometry and all cells beside it, as one that was mistyped.
+        """Refuse a cell far above kinematics and all neighboring cells: it was mistyped.
 
-        Where a car oversteers all cells are far above geometry.
+        The neighbors matter because an oversteering car has whole regions above kinematics.
         """
         rolling = np.tan(self.angles[:, None]) * self.speeds**2 / self.l_wb
         low = 0.5 * self.a_lat
@@ -295,11 +295,11 @@ class LookupTable:
             i, j = np.argwhere(high)[0]
             raise ParameterError(
                 f"a_lat: {self.a_lat[i, j]:g} m/s^2 at {self.speeds[j]:g} m/s and "
-                f"{self.angles[i]:g} rad: expected something between the cells beside it"
+                f"{self.angles[i]:g} rad: expected a value between the neighboring cells"
             )
 
     def _standstill(self):
-        """The first column as geometry has it, ``tan(delta) = l_wb a / v^2``, at the same speed."""
+        """Kinematic column, ``tan(delta) = l_wb a / v^2``, at the speed of the first column."""
         column = self._columns[0]
         slope = math.tan(column.angles[-1])
         limit = slope / (self.l_wb * self._w[0])
@@ -327,7 +327,7 @@ def load_table(path: str | Path) -> LookupTable:
 
     Notes
     -----
-    Cell [0, 0] means nothing; in published tables it is often uninitialized memory.
+    Cell [0, 0] is ignored; in published tables it is often uninitialized memory.
     """
     path = Path(path)
     table = _read_rows(path)
@@ -337,7 +337,7 @@ def load_table(path: str | Path) -> LookupTable:
         raise FileFormatError(f"{path}: {error}") from None
 
 
-# a demand above the limit by rounding only is not saturated
+# a demand above the limit only by rounding does not count as saturated
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -352,7 +352,7 @@ def _invert(angles, a_lat):
     valid = np.isfinite(a_lat)
     end = a_lat.size if valid.all() else int(np.argmin(valid))
     a, delta = a_lat[:end], angles[:end]
-    # cells that exceed all before them: none beyond the maximum
+    # keep cells that exceed all earlier ones, so nothing past the maximum
     before = np.maximum.accumulate(_from_zero(a))[:-1]
     rising = (a > before) & (delta > _from_zero(delta[:-1]))
     if not rising.any():
@@ -412,7 +412,7 @@ def _read_rows(path):
         raise FileFormatError(
             f"{path}: expected comma-separated speeds, then rows of angles, got {got}"
         )
-    rows[0][1][0] = "0"  # means nothing, and may be anything
+    rows[0][1][0] = "0"  # ignored, and may be anything
     return parse_rows(path, rows, columns)[0]
 
 

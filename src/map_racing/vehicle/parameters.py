@@ -67,8 +67,8 @@ class Vehicle:
     width: float = _positive("Outer width", "m", 0.296)
     length: float = _positive("Outer length", "m", 0.568)
     a_lat_max: float = _positive(
-        "Largest lateral acceleration of the lookup table. Where the data did not reach the peak "
-        "of the tires, what they reached; the default is beyond any car's",
+        "Largest lateral acceleration of the lookup table. If the data did not reach the peak of "
+        "the tires, the largest value that they reached; the default is no limit",
         "m/s^2",
         NO_LIMIT,
     )
@@ -76,7 +76,7 @@ class Vehicle:
         default=(),
         compare=False,
         repr=False,
-        metadata=parameter("What was assumed or left out when it was read from a file").metadata,
+        metadata=parameter("What was assumed or ignored when the file was read").metadata,
     )
 
     def __post_init__(self):
@@ -126,7 +126,7 @@ _SYNONYMS = {
     "max_steering_velocity": "delta_rate_max",
     "sv_max": "delta_rate_max",
 }
-# keys of the drive and the servo in the files of the identification of the MAP controller's authors
+# keys of drive and servo in files that the identification of the MAP controller's authors writes
 _DRIVE_KEYS = frozenset(("C_0d", "C_d", "C_acc", "C_dec", "C_R", "C_0v", "C_v", "tau_steer"))
 
 # tire coefficients of one axle ("f" or "r"), in each spelling of the published model files
@@ -137,13 +137,13 @@ _TIRE_KEYS = {
 
 
 def load_vehicle(source: str | Path) -> Vehicle:
-    """Read a car from a YAML file, also from a published model file.
+    """Read a car from a YAML file, including published model files.
 
     Newer public stacks split a car: mass and geometry are in ``car_model.yaml``, the tires of each
-    floor in a file beside it or in ``pacejka/FLOOR/``. Either of the two stands for both.
+    floor in a file next to it or in ``pacejka/FLOOR/``. Given either of the two, both are read.
 
-    Keys that are not used, what is assumed, and values that cars of this size do not have are in
-    `Vehicle.notes`; those that are certainly in another unit are refused.
+    `Vehicle.notes` lists unused keys, assumptions, and values that are unusual for cars of this
+    size; values that are certainly in another unit are refused.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def load_vehicle(source: str | Path) -> Vehicle:
 
 
 def _joined(path, values):
-    """The values of a file and of the one that holds the other half of the car, and notes."""
+    """Values of a file and of the file with the other half of the car, and notes."""
     body, tires = "m" in values or "mass" in values, _has_tires(values)
     if tires and not body:
         for folder in list(path.resolve().parents)[:3]:
@@ -185,7 +185,7 @@ def _joined(path, values):
         ]
         if len(found) > 1:
             several = ", ".join(map(str, found))
-            raise ParameterError(f"no tires, but several files of tires: name one of {several}")
+            raise ParameterError(f"no tires, but several tire files: give one of {several}")
         if found:
             return {**values, **read_yaml_mapping(found[0])}, [f"tires from {found[0]}"]
     return values, []
@@ -210,7 +210,7 @@ def _holds_only_tires(path):
 
 
 def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
-    """Write a car to a YAML file that `load_vehicle` reads back to an equal one.
+    """Write a car to a YAML file that `load_vehicle` reads back unchanged.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
     path : str or pathlib.Path
         File to write or replace; unchanged if writing fails.
     comment : str, optional
-        Source of the values, for the head of the file.
+        Source of the values, written as a comment at the top.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def vehicle_values(vehicle: Vehicle) -> dict:
 
 
 def vehicle_of(values: dict, name: str = "vehicle") -> Vehicle:
-    """The car of the keys and values of a file, see `load_vehicle`.
+    """Make a car from the keys and values of a file, see `load_vehicle`.
 
     Raises
     ------
@@ -260,10 +260,10 @@ def vehicle_of(values: dict, name: str = "vehicle") -> Vehicle:
 
 
 def parameter_hash(vehicle: Vehicle) -> str:
-    """Fingerprint of the single-track model that tells which car a lookup table belongs to.
+    """Fingerprint of the single-track model, to tell which car a lookup table belongs to.
 
-    Twelve hexadecimal digits from masses, geometry, friction and tires, but not from name, limits
-    or layout of the file.
+    Twelve hexadecimal digits from mass, inertia, geometry, friction and tires, but not from the
+    name, the limits or the layout of the file.
     """
     model = {key: getattr(vehicle, key) for key in _REQUIRED}
     for key in ("front", "rear"):
@@ -289,9 +289,9 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
     ----------
     vehicle : Vehicle
     mu : float
-        Factor on the friction, and on what it limits, ``a_lat_max``.
+        Factor on the friction and on ``a_lat_max``.
     front_stiffness, rear_stiffness : float
-        Factors on the cornering stiffness of each axle, whose peak force is kept.
+        Factors on the cornering stiffness of each axle; the peak force is kept.
 
     Returns
     -------
@@ -308,7 +308,7 @@ def scaled_tires(vehicle, mu, front_stiffness, rear_stiffness):
 
 
 def holding(vehicle: Vehicle, a_lat: float) -> Vehicle:
-    """The car, with an `a_lat_max` not below a lateral acceleration that it held [m/s^2]."""
+    """The car with `a_lat_max` raised to a lateral acceleration [m/s^2] that it sustained."""
     return dataclasses.replace(vehicle, a_lat_max=max(vehicle.a_lat_max, a_lat))
 
 
@@ -365,13 +365,13 @@ def _vehicle(values, default_name):
         text = f"l_wb: expected l_f + l_r = {vehicle.l_wb:g}, got {wheelbase:g}"
         if not published:
             raise ParameterError(text)
-        notes.append(f"{text}: not used")  # nor is it by the readers of these files
+        notes.append(f"{text}: not used")  # the programs for these files ignore it, too
     notes += [f"warning: {doubt}" for doubt in doubts_of_vehicle(vehicle)]
     return dataclasses.replace(vehicle, notes=tuple(notes))
 
 
 def _tire_model(rest, file_name):
-    """Take the tire model out of a file, or tell it by the coefficients or the name of the file."""
+    """Take the tire model from a file, its coefficients, or its name."""
     given = [
         model
         for model in _TIRE_KEYS
@@ -392,18 +392,19 @@ def _tire_model(rest, file_name):
 
 
 def _friction(mu, ignored, notes):
-    """Friction coefficient as the readers of a file take it.
+    """Friction coefficient as the program that a file was made for uses it.
 
     The single-track model with which the authors of the MAP controller fit tires and make tables
-    has no friction coefficient: the tires' ``D`` holds it. A ``mu`` in these files changes nothing.
+    has no friction coefficient, because ``D`` of the tires includes it. A ``mu`` in these files has
+    no effect.
     """
     if mu is None:
-        notes.append("no mu: taken as 1")
+        notes.append("no mu: 1 assumed")
         return 1.0
     if ignored and positive("mu", mu) != 1.0:
         notes.append(
-            f"mu: {mu:g} not used but 1, as the program that wrote this file does (rename "
-            "model_name to name to have it used)"
+            f"mu: {mu:g} ignored, 1 used, as in the program that wrote this file (to use mu, "
+            "rename model_name to name)"
         )
         return 1.0
     return mu

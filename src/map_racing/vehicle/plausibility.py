@@ -1,9 +1,9 @@
-"""Whether a car of its size can have the values of its file, or they are in another unit.
+"""Checks whether a car's parameters are plausible for its size, or in another unit.
 
-Cars of all sizes are built alike: the mass grows as the third power of the wheelbase, the other
-lengths grow with it, and speeds and times with its root (see `map_racing.vehicle.size`). A 1:43
-model, a 1:10 race car, a kart, a formula car and a van are all within the ranges here; grams,
-millimeters or degrees are not.
+Cars of all sizes are built alike: mass grows with the third power of the wheelbase, lengths grow
+in proportion to it, and speeds and times with its square root (see `map_racing.vehicle.size`). A
+1:43 model, a 1:10 race car, a kart, a formula car and a van are all within the ranges here; values
+in grams, millimeters or degrees are not.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ __all__ = [
 ]
 
 HIGHEST_FRICTION = 1.3
-"""More than rubber holds on a clean floor without downforce."""
-# A table is of another car if it shows a wheelbase that differs by more than this share; and its
-# angles may end at this share of the largest.
+"""Upper limit of rubber on a clean floor without downforce."""
+# A table belongs to another car if its wheelbase differs by more than this share; its angles must
+# reach this share of the largest steering angle.
 ANOTHER, NARROW = 0.1, 0.5
-# Cells are read from tables of any grid: across speeds and angles they follow the cells beside them
-# to 13 % even where these are 2 m/s and 0.1 rad apart; what is farther off was mistyped. Neither
-# smaller cells [m/s^2], which are rounded, nor cells farther apart than this factor tell.
+# Largest deviation (logarithm) of a cell from the interpolation between its neighbors. It is up to
+# 13 % even on a grid of 2 m/s and 0.1 rad; more is a typing error. Not checked are cells below
+# SMALLEST [m/s^2], which are rounded, and neighbors farther apart than the factor FARTHEST_BESIDE.
 APART, SMALLEST, FARTHEST_BESIDE = 0.2, 0.1, 4.001
-# A table reaches more than the car's tires by this factor: it is of other tires.
+# A table that exceeds the grip of the car's tires by this factor belongs to other tires.
 BEYOND = 1.3
-# Beyond the range by this factor, a value is certainly wrong.
+# A value outside its range by this factor is certainly wrong.
 CERTAIN = 10.0
 
 # Fields whose range follows from the size of the car.
@@ -52,7 +52,7 @@ _DEGREE = math.pi / 180.0
 
 
 class _Range(NamedTuple):
-    """Field, its value, the range of cars like this one, and the unit; other units it may be in."""
+    """A field, its value, the range for cars of this size, its unit, and units it may be in."""
 
     field: str
     value: float
@@ -81,7 +81,7 @@ class _Range(NamedTuple):
 
 
 def _rounded(value):
-    """Two digits, and no power of ten: 4000."""
+    """Two significant digits without an exponent, such as 4000."""
     return f"{float(f'{value:.2g}'):.6g}"
 
 
@@ -95,7 +95,7 @@ def doubts_of_vehicle(vehicle: Vehicle) -> list[str]:
     Returns
     -------
     list of str
-        A line for each value that is unusual, with what is usual.
+        A line for each unusual value, with the usual range.
 
     Raises
     ------
@@ -113,53 +113,53 @@ def doubts_of_vehicle(vehicle: Vehicle) -> list[str]:
 
 
 def friction_doubt(vehicle: Vehicle) -> list[str]:
-    """Doubt about the grip of a car's tires, of the axle that has less; empty without."""
+    """Doubt about the friction of the axle with less grip; empty if plausible."""
     peaks = [vehicle.mu * getattr(tire, "D", 1.0) for tire in (vehicle.front, vehicle.rear)]
     grip = min(peaks)
     if 0.1 <= grip <= HIGHEST_FRICTION:
         return []
     return [
-        f"friction: expected 0.1 to {HIGHEST_FRICTION:g} of rubber on a floor without downforce, "
+        f"friction: expected 0.1 to {HIGHEST_FRICTION:g} for rubber on a floor without downforce, "
         f"got {grip:.3g}"
     ]
 
 
 def doubts_of_table(table: LookupTable, vehicle: Vehicle, linear: bool = False) -> list[str]:
-    """Doubts that a lookup table is of a car: as of other units, or cut off.
+    """Doubts that a lookup table belongs to a car, or that its units or its range are right.
 
-    With `linear` it is meant to be of linear tires, and may reach more than the car's.
+    With `linear`, the table is meant for linear tires and may exceed the grip of the car's tires.
     """
     doubts = []
     if abs(table.l_wb / vehicle.l_wb - 1.0) > ANOTHER:
         doubts.append(
-            f"lookup table: at low speed a car with a wheelbase of {table.l_wb:.3g} m steers like "
-            f"that, {vehicle.name} has {vehicle.l_wb:.3g} m: of another car, or in other units?"
+            f"lookup table: its low speeds fit a wheelbase of {table.l_wb:.3g} m, but "
+            f"{vehicle.name} has {vehicle.l_wb:.3g} m: another car's, or in other units?"
         )
     if table.angles[-1] < NARROW * vehicle.delta_max:
         doubts.append(
-            f"lookup table: ends at an angle of {table.angles[-1]:.3g} rad, the wheels of "
-            f"{vehicle.name} turn to {vehicle.delta_max:.3g} rad"
+            f"lookup table: ends at a steering angle of {table.angles[-1]:.3g} rad, but "
+            f"{vehicle.name} steers up to {vehicle.delta_max:.3g} rad"
         )
     most = vehicle.mu * GRAVITY * min(vehicle.front.peak, vehicle.rear.peak)
     reached = float(table.max_lateral_acceleration(table.speeds[-1]))
     peak = [] if friction_doubt(vehicle) else doubts_of_peak(table)
     if reached > BEYOND * min(most, vehicle.a_lat_max) and not (peak or linear):
         doubts.append(
-            f"lookup table: reaches {reached:.3g} m/s^2, the tires of {vehicle.name} "
-            f"{min(most, vehicle.a_lat_max):.3g} m/s^2: of other tires, or of linear ones?"
+            f"lookup table: reaches {reached:.3g} m/s^2, but the tires of {vehicle.name} only "
+            f"{min(most, vehicle.a_lat_max):.3g} m/s^2: made for other tires, or linear ones?"
         )
     return doubts + peak + doubts_of_cells(table)
 
 
 def doubts_of_cells(table: LookupTable) -> list[str]:
-    """Doubt about cells of a lookup table that do not fit those beside them; empty without.
+    """Doubt about cells of a lookup table that do not fit their neighbors; empty if all do.
 
-    The speed, the angle or the cell that is farthest off is named.
+    It names the speed, the angle or the cell that is farthest off.
     """
     with np.errstate(invalid="ignore"):
         a = np.log(np.where(table.a_lat > SMALLEST, table.a_lat, np.nan))
-    by_angle = _off_the_cells_beside(a, table.angles)
-    by_speed = _off_the_cells_beside(a.T, table.speeds).T
+    by_angle = _off_neighbors(a, table.angles)
+    by_speed = _off_neighbors(a.T, table.speeds).T
     for off, axis, where in (
         (_medians(by_speed), table.speeds, "at {:g} m/s"),
         (_medians(by_angle.T), table.angles, "at {:g} rad"),
@@ -176,27 +176,28 @@ def doubts_of_cells(table: LookupTable) -> list[str]:
         holes = np.argwhere((before > SMALLEST) & (after > 1.1 * before) & ~(here > 0.0))
     if len(holes):
         i, j = holes[0]
-        return [f"lookup table: cell at {_place(table, i + 1, j)}: {here[i, j]:g} between others"]
+        where = _place(table, i + 1, j)
+        return [f"lookup table: cell at {where}: {here[i, j]:g} between valid cells"]
     return []
 
 
-def _off_the_cells_beside(a, axis):
-    """Logarithms of cells less those of the cells before and after, 0 where that tells nothing."""
+def _off_neighbors(a, axis):
+    """Log ratio of each cell to the interpolation of its neighbors; 0 where it is unknown."""
     off = np.zeros(a.shape)
     with np.errstate(all="ignore"):
         x = np.log(axis)
         wide = x[2:] - x[:-2]
         way = ((x[1:-1] - x[:-2]) / wide)[:, None]
         inner = a[1:-1] - (1.0 - way) * a[:-2] - way * a[2:]
-        told = np.isfinite(inner) & ((wide > 0.0) & (wide < math.log(FARTHEST_BESIDE)))[:, None]
-    off[1:-1] = np.where(told, inner, 0.0)
+        known = np.isfinite(inner) & ((wide > 0.0) & (wide < math.log(FARTHEST_BESIDE)))[:, None]
+    off[1:-1] = np.where(known, inner, 0.0)
     return off
 
 
 def _medians(off):
-    """Of each column the median of what tells something; 0 of fewer than five cells."""
-    told = [column[column != 0.0] for column in off.T]
-    return np.array([np.median(column) if column.size >= 5 else 0.0 for column in told])
+    """Median of the known cells of each column; 0 if there are fewer than five."""
+    known = [column[column != 0.0] for column in off.T]
+    return np.array([np.median(column) if column.size >= 5 else 0.0 for column in known])
 
 
 def _place(table, i, j):
@@ -204,13 +205,13 @@ def _place(table, i, j):
 
 
 def _cells_text(what, off):
-    return f"lookup table: {what}: {math.exp(off):.2g} times what is beside, mistyped?"
+    return f"lookup table: {what}: {math.exp(off):.2g} times the neighbors, mistyped?"
 
 
 def doubts_of_peak(table: LookupTable) -> list[str]:
-    """Doubt about the grip that a lookup table shows where more angle gives less acceleration.
+    """Doubt about the grip at the peak of a lookup table, beyond which more angle gives less.
 
-    A table of linear tires has no such peak, and tells nothing about grip.
+    A table of linear tires has no peak, so its grip cannot be judged.
     """
     with np.errstate(invalid="ignore"):
         falling = np.any(np.diff(table.a_lat, axis=0) < 0.0, axis=0)
@@ -220,8 +221,8 @@ def doubts_of_peak(table: LookupTable) -> list[str]:
     if grip <= HIGHEST_FRICTION:
         return []
     return [
-        f"lookup table: its peak is that of a friction of {grip:.3g}, expected at most "
-        f"{HIGHEST_FRICTION:g} of rubber on a floor without downforce"
+        f"lookup table: its peak takes a friction of {grip:.3g}, expected at most "
+        f"{HIGHEST_FRICTION:g} for rubber on a floor without downforce"
     ]
 
 

@@ -38,8 +38,9 @@ GRAVITY = 9.81
 V_EPS = 0.75
 """Forward wheel speed [m/s] below which slip angles are damped instead of growing with 1/v.
 
-The fastest mode of ``nuc4`` (a very stiff rear tire) decays with 741 m/s^2 / v; at this speed it is
-988 1/s, which RK4 still integrates at steps of 2.8 ms. With 0.5 m/s it would diverge at 2 ms.
+The fastest mode of ``nuc4``, which has a very stiff rear tire, decays with 741 m/s^2 / v. At this
+speed that is 988 1/s, which RK4 integrates with steps up to 2.8 ms; with 0.5 m/s, 2 ms would
+diverge.
 """
 
 
@@ -66,9 +67,10 @@ def axle_loads(vehicle, a_long):
 
 
 def fastest_mode(vehicle):
-    """Decay rate of the faster mode of straight running at walking pace, times the speed.
+    """Decay rate of the faster mode of straight running at low speed, times the speed.
 
-    There an oversteering car's is at most a few percent faster, and that of others slower.
+    At higher speeds this product is at most a few percent larger for an oversteering car, and
+    smaller for other cars.
 
     Parameters
     ----------
@@ -96,11 +98,11 @@ def fastest_mode(vehicle):
 def slip_angles(vehicle, v_x, v_y, r, delta, v_eps=V_EPS):
     """Slip angles of both axles, defined at every speed.
 
-    The velocity of each axle is turned into the frame of its wheel, whose forward part is kept away
-    from zero: ``alpha = atan2(v_lateral, max(v_forward, v_eps))``. Where the wheel rolls forwards
-    faster than `v_eps` these are exactly the paper's angles. A car at rest has none, even with its
-    wheels turned, and one that reverses is held on the circle of its wheels: its tires are stiffer
-    than real ones, whose car would swap ends above a few m/s.
+    The velocity of each axle is expressed in the frame of its wheel, with the forward component
+    bounded away from zero: ``alpha = atan2(v_lateral, max(v_forward, v_eps))``. If the wheel rolls
+    forwards faster than `v_eps`, these are exactly the paper's angles. They are 0 at rest, even
+    with the wheels turned. A reversing car stays on the circle of its wheels: its tires act stiffer
+    than real ones, with which it would swap ends above a few m/s.
 
     Parameters
     ----------
@@ -155,7 +157,7 @@ def single_track_derivatives(vehicle, v_eps=V_EPS):
     atan2, cos, sin, atan = math.atan2, math.cos, math.sin, math.atan
 
     if isinstance(vehicle.front, PacejkaTire) and isinstance(vehicle.rear, PacejkaTire):
-        # The same with both tires written out: a quarter of the time of a race goes into calls.
+        # The same with both tires inlined: function calls take a quarter of a race's time.
         B_f, C_f, D_f, E_f = (getattr(vehicle.front, name) for name in "BCDE")
         B_r, C_r, D_r, E_r = (getattr(vehicle.rear, name) for name in "BCDE")
 

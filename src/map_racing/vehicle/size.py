@@ -1,8 +1,8 @@
 """Size of a car: factors on distances, speeds and times that were given for 1:10 race cars.
 
-Cars of all sizes have about the same friction, so about the same accelerations. Where these are the
-same and lengths are `length` times as large, speeds and times are ``sqrt(length)`` times as large
-and yaw rates so much smaller (Froude's law of similarity).
+Cars of all sizes have about the same friction, and so the same accelerations. With equal
+accelerations and lengths `length` times as large, speeds and times are ``sqrt(length)`` times as
+large, and yaw rates smaller by that factor (Froude scaling).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["ONE_TENTH", "Size", "size_of"]
 
 WHEELBASE = 0.32  # of 1:10 race cars [m]
-# Up to this wheelbase [m] a car counts as one of them, and values given for them hold as they are.
+# Cars up to this wheelbase [m] count as 1:10 cars, whose values apply unscaled.
 LONGEST = 2.0 * WHEELBASE
 
 
@@ -26,9 +26,9 @@ class Size(NamedTuple):
     Parameters
     ----------
     length : float
-        On distances; yaw accelerations are divided by it.
+        Factor on distances; yaw accelerations are divided by it.
     time : float
-        On speeds and times; yaw rates are divided by it.
+        Factor on speeds and times; yaw rates are divided by it.
     """
 
     length: float
@@ -42,7 +42,7 @@ ONE_TENTH = Size(1.0, 1.0)
 
 
 def size_of(vehicle: Vehicle) -> Size:
-    """The size of a car by its wheelbase; `ONE_TENTH` for all up to twice as long."""
+    """Size of a car by its wheelbase; `ONE_TENTH` up to twice the wheelbase of a 1:10 car."""
     if vehicle.l_wb <= LONGEST:
         return ONE_TENTH
     length = vehicle.l_wb / WHEELBASE

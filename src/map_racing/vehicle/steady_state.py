@@ -6,12 +6,13 @@ use the same share of their friction, and the equations of `single_track` reduce
     a = v r = mu g P_f(s_f) = mu g P_r(s_r)                      s_f = -alpha_f, s_r = -alpha_r
     delta = s_f + atan(l_wb a / v^2 - tan(s_r))
 
-So the front slip s_f parametrizes all steady states of one speed, and delta(s_f) is explicit. Those
-reachable by turning the wheel slowly from straight ahead form the branch from s_f = 0 on which the
-Jacobian of (v_y', r') has both eigenvalues in the left half plane, with the rear tire on the rising
-side of its curve. On it delta(s_f) rises strictly (its derivative has the sign of the Jacobian's
-determinant), so each cell of the table is one monotone scalar equation. A front tire beyond its
-peak belongs to the branch: the car plows, stably. States that a car can only jump to are left out.
+So the front slip s_f parametrizes all steady states at one speed, and delta(s_f) is explicit. The
+states reachable by steering slowly away from straight ahead form the branch from s_f = 0 on which
+both eigenvalues of the Jacobian of (v_y', r') are in the left half plane and the rear tire is on
+the rising side of its curve. On this branch delta(s_f) rises strictly (its derivative has the sign
+of the Jacobian's determinant), so each cell of the table is one monotone scalar equation. States
+with the front tire past its peak belong to the branch: the car plows, stably. States that a car can
+only jump to are left out.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from .single_track import GRAVITY
 
 __all__ = ["steady_state_table"]
 
-# front slip angles [rad] between which each branch is followed, dense where tires are stiff ...
+# front slip angles [rad] at which each branch is sampled, dense where tires are stiff ...
 _SLIP = 1.5 * np.linspace(0.0, 1.0, 257) ** 2
-# ... and around the front tire's peak, as shares of its slip: where the rear tire peaks with it,
-# the branch may end in a stretch as narrow as the two are alike
+# ... and around the front tire's peak, as multiples of its slip: if both tires have nearly the same
+# peak, the branch may end within a very narrow interval
 _AROUND_PEAK = 1.0 + np.outer((-1.0, 1.0), np.logspace(-6.0, -1.0, 41)).ravel()
 
 
@@ -75,7 +76,7 @@ def steady_state_table(vehicle: Vehicle, speeds: np.ndarray, angles: np.ndarray)
     try:
         return LookupTable(speeds, angles, _solve(vehicle, speeds, angles), provenance)
     except ParameterError as error:
-        raise ParameterError(f"{vehicle.name}: its steady states form no table: {error}") from None
+        raise ParameterError(f"{vehicle.name}: no table of steady states: {error}") from None
 
 
 def _solve(vehicle, speeds, angles):
@@ -107,7 +108,7 @@ def _branches(vehicle, speeds):
     followed = np.union1d(_SLIP, peak * _AROUND_PEAK) if peak < _SLIP[-1] else _SLIP
     delta, stable = _equilibria(vehicle, speeds, followed[:, None])
     count = np.logical_and.accumulate(stable).sum(axis=0)
-    # find the end within its interval: twice, to 1/128 each, which leaves 1e-14 rad of delta
+    # refine the end of the branch twice by a factor of 128, which leaves 1e-14 rad of delta
     low = followed[np.maximum(count - 1, 0)]
     high = followed[np.minimum(count, followed.size - 1)]
     columns = np.arange(speeds.size)
@@ -147,7 +148,7 @@ def _equilibria(vehicle, speeds, s_f):
 
 
 def _front_slip(vehicle, speed, delta, low, high, delta_low, delta_high):
-    """Front slip of each cell: Newton from the chord, kept within its bracket by bisection."""
+    """Front slip of each cell, by Newton's method from the chord, safeguarded by bisection."""
     front, rear = vehicle.front, vehicle.rear
     gain = vehicle.mu * GRAVITY * vehicle.l_wb / speed**2
     width = np.where(delta_high > delta_low, delta_high - delta_low, 1.0)

@@ -1,4 +1,4 @@
-"""Steering of a car whose tires are believed to differ from its file's: no table to be computed."""
+"""Steady-state steering for tires that change while driving, without computing a table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ __all__ = ["TireSteering"]
 
 # Nodes along the slip of the front axle, and the largest slip of tires without a peak [rad].
 NODES, MOST_SLIP = 257, 1.0
-# Speeds at which the limit is found [m/s]; in between its reciprocal is linear in 1/v^2.
+# Lowest speed and spacing at which the limit is computed [m/s]; in between, its reciprocal is
+# interpolated linearly in 1/v^2.
 SLOWEST, STEP = 0.5, 0.75
 _ROUNDING = 1.0 + 1e-9
 
@@ -23,26 +24,26 @@ _ROUNDING = 1.0 + 1e-9
 class TireSteering:
     """Steady-state steering with factors on friction and cornering stiffness.
 
-    The equations are those of `steady_state`: with the share ``x = a / (mu g)`` both axles need the
-    slips ``s_f(x)`` and ``s_r(x)`` of their curves, and::
+    The equations are those of `steady_state`: at the share ``x = a / (mu g)`` the axles need the
+    slips ``s_f(x)`` and ``s_r(x)``, and::
 
         delta = s_f + atan(l_wb a / v^2 - tan(s_r))
 
-    Other friction scales ``a`` over ``x``; another stiffness divides the slip. So two curves that
-    are inverted once serve all tires of the same shape: a change takes 0.1 ms, where a table of the
-    same car takes 20 ms. With factors of 1 it agrees with the table of the vehicle to the error of
-    the table's interpolation.
+    A factor on friction scales ``a = mu g x``; a factor on stiffness divides the slip. So two
+    curves, inverted once, serve all tires of the same shape: a change takes 0.1 ms, a new table
+    20 ms. With factors of 1 it agrees with the table of the vehicle to within the table's
+    interpolation error.
 
     Parameters
     ----------
     vehicle : Vehicle
     v_max : float
-        Largest speed at which the limit is found [m/s]; beyond it is constant.
+        Largest speed at which the limit is computed [m/s]; above it the limit is constant.
 
     Attributes
     ----------
     factors : tuple of float
-        On friction, front stiffness and rear stiffness.
+        Factors on friction, front stiffness and rear stiffness.
     speeds, levels : list of float
         Speeds [m/s] between which `at` interpolates, and the `level` of each.
 
@@ -55,7 +56,7 @@ class TireSteering:
     def __init__(self, vehicle, v_max):
         self.l_wb, self.delta_max = vehicle.l_wb, vehicle.delta_max
         self._per_x = vehicle.mu * GRAVITY
-        # NaN where the tires do not reach that acceleration.
+        # NaN if the tires do not reach a_lat_max.
         reached = vehicle.front.slip(vehicle.a_lat_max / self._per_x)
         most = np.nanmin([vehicle.front.peak_slip, MOST_SLIP, reached])
         slip = np.linspace(0.0, most, NODES)
@@ -74,7 +75,7 @@ class TireSteering:
         self._scale(1.0, 1.0, 1.0)
         self._nominal = copy.copy(self)
         if not np.all(self._limits > 0.0):
-            raise ParameterError(f"{vehicle.name}: expected a car that can be steered steadily")
+            raise ParameterError(f"{vehicle.name}: expected a car with a stable steady state")
 
     def scaled(self, friction, front_stiffness, rear_stiffness):
         """The same car with other factors, relative to the vehicle file.
@@ -96,13 +97,13 @@ class TireSteering:
         self.factors = friction, front, rear
         self._full = self._per_x * friction
         self._inverse_front, self._inverse_rear = 1.0 / front, 1.0 / rear
-        # Every other node; the nodes are an odd number, so that the peak is one of them.
+        # Every other node; their number is odd, so the peak is included.
         a = self._full * self._x[::2]
         tangent = np.tan(np.minimum(self._rear[::2] / rear, 1.5))
         delta = self._front[::2] / front + np.arctan(
             self.l_wb * a * np.array(self._w)[:, None] - tangent
         )
-        # The stable branch ends where more angle would turn the car less; or at the lock.
+        # The stable branch ends where more angle would turn the car less, or at the lock.
         rising = np.diff(delta, axis=1) > 0.0
         inside = np.logical_and.accumulate(rising & (delta[:, 1:] <= self.delta_max), axis=1)
         last = inside.sum(axis=1)
@@ -112,11 +113,11 @@ class TireSteering:
         beyond = (high > self.delta_max) & (following > last)
         part = np.where(beyond, (self.delta_max - low) / np.where(beyond, high - low, 1.0), 0.0)
         limits = a[last] + part * (a[following] - a[last])
-        # Faster than a car runs straight stably, the last limit counts.
+        # At speeds where even straight running is unstable, use the last stable limit.
         stable = np.maximum.accumulate(np.where(limits > 0.0, rows, 0))
         self._limits = limits[stable]
         self._inverse_limits = (1.0 / np.maximum(self._limits, 1e-6)).tolist()
-        # With the file's stiffness the limit would be like the file's at v / sqrt(friction).
+        # With the file's stiffness the limit would scale from the file's at v / sqrt(friction).
         nominal = self._nominal or self
         alike = friction * nominal.max_lateral_acceleration(self._v / math.sqrt(friction))
         ratio = (self._limits / alike)[::-1]
@@ -156,18 +157,19 @@ class TireSteering:
         return (delta if a_lat >= 0.0 else -delta), saturated
 
     def level(self, v: float) -> float:
-        """Grip from `v` [m/s] on, as a factor on the friction of the vehicle file's tires.
+        """Least grip at `v` [m/s] and above, as a factor on the vehicle file's friction.
 
-        The friction, times the least ratio of the limit to the one with the file's stiffness.
+        It is the factor on friction, times the lowest ratio of the limit to the one with the file's
+        stiffness.
         """
         return self.least(v, self.levels)
 
     def least(self, v: float, levels: list[float]) -> float:
-        """The least of levels from `v` [m/s] on."""
+        """The least of the levels at `v` [m/s] and above."""
         return min(levels[max(bisect_right(self.speeds, v) - 1, 0) :])
 
     def at(self, v: float, levels: list[float]) -> float:
-        """The level at a speed that is not negative [m/s]."""
+        """Level at a non-negative speed [m/s], interpolated."""
         place = (v - SLOWEST) * self._per_mps
         if place <= 0.0:
             return levels[0]
@@ -177,7 +179,7 @@ class TireSteering:
         return levels[k] + (place - k) * (levels[k + 1] - levels[k])
 
     def limit(self, v: float) -> float:
-        """`max_lateral_acceleration` for one speed of at least 0, in less time."""
+        """`max_lateral_acceleration` for one non-negative speed, but faster."""
         k = bisect_right(self.speeds, v)
         inverse, ws = self._inverse_limits, self._w
         if k == 0:

@@ -162,14 +162,15 @@ class PacejkaTire:
         return self.C * math.atan(y)
 
     def _bend(self, x):
-        """Derivative of ``x - E (x - atan x)``, whose digits hold as E approaches 1."""
+        """Derivative of ``x - E (x - atan x)``, without cancellation as E approaches 1."""
         return (1.0 + (1.0 - self.E) * (x * x)) / (1.0 + x * x)
 
     def _unbend(self, y):
         """Solve ``x - E (x - atan x) = y`` for x up to the turning point.
 
-        Newton from ``x = y`` approaches the root from one side: for E > 0 from below a concave
-        function, for E < 0 from above a convex one (x > 0; odd otherwise). It cannot diverge.
+        Newton's method from ``x = y`` cannot diverge, because it approaches the root from one side:
+        for E > 0 from below on a concave function, for E < 0 from above on a convex one (for x > 0;
+        the function is odd).
         """
         y = np.asarray(y, dtype=float)
         x = y
@@ -247,7 +248,7 @@ class LinearTire:
 
 
 def _check(tire):
-    """Store the coefficients as floats, having checked them."""
+    """Check the coefficients and store them as floats."""
     for field in fields(tire):
         check = finite if field.name == "E" else positive
         object.__setattr__(tire, field.name, check(field.name, getattr(tire, field.name)))

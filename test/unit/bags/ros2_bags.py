@@ -1,4 +1,4 @@
-"""Bags of ROS 2 made of bags of ROS 1: by the writer of rosbags, and MCAP with all its variants."""
+"""ROS 2 bags made from ROS 1 bags: by the writer of rosbags, and all variants of MCAP."""
 
 import inspect
 import sqlite3
@@ -16,7 +16,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def ros2_types(definitions=None):
-    """Types of ROS 2 with those of racing."""
+    """ROS 2 message types, including those of racing."""
     types = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in (definitions or msg.DEFINITIONS).items():
         known = get_types_from_msg(text, name)
@@ -25,7 +25,7 @@ def ros2_types(definitions=None):
 
 
 def messages_of(source, begin=0, end=2**63):
-    """Topic, type in ROS 2, time of receipt and CDR of the messages of a bag of ROS 1."""
+    """Topic, ROS 2 type, time of receipt and CDR data of the messages of a ROS 1 bag."""
     types = ros2_types()
     with open_bag(source) as bag:
         for message in bag.messages():
@@ -42,7 +42,7 @@ def write_sqlite(path, messages, compression=None):
     versions = {"version": 8} if "version" in inspect.signature(rosbag2.Writer).parameters else {}
     writer = rosbag2.Writer(path, **versions)
     if compression:
-        # They moved from the class to the package.
+        # rosbags moved them from the class to the package.
         modes = getattr(rosbag2, "CompressionMode", None) or writer.CompressionMode
         formats = getattr(rosbag2, "CompressionFormat", None) or writer.CompressionFormat
         writer.set_compression(modes[compression.upper()], formats.ZSTD)
@@ -67,7 +67,7 @@ def forget_definitions(path):
 
 
 def together(path, parts):
-    """One bag of the files of several, as a recorder splits it."""
+    """One bag from the files of several, as a recorder splits it."""
     path.mkdir()
     metadata = None
     for part in parts:
@@ -105,7 +105,8 @@ def _text(value):
 def write_mcap(
     path, messages, compress=None, name="", per_chunk=100, summary=True, index=True, types=None
 ):
-    """A file of MCAP; ``per_chunk=0`` writes no chunks. The writer of rosbags makes none on 3.8."""
+    """A file of MCAP; ``per_chunk=0`` writes no chunks. The writer of rosbags cannot write MCAP on
+    3.8."""
     types, numbers, heads, counts, times = types or ros2_types(), {}, [], {}, []
     parts, chunk, chunks, entries = [_record(1, _text("ros2") + _text("test"))], [], [], {}
     at = len(MCAP_MAGIC) + len(parts[0])

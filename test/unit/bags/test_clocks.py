@@ -22,7 +22,7 @@ COUNT = 200
 
 
 def write(path, offset=0.0, topic=None, stamp=lambda i, t: t, received=lambda i, t: t + 0.001):
-    """Pose, command and IMU at 40 Hz; the stamps of one topic are `offset` late."""
+    """Pose, command and IMU at 40 Hz; the stamps of one topic are late by `offset`."""
 
     def shifted(name, i, t):
         return stamp(i, t) + (offset if name == topic else 0.0)
@@ -54,7 +54,7 @@ def test_topics_of_another_clock_are_brought_to_the_pose(tmp_path, topic, offset
 
 
 def test_commands_are_not_received_long_after_they_are_sent(tmp_path):
-    """A localization may take a tenth of a second; what sends commands does not."""
+    """A localization may take a tenth of a second; a node that sends commands does not."""
     recording = read_recording(write(tmp_path / "a.bag", -0.1, "drive"))
     np.testing.assert_allclose(recording.commands.t, recording.t, atol=1e-6)
     assert recording.commands.shifted
@@ -65,7 +65,7 @@ def test_commands_are_not_received_long_after_they_are_sent(tmp_path):
 
 @pytest.mark.parametrize("gone", [False, True])
 def test_commands_of_two_nodes(gone):
-    """Those of the first count; those of another once it is gone."""
+    """Commands of the first node count, of another one only once the first is gone."""
     connections = {n: Connection(DRIVE_TOPIC, msg.ACKERMANN, "", "", f"/{n}") for n in (0, 1)}
     series = Series(msg.decode_drive, connections=connections)
     for i in range(COUNT):
@@ -84,7 +84,7 @@ def test_commands_of_two_nodes(gone):
 
 
 def drives(count=1000):
-    """Commands of one node, on noisy poses: angles tremble, speeds do not."""
+    """Commands of one node, on noisy poses: angles jitter, speeds do not."""
     rng = np.random.default_rng(2)
     t = 0.02 * np.arange(count)
     return 0.2 * np.sin(t) + 0.03 * rng.normal(size=count), 5.0 + np.sin(0.7 * t)
@@ -101,8 +101,8 @@ def test_commands_of_one_node_that_trembles_are_not_doubted():
 @pytest.mark.parametrize(
     ("every", "other", "said"),
     [
-        (50, (0.0, 0.0), "20 of the commands"),  # a brake, once a second
-        (3, (0.2, 0.2), "% of the commands"),  # a node that wants almost the same
+        (50, (0.0, 0.0), "20 of the commands"),  # braking once a second
+        (3, (0.2, 0.2), "% of the commands"),  # a second node with almost the same commands
         (2, (-0.3, -4.0), "% of the commands"),
         (5, (0.3, 0.0), "of the commands"),  # only the angles differ
     ],
@@ -115,7 +115,7 @@ def test_commands_of_two_nodes_that_nothing_names(every, other, said):
     angle = np.where(theirs, 0.0 if stops else angle + turn, angle)
     speed = np.where(theirs, 0.0 if stops else speed + faster, speed)
     doubt = commands_of_two("/drive", angle, speed)
-    assert said in doubt and "are unlike those before and after" in doubt
+    assert said in doubt and "differ from those before and after" in doubt
 
 
 def test_stamps_in_bunches_and_even_receipts(tmp_path):
@@ -143,13 +143,13 @@ def test_a_bag_played_slowly_and_recorded_again_keeps_its_stamps(tmp_path):
     assert not any(note.startswith("warning") for note in recording.notes)
     np.testing.assert_array_equal(recording.commands.t, recording.t)
     assert (
-        "/car_state/odom: 0.200 s of its stamps pass in a second of receipt: lap times are those "
-        "of the stamps"
+        "/car_state/odom: its stamps advance by 0.200 s per second of receipt: lap times follow "
+        "the stamps"
     ) in recording.notes
 
 
 def test_messages_that_overtake_each_other_keep_their_stamps(tmp_path):
-    """Two at a time in the wrong order, as of a node with several threads."""
+    """Pairs in the wrong order, as from a node with several threads."""
     order = np.arange(COUNT) ^ 1
     with BagWriter(tmp_path / "a.bag") as bag:
         for i, k in enumerate(order.tolist()):
@@ -161,7 +161,7 @@ def test_messages_that_overtake_each_other_keep_their_stamps(tmp_path):
 
 
 def test_commands_whose_clock_was_set_meanwhile(tmp_path):
-    """Their stamps are right for more than half of the time, and 3 s early before."""
+    """Their stamps are first 3 s early, then right for more than half of the time."""
 
     def stamp(i, t):
         return t - (3.0 if i < 80 else 0.0)
@@ -184,7 +184,7 @@ def test_commands_that_no_receipt_brings_to_the_poses_are_named(tmp_path):
             bag.odometry(t, i, 0.0, 0.0, 1.0, 0.0, 0.0)
             bag.drive(t - 100.0, 0.0, 1.0)
     recording = read_recording(tmp_path / "a.bag")
-    assert f"warning: {DRIVE_TOPIC}: all {COUNT} commands lie before the poses" in recording.notes
+    assert f"warning: {DRIVE_TOPIC}: all {COUNT} commands are before the poses" in recording.notes
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_a_source_that_stands_still_gives_way_to_tf(tmp_path):
 @pytest.mark.parametrize("static_mount_last", [False, True])
 @pytest.mark.parametrize("tf_odometry", [False, True])
 def test_odometry_is_placed_by_a_particle_filter(tmp_path, static_mount_last, tf_odometry):
-    """It sends map to laser; the laser sits 0.3 m ahead; the car drives along y in the map."""
+    """It sends map to laser; the laser is 0.3 m ahead; the car drives along y in the map."""
     with BagWriter(tmp_path / "a.bag") as bag:
         for i in range(COUNT):
             t = T0 + 0.025 * i
@@ -272,7 +272,7 @@ def test_odometry_is_placed_by_a_particle_filter(tmp_path, static_mount_last, tf
 
 
 def test_links_of_another_timescale(tmp_path):
-    """Simulated time in one link, the year 2020 in the other."""
+    """Simulated time in one link, 2020 in the other."""
     with BagWriter(tmp_path / "a.bag") as bag:
         for i in range(COUNT):
             t = T0 + 0.025 * i
@@ -335,9 +335,9 @@ def test_nothing_is_said_of_commands_that_explain_nothing_or_repeat():
     for cause, effect in (
         (turning(at), np.random.default_rng(2).normal(size=at.size)),
         (0.0 * at, turning(at)),
-        # With a period of a second a lag is any number of them.
+        # With a period of one second, the lag is ambiguous by whole periods.
         (np.sin(2.0 * np.pi * at), np.sin(2.0 * np.pi * (at - 0.1))),
-        # A sign that is wrong is another matter.
+        # A wrong sign is another fault.
         (turning(at), -turning(at - 0.1)),
     ):
         assert lag_of_effect(at, cause, at, effect) is None
@@ -346,13 +346,14 @@ def test_nothing_is_said_of_commands_that_explain_nothing_or_repeat():
 
 
 def test_a_lag_of_steady_waves_is_told_by_the_side_to_which_the_car_turns():
-    """Half a period, where waves look turned around, is no lag: the car always turns left."""
+    """A lag of half a period, where waves look inverted, is ruled out: the car always turns
+    left."""
     at = np.arange(0.0, 40.0, 0.02)
     steering = 0.05 + 0.01 * np.sin(2.4 * at)
     for shift, told in ((0.0, None), (1.0, -1.0), (-1.0, 1.0)):
         lag = lag_of_effect(at + shift, steering, at, 3.0 * steering)
         assert lag == (told if told is None else pytest.approx(told, abs=0.03))
-    # Commands once a second are those of the second after.
+    # Commands that come once a second look like those of the next second.
     assert lag_of_effect(at[::50] + 1.0, steering[::50], at, 3.0 * steering) is None
 
 
@@ -381,12 +382,13 @@ def test_receipts_that_were_set_back_while_the_stamps_go_on(tmp_path, by, merged
     recording = drive_with_clocks(tmp_path / "run.bag", set_back(by), lambda t: t, merged)
     np.testing.assert_allclose(recording.t, 0.02 * np.arange(1500), atol=1e-6)
     assert np.max(np.hypot(np.diff(recording.x), np.diff(recording.y))) < 0.1
-    said = any("but the poses are one way in their order" in note for note in recording.notes)
+    said = any("but the path is continuous in their order" in note for note in recording.notes)
     assert said == (merged and by >= 1.0)
 
 
 @pytest.mark.parametrize(
-    ("by", "said"), [(0.07, "to and fro"), (0.4, "poses have the stamp of another up to 1.9 m")]
+    ("by", "said"),
+    [(0.07, "back and forth"), (0.4, "poses share the stamp of another up to 1.9 m")],
 )
 def test_both_clocks_set_back_and_the_recording_sorted_by_them(tmp_path, by, said):
     recording = drive_with_clocks(tmp_path / "run.bag", set_back(by), set_back(by), True)

@@ -104,7 +104,7 @@ def test_pose_with_covariance_is_a_pose(tmp_path):
 
 @pytest.mark.parametrize(("pause", "count"), [(2.0, len(TIMES)), (0.0, 17)])
 def test_a_second_sender_takes_over_when_the_first_is_gone(tmp_path, pause, count):
-    """A node that was started again is another connection; one that sends meanwhile is another."""
+    """A restarted node has a new connection; one that sends at the same time is a second sender."""
     messages = [
         encoding.encode_pose(i, int(t * 1e9), "map", i, 2.0, 0.5) for i, t in enumerate(TIMES)
     ]
@@ -294,7 +294,7 @@ def test_unusable_waypoints_do_not_hide_the_driving(tmp_path):
 
 
 def test_waypoints_of_another_definition_are_read_by_it(tmp_path):
-    """Other versions of the message have other fields, in another order."""
+    """Other versions of the message have different fields in a different order."""
     fields = ("vx_mps", "extra", "d_left", "d_right", "psi_rad", "y_m", "x_m")
     definition = (
         "f110_msgs/Wpnt[] wpnts\n" + "=" * 80 + "\nMSG: f110_msgs/Wpnt\n"
@@ -388,7 +388,7 @@ HOUR = 3600.0
 
 
 def two_runs(fill, receipt_restarts=False):
-    """Stamps begin anew after 30 of 50 messages, as in the first run; receipts may, too."""
+    """After 30 of 50 messages, stamps restart as in the first run; receipts may, too."""
 
     def stamped(bag, i, t):
         stamp = TIMES[0] + 0.1 * (i % 30)
@@ -438,7 +438,7 @@ def test_commands_whose_clock_is_set_back_bring_the_pose_to_the_time_of_receipt(
 
 
 def test_a_late_message_is_no_jump(tmp_path):
-    """Out of order by less than a second is what transport does."""
+    """Transport may reorder messages by less than a second."""
 
     def fill(bag, i, t):
         bag.pose(TIMES[0] + 0.1 * (i if i != 20 else 11.5), i, 0.0, 0.0, received=t + HOUR)
@@ -461,7 +461,7 @@ def test_a_late_message_is_no_jump(tmp_path):
     ],
 )
 def test_localizations_at_once_on_tf_are_said(tmp_path, spans, told):
-    """At once, not where one follows when the other has gone."""
+    """Only if they send at the same time, not one after the other."""
     types = get_typestore(Stores.ROS1_NOETIC)
     name = "tf2_msgs/msg/TFMessage"
     types.register(get_types_from_msg(msg.DEFINITIONS[name], name))
@@ -515,7 +515,7 @@ def test_messages_of_tf_that_cannot_be_decoded_are_counted(tmp_path):
     path.write_bytes(data)
     recording = read_recording(path)
     assert recording.t.size == len(TIMES) - 1
-    assert "/tf: 1 messages that are not of their type left out" in recording.notes
+    assert "/tf: 1 messages that do not match their type left out" in recording.notes
 
 
 def test_a_sound_bag_without_a_pose_does_not_look_damaged(tmp_path, shared_data):
@@ -589,7 +589,8 @@ def test_waypoints_in_another_frame_than_the_poses_are_doubted(
     ],
 )
 def test_frames_that_follow_each_other_on_a_topic(tmp_path, frames, counted, frame, said):
-    """The one nearest to the map counts once the one before is gone, for 1 s as of nodes."""
+    """The frame nearest to the map counts once the previous one has been gone for 1 s, as with
+    nodes."""
     with BagWriter(tmp_path / "run.bag") as bag:
         for i in range(100 * len(frames)):
             at = T0 + 0.02 * i + (1.1 if i >= 100 and said else 0.0)
@@ -613,5 +614,5 @@ def test_odometry_that_was_localized_later_is_not_placed_twice(tmp_path):
             bag.odometry(at, 0.02 * i, 0, 0, 1, 0, 0, topic="/odom", frame=own, received=at)
     recording = read_recording(tmp_path / "run.bag")
     assert recording.frame == "map" and recording.x[-1] == pytest.approx(5.98)
-    # It took a second to see that odom is gone.
+    # It took a second to notice that odom is gone.
     assert recording.x[0] == pytest.approx(2.98, abs=0.03)

@@ -139,7 +139,7 @@ def test_truncated_bag_gives_a_prefix_and_says_so(tmp_path, whole, compression, 
     data, messages = whole(compression)
     cut = 13 + int((len(data) - 13) * fraction)
     found, notes, file = read(tmp_path / "cut.bag", data[:cut])
-    # No assertion on the lists themselves, whose difference would fill the terminal.
+    # Do not compare the lists directly: their difference would flood the terminal.
     assert all(a == b for a, b in zip(found, messages))
     assert len(found) <= len(messages)
     assert len(notes) == 1
@@ -158,7 +158,7 @@ def test_truncated_uncompressed_bag_keeps_every_complete_message(tmp_path):
 
 @pytest.mark.parametrize("compression", [b"none", b"lz4", b"bz2"])
 def test_chunk_that_its_recorder_left_open(tmp_path, compression):
-    """A recorder that is killed leaves 0 as the length and size of its last chunk."""
+    """A killed recorder leaves 0 as the length and size of its last chunk."""
     first = connection(1, b"/a") + message(1, 1, b"x")
     last = b"".join(message(1, i, os.urandom(40)) for i in range(2, 30))
     open_chunk = bytearray(chunk(last, compression, size=0))

@@ -1,4 +1,4 @@
-"""What a bag says about the driving."""
+"""Settings and states of the controller in a bag."""
 
 import struct
 
@@ -84,7 +84,7 @@ def test_states_of_the_controller(tmp_path, name, hardware):
 
 
 def test_states_of_a_supervised_race(tmp_path, track):
-    """The bag has what the controller's node says on its diagnostics."""
+    """The bag has the diagnostics of the controller's node."""
     driving = Decision(Mode.DRIVING, Reason.NONE, 0.0, 3.0)
     stopping = Decision(Mode.STOPPING, Reason.STALE_POSE, 0.0, 1.0)
     line = track.raceline()
@@ -100,7 +100,7 @@ def test_states_of_a_supervised_race(tmp_path, track):
 
 
 def test_stops_are_those_of_the_race(tmp_path, track):
-    """One that stands already stops, too; one that stops for another reason stops once."""
+    """A car that already stands counts as stopped, too; a new reason does not count again."""
     told = [
         (Mode.STOPPED, Reason.STOP_REQUESTED),  # before the recording
         (Mode.DRIVING, Reason.NONE),
@@ -123,7 +123,7 @@ def test_stops_are_those_of_the_race(tmp_path, track):
 
 
 def test_levels_of_a_supervised_race(tmp_path, track):
-    """Those of the node: driving is well, waiting and what somebody asked for are warnings."""
+    """As in the node: driving is OK; waiting and requested stops are warnings."""
     told = {
         (Mode.WAITING, Reason.NO_POSE): 1,
         (Mode.DRIVING, Reason.NONE): 0,

@@ -1,4 +1,4 @@
-"""A copy to replay has the times that an evaluation takes, whatever stamps the bag has."""
+"""A copy for replay has the times that the evaluation uses, whatever stamps the bag has."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_the_copy_evaluates_as_the_bag(tmp_path, track, stamps):
         lap.row() for lap in other.laps if lap.valid
     ]
     assert one.summary.laps_completed == 2
-    # All else is as it was, and there is nothing left to say about stamps.
+    # Everything else is unchanged, and there are no more notes about stamps.
     with BagFile(bag) as a, BagFile(copy) as b:
         assert sorted(a.connections.values()) == sorted(b.connections.values())
         assert [m.data[12:] for m in a.messages()] == [m.data[12:] for m in b.messages()]
@@ -65,7 +65,7 @@ def test_the_copy_evaluates_as_the_bag(tmp_path, track, stamps):
 
 
 def test_transforms_are_copied_as_they_are(tmp_path):
-    """They have no stamp where the other messages have theirs."""
+    """Their stamps are at another place in the message."""
     with BagWriter(tmp_path / "run.bag") as bag:
         for i in range(400):
             t = T0 + i * 25000000
@@ -81,7 +81,8 @@ def test_a_node_that_connected_twice_and_messages_of_a_lost_connection(tmp_path,
     bag = bag_of(tmp_path / "run.bag", track, *STAMPS["pose 0"])
 
     class Twice(BagFile):
-        """Each other pose is of a second connection of the same node, waypoints are of none."""
+        """Every other pose comes from a second connection of the same node, waypoints from an
+        unknown one."""
 
         def messages(self, wanted=None):
             self.connections[7] = self.connections[1]

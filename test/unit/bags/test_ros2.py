@@ -1,4 +1,4 @@
-"""Bags of ROS 2, and bags that are parts of one run: the same driving as from one bag of ROS 1."""
+"""ROS 2 bags, and bags that are parts of one run: the same results as from one ROS 1 bag."""
 
 import inspect
 import json
@@ -53,7 +53,7 @@ def split(folder, messages, write):
 
 
 def as_mcap_of_rosbags(path, messages):
-    if not hasattr(rosbag2, "StoragePlugin"):  # rosbags for Python 3.8 writes none
+    if not hasattr(rosbag2, "StoragePlugin"):  # rosbags for Python 3.8 cannot write it
         return write_mcap(path.with_suffix(".mcap"), messages)
     plain = rosbag2.Writer
 
@@ -149,7 +149,7 @@ def test_messages_are_rearranged_as_rosbags_does(kind, name, other, values):
     rearrange = layout_of_ros1(connection_of("/t", name, ""))
     data = bytes(TYPES.ros1_to_cdr(original, name))
     assert rearrange(data) == original
-    for end in range(0, len(data) - 4, 7):  # damaged messages are never an error
+    for end in range(0, len(data) - 4, 7):  # damaged messages never raise
         rearrange(data[:end])
 
 
@@ -222,10 +222,10 @@ def test_a_file_that_was_cut_off_gives_all_complete_messages(made, share, packed
 
 
 def test_a_file_that_was_cut_off_in_the_index_of_a_chunk_loses_no_messages(made, tmp_path):
-    """The index of the topic that is asked for may lie behind the cut."""
+    """The index of the requested topic may be beyond the cut."""
     path = write_mcap(tmp_path / "run.mcap", made, per_chunk=2 * len(made), summary=False)
     whole = path.read_bytes()
-    # Of each topic, and only of it, what is found in the whole file and where an index is cut.
+    # Compare each topic alone in the whole file and in one whose index is cut.
     with open_bag(path) as bag:
         expected = {c.topic: len(list(bag.messages({n}))) for n, c in bag.connections.items()}
     index = whole.index(b"\x07", len(write_mcap(path, made, index=False).read_bytes()) - 100)
@@ -262,7 +262,7 @@ def small(made, tmp_path_factory):
 def test_damage_is_never_an_error_of_the_program(kind, small, data, tmp_path):
     contents = bytearray(small[kind])
     for _ in range(data.draw(st.sampled_from([1, 1, 3, 20]))):
-        # Heads and ends hold what leads to the rest.
+        # Beginning and end contain the references to the rest.
         place = st.one_of(
             st.integers(0, len(contents) - 1), st.integers(0, 400), st.integers(-600, -1)
         )
@@ -387,7 +387,7 @@ def test_parts_of_a_run_are_one_run(made, expected, race_bag, tmp_path):
         assert evaluated(tmp_path, "--join", *order) == expected
     parts = [write_sqlite(tmp_path / f"part_{i}", part) for i, part in enumerate(cut(made))]
     assert evaluated(tmp_path, "--join", *parts) == expected
-    # Without the option they are runs of their own, and the lap over the cut is in none.
+    # Without the option they are separate runs, and the lap across the split is in neither.
     (alone,) = evaluated(tmp_path, paths[0])
     assert alone["summary"]["laps_completed"] == 0
 
@@ -438,7 +438,7 @@ def test_slow_decompression_of_messages_is_said_once(fast, monkeypatch, caplog):
 @pytest.mark.parametrize("rate", [10.0, 40.0, 100.0])
 @pytest.mark.parametrize("write", [write_sqlite, write_mcap])
 def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, write, rate):
-    """A joystick that commands to stand still beside a controller that drives."""
+    """A joystick commands standstill while a controller drives."""
     with BagWriter(tmp_path / "a.bag") as bag:
         for i in range(800):
             t = 1600000000.0 + 0.025 * i
@@ -449,12 +449,12 @@ def test_commands_of_two_nodes_that_the_bag_does_not_name_are_doubted(tmp_path, 
     messages = sorted(messages_of(tmp_path / "a.bag"), key=lambda message: message[2])
     suffix = "" if write is write_sqlite else ".mcap"
     notes = read_recording(write(tmp_path / f"b{suffix}", messages)).notes
-    assert [note for note in notes if note.startswith("warning:") and "of two nodes?" in note]
+    assert [note for note in notes if note.startswith("warning:") and "from two nodes?" in note]
 
 
 def test_commands_of_one_node_are_not_doubted(made, tmp_path):
     notes = read_recording(write_sqlite(tmp_path / "b", made)).notes
-    assert not any("of two nodes?" in note for note in notes)
+    assert not any("from two nodes?" in note for note in notes)
 
 
 def test_an_error_in_a_compressed_file_names_the_file_that_was_given(made, tmp_path):

@@ -1,4 +1,4 @@
-"""Speeds and yaw rates that are of another moment than the poses in the same messages."""
+"""Speeds and yaw rates that lag or lead the poses in the same messages."""
 
 import math
 
@@ -53,7 +53,7 @@ def test_nothing_is_said_of_what_does_not_tell():
     assert lag_of_speed(T, still, T, still, still) is None
     assert lag_of_speed(T[:5], still[:5], T[:5], still[:5], still[:5]) is None
     assert lag_of_speed(T, np.full(T.size, math.nan), T, way(T), still) is None
-    # Poses that are missing for half of the time, at other times than the speed.
+    # Half of the poses are missing, at other times than the speeds.
     kept = np.flatnonzero((T % 4.0 < 2.0) | (T > 20.0))
     assert lag_of_speed(T, speed(T), T[kept] + 0.001, way(T[kept] + 0.001), still[kept]) is None
 

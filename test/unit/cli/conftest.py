@@ -1,4 +1,4 @@
-"""Races, experiments and errors that the tests of several commands look at."""
+"""Races, experiments and errors shared by the tests of several commands."""
 
 from pathlib import Path
 
@@ -12,10 +12,10 @@ from map_racing.track.files.load import save_raceline
 from map_racing.track.raceline import Raceline
 
 
-# Of a module, not of the session: the tests of the plots come later.
+# Module scope, not session: the tests of the plots come later.
 @pytest.fixture(scope="module", autouse=True)
 def coarse():
-    """Figures of few pixels, not laid out: how they look is for the tests of the plots."""
+    """Small figures without layout: the tests of the plots check their looks."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("map_racing.plots.style.DPI", 30)
         patch.setattr("matplotlib.figure.Figure.tight_layout", lambda figure, **_: None)
@@ -68,8 +68,8 @@ def place(tmp_path_factory):
 def run(place):
     """``run("tune", ...)`` runs a command under these conditions, in this process; its exit code.
 
-    Tuning tries a grid of four pairs and none beyond: its own tests search.
-    Figures are composed, but not rendered: the tests of the plots do that.
+    Tuning tries a grid of four pairs and no others: its own tests cover the search. Figures are
+    composed, but not rendered: the tests of the plots do that.
     """
 
     def command(*arguments):
@@ -103,7 +103,7 @@ def shipped(place, run):
 
 @pytest.fixture(scope="session")
 def scaling(place, tires, run):
-    """Result directory of velocity-scaling, which takes over the races that tuned."""
+    """Result directory of velocity-scaling, which reuses the races of the tuning."""
     output = place / "scaling"
     options = ["--laps", 1, "--to", 0.65, "--seeds", 1, "--vehicle", tires / "identified.yaml"]
     options += ["--reuse", tires, "--output", output]

@@ -22,10 +22,10 @@ def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
     content = yaml.safe_load(file.read_text())
     scales = [content[f"Sector{i}"]["scaling"] for i in range(content["n_sectors"])]
     count = len(scales)
-    assert f"{count} sectors, that over the start line as two, for speed_scale 1" in said
+    assert f"{count} sectors, the one across the start line as two, for speed_scale 1" in said
     assert content["global_limit"] == 1.0
     assert max(scales) <= 0.7 * (1.0 + STEP) and min(scales) >= 0.7
-    # The track has a point more than the bag, and no place is left without an advice.
+    # The track has one point more than the bag, yet every place has advice.
     stretches = load_speed_sectors(file, load_raceline("reference")).stretches()
     assert {scale for *_, scale in stretches} == set(scales)
     race = ["race", "--laps", "2", "--speed-scale", "1", "--speed-sectors", str(file)]
@@ -35,7 +35,7 @@ def test_the_next_race_drives_what_was_advised(bags, tmp_path, capsys):
     said = capsys.readouterr().out
     driven = float(said.split(" s driven")[0].split()[-1])
     assert abs(driven / predicted - 1.0) < 0.01
-    assert "grip_use" in said  # which holds some of the speeds back
+    assert "grip_use" in said  # it holds some of the speeds back
 
 
 def test_the_step_is_the_one_of_the_library():

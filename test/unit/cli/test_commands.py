@@ -1,4 +1,4 @@
-"""The commands as a whole: their list, their help, and what asking for help imports."""
+"""All commands: their list, their help, and what --help imports."""
 
 import subprocess
 import sys
@@ -44,7 +44,7 @@ def test_help_of_a_command_shows_its_arguments(capsys, command):
 
 
 def parsers(parser):
-    """A parser and those of its commands and actions, with their options."""
+    """A parser and the parsers of its commands and actions, with their options."""
     if getattr(parser, "command", None):
         import_module(f"map_racing.cli.options.{parser.command}").add_options(parser)
     yield parser

@@ -176,7 +176,7 @@ def test_names_of_runs_keep_their_dots():
 
 
 def test_figures_of_runs_with_strange_names(bags, tmp_path, capsys):
-    """One is twice the same, one is not UTF-8."""
+    """Two are equal, one is not UTF-8."""
     path = tmp_path / f"\u8d5b $\\frac$ {'long' * 40}.bag"
     latin = Path(os.fsdecode(os.fsencode(str(tmp_path)) + b"/r\xfcn.bag"))
     plots = tmp_path / "p"
@@ -185,13 +185,13 @@ def test_figures_of_runs_with_strange_names(bags, tmp_path, capsys):
     assert main(["evaluate", str(path), str(path), "--plots", str(plots)]) == 0
     assert len(list(plots.iterdir())) == 5
     assert main(["evaluate", str(latin), "--plots", str(plots)]) == 0
-    # Three more; the difference was of the other two.
+    # Three other runs; difference.png showed the former two.
     assert len(list(plots.iterdir())) == 7
     assert capsys.readouterr().err == ""
 
 
 def test_a_second_raceline_begins_a_second_run(tmp_path, track, capsys):
-    """As while the car drives: the laps on each are of a run of its own."""
+    """As live: the laps on each raceline belong to their own run."""
     t0, path = 1600000000.0, tmp_path / "two.bag"
     with BagWriter(path) as bag:
         for i in range(int(5.0 * track.length / 5.0 * 40.0)):
@@ -207,5 +207,5 @@ def test_a_second_raceline_begins_a_second_run(tmp_path, track, capsys):
     errors = [[lap["rms_speed_error_mps"] for lap in r["laps"] if lap["valid"]] for r in runs]
     assert errors[0] == pytest.approx([0.0, 0.0], abs=1e-6)
     assert errors[1] == pytest.approx([1.0], abs=1e-6)
-    assert "warning: run 2 of 2: the raceline was another until" in capsys.readouterr().out
+    assert "warning: run 2 of 2: another raceline was used until" in capsys.readouterr().out
     assert runs[0]["bag"] == f"{path} (run 1)"

@@ -58,7 +58,7 @@ def test_tables_of_tire_models(tires):
 def test_races_that_are_over_before_the_first_pose_are_results(
     tmp_path, capsys, kind, options, said
 ):
-    """On a track that is narrower than the car."""
+    """On a track narrower than the car."""
     angle = 2.0 * np.pi * np.arange(60) / 60
     wall = np.full(60, 0.05)
     x, y = 4.0 * np.cos(angle), 4.0 * np.sin(angle)
@@ -132,7 +132,7 @@ def test_tables_of_velocity_scaling(scaling, tires):
     assert set(table.speed_scale) <= {0.6, 0.625, 0.65}
     assert set(table.controller) == set(LABELS)
     races = pd.read_csv(scaling / "races.csv")
-    for _, own in races.groupby("controller"):  # all but the last are completed
+    for _, own in races.groupby("controller"):  # all except the last are completed
         assert (own.outcome[:-1] == "completed").all()
         assert own.outcome.iloc[-1] != "completed" or own.speed_scale.iloc[-1] == 0.65
     highest = pd.read_csv(scaling / "highest_scales.csv")
@@ -193,7 +193,7 @@ def test_results_of_another_kind_are_not_overwritten(tires, refused):
 
 @pytest.mark.once
 def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
-    """They import the script anew, which must not start it again."""
+    """They import the script again, which must not start it."""
     script = Path(__file__).resolve().parents[3] / "scripts" / "map-racing"
     options = ["--conditions", place / "conditions.yaml", "--jobs", 2, "--output", tmp_path / "out"]
     options += ["--vehicle", "nuc4", "--no-tuning", "--laps", 1, "--seeds", 5]

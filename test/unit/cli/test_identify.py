@@ -23,7 +23,7 @@ from map_racing.vehicle.steady_state import steady_state_table
 
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory):
-    """What the shipped recording gives, with everything that can be written."""
+    """Results for the shipped recording, with every possible output."""
     folder = tmp_path_factory.mktemp("identified")
     arguments = ["nuc4_ramps", "--vehicle", "nuc4", "--output", str(folder / "my_car.yaml")]
     for option, name in (
@@ -32,7 +32,7 @@ def identified(tmp_path_factory):
         ("--linear-output", "l.yaml"),
     ):
         arguments += [option, str(folder / name)]
-    # What an earlier call with more recordings has left.
+    # Left by an earlier call with more recordings.
     (folder / "figures").mkdir()
     for number in (1, 2, 11):
         (folder / "figures" / f"run_{number}.png").write_text("old")
@@ -86,7 +86,7 @@ def test_doubts_stand_in_report_and_vehicle_file(identified, tmp_path, monkeypat
 
 
 def test_what_a_fix_would_repair_stands_in_the_vehicle_file(identified, tmp_path, monkeypatch):
-    """A yaw rate that is a tenth too small is no reason to refuse, but to doubt the tires."""
+    """A yaw rate 10 % too small is not refused, but makes the tires doubtful."""
     assert "check: " not in (identified / "my_car.yaml").read_text()
 
     def scaled(path, channels):
@@ -103,7 +103,7 @@ def test_what_a_fix_would_repair_stands_in_the_vehicle_file(identified, tmp_path
 
 
 def test_the_example_is_as_the_plant(identified):
-    """The shipped recording is of the plant nuc4, whose tires are not those of its vehicle."""
+    """The shipped recording is from the plant nuc4, whose tires differ from its vehicle file."""
     found, nominal = load_vehicle(identified / "my_car.yaml"), load_vehicle("nuc4")
     force = [car.front.normalized_force(0.1) for car in (found, nominal)]
     # 0.98 of the friction, 0.92 of the stiffness
@@ -112,7 +112,7 @@ def test_the_example_is_as_the_plant(identified):
 
 
 def test_a_known_delay_of_the_steering_takes_its_bias_away(identified, tmp_path):
-    """Delay and lag of the plant make 50 ms, in which the angle of this ramp rises by 2 mrad."""
+    """Delay and lag of the plant are 50 ms in total, in which this ramp's angle rises by 2 mrad."""
     output = tmp_path / "a.yaml"
     arguments = ["nuc4_ramps", "--vehicle", "nuc4", "--output", str(output)]
     assert main(["identify", *arguments, "--steering-delay", "0.05"]) == 0
@@ -127,7 +127,7 @@ def test_a_known_delay_of_the_steering_takes_its_bias_away(identified, tmp_path)
 def test_race_with_the_result(identified, capsys):
     arguments = ["--vehicle", str(identified / "my_car.yaml"), "--laps", "1"]
     assert main(["race", *arguments, "--output", str(identified / "race.bag")]) == 0
-    assert "completed after 1 timed laps" in capsys.readouterr().out
+    assert "completed after 1 timed lap," in capsys.readouterr().out
 
 
 def test_corners_of_a_raceline(identified, refused, capsys):
@@ -171,7 +171,7 @@ def test_csv_with_a_map_fix_and_leave_one_out(ramps_csv, tmp_path, refused, caps
 
 @pytest.fixture(scope="module")
 def ramps_csv(tmp_path_factory):
-    """Two drives as CSV files, whose accelerometer points to the right, and their map."""
+    """Two drives as CSV files, with the accelerometer pointing right, and their channel map."""
     folder = tmp_path_factory.mktemp("csv")
     paths = []
     for speed in ("2.5", "4"):
@@ -231,7 +231,7 @@ def test_refusals(tmp_path, refused, capsys):
 
 @pytest.mark.parametrize("ramps", [True, pytest.param(False, marks=pytest.mark.once)])
 def test_laps_make_a_car(tmp_path, capsys, ramps):
-    """Steady cornering tells the curves, and laps what is otherwise today; each alone will do."""
+    """Steady cornering gives the tire curves, laps the changes of the day; each alone is enough."""
     bag = tmp_path / "laps.bag"
     race = ["race", "--laps", "1", "--speed-scale", "0.7", "--output", str(bag)]
     assert main(race) == 0
@@ -323,7 +323,7 @@ def servo_bag(tmp_path):
 
 
 def text(definition):
-    """The text of a message's definition, in whatever way rosbags carries it."""
+    """Text of a message definition, however rosbags represents it."""
     return getattr(definition, "data", definition)
 
 

@@ -39,7 +39,8 @@ def test_a_table_may_differ_from_its_vehicle_as_much_as_tires_do(tmp_path, refus
 
 
 def test_a_published_table_checks_against_its_model_file_as_it_comes(tmp_path, capsys):
-    """The table's program does not use the mu of the file, and leaves its corner cell as it was."""
+    """The program that made the table ignores the file's mu, and leaves the corner cell
+    uninitialized."""
     model = (
         "{C_0d: 0.5, C_R: 3.7, C_Pf: [4.8, 2.16, 0.65, 0.37], C_Pr: [20.0, 1.5, 0.62, 0.0], "
         "I_z: 0.058, h_cg: 0.014, l_f: 0.162, l_r: 0.145, m: 3.54, MODEL, mu: MU}"
@@ -57,7 +58,7 @@ def test_a_published_table_checks_against_its_model_file_as_it_comes(tmp_path, c
     assert main(["lookup", "check", str(table), "--vehicle", str(path)]) == 0
     out = capsys.readouterr().out
     assert "largest difference 0.00e+00" in out
-    assert f"{path}: mu: 0.95 not used but 1" in out
+    assert f"{path}: mu: 0.95 ignored, 1 used" in out
     assert f"{path}: keys not used: C_0d, C_R" in out
 
 
@@ -93,6 +94,7 @@ def test_doubts_about_the_raceline_stand_above_its_corners(tmp_path, capsys):
     assert main(["lookup", "check", table, "--raceline", str(tmp_path / "line.csv")]) == 0
     printed = capsys.readouterr().out
     assert printed.index("line.csv: 4 unnamed columns") < printed.index("corners of line")
+    assert "  map, speed_scale 1, grip_use 0.88: " in printed
 
 
 @pytest.mark.parametrize(

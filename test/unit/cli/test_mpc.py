@@ -1,4 +1,4 @@
-"""The experiment with model predictive control, small, from the command line."""
+"""A small experiment with model predictive control, from the command line."""
 
 import json
 
@@ -9,7 +9,7 @@ from map_racing.cli import experiment, main
 from map_racing.experiments import rivals, session
 from map_racing.track.files.load import save_raceline
 
-# One of each kind: each costs a process of its own, in which its memory is measured.
+# One of each kind: each costs a separate process, to measure its memory.
 RIVALS = tuple(c for c in rivals.RIVALS if c.label in ("MAP Pacejka", "MPC single-track"))
 
 
@@ -30,14 +30,14 @@ def test_experiment(ring, tmp_path, monkeypatch, capsys):
     assert (work.failed_share == 0.0).all() and (work.memory_mb > 20.0).all()
     assert work.median_step_ms["MPC single-track"] > work.median_step_ms["MAP Pacejka"] > 0.0
     beliefs = pd.read_csv(folder / "beliefs.csv")
-    # MAP as published has no delay compensation that could be wrong.
+    # MAP as published has no delay compensation, so its delay cannot be wrong.
     assert beliefs.groupby("controller").size().to_dict() == {
         "MAP Pacejka": 1,
         "MPC single-track": 2,
     }
     assert json.loads((folder / "results.json").read_text())["kind"] == "mpc"
     assert "MPC single-track" in capsys.readouterr().out
-    # Continued: nothing is driven again. The memory is, in a process for each controller: once.
+    # Continued: no races again, except one in a process for each controller, to measure memory.
     monkeypatch.setattr(session.Session, "memory", lambda *_: {})
     assert main([*command, *options]) == 0
     assert "\n0 races driven" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""What files are called, and what they call things, does nothing to a terminal."""
+"""Names of files, and names in them, cannot affect the terminal."""
 
 import pytest
 
@@ -22,7 +22,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def bag(folder, track):
-    """A race in which each name is nasty."""
+    """A race with nasty names throughout."""
     path = folder / f"race{NASTY}.bag"
     with BagWriter(path) as bag:
         bag.waypoints(T0, waypoint_rows(track.raceline(speed=5.0, walls=1.0)))
@@ -54,7 +54,7 @@ def printed(capfd):
 def test_bags(bag, printed, tmp_path):
     code, out = printed("evaluate", bag, "--csv", tmp_path / "laps.csv")
     assert code == 0 and r"race\x1b[2J" in out and r"/odom0\x1b[2J" in out
-    # The evaluation chose one of two topics, and the message says between which.
+    # The evaluation chose one of two topics, and the message names both.
     assert r"/odom1\x1b[2J\x07\x9b1m\u202e\nall laps count" in out
     assert printed("report", bag, "--output", tmp_path / "report.html")[0] == 0
     assert printed("raceline", "record", bag, "--output", tmp_path / "line.csv")[0] == 0

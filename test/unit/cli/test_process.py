@@ -78,7 +78,7 @@ SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 
 
 def script(name, *arguments, **options):
-    """Run a script of a checkout that nobody installed."""
+    """Run a script of a checkout without installing it."""
     environment = {**os.environ, "PYTHONPATH": "", "PYTHONUNBUFFERED": ""}
     command = [sys.executable, *arguments[:1], str(SCRIPTS / name), *arguments[1:]]
     return subprocess.run(command, stderr=subprocess.PIPE, env=environment, check=False, **options)
@@ -88,7 +88,7 @@ def test_scripts_where_libraries_are_missing():
     names = [path.name for path in SCRIPTS.iterdir() if b"python3\n" in path.read_bytes()[:30]]
     assert {"heats", "latency", "controller", "map-racing"} <= set(names)
     for name in (*names, "benchmark.py"):
-        # -S: only what comes with Python.
+        # -S: only Python's standard library.
         done = script(name, "-S", *(["race", "--output", "a"] if name == "map-racing" else []))
         lines = done.stderr.decode().splitlines()
         assert len(lines) == 1 and "has no module" in lines[0], (name, lines)
@@ -114,7 +114,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path):
         # A script may start the tests in the background, where interrupts are ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    process.stdout.readline()  # it races now
+    process.stdout.readline()  # the race has started
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
     assert (process.returncode, err) == (130, b"map-racing: interrupted\n")
@@ -131,7 +131,7 @@ def test_too_little_memory_is_one_line(refused, monkeypatch):
 
 @pytest.mark.once
 def test_installed_copy_finds_its_data(tmp_path):
-    """What pip installs, without the source tree: command, packages and data files."""
+    """Installed by pip, without the source tree: command, packages and data files."""
     source = __file__[: __file__.index("/test/unit/")]
     copy = tmp_path / "source"
     ignore = shutil.ignore_patterns(".git", "results", "build", "*.egg-info", "test")

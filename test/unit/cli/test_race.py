@@ -16,7 +16,7 @@ SECTORS = "global_limit: 1.0\nn_sectors: 1\nSector0: {start: 0, end: 365, scalin
 
 def test_race_says_how_it_ended(tmp_path, capsys):
     assert main(["race", "--laps", "1", "--output", str(tmp_path / "a.bag")]) == 0
-    assert "completed after 1 timed laps" in capsys.readouterr().out
+    assert "completed after 1 timed lap," in capsys.readouterr().out
 
 
 def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
@@ -31,7 +31,10 @@ def test_race_and_lookup_name_the_same_places_that_are_slowed(tmp_path, capsys):
     assert slowed.group(1) in capsys.readouterr().out
     paper = ["--controller", "map_paper"]
     assert main(["lookup", "check", str(table), "--raceline", "club", *paper]) == 0
-    assert "map_paper, grip_use 0: drives the raceline's speeds" in capsys.readouterr().out
+    assert (
+        "map_paper, speed_scale 1, grip_use 0: drives the raceline's speeds"
+        in capsys.readouterr().out
+    )
 
 
 def test_model_predictive_control_is_raced_recorded_and_evaluated(tmp_path, capsys):
@@ -41,9 +44,9 @@ def test_model_predictive_control_is_raced_recorded_and_evaluated(tmp_path, caps
     sectors.write_text(SECTORS)
     command = ["race", "--controller", "mpc_kinematic", "--laps", "1", "--output", bag]
     assert main([*command, "--speed-sectors", str(sectors)]) == 0
-    assert "completed after 1 timed laps" in capsys.readouterr().out
+    assert "completed after 1 timed lap," in capsys.readouterr().out
     assert main(["evaluate", bag]) == 0
-    assert "1 laps counted" in capsys.readouterr().out
+    assert "1 lap counted" in capsys.readouterr().out
     faults = tmp_path / "faults.yaml"
     faults.write_text("faults:\n  - {fault: pose_nan, at_s: 1.0}\n")
     assert main([*command[:-1], str(tmp_path / "no.bag"), "--faults", str(faults)]) == 1
@@ -60,7 +63,7 @@ def test_a_raceline_without_speeds_is_raced_within_the_grip(tmp_path, capsys):
     assert main(["race", *arguments]) == 0
     printed = capsys.readouterr().out
     assert "the raceline has no speeds: driven as fast as the grip allows" in printed
-    assert "completed after 1 timed laps" in printed
+    assert "completed after 1 timed lap," in printed
     assert main(["race", *arguments, "--controller", "map_paper"]) == 1
     assert "oval.csv: expected speeds, got none" in capsys.readouterr().err
 
@@ -81,7 +84,7 @@ def test_a_fault_that_came_too_late_is_named(tmp_path, capsys):
     faults.write_text("faults: [{fault: pose_nan, at_s: 100.0}]")
     arguments = ["--laps", "1", "--output", str(tmp_path / "a.bag"), "--faults", str(faults)]
     assert main(["race", *arguments]) == 0
-    assert "pose_nan at 100 s: the race was over before" in capsys.readouterr().out
+    assert "pose_nan at 100 s: the race ended before" in capsys.readouterr().out
 
 
 @pytest.mark.once
@@ -163,7 +166,7 @@ def test_race_refuses_a_folder_that_is_not_there(tmp_path, refused):
 
 
 def test_notes_on_the_vehicle_of_a_plant_are_printed(tmp_path, capsys):
-    """A published model file in a plant file: what was assumed is said as for --vehicle."""
+    """A published model file in a plant file: assumptions are printed as with --vehicle."""
     values = yaml.safe_load(find_config("vehicles", "nuc4", (".yaml",)).read_text())
     del values["mu"]
     (tmp_path / "car.yaml").write_text(yaml.safe_dump({**values, "C_R": 2.0}))
@@ -173,7 +176,7 @@ def test_notes_on_the_vehicle_of_a_plant_are_printed(tmp_path, capsys):
     bag = str(tmp_path / "run.bag")
     assert main(["race", "--plant", path, "--laps", "1", "--output", bag]) == 0
     printed = capsys.readouterr().out
-    assert f"{path}: its vehicle NUC4: no mu: taken as 1" in printed
+    assert f"{path}: its vehicle NUC4: no mu: 1 assumed" in printed
     assert "its vehicle NUC4: keys not used: C_R" in printed
 
 
@@ -191,7 +194,7 @@ def test_a_full_size_car_is_driven_by_the_shipped_controllers(tmp_path, capsys):
     assert main(["race", *arguments, "--output", str(bag)]) == 0
     printed = capsys.readouterr().out
     assert "map: for 1:10 cars; distances are 8.06 and times 2.84 times as long" in printed
-    assert "completed after 1 timed laps" in printed
+    assert "completed after 1 timed lap," in printed
     table = tmp_path / "laps.json"
     assert main(["evaluate", str(bag), "--car-width", "1.61", "--json", str(table)]) == 0
     (lap,) = [lap for lap in json.loads(table.read_text())["runs"][0]["laps"] if lap["valid"]]
@@ -201,7 +204,7 @@ def test_a_full_size_car_is_driven_by_the_shipped_controllers(tmp_path, capsys):
 
 
 def test_another_vehicle_than_the_plants_is_named_by_its_file(tmp_path, capsys):
-    """Both may have the same name inside."""
+    """Both files may contain the same name."""
     values = yaml.safe_load(find_config("vehicles", "nuc4", (".yaml",)).read_text())
     car = tmp_path / "heavy.yaml"
     car.write_text(yaml.safe_dump({**values, "m": 3.6}))

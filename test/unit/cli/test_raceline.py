@@ -24,7 +24,7 @@ def good(tmp_path):
 
 @pytest.fixture
 def bad(tmp_path):
-    """Repeated, turning back, without a number, cut short."""
+    """Points that are repeated, turn back, are no numbers or are missing at the end."""
     x, y = LINE.x[:-8].copy(), LINE.y[:-8].copy()
     x[[100, 102]], y[[100, 102]] = x[[102, 100]], y[[102, 100]]
     rows = [f"{a:.6f},{b:.6f},5.0" for a, b in zip(x, y)]
@@ -176,7 +176,7 @@ def test_a_bag_is_not_lost_to_another_format(good, tmp_path, capsys):
 
 
 def test_a_name_with_a_number_sign_is_a_file(good, capsys):
-    """It would be lost if what stands before the sign were taken for the input."""
+    """It would be overwritten if the part before the sign were taken for the input."""
     odd = good.rename(good.with_name("lap#2.csv"))
     before = odd.read_bytes()
     for arguments in (("convert", odd, odd, "--format", "tum"), ("optimize", odd, "--output", odd)):

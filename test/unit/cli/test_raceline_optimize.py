@@ -1,4 +1,4 @@
-"""``map-racing raceline optimize`` as users call it, and races on what it writes."""
+"""``map-racing raceline optimize`` as users call it, and races on its output."""
 
 import math
 import re
@@ -73,7 +73,7 @@ def test_centerline_to_raceline(tmp_path, capsys):
 
 
 def test_a_slower_line_is_told_and_why(tmp_path, capsys):
-    """A line along the inner wall is shorter than any that a car's width has room for."""
+    """A line along the inner wall is shorter than any line with room for a car."""
     angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
     path = tmp_path / "ring.csv"
     track = Raceline(
@@ -135,6 +135,7 @@ def test_a_line_that_cannot_be_steered_is_named_below_the_table(tmp_path, capsys
     assert table_of(printed)["wave"][4] == "-"
     row, told = printed.splitlines()[-2:]
     assert row.split()[0] == "optimized"
+    assert "  lap times: at the highest speeds of NUC4, whatever speeds a file has\n" in printed
     assert told.startswith("  wave: no lap time: speed profile: s = ")
 
 
@@ -150,8 +151,8 @@ def test_speed_options(tmp_path, capsys):
 
     length, _, _, _, full = optimized()
     assert lap("--speed-scale", "0.5") == pytest.approx(2.0 * full, abs=2e-3)
-    # The top speed is not reached here: all accelerations by half make all speeds slower by
-    # no more than sqrt(1/2), less where the limit falls with speed.
+    # The top speed is not reached here: with half the accelerations, speeds fall to no less than
+    # sqrt(1/2), and less strongly where the limit falls with speed.
     half = lap("--lateral-scale", "0.5", "--longitudinal-scale", "0.5")
     assert 1.2 * full < half < 1.5 * full
     assert lap("--power", "5") > 1.02 * full
@@ -209,7 +210,7 @@ def test_several_lines_to_compare_with(tmp_path, capsys):
     table = printed[printed.index("[rad^2/m]") :].splitlines()[1:8]
     clearances = {line[:26].strip(): float(line[26:].split()[3]) for line in table}
     expected = {"line": 0.5, "compared": 0.35, "compared 2": -0.3, "compared 3": 0.6}
-    # As close as the closest line that a car can follow.
+    # As close to the walls as the closest line that a car can follow.
     expected["optimized"] = 0.35
     found = {name: clearances[name] for name in expected}
     assert found == pytest.approx(expected, abs=0.02)
@@ -229,7 +230,7 @@ def test_speed_sectors_fit_the_output(tmp_path, suffix):
     for k in range(1, count):
         assert content[f"Sector{k}"]["start"] == content[f"Sector{k - 1}"]["end"] + 1
     assert {load_speed_sectors(sectors, line).scale_at(s) for s in line.s.tolist()} == {1.0}
-    # A scale that is written into a sector is read back there and nowhere else.
+    # A scale written into a sector is read back there and nowhere else.
     content["Sector1"]["scaling"] = 0.5
     sectors.write_text(yaml.safe_dump(content))
     scales = load_speed_sectors(sectors, line)
@@ -239,7 +240,7 @@ def test_speed_sectors_fit_the_output(tmp_path, suffix):
 
 
 def hall_map(folder):
-    """A drawn hall as a mapping run leaves it: gray around, a few specks."""
+    """A drawn hall as after a mapping run: gray outside, a few specks."""
     axis = (np.arange(280) + 0.5) * 0.05 - 7.0
     x, y = np.meshgrid(axis, axis[::-1])
     radius = np.hypot(x / 1.3, y)
@@ -335,7 +336,7 @@ def test_swapped_columns_are_refused(tmp_path, capsys, columns):
 
 
 def test_exchanged_walls_are_refused(tmp_path, capsys):
-    """Those of a raceline, which is not in the middle."""
+    """With a raceline, which is not in the middle."""
     line = load_raceline("reference")
     swapped = Raceline(line.x, line.y, d_left_m=line.d_right, d_right_m=line.d_left)
     save_raceline(swapped, tmp_path / "swapped.csv")
@@ -350,7 +351,7 @@ def test_exchanged_walls_are_refused(tmp_path, capsys):
         (["--margin", "nan"], "--margin"),
         (["--step", "0"], "--step"),
         (["--lateral-scale", "0"], "--lateral-scale"),
-        (["--start", "0,0"], "--start: expected a map"),
+        (["--start", "0,0"], "--start: expected the YAML file of a map"),
         (["--margin", "2"], "too narrow"),
         (["--vehicle", "none"], "none: no such file"),
         (["--output", "line.txt"], "line.txt"),
@@ -377,7 +378,7 @@ def race_lap(path, speed_scale=0.9):
     assert log.outcome is Outcome.COMPLETED
     path = log.true_path()
     start = path[:, 0][np.hypot(*(path[:, 1:3] - line.position(0.0)).T) < 0.5]
-    # The start of the timed lap is when the out-lap ends, and its end one lap later.
+    # The timed lap begins when the out-lap ends, and ends one lap later.
     crossings = start[np.flatnonzero(np.diff(np.append(-10.0, start)) > 1.0)]
     return crossings[2] - crossings[1]
 
@@ -387,7 +388,7 @@ def race_lap(path, speed_scale=0.9):
     "track, gain", [("reference", 1.1), pytest.param("club", 1.2, marks=pytest.mark.once)]
 )
 def test_the_car_is_faster_on_the_optimized_line_and_stays_on_the_track(tmp_path, track, gain):
-    """MAP on the middle line and on the optimized one, with speeds made alike."""
+    """MAP on the middle line and on the optimized one, with speeds made in the same way."""
     out, middle = tmp_path / "line.csv", tmp_path / "middle.csv"
     assert run(track, "--output", out, "--middle", middle) == 0
     assert race_lap(middle) > gain * race_lap(out)

@@ -13,7 +13,7 @@ RADIUS = 2.0
 
 
 def drive(path, radius, speeds):
-    """Two and a half rounds, the first slower, into a bag."""
+    """Two and a half laps, the first slower, as a bag."""
     with BagWriter(path) as bag:
         angle, t = 0.3, 100.0
         while angle < 0.3 + 5.0 * np.pi:
@@ -25,7 +25,7 @@ def drive(path, radius, speeds):
 
 @pytest.fixture(scope="module")
 def by_hand(tmp_path_factory):
-    """Two and a half rounds at 2 and 3 m/s, without a raceline, and the map of the hall."""
+    """Two and a half laps at 2 and 3 m/s, without a raceline, and the map of the hall."""
     folder = tmp_path_factory.mktemp("by_hand")
     drive(folder / "run.bag", RADIUS, (2.0, 3.0))
     y, x = np.mgrid[3.975:-4.0:-0.05, -3.975:4.0:0.05]
@@ -98,7 +98,8 @@ def test_refused(by_hand, tmp_path, refused):
 
 
 def test_a_lap_along_a_wall_is_told(by_hand, tmp_path, capsys):
-    """Of a car 0.3 m wide on a radius of 1.6 m, 0.1 m from the inner wall; inside it at 1.4 m."""
+    """A car 0.3 m wide at a radius of 1.6 m is 0.1 m from the inner wall; at 1.4 m it is inside
+    it."""
     drive(tmp_path / "run.bag", 1.6, (2.0, 3.0))
     output = tmp_path / "line.csv"
     assert record(tmp_path, output, "--map", by_hand / "hall.yaml") == 0
@@ -112,7 +113,11 @@ def test_a_lap_along_a_wall_is_told(by_hand, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("frame", "factor", "said"),
     [
-        ("odom", 1.0, "warning: /car_state/odom is in frame odom, which drifts against the map"),
+        (
+            "odom",
+            1.0,
+            "warning: /car_state/odom is in frame odom, which drifts relative to the map",
+        ),
         ("map", 1.3, "warning: /car_state/odom: the measured speed is 1.30 times the motion"),
     ],
 )

@@ -1,11 +1,14 @@
 """``map-racing report``: the numbers of ``evaluate`` on one page."""
 
+import base64
 import html
 import json
+import math
 import re
 import shutil
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from map_racing.bags.writer import BagWriter
@@ -25,7 +28,7 @@ def report(tmp_path, *arguments):
 
 
 def text_of(page):
-    """Text of a page, in one line."""
+    """Text of a page as one line."""
     body = page[page.index("<body>") : page.index("<script")]
     return " ".join(html.unescape(re.sub("<[^>]+>", " ", body)).split())
 
@@ -33,6 +36,11 @@ def text_of(page):
 def data_of(page):
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
     return json.loads(found.group(1))
+
+
+def unpacked(packed):
+    whole = np.frombuffer(base64.b64decode(packed["b"]), "<i2")
+    return np.where(whole == -32768, np.nan, packed["o"] + packed["k"] * whole)
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +129,24 @@ def test_a_car_that_is_not_known(tmp_path, race_bag):
     assert data_of(page)["runs"][0]["limit"] and "give --vehicle" not in text_of(page)
 
 
+def test_a_command_that_is_no_speed_is_not_shown_as_one(tmp_path, bags):
+    line = load_raceline("reference")
+    with BagWriter(tmp_path / "throttle.bag") as bag:
+        bag.waypoints(1.0, waypoint_rows(line))
+        for t in np.arange(0.0, 30.0, 0.025):
+            s = 3.5 * t + 3.0 * math.sin(0.5 * t)
+            v = 3.5 + 1.5 * math.cos(0.5 * t)
+            x, y = line.to_cartesian(s, 0.0)
+            bag.odometry(2.0 + t, float(x), float(y), line.pose(s).psi, v, 0.0, 0.0)
+            bag.drive(2.0 + t, 0.0, 2.0 + math.sin(1.7 * t))
+    page = report(tmp_path, tmp_path / "throttle.bag")
+    assert "does not follow the speed commanded" in text_of(page)
+    laps = data_of(page)["runs"][0]["laps"]
+    assert laps and all(not np.isfinite(unpacked(lap["v_command"])).any() for lap in laps)
+    row = re.search(r"1 \d+\.\d{3} s (.*?) yes", text_of(page)[text_of(page).index("counts") :])
+    assert row.group(1).split()[-2:] == ["–", "–"]  # speed error, saturated
+
+
 def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
     text = text_of(page)
     section = text[text.index("For the next heat") : text.index("Corners, lap by lap")]
@@ -139,9 +165,9 @@ def test_it_advises_on_the_next_heat_and_on_the_car(page, tmp_path, race_bag):
 
 @pytest.mark.once
 def test_a_vehicle_file_of_another_car_is_doubted(page, bags, tmp_path):
-    assert "is it the file of this car" not in text_of(page)
+    assert "is it the file of another car" not in text_of(page)
     text = text_of(report(tmp_path, bags["map"], "--vehicle", "sim"))
-    assert "not determined: the end of what is looked for" in text
+    assert "not determined: at the end of the search range" in text
 
 
 def test_what_cannot_be_read_is_left_out(bags, tmp_path, capsys, refused):
@@ -200,12 +226,12 @@ def test_more_laps_than_fit(tmp_path, monkeypatch, ring):
 
 def test_of_many_laps_the_best_and_those_that_do_not_count_are_listed():
     laps = [SimpleNamespace(lap=i, valid=i not in (3, 700)) for i in range(5000)]
-    some = pages._some(laps, 100, best=laps[1234])
+    some = pages._selected_laps(laps, 100, best=laps[1234])
     numbers = [lap.lap for lap in some]
     assert len(some) <= 101 and numbers == sorted(set(numbers))
     assert {0, 3, 700, 1234, 4999} <= set(numbers)
     assert max(b - a for a, b in zip(numbers, numbers[1:])) < 60
-    assert pages._some(laps[:100], 100) == laps[:100]
+    assert pages._selected_laps(laps[:100], 100) == laps[:100]
 
 
 @pytest.mark.once

@@ -35,7 +35,7 @@ laps: 1
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a grid and a controller that knows no grip."""
+    """A folder with a grid and a controller without a grip limit."""
     folder = tmp_path_factory.mktemp("robustness")
     (folder / "grid.yaml").write_text(GRID)
     bold = load_controller_parameters("map").with_(grip_use=0.0)
@@ -51,7 +51,7 @@ def run(folder, *command):
 
 @pytest.fixture(scope="module")
 def results(folder):
-    """Result directory, of a scale at which speeds beyond the grip end in the wall."""
+    """Result directory with a scale at which speeds beyond the grip end in the wall."""
     output = folder / "grid"
     assert (
         run(
@@ -174,7 +174,7 @@ def test_robust_tuning(place, tmp_path, capsys, monkeypatch):
     table = pd.read_csv(output / "table.csv").iloc[0]
     assert table.typical_rms_lateral_error_m == best
     found = load_controller_parameters(output / "controllers" / "map.yaml")
-    # Up to the last digit, which old versions of pandas read otherwise.
+    # Up to the last digit, which old versions of pandas read differently.
     values = (table.m_m, table.q_s, table.delay_s)
     assert (found.m_m, found.q_s, found.delay_s) == pytest.approx(values, rel=1e-12)
     assert found.grip_use == load_controller_parameters("map").grip_use

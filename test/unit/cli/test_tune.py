@@ -1,4 +1,4 @@
-"""``map-racing tune``, which takes over races of the experiment on tire models."""
+"""``map-racing tune``, reusing races of the experiment on tire models."""
 
 from pathlib import Path
 

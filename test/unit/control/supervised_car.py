@@ -1,4 +1,4 @@
-"""A car and its supervisor, for the tests of safety."""
+"""A car and its supervisor, for the safety tests."""
 
 from map_racing.control.controller import ControlResult, Status
 from map_racing.control.safety import Supervisor

@@ -1,4 +1,4 @@
-"""Learning while driving: what it finds, what it leaves alone, and what the car makes of it."""
+"""Adaptation: what it learns, what it ignores, and how the car uses it."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ OFF = ADAPTIVE.with_(adaptation=False)
 
 
 def slalom(t, amplitude=0.3):
-    """Bends of both sides, held and turned into quickly [rad]."""
+    """Steering angle [rad] for bends to both sides, held and quickly entered."""
     return amplitude * max(-1.0, min(1.0, 2.5 * math.sin(2.6 * t) + 0.3 * math.sin(9.0 * t)))
 
 
@@ -82,7 +82,7 @@ def test_it_finds_tires_and_delay_of_a_car_that_it_does_not_know(changes):
     assert belief.rear_stiffness == pytest.approx(plant.rear_stiffness_scale, rel=0.16)
     delay = plant.localization_latency_s + plant.steering_delay_s + plant.steering_time_constant_s
     assert belief.delay == pytest.approx(delay, abs=0.005)
-    # The intervals are honest: the truth is inside, or beside it by less than their width.
+    # The intervals are honest: the truth is inside, or outside by less than their width.
     for low, true, high in (
         (belief.friction_low, plant.mu_scale, belief.friction_high),
         (belief.front_stiffness_low, plant.front_stiffness_scale, belief.front_stiffness_high),
@@ -98,7 +98,8 @@ def test_poses_at_another_rate_and_without_lateral_velocity_tell_the_same():
     belief = learned(samples).belief
     assert belief.friction == pytest.approx(0.85, rel=0.03)
     assert belief.delay == pytest.approx(0.07, abs=0.006)
-    # Nothing but the lateral velocity tells how stiff so stiff a rear axle is; and it says so.
+    # Only the lateral velocity shows how stiff such a rear axle is; without it, the interval is
+    # wide.
     assert belief.rear_stiffness_high / belief.rear_stiffness_low > 1.5
 
 
@@ -119,7 +120,7 @@ def test_braking_shifts_load_that_the_vehicle_file_does_not_know_of():
     for sample in log.samples:
         adaptation.update(sample.measured, sample.result.steering_angle)
     friction, front, rear = adaptation.belief.factors
-    # With the load wrong they are 0.64.
+    # With the wrong load they are 0.64.
     assert (friction * front, friction * rear) == pytest.approx((1.0, 1.0), rel=0.25)
 
 
@@ -146,7 +147,7 @@ def test_it_says_why_a_pose_taught_nothing_and_from_how_much_it_learned(drive):
         reasons.add(adaptation.frozen)
     assert "" in reasons and "too slow" in reasons
     assert 10.0 < adaptation.learned_s < drive[-1][0].t
-    t = drive[-1][0].t + 5.0  # a pause, after which the motion is taken as measured
+    t = drive[-1][0].t + 5.0  # after a pause, the motion is set to the measured one
     for k in range(2):
         adaptation.update(CarState(t + 0.025 * k, 0.0, 0.0, 0.0, 3.0, -4.0, 6.0), 0.1)
     assert adaptation.frozen == "sliding"
@@ -169,12 +170,12 @@ def test_a_spin_says_nothing(drive):
     for k in range(1, 80):
         slide = CarState(t + 0.025 * k, 0.0, 0.0, 0.0, 3.0, -4.0, 6.0)
         adaptation.update(slide, 0.1)
-    # A few poses pass until the slide is seen.
+    # It takes a few poses to detect the slide.
     assert adaptation.belief.factors == pytest.approx(before.factors, rel=0.03)
 
 
 def test_a_curb_says_nothing(drive):
-    """The yaw rate of one pose that no floor can explain."""
+    """One pose has a yaw rate that no floor can explain."""
     plain, hit = (Adaptation(NUC4, 12.0, 0.07) for _ in range(2))
     for k, (state, angle) in enumerate(drive):
         plain.update(state, angle)
@@ -252,7 +253,7 @@ def test_a_race_is_replayed_to_the_last_bit():
 
 @pytest.mark.parametrize("between", [lambda c: None, lambda c: c.learn(), lambda c: c.reset()])
 def test_a_step_teaches_once_whoever_asks(drive, between):
-    """At once, by the next step, or before the past is forgotten."""
+    """At once, in the next step, or before the history is dropped."""
     controller, steps = build_controller(ADAPTIVE, NUC4, REFERENCE), []
     update = controller.adaptation.update
     controller.adaptation.update = lambda *step: steps.append(step) or update(*step)
@@ -300,7 +301,7 @@ def test_the_believed_vehicle_is_the_files_with_other_tires(drive):
 
 @pytest.mark.once
 def test_it_starts_from_a_saved_vehicle_as_well(tmp_path):
-    """What was learned in one run is the prior of the next, which then has little to learn."""
+    """The result of one run is the prior of the next, which then has little to learn."""
     samples = driven({"mu_scale": 0.85})
     first = learned(samples)
     save_vehicle(first.believed_vehicle(), tmp_path / "day.yaml", first.summary())
@@ -348,7 +349,7 @@ def test_a_cold_start_comes_close_to_one_that_was_told(changes):
 @pytest.mark.once
 @pytest.mark.parametrize("changes", [{"mu_scale": 1.12}, {"front_stiffness_scale": 1.16}], ids=str)
 def test_it_drives_a_plant_that_is_not_its_model(changes):
-    """The public simulator's, whose servo steps and whose braking unloads the rear axle more."""
+    """The public simulator's servo moves in steps, and its braking unloads the rear axle more."""
     plant = dataclasses.replace(load_plant("public_simulator"), **changes)
     took = []
     for parameters in (ADAPTIVE, OFF):
@@ -412,7 +413,7 @@ def test_another_delay_that_is_given_while_driving_counts_at_once(drive):
     controller.reset()
     learning.forget()
     assert learning.belief == given
-    # Also one that is given while nothing is learned.
+    # Also one set while learning is off.
     controller.change(parameters=OFF.with_(delay_s=0.04))
     controller.change(parameters=ADAPTIVE.with_(delay_s=0.04))
     assert controller.adaptation is learning and learning.delay == pytest.approx(0.04)
@@ -482,6 +483,6 @@ def test_bends_that_stiffness_hardly_matters_in_are_not_driven_as_those_that_it_
     assert speed[bends] == pytest.approx(fast[bends], rel=0.01)
     places = adaptive.s[::40].tolist()
     assert [adaptive.speed_at(s) for s in places] == pytest.approx(speed[::40], rel=1e-9)
-    # It brakes into slow bends hardly harder than planned.
+    # Braking into slow bends hardly exceeds the plan.
     slowing = np.diff(speed**2) / (-2.0 * adaptive.ds)
     assert slowing.max() < 1.06 * ADAPTIVE.a_brake_max_mps2

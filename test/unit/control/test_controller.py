@@ -1,4 +1,4 @@
-"""The controller: exact on circles, symmetric, within its limits, safe with whatever it is fed."""
+"""The controller: exact on circles, symmetric, within its limits, safe with any input."""
 
 import dataclasses
 import math
@@ -24,7 +24,7 @@ from map_racing.vehicle.single_track import single_track_derivatives
 
 NUC4 = load_vehicle("nuc4")
 TABLE = build_steering_map("table", NUC4, 12.0)
-# Nothing but the law: no compensation, speed as measured.
+# The law alone: no compensation, measured speed.
 PLAIN = ControllerParameters("table", m_m=0.2, q_s=0.17)
 REFERENCE = load_raceline("reference")
 
@@ -40,7 +40,7 @@ def controller(parameters=PLAIN, raceline=REFERENCE, sectors=None, **changes):
 
 
 def on_track(raceline, s, d=0.0, turn=0.0, v_x=4.0, v_y=0.0, r=0.0, t=0.0):
-    """State at a place of the track, turned by an angle against it."""
+    """State at a place of the track, rotated by an angle relative to it."""
     x, y = raceline.to_cartesian(s, d)
     return CarState(t, float(x), float(y), raceline.pose(s).psi + turn, v_x, v_y, r)
 
@@ -51,7 +51,7 @@ def on_track(raceline, s, d=0.0, turn=0.0, v_x=4.0, v_y=0.0, r=0.0, t=0.0):
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("m_m", [0.3, 1.0, 2.5, 4.0])
 def test_on_its_circle_it_commands_the_tables_angle(m_m, clockwise):
-    """L1 commands v^2 / R from any lookahead distance; the table makes an angle of it."""
+    """L1 commands v^2 / R from any lookahead distance; the table turns it into an angle."""
     raceline = circle(3.0, clockwise=clockwise)
     result = controller(raceline=raceline, m_m=m_m, q_s=0.0).step(on_track(raceline, 2.0))
     side = -1.0 if clockwise else 1.0
@@ -63,7 +63,7 @@ def test_on_its_circle_it_commands_the_tables_angle(m_m, clockwise):
 
 
 def test_a_drifting_car_is_guided_along_its_velocity():
-    """The body may point anywhere: only where the car goes matters."""
+    """The body may point anywhere: only the direction of motion matters."""
     raceline = circle(3.0)
     straight = on_track(raceline, 2.0)
     for drift in (-0.6, 0.3, 0.9):
@@ -146,7 +146,7 @@ def test_the_mirrored_car_on_the_mirrored_track_does_the_mirrored_thing(name):
 @pytest.mark.parametrize("kind", ["table", "linear_table", "ackermann"])
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_map_drives_a_circle_without_error_where_its_table_is_right(kind, clockwise):
-    """4.5 m/s on 3.5 m radius take 5.8 m/s^2, four fifths of what this car can."""
+    """4.5 m/s at 3.5 m radius is 5.8 m/s^2, four fifths of this car's limit."""
     raceline = circle(3.5, 4.5, clockwise)
     plant = Plant(PlantParameters(vehicle="nuc4"))
     steer = Controller(PLAIN, build_steering_map(kind, NUC4, 12.0), NUC4, raceline)
@@ -186,7 +186,7 @@ def test_far_beside_the_path_it_comes_at_45_degrees():
 
 
 def test_a_slow_sector_is_met_at_its_speed():
-    """The raceline's scaled speed is read as far ahead as the unscaled one."""
+    """The scaled speed is read as far ahead as the unscaled one."""
     sectors = SpeedSectors([(5.0, 10.0, 0.5)], REFERENCE.length)
     subject = controller(sectors=sectors, speed_lookahead_s=0.25)
     for s, scale in ((3.99, 1.0), (4.01, 0.5), (8.99, 0.5), (9.01, 1.0)):
@@ -220,7 +220,7 @@ def test_no_speed_above_the_limit_whatever_is_asked(s, v_x, scale, sector, v_max
 
 
 def test_feedforward_makes_the_path_a_solution_of_the_law():
-    """With all of it a car on the path is asked for the path's own acceleration, in any bend."""
+    """With full feedforward, the demand on the path is the path's own acceleration, in any bend."""
     full = controller(curvature_feedforward=1.0)
     bare = controller()
     missed = []
@@ -282,7 +282,7 @@ def test_the_lookahead_distance_may_begin_on_the_path():
 
 
 def test_beyond_its_end_the_table_is_read_as_at_it():
-    """The demand is that of the speed driven; only the table's column is the last one."""
+    """The demand uses the actual speed; only the table is read in its last column."""
     fast = on_track(REFERENCE, 7.0, v_x=9.0)
     open_end, ended = controller(), controller(table_v_max_mps=7.0)
     result = ended.step(fast)
@@ -337,7 +337,7 @@ def test_by_default_it_uses_the_measured_speed_and_the_pose_of_the_moment_it_act
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.2])
 def test_compensation_changes_nothing_on_a_steady_circle(delay):
-    """The arc predicted is the one driven."""
+    """The predicted arc is the one driven."""
     raceline = circle(3.0)
     result = controller(raceline=raceline, delay_s=delay).step(on_track(raceline, 2.0, r=4.0 / 3.0))
     assert result.a_lat == pytest.approx(16.0 / 3.0, rel=2e-5)
@@ -429,7 +429,7 @@ def test_lock_rate_and_speed_limits_hold_on_any_walk(name, states):
             assert last is None or result.steering_angle == last
             continue
         if last is not None:
-            # after a pause, or with time jumping back, no faster than in a tenth of a second
+            # after a pause, or if time jumps back, at most a tenth of a second's change
             slew = NUC4.delta_rate_max * min(max(t - latest, 0.0), 0.1)
             assert abs(result.steering_angle - last) <= slew + 1e-12
         last, latest = result.steering_angle, t
@@ -447,7 +447,7 @@ def test_the_rate_limit_is_reached_and_ends_at_the_wanted_angle():
 
 
 def test_another_raceline_does_not_let_the_wheels_jump():
-    """Racelines are published again and again while the car drives."""
+    """Racelines are published repeatedly while the car drives."""
     subject = controller()
     before = subject.step(on_track(REFERENCE, 2.0, turn=-1.5)).steering_angle
     assert before > 0.2
@@ -478,7 +478,7 @@ def test_a_state_that_is_not_finite_stops_the_car_and_leaves_no_trace(field, val
         first = each.step(on_track(REFERENCE, 5.0, turn=0.1))
     state = on_track(REFERENCE, 5.1, t=0.025)
     result = subject.step(state._replace(**{field: value}))
-    if field == "v_y" and math.isnan(value):  # only not measured
+    if field == "v_y" and math.isnan(value):  # it just was not measured
         assert result.status is Status.OK
         return
     assert result.status is Status.INVALID_STATE
@@ -497,7 +497,7 @@ def test_two_infinities_do_not_cancel():
 @settings(deadline=None, max_examples=100)
 @given(state=st.tuples(*[st.floats()] * 7), name=st.sampled_from(["table", "ackermann"]))
 def test_no_numbers_at_all_make_it_fail(state, name):
-    """Decoded from a corrupt message: any bits."""
+    """As decoded from a corrupt message: any bits."""
     parameters = load_controller_parameters("map")
     steering_map = TABLE if name == "table" else build_steering_map("ackermann", NUC4, 12.0)
     subject = Controller(parameters, steering_map, NUC4, REFERENCE)
@@ -536,7 +536,7 @@ def test_a_raceline_without_speeds_is_refused_by_name():
 
 @pytest.mark.parametrize("lookahead", [7.0, 50.0])
 def test_a_lookahead_longer_than_the_track_finds_its_farthest_point(lookahead):
-    """The public search never ends there."""
+    """The public code's search never ends there."""
     raceline = circle(3.0)
     parameters = PLAIN.with_(lookahead_min_m=lookahead, lookahead_max_m=2.0 * lookahead)
     result = controller(parameters, raceline).step(on_track(raceline, 0.0))
@@ -578,7 +578,7 @@ def test_steering_maps_are_built_as_the_parameters_name_them():
     subject = build_controller(load_controller_parameters("map_linear"), NUC4, REFERENCE)
     assert subject.steering_map.provenance.tire_model == "linear"
     assert build_controller(PLAIN, NUC4).steering_map.provenance.tire_model == "pacejka"
-    # the demand of a standing start, 2 (0.5 m/s)^2 / L, is finite and so is its angle
+    # the demand from standstill, 2 (0.5 m/s)^2 / L, is finite, and so is its angle
     stiff = dataclasses.replace(NUC4, delta_max=0.3)
     result = build_controller(PLAIN, stiff, REFERENCE).step(
         on_track(REFERENCE, 2.0, turn=-1.5, v_x=0.0)

@@ -31,7 +31,7 @@ def test_lateral_error_is_that_of_the_measured_pose(controller, raceline, s):
     state = beside(raceline, s, 0.12)
     state = state._replace(psi=state.psi + 0.1)
     result = controller.step(state)
-    assert result.d > 0.13  # that of the prediction
+    assert result.d > 0.13  # of the predicted pose
     assert controller.lateral_error(state, result) == pytest.approx(0.12, abs=1e-9)
 
 
@@ -42,7 +42,7 @@ def test_no_lateral_error_without_raceline(raceline):
 
 
 def test_the_same_raceline_again_changes_no_command(raceline):
-    """A raceline that is replaced while driving restarts neither steering nor its rate limit."""
+    """Replacing the raceline while driving restarts neither steering nor its rate limit."""
     commands = []
     for replace in (False, True):
         controller = build_controller(

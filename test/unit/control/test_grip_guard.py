@@ -1,4 +1,4 @@
-"""The guard: silent within the grip, down to what holds beyond it, and calm about noise."""
+"""The guard: inactive within the grip, slows down to what holds beyond it, robust to noise."""
 
 import math
 import random
@@ -29,7 +29,7 @@ RACELINES = {name: load_raceline(name) for name in ("reference", "club")}
 
 
 def settled(v, share, planned=9.0, steps=40):
-    """Command after a second on a circle that takes a share of the grip."""
+    """Command after a second on a circle that needs a given share of the grip."""
     guard = GripGuard(TABLE, 12.0)
     kappa = share * TABLE.max_lateral_acceleration(v) / v**2
     return [guard.limited(0.025 * k, v, kappa, planned) for k in range(steps)][-1]
@@ -47,7 +47,7 @@ def test_beyond_it_the_speed_at_which_the_circle_holds(v, share):
     held = settled(v, share)
     kappa = share * TABLE.max_lateral_acceleration(v) / v**2
     assert held == pytest.approx(v / math.sqrt(share), rel=1e-6)
-    # From about where the limit no longer grows with speed, that is exact.
+    # This is exact where the limit no longer grows with speed.
     if v > 5.0:
         assert held**2 * kappa == pytest.approx(TABLE.max_lateral_acceleration(held), rel=0.05)
 
@@ -114,7 +114,7 @@ def test_a_change_while_sliding_does_not_let_go():
 
 
 class _Bold(Controller):
-    """Drives its plan, come what may."""
+    """Always drives its plan."""
 
     def apply(self, setup):
         super().apply(setup)
@@ -122,13 +122,13 @@ class _Bold(Controller):
 
 
 def pair(line, **changes):
-    """The controller as it is, and one without guard."""
+    """The unchanged controller, and one without guard."""
     parameters = MAP.with_(**changes)
     return [kind(parameters, TABLE, NUC4, line) for kind in (Controller, _Bold)]
 
 
 def survives(controller, line, seed, times, offset):
-    """Whether a car gets 10 m on that begins at `times` the planned speed, beside the line."""
+    """Whether a car that starts beside the line at `times` the planned speed gets 10 m ahead."""
     chance = random.Random(seed)
     s = chance.random() * line.length
     left, right = line.widths_at(s)

@@ -35,7 +35,7 @@ def test_lookahead_distance_is_the_papers_line_within_its_bounds():
 def test_on_a_circle_it_commands_its_centripetal_acceleration(
     radius, share, speed, psi, drift, left
 ):
-    """From any lookahead distance, up to a quarter circle ahead, and however the car drifts.
+    """From any lookahead distance up to a quarter circle, and with any sideslip.
 
     Above 0.5 m/s: below, the direction of motion is not trusted.
     """
@@ -85,7 +85,7 @@ def test_points_behind_the_car_demand_the_most_to_their_side():
     for eta in (0.5 * math.pi, 0.75 * math.pi, 3.1, math.pi):
         assert lateral_acceleration(5.0, 1.5, eta) == pytest.approx(most, rel=1e-15)
         assert lateral_acceleration(5.0, 1.5, -eta) == pytest.approx(-most, rel=1e-15)
-    # from all points to the left the demand never falls as the point moves farther back
+    # for points to the left, the demand never falls as the point moves backwards
     demands = [lateral_acceleration(5.0, 1.5, 0.01 * k) for k in range(315)]
     assert demands == sorted(demands)
 
@@ -96,7 +96,7 @@ def test_a_standing_car_is_taken_to_move_straight_ahead():
 
 @pytest.mark.parametrize("direction", [0.5, 1.5, 2.5, math.pi, -2.0])
 def test_noise_about_standstill_is_no_direction(direction):
-    """A velocity of 5 cm/s is noise; steering must not swing from lock to lock after it."""
+    """A velocity of 5 cm/s is noise; it must not swing the steering from lock to lock."""
     state = car(v_x=0.05 * math.cos(direction), v_y=0.05 * math.sin(direction))
     assert bearing(state, 1.0, 0.0) == pytest.approx(0.0, abs=0.02)
 
@@ -113,7 +113,7 @@ def test_the_velocity_takes_over_smoothly_from_the_heading():
 
 @pytest.mark.parametrize("eta", [-1.5, -0.4, -1e-9, 0.0, 1e-5, 0.7, 0.5 * math.pi])
 def test_the_arc_is_the_circle_of_the_law(eta):
-    """It ends in the point and turns as v^2 / R = a says."""
+    """It ends in the point, with v^2 / R = a."""
     state, distance, speed = car(x=2.0, y=-1.0, psi=0.9, v_x=3.0, v_y=0.4), 1.3, math.hypot(3, 0.4)
     course = state.psi + math.atan2(state.v_y, state.v_x)
     x = state.x + distance * math.cos(course + eta)

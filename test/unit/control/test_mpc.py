@@ -1,4 +1,4 @@
-"""Model predictive control: its discretization, its plan, and what it does when there is none."""
+"""Model predictive control: its discretization, its plan, and its fallback without a plan."""
 
 import math
 import sys
@@ -33,7 +33,7 @@ GIVEN = load_law("mpc_single_track").with_(delay_s=0.0, grip_use=0.0, speed_scal
 
 @pytest.fixture
 def solver():
-    """Tests that solve need OSQP, which scripts/test installs."""
+    """Tests with the solver need OSQP, which scripts/test installs."""
     pytest.importorskip("osqp")
 
 
@@ -73,7 +73,7 @@ def test_a_straight_is_driven_straight(solver, model):
     result = controller.step(CarState(0.0, 20.0, 0.0, 0.0, 4.0, 0.0, 0.0))
     assert result.status is Status.OK
     assert abs(result.steering_angle) < 2e-3 and result.speed == pytest.approx(4.0, abs=1e-6)
-    for side in (1.0, -1.0):  # back to the line, alike from both sides
+    for side in (1.0, -1.0):  # back to the line, symmetrically from both sides
         controller.reset()
         angle = controller.step(CarState(0.0, 20.0, 0.1 * side, 0.0, 4.0, 0.0, 0.0)).steering_angle
         assert -0.02 > side * angle > -NUC4.delta_max
@@ -84,7 +84,7 @@ def test_a_circle_is_held_with_the_steady_state_angle(solver):
     radius, speed = 4.0, 4.0
     controller = build_law(GIVEN, NUC4, circle(radius, speed))
     steady, _ = build_steering_map("table", NUC4, 12.0).steering(speed, speed**2 / radius)
-    # The model itself, driven by what the controller commands, settles on the circle.
+    # The model itself, driven by the controller's commands, settles on the circle.
     derivatives = mpc.single_track_derivatives(NUC4)
     state, angle = on_circle(radius, speed, 0.0, -NUC4.l_r), 0.0
     center = moved(state, NUC4.l_r)
@@ -145,7 +145,7 @@ def test_a_lap_of_the_reference(solver, name, error):
 
 @pytest.mark.once
 def test_computing_takes_time(monkeypatch):
-    """At 25 ms a pose, a step of 30 ms acts 30 ms later, and is late."""
+    """With a pose every 25 ms, a step of 30 ms acts 30 ms later, and counts as late."""
     clock = iter(np.arange(0.0, 1e6, 0.015))
     monkeypatch.setattr(races, "thread_time", lambda: float(next(clock)))
     acted = []
@@ -166,7 +166,7 @@ def test_computing_takes_time(monkeypatch):
     work = processor.work(None)
     assert (work.steps, work.late, work.failed) == (2, 1, 0)
     assert work.median_s == pytest.approx(0.015)
-    # On a plant with steps of 80 ms they are nearer to none than to one.
+    # With plant steps of 80 ms they round to none.
     (finished,) = races._Processor(step, 2.0, 0.08).take(0.0, seen[:1])
     assert finished == (seen[0], 0.0)
 

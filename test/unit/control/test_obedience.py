@@ -1,4 +1,4 @@
-"""Commands and poses against the motion of the car."""
+"""Commands and poses compared with the motion of the car."""
 
 import math
 import random
@@ -16,7 +16,7 @@ PERIOD = 1 / 40
 
 
 class Car:
-    """A car on a straight, told to drive at `wanted`; a test says what it really does."""
+    """A car on a straight, commanded to drive at `wanted`; a test sets its actual motion."""
 
     def __init__(self, wanted=4.0, **limits):
         self.supervisor = Supervisor(SafetyLimits(**limits), 12.0)
@@ -65,7 +65,7 @@ def test_it_rests_and_then_tries_again_at_walking_pace():
     again = next(k for k, d in enumerate(decisions) if k > begin and d.mode is Mode.DRIVING)
     assert (again - begin) * PERIOD == pytest.approx(REST, abs=2 * PERIOD)
     assert decisions[again].speed == 1.0
-    assert first_stop(car.drive(3.0))[1] is Reason.BLOCKED  # and so on, while nothing moves
+    assert first_stop(car.drive(3.0))[1] is Reason.BLOCKED  # again and again while it does not move
 
 
 def test_the_rest_is_3_s_or_the_recovery_where_that_is_longer():
@@ -112,7 +112,7 @@ def test_resume_does_not_wait():
 
 @pytest.mark.parametrize("acceleration", [0.5, 2.0, 8.0])
 def test_a_car_that_drives_off_is_not_blocked(acceleration):
-    """Also a weak one, with 0.2 s of dead time."""
+    """Even a weak one, with 0.2 s of dead time."""
     car = Car()
     car.drive(0.2)
     for _ in range(200):
@@ -130,11 +130,11 @@ def test_a_car_that_creeps_as_told_is_not_blocked(speed):
 
 
 def test_a_car_that_is_much_slower_than_told_is_not_blocked():
-    """A speed controller that is off by far, on a flat battery."""
+    """A speed controller far off, with a flat battery."""
     assert first_stop(Car(wanted=6.0).drive(10.0, speed=1.5)) is None
 
 
-# -- the pose stays, but for jitter --------------------------------------------------------------
+# -- the pose stays, except for jitter -----------------------------------------------------------
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0, 4.0, 8.0])
@@ -192,7 +192,7 @@ def test_3_mm_are_no_motion():
 
 
 def test_corrections_of_a_car_that_stands_are_no_motion():
-    """Also one after the other, and after it had driven; each gives it a velocity for once."""
+    """Also several in a row, and after driving; each gives a single velocity sample."""
     motion = PoseMotion()
     for k in range(40):
         motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
@@ -205,7 +205,7 @@ def test_corrections_of_a_car_that_stands_are_no_motion():
 
 
 def test_a_pose_moves_by_more_than_a_tenth_of_the_way():
-    """Of the last meter at most, and whatever the direction."""
+    """Of at most the last meter, in any direction."""
     for v_x in (4.0, -4.0):
         for way, least in ((0.5, 0.05), (3.0, 0.1)):
             for moved, frozen in ((least + 1e-3, False), (least - 1e-3, True)):
@@ -233,7 +233,7 @@ def test_a_car_that_is_carried_away_is_no_longer_frozen():
 
 
 def test_a_velocity_that_ended_with_the_poses_is_forgotten_after_a_while():
-    """The car may have come to a stand by itself, as at a wall: another try shows it."""
+    """The car may have stopped by itself, as at a wall: another try shows it."""
     motion = PoseMotion()
     for k in range(20):
         motion.frozen(0.025 * k, 0.1 * k, 0.0, 4.0)
@@ -242,7 +242,7 @@ def test_a_velocity_that_ended_with_the_poses_is_forgotten_after_a_while():
     assert frozen[-40:] == [0.0] * 40
 
 
-# -- faster than told, or backwards --------------------------------------------------------------
+# -- faster than commanded, or backwards ---------------------------------------------------------
 
 
 def test_a_motor_that_runs_away_stops_the_car_until_resumed():
@@ -279,7 +279,7 @@ def test_a_short_excess_is_none():
 
 
 def test_rolling_backwards_is_not_taken_for_a_wall():
-    """It then need not feel its way at walking pace."""
+    """So it need not try again at walking pace."""
     car = Car()
     assert car.drive(3.0, v_x=-0.7)[-1].reason is Reason.BACKWARDS
     assert car.drive(0.7)[-1][::3] == (Mode.DRIVING, 4.0)
@@ -324,7 +324,7 @@ def test_a_car_moves_by_a_fifth_of_what_it_should_have_driven():
     assert not obedience.moves and obedience.undriven > 1.6
     obedience.update(2.0, 7.0, 5.35, 1.0)
     assert obedience.moves and obedience.undriven == 0.0
-    # Two poses at one time give no speed.
+    # Two poses with the same time give no speed.
     obedience.update(2.0, 9.0, 5.0, 1.0)
     assert obedience.moves
 
@@ -347,7 +347,7 @@ def test_half_a_second_of_patience():
 
 
 def test_the_distance_that_should_have_been_driven():
-    """From rest with 1.5 m/s^2 up to the command: after 2 s at 1 m/s 1/3 m less than 2 m."""
+    """From rest with 1.5 m/s^2 up to the command: after 2 s at 1 m/s, 1/3 m less than 2 m."""
     obedience = Obedience()
     for k in range(2001):
         obedience.update(0.001 * k, 0.0, 0.0, 1.0)
@@ -386,7 +386,7 @@ def test_what_happened_while_the_car_was_told_to_stand_is_no_obedience():
     assert not obedience.moves and obedience.undriven == 0.0
 
 
-# -- the heading against the way -------------------------------------------------------------------
+# -- heading against the motion --------------------------------------------------------------------
 
 
 def asides(poses, v_x=4.0, jumped=()):
@@ -395,7 +395,8 @@ def asides(poses, v_x=4.0, jumped=()):
 
 
 def test_on_a_circle_the_heading_is_the_way():
-    """Of chords of half a meter it is that of their middle, also across half a turn."""
+    """For chords of half a meter, it equals the heading at their middle, also across half a
+    turn."""
     turns = [0.25 * k for k in range(60)]
     poses = [(2.0 * math.sin(a), 2.0 - 2.0 * math.cos(a), a) for a in turns]
     assert max(asides(poses)) < 1e-9
@@ -432,7 +433,7 @@ def test_a_jump_is_no_way():
 
 @pytest.mark.parametrize(("off", "stops"), [(0.79, False), (0.81, True), (-2.5, True)])
 def test_a_heading_against_the_motion_stops_with_the_steering_held(off, stops):
-    """As of a localization that turned around; by itself it tries again after 3 s."""
+    """As with a localization that turned around; it tries again by itself after 3 s."""
     car = Car(wanted=2.0, max_turn_rad=0.8)
     psi = 0.0
     decisions = []
@@ -451,7 +452,7 @@ def test_a_heading_against_the_motion_stops_with_the_steering_held(off, stops):
     if not stops:
         assert decisions[-1].mode is Mode.DRIVING and decisions[-1].steering_angle == 0.3
         return
-    # It steers by the pose for a moment: a jump settles, and the way takes a meter.
+    # It steers by the pose for a moment: a jump must settle, and the motion takes a meter.
     told = next(k for k, d in enumerate(decisions) if d.reason is Reason.HEADING)
     assert told <= 61 and decisions[-1][2:] == decisions[told][2:3] + (0.0,)
     last, supervisor = car.now - PERIOD, car.supervisor

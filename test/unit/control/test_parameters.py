@@ -1,4 +1,4 @@
-"""Controller parameters: the shipped files, and every refusal by name and file."""
+"""Controller parameters: the shipped files, and refusals that name parameter and file."""
 
 import dataclasses
 import math
@@ -35,7 +35,7 @@ NUMBERS = [
 
 
 def written(tmp_path, **changes):
-    """A controller file with some values changed, or left out where None."""
+    """A controller file with some values changed, or left out if None."""
     values = dataclasses.asdict(load_controller_parameters("map"))
     values.update(changes)
     path = tmp_path / "tuned.yaml"
@@ -44,7 +44,7 @@ def written(tmp_path, **changes):
 
 
 def refusal(path):
-    """The one-line message with which a file is refused."""
+    """The one-line message that refuses a file."""
     with pytest.raises(ParameterError) as caught:
         load_controller_parameters(path)
     message = str(caught.value)
@@ -54,7 +54,7 @@ def refusal(path):
 
 @pytest.mark.parametrize("name", list_config("controllers"))
 def test_shipped_files_say_everything(name):
-    """A reader of the file must not have to know the defaults."""
+    """A reader of the file need not know the defaults."""
     parameters = load_law(name)
     text = find_config("controllers", name, (".yaml",)).read_text(encoding="utf-8")
     assert set(yaml.safe_load(text)) - {"law"} == {
@@ -126,7 +126,7 @@ def test_unknown_names_are_refused_with_the_known_ones(tmp_path, name):
     ],
 )
 def test_values_in_other_units_are_refused(tmp_path, name, value, expected):
-    """No car of any size has them: centimeters, milliseconds, millimeters, centimeters a second."""
+    """Impossible for any car: centimeters, milliseconds, millimeters, centimeters per second."""
     message = refusal(written(tmp_path, **{name: value}))
     assert f"{name}: expected {expected}, got {value:g}" in message
 
@@ -272,7 +272,7 @@ def test_1_10_cars_are_driven_with_the_values_of_the_file(name):
 
 @pytest.mark.parametrize("name", ["map", "map_paper", "pure_pursuit"])
 def test_a_larger_car_is_driven_with_values_of_its_size(name):
-    """At speeds of equal accelerations, distances are so much longer, and times by the root."""
+    """At equal accelerations, distances scale with the size, and times with its square root."""
     car = load_vehicle("bmw_320i")
     length = car.l_wb / 0.32
     time = math.sqrt(length)
@@ -280,7 +280,7 @@ def test_a_larger_car_is_driven_with_values_of_its_size(name):
     for names, factor in (
         (("m_m", "lookahead_min_m", "lookahead_max_m"), length),
         (("speed_lookahead_s",), time),
-        # Sensors and actuators are as late as they are, and so relatively fast.
+        # Delays of sensors and actuators stay the same, so they are relatively short.
         (("delay_s",), 1.0),
         (("q_s",), math.sqrt(time)),
         (("yaw_rate_gain_s",), time * math.sqrt(time)),

@@ -104,7 +104,7 @@ def test_frozen_poses_without_stamps_show_by_the_speed():
 
 
 def test_frozen_poses_whose_velocity_is_worked_out_from_them():
-    """It ends with the poses; the stop is a ramp from the speed before."""
+    """The velocity ends with the poses; the stop ramps down from the last speed."""
     car = Car(stop_deceleration_mps2=4.0)
     car.drive()
     x = car.x
@@ -116,7 +116,7 @@ def test_frozen_poses_whose_velocity_is_worked_out_from_them():
 
 
 def test_one_pose_elsewhere_is_no_motion():
-    """Somebody corrects the localization of a standing car, which gives it a velocity for once."""
+    """A correction of the localization gives a standing car a single velocity sample."""
     car = Car(speed=0.0)
     car.drive()
     car.x += 0.3
@@ -169,7 +169,7 @@ def test_a_jump_stops_and_the_new_place_is_accepted_after_a_while(move):
     base = first._replace(**{name: getattr(first, name) + by for name, by in move.items()})
     decisions = []
     for _ in range(30):
-        way = car.x - first.x  # on to where its heading is now
+        way = car.x - first.x  # continue in the direction of its heading
         x, y = base.x + way * math.cos(base.psi), base.y + way * math.sin(base.psi)
         decisions.append(car.step(base._replace(t=car.now, x=x, y=y)))
     assert decisions[0].reason is Reason.JUMP
@@ -228,7 +228,7 @@ def test_grip_exceeded_for_long_stops_until_resumed():
 
 @pytest.mark.parametrize(("psi", "trusted"), [(0.8, True), (-0.8, True), (0.81, False)])
 def test_a_pose_whose_heading_is_not_the_motion_is_not_trusted(psi, trusted):
-    """Nor does the controller step on it."""
+    """The controller does not use it either."""
     car = Car(max_turn_rad=0.8)
     for _ in range(40):
         found = car.supervisor.observe(car.now, car.pose(psi=psi))
@@ -282,7 +282,7 @@ def test_poses_that_stop_coming():
 
 
 def test_a_stop_after_a_gap_begins_with_a_step_as_any_other():
-    """The command held meanwhile: what could have been braked is not made up for at once."""
+    """The command held meanwhile: missed braking is not made up for at once."""
     assert (FIRST_STEP, LONGEST_STEP) == (0.05, 0.1)
     car = Car(max_pose_age_s=0.5)
     car.drive()
@@ -295,7 +295,7 @@ def test_a_stop_after_a_gap_begins_with_a_step_as_any_other():
 
 
 def test_a_clock_that_goes_back_a_little_is_no_time_for_steering_or_braking():
-    """As poses that arrive out of order: else the rates would act the other way round."""
+    """As when poses arrive out of order: otherwise the rates would act in reverse."""
     car = Car()
     car.drive()
     car.supervisor.request_stop("service")
@@ -310,7 +310,7 @@ def test_a_clock_that_goes_back_a_little_is_no_time_for_steering_or_braking():
     [(4.0, 8.0, 0.8), (4.0, 4.5, 0.5), (9.0, 8.0, 1.0), (0.0, 8.0, 0.0), (-4.0, 8.0, 0.0)],
 )
 def test_a_car_that_was_accelerating_did_so_in_a_gap_but_not_beyond_the_command(gains, told, first):
-    """A command far below the speed that it has meanwhile would be hard braking."""
+    """A command far below its present speed would be hard braking."""
     assert (RISING, QUICKEST) == (0.1, 5.0)
     car = Car(speed=4.0 - gains, max_overspeed_mps=10.0)
     for _ in range(33):
@@ -334,7 +334,7 @@ def test_noise_of_the_speed_is_averaged_before_it_counts_as_getting_faster(apart
 
 
 def test_the_deadline_is_the_limit_after_the_last_pose():
-    """Whoever calls `watch` there begins the stop there, whatever the rate of the calls."""
+    """A call of `watch` at the deadline begins the stop, whatever the rate of the calls."""
     car = Car(max_pose_age_s=0.2)
     assert car.supervisor.deadline is None
     car.drive()
@@ -343,7 +343,7 @@ def test_the_deadline_is_the_limit_after_the_last_pose():
     assert supervisor.watch(last + 0.1) is None
     assert supervisor.deadline == last + 0.2
     assert supervisor.watch(supervisor.deadline).mode is Mode.STOPPING
-    # Then commands keep coming.
+    # After that, commands continue.
     assert last + 0.2 < supervisor.deadline <= last + 0.23
     car.step()
     assert supervisor.deadline == car.now - PERIOD + 0.2
@@ -369,7 +369,7 @@ def test_before_the_first_pose_nothing_is_commanded():
 
 @pytest.mark.parametrize("by", ["watch", "pose in another frame", "pose that is not finite"])
 def test_a_clock_set_back_stops_a_car_until_a_pose_can_be_trusted(by):
-    """Nobody knows where it is: it still does what it was told last."""
+    """Its position is unknown, and it still follows the last command."""
     car = Car(hold_s=1.0, max_pose_age_s=0.2)
     car.drive(2.0)
     supervisor, begin = car.supervisor, 10.0
@@ -395,7 +395,7 @@ def test_a_clock_set_back_stops_a_car_until_a_pose_can_be_trusted(by):
     assert {d[1:3] for d in held} == {(reason, 0.1)}
     standing = [d.mode for d in held].index(Mode.STOPPED)
     assert held[standing].speed == 0.0 < held[standing - 1].speed
-    # Where nothing comes at all, standing is commanded for a while only.
+    # Without any poses, standstill is commanded only for a while.
     assert len(held) == (standing + 33 if by == "watch" else 100)
     car.now, car.speed = begin + 100 * PERIOD, 0.0
     decision = car.drive(0.6)[0 if by == "watch" else -1]
@@ -423,7 +423,7 @@ def test_a_clock_set_back_stops_a_car_from_the_speed_that_it_had():
 
 
 def test_a_clock_set_back_and_a_raceline_before_the_next_pose():
-    """Where the car is and which way it moves is not known any more."""
+    """Position and direction of the car are no longer known."""
     car = Car()
     car.drive()
     car.supervisor.watch(10.0)

@@ -1,4 +1,4 @@
-"""The supervisor at its limits, and what it keeps from one pose to the next."""
+"""The supervisor at its limits, and its memory from one pose to the next."""
 
 import math
 from dataclasses import FrozenInstanceError, fields
@@ -18,14 +18,14 @@ QUARTER, EIGHTH = 0.25, 0.125
 
 
 def straight(direction=1.0):
-    """A raceline that runs along x where the car is, and comes back 20 m beside it."""
+    """A raceline along x at the car, returning 20 m beside it."""
     x = np.r_[np.arange(-40.0, 40.0), np.arange(40.0, -40.0, -1.0)]
     y = np.r_[np.zeros(80), np.full(80, 20.0)]
     order = slice(None, None, int(direction))
     return Raceline(x[order], y[order], vx_mps=np.full(160, 4.0))
 
 
-# -- before anything came ------------------------------------------------------------------------
+# -- before any input ----------------------------------------------------------------------------
 
 
 def test_a_new_supervisor_knows_nothing():
@@ -121,7 +121,7 @@ def test_a_jump_is_more_than_the_limit(change, jumps):
 @pytest.mark.parametrize(
     ("measured", "commanded", "moved", "jumps"),
     [
-        (0.0, 8.0, 1.4, False),  # a velocity that nobody measures
+        (0.0, 8.0, 1.4, False),  # velocity not measured
         (8.0, 0.0, 1.4, False),  # pushed, or rolling on
         (-8.0, 0.0, -1.4, False),
         (0.0, 0.0, 1.4, True),
@@ -245,7 +245,7 @@ def test_a_state_that_the_controller_finds_invalid_does_not_steer():
 
 
 def test_without_a_result_nothing_is_driven():
-    """As where a controller was not asked although nothing is known to be wrong."""
+    """As if the controller was not called although nothing seems wrong."""
     car = Car()
     car.drive()
     car.supervisor.observe(car.now, car.pose())
@@ -268,7 +268,7 @@ def test_the_age_of_a_pose_grows_while_none_comes():
     assert car.supervisor.pose_age == EIGHTH
     car.supervisor.watch(car.now - PERIOD + 0.5)
     assert car.supervisor.pose_age == 0.5 + EIGHTH
-    # None was in the right frame.
+    # No pose was in the right frame.
     supervisor = Supervisor(SafetyLimits(), 12.0)
     supervisor.refuse(5.0)
     supervisor.watch(6.0)
@@ -298,7 +298,7 @@ def test_a_pose_that_is_not_trusted_ends_the_time_beyond_the_grip():
 
 
 def test_a_longer_recovery_does_not_bring_back_what_is_over():
-    """As where somebody moves the slider while the car drives."""
+    """As when somebody moves the slider while the car drives."""
     car = Car(recovery_s=0.5)
     car.drive()
     car.step(car.pose(x=math.nan))
@@ -347,6 +347,6 @@ def test_live_tuning_reaches_to_both_sides_of_what_is_usual_and_no_impossible_li
 
 
 def test_limits_in_use_are_not_changed_but_replaced():
-    """So that a change falls between two steps, and is seen."""
+    """So that a change happens between two steps, and is noticed."""
     with pytest.raises(FrozenInstanceError):
         SafetyLimits().hold_s = 1.0

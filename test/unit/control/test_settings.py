@@ -1,4 +1,4 @@
-"""Settings as text say all that a car was driven with, and come back."""
+"""Settings as text contain everything the car was driven with, and can be read back."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_without_raceline_and_sectors(controller):
 
 def test_planned_speed_of_a_raceline_that_the_controller_cannot_drive(controller, ring):
     settings = parse_settings(settings_text(controller))
-    short = ring  # its sectors lie beyond its end
+    short = ring  # the sectors are beyond its end
     assert settings.planned_speed(short) is None
 
 
@@ -99,7 +99,7 @@ def test_parts_of_another_version(controller):
 
 
 def test_doubts_of_vehicle_raceline_and_sectors_are_kept(line, tmp_path):
-    """So that the report has them beside the laps that were driven with them."""
+    """So that the report shows them beside the laps."""
     car = {**vehicle_values(load_vehicle("nuc4")), "delta_rate_max": 183.0}
     (tmp_path / "car.yaml").write_text(yaml.safe_dump(car))
     (tmp_path / "s.yaml").write_text("{n_sectors: 1, Sector0: {start: 0, end: 9, scaling: 0.5}}")
@@ -122,11 +122,11 @@ def test_doubts_of_vehicle_raceline_and_sectors_are_kept(line, tmp_path):
 
 @pytest.mark.parametrize("name", ["map", "map_linear", "pure_pursuit", "map_linear_paper"])
 def test_nothing_is_doubted_of_what_is_shipped(line, name):
-    """A table of linear tires has no limit, and need not have the one of the car's tires."""
+    """A table of linear tires has no limit, and need not match the limit of the car's tires."""
     car = load_vehicle("nuc4")
     assert doubts_of(build_law(load_law(name, car), car, line)) == []
-    # A table of other tires than the controller is for is doubted.
+    # A table of tires other than the controller's gives a warning.
     if name == "map":
         other = build_controller(load_law("map_linear", car), car, line)
         mixed = Controller(load_law("map", car), other.steering_map, car, line)
-        assert "of other tires, or of linear ones?" in doubts_of(mixed)[0]
+        assert "made for other tires, or linear ones?" in doubts_of(mixed)[0]

@@ -1,4 +1,4 @@
-"""The lateral velocity that nobody measures."""
+"""Estimate of an unmeasured lateral velocity."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from map_racing.vehicle.tires import LinearTire, PacejkaTire
 
 
 def test_it_is_that_of_the_steady_state():
-    """At the rear axle ``v_y = -v tan(s_r)``, with the slip that holds ``a = v r``."""
+    """At the rear axle, ``v_y = -v tan(s_r)`` with the slip for ``a = v r``."""
     car = load_vehicle("nuc4")
     for v, a in ((3.0, 2.0), (5.0, -6.0)):
         slip = float(car.rear.slip(abs(a) / (9.81 * car.mu)))
@@ -26,7 +26,7 @@ def test_it_is_that_of_the_steady_state():
     "tire", [PacejkaTire(8.0, 1.0, 1.0, 0.0), LinearTire(2.0), PacejkaTire(1.5, 1.0, 3.3, -3.0)]
 )
 def test_it_rises_with_the_acceleration_on_tires_without_a_peak_too(tire):
-    """Their slip grows without bound, and its tangent would turn around at a right angle."""
+    """Their slip is unbounded, and its tangent would change sign at 90 degrees."""
     car = dataclasses.replace(load_vehicle("nuc4"), front=tire, rear=tire)
     estimate = SideslipEstimate(car, 0.0)
     v_y = [estimate(5.0, a / 5.0) for a in np.linspace(0.0, 60.0, 500)]

@@ -71,7 +71,7 @@ def test_the_rate_is_limited_from_the_last_command():
 
 @pytest.mark.parametrize("always", [True, False])
 def test_the_rate_ends_where_the_grip_does(always):
-    """A measured speed that rises at once, as of wheels that spin."""
+    """The measured speed rises suddenly, as with spinning wheels."""
     slowing = Slowing(TABLE, BRAKE, VEHICLE.delta_max, always)
     assert slowing.steering(9.0, 0.4, 0.4, 4.0, PERIOD) == pytest.approx(
         slowing.largest(9.0) if always else 0.4 - STEERING_RATE * PERIOD
@@ -113,7 +113,8 @@ class Car:
         return decision
 
     def assert_within_the_ellipse(self, begin):
-        """Every sample from one on: rate, grip at the measured speed, and braking beside it."""
+        """Check every sample from one on: rate, grip at the measured speed, and simultaneous
+        braking."""
         for k in range(begin, len(self.angles)):
             angle, v = self.angles[k], self.measured[k]
             assert abs(angle) <= held_angle(v) + 1e-9
@@ -179,7 +180,7 @@ def test_a_held_angle_stays_within_the_grip_as_well(share):
 
 
 def test_a_raceline_that_asks_for_much_less_is_a_ramp():
-    """As one with lower speeds does, or a speed scale that somebody lowers."""
+    """As with a slower raceline, or a lowered speed scale."""
     car = Car()
     for _ in range(20):
         car.step()
@@ -201,7 +202,7 @@ def test_the_braking_of_a_raceline_is_left_alone():
 
 @pytest.mark.parametrize(("wanted", "ramps"), [(2.0, False), (1.9, True)])
 def test_much_slower_is_slower_by_more_than_2_mps(wanted, ramps):
-    """On a straight with all the braking that the tires hold."""
+    """On a straight, with the full braking of the tires."""
     car = Car()
     for _ in range(20):
         car.step()
@@ -210,7 +211,7 @@ def test_much_slower_is_slower_by_more_than_2_mps(wanted, ramps):
 
 
 def test_hard_cornering_is_left_alone():
-    """From one side of the grip to the other, as in a chicane."""
+    """From one limit to the other, as in a chicane."""
     car = Car()
     for k in range(40):
         angle = held_angle(4.0, 0.98) * (-1) ** (k // 5)
@@ -270,7 +271,7 @@ def test_a_velocity_that_is_lost_meanwhile_does_not_end_the_ramp(stop):
 
 
 def test_a_stop_never_commands_more_than_before():
-    """Where the car is faster than it was told."""
+    """If the car is faster than commanded."""
     car = Car()
     for _ in range(20):
         car.step(speed=2.0)
@@ -310,7 +311,8 @@ def test_a_car_that_rolls_back_fast_steers_within_its_grip():
 
 
 def test_a_car_that_waits_shows_the_angle_that_it_will_steer():
-    """Wheels of a car that stands may turn at any rate, and its first command is none of a stop."""
+    """The wheels of a standing car may turn at any rate; its first command is not part of a
+    stop."""
     car = Car(speed=0.0)
     car.supervisor.request_stop("service")
     assert car.step(steering_angle=0.3)[::2] == (Mode.WAITING, 0.3)

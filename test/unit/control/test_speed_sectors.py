@@ -83,7 +83,7 @@ def test_overlap_is_refused(stretches):
 
 @pytest.mark.parametrize("scale", [-0.1, math.nan, math.inf, 2.01, 82.9])
 def test_impossible_scales_are_refused(scale):
-    """One in percent would be 100 times what was meant."""
+    """A scale in percent would be 100 times too large."""
     expected = f"expected a scale from 0 to 2, 1 for 100 %, got {scale:g}"
     with pytest.raises(ParameterError, match=f"1 to 2 m: {expected}"):
         SpeedSectors([(1.0, 2.0, scale)], 10.0)
@@ -111,7 +111,7 @@ def test_places_off_the_track_are_refused(start, end):
 
 
 def test_a_sector_without_length_is_refused():
-    """Taken as crossing the line it would silently scale the whole lap."""
+    """Interpreted as crossing the line, it would silently scale the whole lap."""
     with pytest.raises(ParameterError, match="speed sector 5 to 5 m: expected"):
         SpeedSectors([(5.0, 5.0, 0.5)], 10.0)
 
@@ -147,17 +147,17 @@ def test_the_global_limit_holds_between_sectors_too(tmp_path):
 
 
 def test_ends_beyond_the_points_mean_the_line(tmp_path):
-    """Files count the closing point, which a raceline drops."""
+    """Files include the closing point, which a raceline drops."""
     sectors = load(tmp_path, "{n_sectors: 1, Sector0: {start: 0, end: 20, scaling: 0.5}}")
     assert sectors.scale_at(circle().length - 1e-6) == 0.5
-    for place in (20, 21):  # nothing is left there to scale
+    for place in (20, 21):  # there is nothing left to scale
         text = f"{{n_sectors: 1, Sector0: {{start: {place}, end: {place}, scaling: 0.5}}}}"
         assert load(tmp_path, text).stretches() == [(0.0, circle().length, 1.0)]
 
 
 @pytest.mark.parametrize("end, at_the_line", [(17, 1.0), (18, 1.2), (19, 1.2), (20, 1.2)])
 def test_a_file_that_counts_one_point_less_reaches_the_line(tmp_path, end, at_the_line):
-    """A bag has its raceline every 0.1 m, so often a point more or less than the track's file."""
+    """A bag has its raceline every 0.1 m, often one point more or less than the track's file."""
     text = "{global_limit: 2, n_sectors: 2, Sector0: {start: 0, end: 9, scaling: 0.8}, Sector1: "
     sectors = load(tmp_path, text + f"{{start: 10, end: {end}, scaling: 1.2}}}}")
     assert sectors.scale_at(circle().length - 1e-6) == at_the_line
@@ -165,7 +165,7 @@ def test_a_file_that_counts_one_point_less_reaches_the_line(tmp_path, end, at_th
 
 @pytest.mark.parametrize("end, doubted", [(2, True), (17, True), (18, False), (20, False)])
 def test_sectors_that_end_long_before_the_lap_are_doubted(tmp_path, end, doubted):
-    """Those of a track with fewer points, which would scale other places than were meant."""
+    """Sectors of a track with fewer points would scale the wrong places."""
     text = f"{{n_sectors: 1, Sector0: {{start: 0, end: {end}, scaling: 0.5}}}}"
     doubts = load(tmp_path, text).doubts
     assert len(doubts) == doubted
@@ -198,7 +198,7 @@ def test_no_sectors_are_no_doubt(tmp_path):
 
 
 def test_real_sectors_of_another_track_are_doubted(shared_data):
-    """Those of the circle have 227 points, the hangar's raceline has 396."""
+    """The circle's sectors cover 227 points, the hangar's raceline has 396."""
     line = load_raceline(shared_data / "tracks" / "hangar" / "global_waypoints.json.gz")
     sectors = load_speed_sectors(shared_data / "tracks" / "circle" / "speed_scaling.yaml", line)
     assert "ends at point 227" in sectors.doubts[0]
@@ -265,7 +265,8 @@ def test_files_that_are_none_are_refused(tmp_path):
 
 
 def test_corners_and_straights_of_a_stadium(tmp_path):
-    """Two half circles and two straights are four sectors, and each scale comes back in its own."""
+    """Two half circles and two straights give four sectors, and each scale is read back in its
+    sector."""
     turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 40)
     straight = np.linspace(-8.0, 8.0, 80)[1:-1]
     x = np.concatenate((8.0 + 3 * np.cos(turn), straight[::-1], -8.0 - 3 * np.cos(turn), straight))
@@ -278,7 +279,7 @@ def test_corners_and_straights_of_a_stadium(tmp_path):
     assert sectors[0][0] == 0 and sectors[-1][1] == track.s_points.size - 1
     for (_, end, _), (start, _, _) in zip(sectors, sectors[1:]):
         assert start == end + 1
-    # The ends of the half circles, to a few points.
+    # The ends of the half circles, within a few points.
     assert sectors[1][0] == pytest.approx(40, abs=4) and sectors[2][0] == pytest.approx(118, abs=4)
     assert {what for _, _, what in corners_and_straights(track.reversed())} == {
         "right",
@@ -337,7 +338,7 @@ def test_a_file_without_sectors_has_no_places(tmp_path):
 
 
 def test_an_oval_has_corners_where_it_bends_most():
-    """Driven at the limit all along, its lateral acceleration is the same everywhere."""
+    """Driven at the limit all around, its lateral acceleration is the same everywhere."""
     angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
     line = Raceline(9.0 * np.cos(angle), 5.0 * np.sin(angle))
     at = line.sample(line.s_points)

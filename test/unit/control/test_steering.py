@@ -76,7 +76,7 @@ def test_there_is_no_dead_band_around_straight_ahead(kind, v):
 
 @pytest.mark.parametrize("a_lat", [0.02, 0.2, -0.2])
 def test_all_maps_roll_alike_at_walking_speed(a_lat):
-    """Where tires hardly slip only geometry is left."""
+    """If tires hardly slip, only geometry matters."""
     angles = [MAPS[kind].steering(0.5, a_lat)[0] for kind in ("ackermann", "table")]
     assert angles[1] == pytest.approx(angles[0], rel=0.05)
     angles = [MAPS[kind].steering(6.0, 0.01 * a_lat)[0] for kind in ("linear_table", "table")]

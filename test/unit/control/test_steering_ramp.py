@@ -26,7 +26,7 @@ STEP = 0.025
 
 
 def drive(ramp, seconds, t=0.0, x=0.0, v=None, enabled=True):
-    """Commands of a car that does what it is told at once."""
+    """Commands for a car that follows them instantly."""
     commands = []
     speed = 0.0
     for _ in range(round(seconds / STEP)):
@@ -91,9 +91,9 @@ def test_a_ramp_cut_short_stops_and_begins_anew(cause, phase):
     before = drive(ramp, 6.0)[-1][1]
     assert before.phase is Phase.RAMPING and before.steering_angle > 0.1
     stopped = drive(ramp, 1.0, t=6.0, **cause)
-    # At once, and with the wheels as they were.
+    # At once, with unchanged steering.
     assert {c for _, c in stopped} == {(before.steering_angle, 0.0, phase)}
-    # In order again, but rolling still.
+    # All conditions are good again, but it is still rolling.
     rolling = drive(ramp, 1.0, t=7.0, v=0.5)
     assert {c.speed for _, c in rolling} == {0.0}
     again = [c for _, c in drive(ramp, 6.0, t=8.0)]
@@ -148,7 +148,7 @@ def test_edges_belong_to_the_area():
 
 
 def test_a_ramp_ends_at_the_last_angle_and_the_next_begins_at_standstill():
-    """In numbers that are exact: 8 steps of 1/64 rad, and 0.1 m/s is standstill."""
+    """In exact numbers: 8 steps of 1/64 rad; 0.1 m/s counts as standstill."""
     parameters = RampParameters(
         rate_radps=0.25, start_rad=0.125, limit_rad=0.25, settle_s=0.0, acceleration_mps2=100.0
     )
@@ -164,7 +164,7 @@ def test_a_ramp_ends_at_the_last_angle_and_the_next_begins_at_standstill():
 
 
 def test_the_simulated_car_is_taken_through_its_steady_states():
-    """At each instant the car is where the steady-state table says that it ends up."""
+    """At each instant the car is in the steady state of the table."""
     plant = Plant(PlantParameters("nuc4"))
     plant.reset(0.0, 0.0, 0.0)
     ramp = SteeringRamp(RampParameters(sides="left", limit_rad=0.35), Circle(0.0, 3.0, 6.0))
@@ -185,7 +185,7 @@ def test_the_simulated_car_is_taken_through_its_steady_states():
 
 @pytest.mark.parametrize("wheelbase", [0.3, 3.0])
 def test_a_ramp_ends_where_the_rear_breaks_away(wheelbase):
-    """A car that turns by geometry up to 0.2 rad, and from there on ever faster."""
+    """A car that turns geometrically up to 0.2 rad, and beyond that faster and faster."""
     parameters = RampParameters(speed_mps=2.0, rate_radps=0.02, start_rad=0.1, sides="left")
     ramp = SteeringRamp(parameters, WIDE)
     t, speed, angle, reached = 0.0, 0.0, 0.0, []
@@ -198,15 +198,16 @@ def test_a_ramp_ends_where_the_rear_breaks_away(wheelbase):
         if phase is Phase.RAMPING:
             reached.append(angle)
         t += STEP
-    # 1.3 times as fast at 0.215 rad; the average lags by 0.3 s, which are 6 mrad.
+    # 1.3 times as fast at 0.215 rad; the average lags by 0.3 s, or 6 mrad.
     assert max(reached) == pytest.approx(0.221, abs=0.003)
-    # The wheels go straight, to catch the car.
+    # The wheels straighten, to catch the car.
     assert (angle, speed, phase) == (0.0, 0.0, Phase.STOPPING)
 
 
 @pytest.mark.parametrize("settles, ends", [(0.29, 0.3), (0.3, 0.22), (1.0, 0.22)])
 def test_what_the_car_did_before_it_settled_does_not_count(settles, ends):
-    """Its wheels come from the other side; one that hardly settles is never said to break away."""
+    """Its wheels come from the other side; a car that hardly settles never counts as breaking
+    away."""
     parameters = RampParameters(
         rate_radps=0.02, start_rad=0.1, limit_rad=0.3, sides="left", settle_s=settles
     )
@@ -224,7 +225,7 @@ def test_what_the_car_did_before_it_settled_does_not_count(settles, ends):
 
 @pytest.mark.parametrize(("start", "silent"), [(0.1, 3.0), (0.0, 0.0)])
 def test_without_a_turn_to_compare_with_nothing_breaks_away(start, silent):
-    """A yaw rate that is 0 until the ramp has begun, and a ramp that begins straight ahead."""
+    """A yaw rate of 0 until the ramp has begun, and a ramp that begins straight ahead."""
     parameters = RampParameters(start_rad=start, limit_rad=0.3, sides="left", rate_radps=0.1)
     ramp = SteeringRamp(parameters, WIDE)
     t, speed, angle, reached = 0.0, 0.0, 0.0, []
@@ -241,7 +242,7 @@ def test_an_understeering_car_is_driven_to_the_last_angle():
     drives = [SteeringRamp(parameters, WIDE) for _ in range(2)]
     t, speed, angle = 0.0, 0.0, 0.0
     while t < 20.0:
-        r = speed * math.sin(3.0 * angle)  # less and less per angle
+        r = speed * math.sin(3.0 * angle)  # ever less yaw rate per steering angle
         seen = [
             ramp.update(t, 0.0, 0.0, speed, True, *given) for ramp, given in zip(drives, ((), (r,)))
         ]
@@ -255,7 +256,7 @@ def test_an_understeering_car_is_driven_to_the_last_angle():
 
 
 def farthest(start, sides, speed=3.0):
-    """How far the simulated car comes from where it starts [m]."""
+    """Largest distance of the simulated car from its start [m]."""
     parameters = RampParameters(speed_mps=speed, start_rad=start, sides=sides)
     samples = drive_ramps(load_plant("nuc4"), [parameters])
     return max(math.hypot(sample.true.x, sample.true.y) for sample in samples)
@@ -269,13 +270,14 @@ def test_the_first_circle_is_as_wide_as_said(start, fits):
     assert said is fits and (farthest(start, "left") <= 8.0) is fits
     (width,) = circle_widths(parameters, load_vehicle("nuc4"), [start])
     assert f"is {width:.1f} m wide" in text
-    # Until it has its speed the car drives a smaller circle.
+    # Until it has reached its speed, the car drives a smaller circle.
     assert 0.85 * width < farthest(start, "left") < width
     assert ("start at 0.13 rad, or widen the area to 9.6 m" in text) is not fits
 
 
 def test_both_sides_take_more_room():
-    """The defaults leave their area on the second side, which begins where the first ends."""
+    """With the defaults, the car leaves the area on the second side, which begins where the first
+    ends."""
     parameters = RampParameters()
     text, fits = told_room(parameters, load_vehicle("nuc4"), 8.0)
     assert not fits and farthest(0.1, "both", 2.0) > 8.0

@@ -31,7 +31,7 @@ def circle(direction=1.0):
 
 
 class Drive:
-    """Round the circle counter-clockwise at the commanded speed, which is reached at once."""
+    """Around the circle counter-clockwise at the commanded speed, which is reached instantly."""
 
     def __init__(self, parameters=None):
         parameters = parameters or load_controller_parameters("map").with_(speed_scale=1.0)
@@ -71,14 +71,14 @@ def test_a_raceline_the_same_way_round_is_driven_at_once():
     assert drive.follow(other)
     assert drive.driver.controller.raceline is other
     assert drive.step().decision[:2] == (Mode.DRIVING, Reason.NONE)
-    # Nor is it anything new once the car stands.
+    # It is not new either once the car stands.
     drive.driver.supervisor.request_stop("service")
     assert drive.drive(2.0)[-1].decision.mode is Mode.STOPPED
     assert drive.told == []
 
 
 def test_a_first_raceline_is_taken_however_the_car_rolls():
-    """Pushed over the track while the nodes start."""
+    """Pushed across the track while the nodes start."""
     drive = Drive()
     controller = build_controller(drive.driver.controller.parameters, load_vehicle("nuc4"))
     drive.driver = SupervisedController(
@@ -101,7 +101,7 @@ def test_a_raceline_against_the_motion_waits_until_the_car_stands():
     steps = drive.drive(3.0)
     stopped = next(k for k, step in enumerate(steps) if step.decision.mode is Mode.STOPPED)
     assert {step.decision.reason for step in steps[:stopped]} == {Reason.OPPOSED_RACELINE}
-    # Along the old one, within the stopping distance of 2 m.
+    # Along the old raceline, within the stopping distance of 2 m.
     assert all(abs(step.result.d) < 0.05 for step in steps[:stopped])
     assert 0.9 <= stopped * PERIOD <= 1.2
     assert len(drive.told) == 1 and drive.driver.controller.raceline is other is not old
@@ -111,7 +111,7 @@ def test_a_raceline_against_the_motion_waits_until_the_car_stands():
 
 
 def test_a_change_that_is_prepared_meanwhile_loses_no_raceline():
-    """What it prepared is for the old one: the raceline waits until it is applied."""
+    """The change was prepared for the old raceline: the new one waits until it is applied."""
     drive = Drive()
     drive.drive(1.0)
     driver, other = drive.driver, circle(-1.0)
@@ -177,7 +177,7 @@ def test_a_clock_that_is_set_back_resets_the_controller(monkeypatch):
     drive.now = 50.0
     drive.drive(1.0)
     assert resets == [50.0]
-    # Also where the watch or a pose in another frame is the first to notice, and others are told.
+    # Also if the watchdog or a pose in another frame notices first, and listeners are notified.
     drive.driver = SupervisedController(
         drive.driver.controller, drive.driver.supervisor, on_restart=lambda: resets.append("told")
     )
@@ -220,7 +220,7 @@ def test_nobody_need_be_told_of_a_raceline_that_waited():
 
 
 def test_what_adapts_is_told_the_angle_that_was_sent():
-    """Not the one that was asked for: in a stop the supervisor may lower it."""
+    """Not the requested one: in a stop the supervisor may reduce it."""
     parameters = load_controller_parameters("map_adaptive").with_(speed_scale=1.0)
     drive, sent = Drive(parameters), []
     controller = drive.driver.controller
@@ -231,7 +231,7 @@ def test_what_adapts_is_told_the_angle_that_was_sent():
     steps.append(drive.step(outwards=0.3))
     assert steps[-1].result.steering_angle > 0.03 + steps[-1].decision.steering_angle
     steps += drive.drive(0.5)
-    # The last command goes out before anything is learned from it.
+    # The last command is sent before anything is learned from it.
     assert len(sent) == len(steps) - 1
     controller.learn()
     controller.learn()
@@ -251,7 +251,7 @@ def test_a_pose_that_is_not_trusted_changes_no_angle_that_was_sent():
     drive.speed = 6.0
     last = drive.step().decision.steering_angle
     stop = drive.driver.step(drive.now, CarState(drive.now, math.nan, *(0.0,) * 5)).decision
-    assert stop.steering_angle < last  # to brake as well
+    assert stop.steering_angle < last  # to leave grip for braking
     controller.learn()
     assert sent == [last]
 
@@ -264,7 +264,7 @@ def test_the_grip_is_that_of_the_car_or_of_its_table(name, always):
     assert own.largest(0.5) == vehicle.delta_max
     weak = build_steering_map("table", replace(vehicle, mu=0.5 * vehicle.mu), 12.0)
     assert build_slowing(parameters, vehicle, weak).largest(6.0) < own.largest(6.0)
-    # The supervisor has it.
+    # The supervisor uses it.
     controller = build_controller(parameters, vehicle, circle())
     for grip, slowing in ((None, own), (weak, build_slowing(parameters, vehicle, weak))):
         supervisor = build_supervisor(controller, SafetyLimits(), grip)
@@ -292,7 +292,7 @@ def test_a_raceline_that_waits_is_dropped_with_one_that_is_refused():
 
 
 def test_stops_follow_live_tuning():
-    """As if the car had been started with these values."""
+    """As if the car had started with these values."""
     drive = Drive()
     controller, supervisor = drive.driver.controller, drive.driver.supervisor
     grip = supervisor.slowing.grip

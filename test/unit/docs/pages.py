@@ -1,4 +1,4 @@
-"""The pages of the documentation, as the tests read them."""
+"""The documentation pages, parsed for the tests."""
 
 import re
 from pathlib import Path

@@ -1,8 +1,8 @@
 """Every command in README and pages runs, in the order of its page.
 
-What a page uses without making it belongs to the reader, has a name in capitals and is in
-`READERS`; `MAKERS` makes it. Only what takes minutes is cut short, by options added to the
-command (`SHORTER`).
+Files that a page uses without making them are the reader's: their names are in capitals and in
+`READERS`, and `MAKERS` makes them. Only commands that take minutes are shortened, by options
+(`SHORTER`).
 """
 
 import gzip
@@ -55,7 +55,7 @@ READERS = {
     ],
 }
 
-# These options replace those of the command; the longest beginning of a command counts.
+# These options replace the command's; the longest matching prefix of the command counts.
 ON_THE_RING = ["--conditions", "ring.yaml", "--vehicle", "nuc4", "--jobs", "1"]
 RACED_ON_THE_RING = [*ON_THE_RING, "--no-tuning", "--laps", "1"]
 ON_A_SMALL_GRID = ["--grid", "grid.yaml", "--jobs", "1"]
@@ -73,13 +73,13 @@ SHORTER = {
     "raceline optimize circuit": ["--step", "8", "--curvature-only"],
     "experiment robustness": ON_A_SMALL_GRID,
 }
-# The README prints what these give, so they run as they are.
+# The README shows the output of these, so they run unchanged.
 WHOLE = ("README.md",)
-# Run with all versions of the libraries; the commands have tests of their own, which are.
+# Run only with current libraries; the commands' own tests run with all versions.
 EVERYWHERE = ("README.md",)
 
-# Not run: what prepares the car's workspace or an environment of one's own, and what takes long, of
-# which other tests run a little.
+# Not run: commands that prepare a workspace or an environment, and slow ones, which other tests run
+# briefly.
 PREPARATION = {
     ". devel/setup.bash",
     ". ~/map_racing_venv/bin/activate",
@@ -133,7 +133,7 @@ def centerline(path):
 
 
 def faults(path):
-    """The schedule that the page shows."""
+    """The schedule shown on the page."""
     shown = re.search(r"```yaml\n(.*?)```", (REPO / "doc" / "safety.md").read_text("utf-8"), re.S)
     path.write_text(shown.group(1))
 
@@ -148,7 +148,7 @@ def bag(path):
 
 
 def by_hand(path):
-    """Two rounds and a half through the hall of the map, without a raceline."""
+    """Two and a half laps through the hall of the map, without a raceline."""
     with BagWriter(path) as written:
         for i in range(int(5.0 * np.pi / 0.02)):
             angle = 0.02 * i
@@ -162,7 +162,7 @@ def ros2(path):
 
 
 def part(path):
-    """Half of a run, as a recorder splits it; the raceline was sent once."""
+    """Half of a run, as a recorder splits it; the raceline was sent only once."""
     second = path.stem.endswith("1")
     line = ring()
     with BagWriter(path) as written:
@@ -180,7 +180,7 @@ def log(path):
 
 
 def hall(path):
-    """A map of map_server: free space between two ellipses; it is driven at (1.2, 0.5) on."""
+    """A map of map_server: free space between two ellipses; (1.2, 0.5) is on the track."""
     y, x = np.mgrid[3.975:-4.0:-0.05, -6.975:3.0:0.05]
     radius = np.hypot((x + 2.0) / 1.4, y)
     pixels = np.where((radius > 1.5) & (radius < 3.2), 254, 0).astype(np.uint8)
@@ -276,7 +276,7 @@ def run(line, folder, shorter=True):
 
 
 def replaced(words, options):
-    """Words with options of which each may be said once, in place of what is said there."""
+    """Words with replaced options, each of which may occur only once."""
     ours = {word for word in options if word.startswith("--")}
     kept, skipping = [], False
     for word in words:
@@ -286,7 +286,7 @@ def replaced(words, options):
 
 
 def demo(folder):
-    """What scripts/demo does, without the environment that it makes."""
+    """Do what scripts/demo does, without making an environment."""
     script = (REPO / "scripts" / "demo").read_text(encoding="utf-8").replace("\\\n", "")
     controllers = re.search(r"for controller in (.+); do", script).group(1).split()
     race = re.search(r'"\$map_racing" (race .+)', script).group(1)
@@ -299,7 +299,7 @@ def demo(folder):
 
 
 def executed(line, folder, whole):
-    """Run a line of a page, or check what it calls."""
+    """Run a line of a page, or check the program that it calls."""
     line = line.replace("rosrun map_racing map-racing", "map-racing")
     words = line.split()
     if words[0] == "map-racing":
@@ -326,16 +326,16 @@ def executed(line, folder, whole):
 
 
 def nodes():
-    """Source of the nodes, which cannot be imported without ROS."""
+    """Source code of the nodes, which cannot be imported without ROS."""
     folder = REPO / "src" / "map_racing" / "nodes"
     return "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.py")))
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Figures are composed, but not rendered; few pairs are tuned; speeds and fits are less fine.
+    """Figures are composed but not rendered; tuning tries few pairs; speed plans and fits are coarser.
 
-    Other tests do all of that.
+    Other tests cover these in full.
     """
     monkeypatch.setattr(Figure, "tight_layout", lambda figure, **_: None)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
@@ -380,10 +380,14 @@ def test_commands_run(page, done, tmp_path, monkeypatch, capsys):
 
 
 def test_what_is_the_readers_is_named_so():
-    """A lowercase file is there when it is typed: shipped, or made by a command above."""
-    recorded = ("map_racing_2025.bag", "steering_ramp_1.bag", "steering_ramp_2.bag")  # by a launch
+    """A file with a lowercase name exists at that point: shipped, or made by a command above."""
+    recorded = (
+        "map_racing_2025.bag",
+        "steering_ramp_1.bag",
+        "steering_ramp_2.bag",
+    )  # made by a launch file
     for page, names in READERS.items():
-        if page != "doc/results.md":  # names public files where it links them
+        if page != "doc/results.md":  # names public files next to their links
             for name in names:
                 assert name in recorded or name.split(".")[0].isupper(), (page, name)
 

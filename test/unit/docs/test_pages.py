@@ -1,4 +1,5 @@
-"""What README and pages point to exists: links, files, names in the code, launch arguments."""
+"""Everything that README and pages refer to exists: links, files, names in the code, launch
+arguments."""
 
 import ast
 import dataclasses
@@ -79,11 +80,11 @@ def test_modules_exist(page):
             assert (SOURCE / path).is_file() or (REPO / path).is_file(), path
 
 
-def test_every_room_is_described():
+def test_every_package_is_described():
     text = prose(ARCHITECTURE)
-    for package in SOURCE.rglob("__init__.py"):
-        room = package.parent.relative_to(SOURCE).as_posix()
-        assert room == "." or room.startswith("cli/") or f"| `{room}/` |" in text, room
+    for init in SOURCE.rglob("__init__.py"):
+        package = init.parent.relative_to(SOURCE).as_posix()
+        assert package == "." or package.startswith("cli/") or f"| `{package}/` |" in text, package
     for module in SOURCE.glob("*.py"):
         assert module.name == "__init__.py" or f"`{module.name}`" in text, module
 
@@ -115,7 +116,7 @@ def test_names_beside_a_module_are_in_it(page):
 
 
 def launch_arguments(name):
-    """Arguments that a launch file takes, with what it includes."""
+    """Arguments of a launch file and its includes."""
     tree = ElementTree.parse(REPO / "launch" / name)
     taken = {arg.get("name") for arg in tree.getroot().findall("arg") if not arg.get("value")}
     for include in tree.getroot().findall("include"):
@@ -135,7 +136,7 @@ def test_launch_commands_have_such_files_and_arguments(page):
 
 
 def test_every_node_that_asks_for_the_car_is_told_it():
-    """Else the controller would drive one car, and RViz show another."""
+    """Otherwise the controller would drive one car, and RViz show another."""
     tree = ElementTree.parse(REPO / "launch" / "include" / "nodes.launch")
     told = {
         node.get("type"): {param.get("name") for param in node.findall("param")}
@@ -172,9 +173,9 @@ def test_programs_that_rosrun_starts_are_installed():
 
 
 def test_parameters_of_the_nodes_are_documented():
-    """Each parameter that a node reads by its name is in the node's table, and no other."""
+    """The table of a node has exactly the parameters that it reads."""
     text = (REPO / "doc" / "nodes.md").read_text(encoding="utf-8")
-    # Read for several nodes by nodes/waypoints.py and nodes/priority.py.
+    # Read by nodes/waypoints.py and nodes/priority.py for several nodes.
     known = {"waypoints_from", "realtime_priority"}
     for kind in (ControllerParameters, SafetyLimits, RampParameters):
         known |= {field.name for field in dataclasses.fields(kind)}
@@ -190,7 +191,7 @@ def test_parameters_of_the_nodes_are_documented():
 
 
 def test_tables_of_parameters_are_those_of_the_classes():
-    """Where this fails, ``python doc/tables.py`` writes them anew."""
+    """If this fails, ``python doc/tables.py`` rewrites them."""
     spec = importlib.util.spec_from_file_location("tables", REPO / "doc" / "tables.py")
     tables = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tables)

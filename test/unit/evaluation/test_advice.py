@@ -1,4 +1,4 @@
-"""Advice for the next heat: bounded by step, grip, error and walls; its predicted lap comes."""
+"""Advice for the next heat: limited by step, grip, error and walls; the lap comes as predicted."""
 
 import runpy
 from dataclasses import replace
@@ -55,7 +55,7 @@ def heat(driving, reference, limits):
 
 
 def scales(advice, line):
-    """Scales of the file's reader at many places."""
+    """Scales read back from the file at many places."""
     sectors = SpeedSectors(_stretches(advice.sectors, line), line.length)
     return np.array([sectors.scale_at(s) for s in np.arange(0.0, line.length, 0.05)])
 
@@ -74,7 +74,7 @@ def test_slow_laps_may_be_driven_faster_by_the_step(heat, reference):
 
 
 def test_no_scale_is_larger_than_a_file_may_have(heat, reference):
-    """A raceline far too slow for the car grows no further than what is loaded."""
+    """On a raceline far too slow for the car, scales stop at the largest that can be loaded."""
     slow = Raceline(reference.x, reference.y, vx_mps=0.2 * reference.speed)
     advice = advise(heat(1.9, line=slow))
     assert {(one.scale, one.why) for one in advice.sectors} == {(2.0, "the largest scale")}
@@ -128,7 +128,7 @@ def test_where_the_car_was_off_the_line_it_gets_no_faster(heat, reference):
 
 @pytest.mark.once
 def test_a_scale_that_is_kept_does_not_shrink_from_heat_to_heat(heat):
-    """It went down by a thousandth where the one driven is a little less than it reads."""
+    """It used to shrink by a thousandth if the driven scale is slightly below its rounded value."""
     sectors = advise(heat(0.4, lambda s: 0.0 * s + 0.25)).sectors
     assert all("off the line" in one.why for one in sectors) and len(sectors) > 4
     assert [one.scale for one in sectors] == [round(one.driven, 3) for one in sectors]
@@ -182,7 +182,7 @@ def test_the_file_gives_the_controller_these_scales(heat, reference, tmp_path, s
 
 def test_scales_above_1_raise_the_limit_of_the_file(tmp_path, reference):
     path = tmp_path / "speed_scaling.yaml"
-    notes = ["after a.bag\nglobal_limit: 0.1"]  # as a name may be
+    notes = ["after a.bag\nglobal_limit: 0.1"]  # a nasty name
     sectors = [(0, 99, "left", 1.2), (100, 365, "straight", 0.9)]
     save_speed_sectors(path, reference, sectors, notes)
     read = load_speed_sectors(path, reference)
@@ -209,7 +209,7 @@ def told(line, scale, sectors=None, grip_use=0.0):
 
 @pytest.mark.once
 def test_what_the_controller_holds_back_is_no_advice(heat, reference):
-    """Its own limit is at 3 m/s everywhere: from there on a larger scale changes nothing."""
+    """Its own limit is 3 m/s everywhere: beyond that, a larger scale changes nothing."""
     ring = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     line = Raceline(6.0 * np.cos(ring), 6.0 * np.sin(ring), vx_mps=np.full(200, 5.0))
     settings = told(line, 0.58)
@@ -237,7 +237,7 @@ def test_where_the_slowest_place_is_held_back_the_row_says_so(heat, reference):
 @pytest.mark.once
 @pytest.mark.parametrize("shift", [0.0, 0.001, -0.09, 0.1])
 def test_the_scale_of_a_driven_sector_is_not_that_of_its_neighbor(heat, reference, shift):
-    """A file counts the points of the line that was loaded, a bag has them at other places."""
+    """The file refers to the points of the loaded line; in a bag they are at other places."""
     before = advise(heat(0.6, settings=told(reference, 0.6)))
     driven = {one.name: 0.55 if i % 2 else 0.65 for i, one in enumerate(before.sectors)}
     rows = [one._replace(scale=driven[one.name]) for one in before.sectors]
@@ -251,7 +251,7 @@ def test_the_scale_of_a_driven_sector_is_not_that_of_its_neighbor(heat, referenc
     assert found == {name: pytest.approx(scale) for name, scale in driven.items()}
 
 
-# -- what the recording does not tell --------------------------------------------------------------
+# -- what the recording does not show --------------------------------------------------------------
 
 
 def test_a_heat_that_does_not_tell_is_refused(driving, reference, heat, limits):
@@ -279,7 +279,7 @@ def test_without_commands_any_day_s_grip_is_taken(driving, reference, limits):
 
 
 def test_a_vehicle_file_of_another_car_is_noticed(heat):
-    assert any("not the file of this car" in note for note in advise(heat(1.1)).notes)
+    assert any("the file of another car" in note for note in advise(heat(1.1)).notes)
 
 
 # -- the drive -------------------------------------------------------------------------------------
@@ -298,7 +298,7 @@ def test_the_lag_of_a_drive_is_found():
 
 
 def test_a_drive_follows_as_the_differential_equation_says():
-    """A step of the command: the speed approaches it with the time constant."""
+    """After a step of the command, the speed approaches it with the time constant."""
     ds, lag = 0.01, 0.15
     command = np.full(4000, 3.0)
     command[2000:] = 4.0

@@ -1,4 +1,4 @@
-"""Small recordings with known truth that other programs, or this one, read wrong without a word.
+"""Small recordings with known results that other programs, or this one, silently read wrong.
 
 A car circles at 6 m with d = 0.1 sin(3 theta); a lap takes 2 pi / 0.8 s.
 """

@@ -1,4 +1,4 @@
-"""What makes laps doubtful: frames, two nodes on one topic, bunches."""
+"""Warnings about laps: frames, two nodes on one topic, bunches, ..."""
 
 from dataclasses import replace
 
@@ -75,12 +75,12 @@ def test_noise_and_driving_do_not_alternate(noise, omega):
 
 
 def test_a_second_sender_for_a_while():
-    """In a part of the recording, or slower than the first; a late stamp is none."""
+    """In part of the recording, or slower than the first; a late stamp is not a second sender."""
     for part, apart in ((slice(800, 1200, 2), 0.3), (slice(800, 1200, 7), 0.3)):
         x, y = circling()
         x[part] += apart
         y[part] += apart
-        assert "of two nodes?" in alternation("/pose", T, x, y)
+        assert "from two nodes?" in alternation("/pose", T, x, y)
     late = T.copy()
     late[800:1200:7] -= 0.012
     x, y = 6.0 * np.cos(0.8 * late), 6.0 * np.sin(0.8 * late)
@@ -95,14 +95,14 @@ def test_a_single_pose_that_is_wrong(noise):
     x[1000] += 0.2
     y[1000] += 0.2
     assert "1 pose lies beside those before and after: is it wrong?" in alternation("/p", T, x, y)
-    # A correction of the localization stays.
+    # A correction of the localization is permanent.
     x[1000:] += 0.2
     y[1001:] += 0.2
     assert alternation("/pose", T, x, y) == ""
 
 
 def test_the_largest_of_twenty_thousand_errors_of_a_noisy_localization_is_no_wrong_pose():
-    """In one of many blocks most errors happen to be small, and one large."""
+    """In one of many blocks, most errors happen to be small, and one large."""
     noise = np.random.default_rng(1)
     t, errors = np.arange(400) / 40.0, 0.016 * noise.standard_normal((2, 400))
     for aside, wrong in ((0.13, False), (0.25, True)):
@@ -126,7 +126,7 @@ def test_a_clock_that_is_set_while_the_car_drives(ahead, noise):
 
 @pytest.mark.parametrize("lost", [0.05, 0.2, 1.0])
 def test_poses_that_are_missing_are_no_jump_of_time(lost):
-    """The car moved on; nor is a pose that catches up with it a jump."""
+    """The car drove on meanwhile; a pose that catches up is not a jump either."""
     there = np.abs(T - 20.0 - 0.5 * lost) > 0.5 * lost
     t, (x, y) = T[there], (v[there] for v in circling())
     assert time_jump("/pose", t, x, y) == ""
@@ -180,7 +180,7 @@ def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
 )
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_speeds_that_are_wrong_for_a_while(factor, told, said, noise):
-    """Within complete laps only: before and after them, wheels spin and somebody else drives."""
+    """Only within complete laps: before and after, wheels may spin and somebody else may drive."""
     rng, part = np.random.default_rng(1), (T >= 10.0) & (T <= 15.0)
     x, y = (v + noise * rng.normal(size=T.size) for v in circling())
     v, unknown = 4.8 * np.where(part, factor, 1.0), np.full(T.size, np.nan)
@@ -207,7 +207,7 @@ def test_a_single_speed_that_no_car_has():
     ("lag", "said"), [(0.0, ""), (0.3, "0.30 s after"), (-0.3, "0.30 s before")]
 )
 def test_a_speed_that_is_of_another_moment_than_its_pose(lag, said, repeated):
-    """Also where a slower localization sends its poses again; the report then takes the poses'."""
+    """Also if a slower localization repeats its poses; the report then uses the poses' speed."""
     v = 4.0 + 1.2 * np.sin(1.3 * (T - lag)) + 0.5 * np.sin(3.1 * (T - lag))
     way = 4.0 * T - 1.2 / 1.3 * np.cos(1.3 * T) - 0.5 / 3.1 * np.cos(3.1 * T)
     angle = np.repeat(way[::repeated], repeated) / 8.0
@@ -226,7 +226,7 @@ def test_a_speed_that_is_of_another_moment_than_its_pose(lag, said, repeated):
 )
 @pytest.mark.parametrize("turned", [0.0, 3.0])
 def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, turned):
-    """Stamps and receipts are of the other clock, so only the driving tells."""
+    """Stamps and receipts come from the other clock, so only the driving reveals it."""
     kappa = 0.3 * np.sin(1.3 * T) + 0.2 * np.sin(2.9 * T)
     psi = turned + np.cumsum(5.0 * kappa) * 0.0125
     x, y = (np.cumsum(5.0 * f(psi)) * 0.0125 for f in (np.cos, np.sin))
@@ -260,7 +260,7 @@ def test_commands_in_other_units(angle, speed, said):
 
 
 def driven_at(v, command):
-    """A recording of a straight, of a speed and a commanded one over `T`."""
+    """A recording of a straight drive with a speed and a commanded speed over `T`."""
     unknown = np.full(T.size, np.nan)
     commands = Commands(T, 0.0 * T, command, "/drive")
     x = np.cumsum(v) * (T[1] - T[0])
@@ -279,13 +279,13 @@ def test_a_speed_that_follows_its_command(lag, more):
 
 def test_commands_that_are_no_speed_to_follow():
     v = 4.0 + 1.2 * np.sin(1.3 * T)
-    throttle = 2.0 + 1.3 * np.cos(1.3 * T + 0.4) + 0.4 * np.sin(9.0 * T)  # as it accelerates
+    throttle = 2.0 + 1.3 * np.cos(1.3 * T + 0.4) + 0.4 * np.sin(9.0 * T)  # while accelerating
     for command in (6.0 - v, 2.0 + 1.2 * np.sin(4.1 * T), throttle):
         assert "does not follow the speed commanded" in unfollowed(driven_at(v, command))
-    # One that hardly varies leads nowhere, and says nothing.
+    # A speed that hardly varies shows nothing.
     for command in (3.0 + 0.0 * T, 4.0 + 0.1 * np.sin(4.1 * T), 0.0 * T):
         assert unfollowed(driven_at(v, command)) == ""
-    # A pose that jumps is no other speed.
+    # A jump of the pose does not change the speed.
     jumping = driven_at(v, v)
     jumping.x[300::100] += 30.0
     jumping.v_x[:] = np.nan
@@ -294,11 +294,11 @@ def test_commands_that_are_no_speed_to_follow():
 
 @pytest.mark.parametrize("jitter", [0.0, 0.004, 0.012])
 def test_mean_and_top_speed_hold_where_stamps_jitter(jitter):
-    """Stamps given on receipt: a step of the path over one of time would be any speed."""
+    """With stamps given on receipt, step length over time step would give arbitrary speeds."""
     x, y = circling()
     t = T + np.random.default_rng(3).uniform(0.0, jitter, T.size)
     v = speed_of(t, x, y, np.full(T.size, np.nan))
-    # A uniform jitter of almost a period has a spread of 4.9 ms in differences over 0.1 s.
+    # Uniform jitter of almost a period spreads differences over 0.1 s by 4.9 ms.
     assert mean(v, np.diff(t)) == pytest.approx(4.8, rel=1e-3 + 0.5 * (jitter / 0.1) ** 2)
     assert np.max(v) < 4.8 * (1.001 + 0.2 * (jitter > 0.0))
 
@@ -306,7 +306,7 @@ def test_mean_and_top_speed_hold_where_stamps_jitter(jitter):
 @pytest.mark.parametrize("every", [1, 4])
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.01, 0.03])
 def test_mean_and_top_speed_hold_where_poses_are_noisy(noise, every):
-    """The way from pose to pose is longer than the car's; 1 cm at 80 Hz by 6 %."""
+    """The path from pose to pose is longer than the car's, by 6 % for 1 cm at 80 Hz."""
     rng = np.random.default_rng(4)
     x, y = (v[::every] + noise * rng.normal(size=T.size // every) for v in circling())
     v = speed_of(T[::every], x, y, np.full(x.size, np.nan))
@@ -317,7 +317,7 @@ def test_mean_and_top_speed_hold_where_poses_are_noisy(noise, every):
 @pytest.mark.parametrize("lost", [0.1, 0.5, 0.7])
 @pytest.mark.parametrize("noise", [0.001, 0.003, 0.01])
 def test_mean_and_top_speed_hold_where_poses_are_noisy_and_lost(noise, lost):
-    """Chords that shorten the noise are driven in time, not in numbers of poses: 1 to 3 m/s."""
+    """Chords that reduce the noise span a time, not a number of poses: 1 to 3 m/s."""
     rng = np.random.default_rng(4)
     kept = rng.uniform(size=T.size) > lost
     x, y = (v[kept] + noise * rng.normal(size=np.count_nonzero(kept)) for v in circling())
@@ -347,13 +347,13 @@ def of_poses(x, y, v=None, t=T):
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 @pytest.mark.parametrize("by", [(0.3, 0.0), (0.0, 0.5), (1.5, 1.5)])
 def test_a_localization_that_is_corrected_at_once(noise, by):
-    """In one step between two poses, forwards, aside or both; not where poses are missing."""
+    """In one step between two poses, forward, sideways or both; not if poses are missing."""
     rng = np.random.default_rng(1)
     x, y = (v + noise * rng.normal(size=T.size) for v in circling())
     assert doubts_of(of_poses(x, y), [(5.0, 20.0)]) == []
     x[1200:], y[1200:] = x[1200:] + by[0], y[1200:] + by[1]
     (doubt,) = doubts_of(of_poses(x, y), [(5.0, 20.0)])
-    assert "/odom: at 15.0 s the poses step aside by " in doubt
+    assert "/odom: at 15.0 s the poses jump sideways by " in doubt
     assert float(doubt.split(" by ")[1].split()[0]) == pytest.approx(np.hypot(*by), abs=0.05)
     assert doubts_of(of_poses(x, y), [(15.5, 20.0)]) == []
 

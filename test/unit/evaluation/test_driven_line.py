@@ -58,7 +58,7 @@ def test_the_line_is_the_one_driven(track, driven):
     # Noise of 0.028 m in steps of 0.08 m.
     assert table.columns["speed"] == pytest.approx(4.0, abs=0.4)
     assert np.mean(table.columns["speed"]) == pytest.approx(4.0, abs=0.03)
-    # Noise would make bends of centimeters in radius; those of the track are left.
+    # With the noise, radii would be centimeters; only the track's bends remain.
     assert 1.0 / np.abs(line.kappa).max() == pytest.approx(0.65, abs=0.2)
 
 
@@ -69,7 +69,7 @@ def test_without_noise_smoothing_moves_no_point_far(track, driven):
 
 
 def test_a_lap_that_ends_beside_its_start_is_closed_without_a_bend(track, driven):
-    # The car moves 0.1 m to the left in each lap, by which bends of 0.65 m become tighter.
+    # The car moves 0.1 m to the left each lap, which tightens bends of 0.65 m.
     drive = driven(laps=2.2, d=lambda s: 0.1 * s / track.length - 0.1)
     line = raceline_of(line_of_lap(drive, driven_laps(drive)[0]))
     on_track = raceline_of(line_of_lap(driven(), driven_laps(driven())[0]))
@@ -85,7 +85,7 @@ def test_measured_speeds_are_taken(track, driven):
 
 def test_laps_that_are_no_model(track, driven):
     drive = driven(laps=3.6)
-    keep = (drive.t < 6.0) | (drive.t > 6.5)  # without poses for half a second
+    keep = (drive.t < 6.0) | (drive.t > 6.5)  # no poses for half a second
     gap = recording(drive.t[keep], drive.x[keep], drive.y[keep])
     assert [lap.reason for lap in driven_laps(gap)].count("gap") == 1
     laps = driven_laps(driven(laps=3.6), track.raceline())
@@ -124,13 +124,13 @@ def test_laps_of_a_passenger_car_are_those_of_a_small_one_enlarged(track, driven
 
 
 def aside(s):
-    """More to the left in each lap."""
+    """Farther to the left in each lap."""
     return 0.01 * s
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.3, -0.3, 1.5])
 def test_a_crossing_is_no_lap(begin):
-    """A figure of eight passes its middle twice in every lap."""
+    """A figure eight passes its center twice per lap."""
     u = begin + 2.0 * np.pi * np.arange(1300) / 500.0  # 2.6 laps
     length = 36.583  # of x = 6 sin u, y = 6 sin u cos u, by quadrature
     noise = 0.02 * np.random.RandomState(1).standard_normal((2, u.size))
@@ -142,7 +142,7 @@ def test_a_crossing_is_no_lap(begin):
 
 
 def test_much_noise_neither_lengthens_nor_bends_the_line(track, driven):
-    """As far from the line as the car moves between two poses."""
+    """Noise as large as the car's motion between two poses."""
     drive = driven(noise=0.08)
     line = raceline_of(line_of_lap(drive, driven_laps(drive)[0]))
     assert line.length == pytest.approx(track.length, rel=0.01)

@@ -75,6 +75,13 @@ def test_rate_gaps_jumps_and_ages():
     assert timing.age_s == pytest.approx(0.03) and timing.oldest_s == pytest.approx(0.03)
 
 
+def test_rate_is_the_mean_where_times_between_poses_alternate():
+    t = np.cumsum(np.tile([0.024, 0.026], 300))
+    t[400:] += 3.0
+    timing = pose_timing(recording(t, np.full(t.size, 2.0)))
+    assert timing.rate_hz == pytest.approx(40.0, abs=0.01) and timing.gaps == 1
+
+
 @pytest.mark.parametrize("lag", [0.0, -3.0, 1e6])
 def test_stamps_of_another_clock_say_nothing_about_age(lag):
     t = np.arange(0.0, 5.0, 0.025)

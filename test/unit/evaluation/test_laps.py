@@ -90,7 +90,7 @@ def test_known_laps_at_any_waypoint_spacing(track, spacing, phase):
     [(52, 0.0, 2.3e-3), (52, 0.5, 7.8e-3), (104, 0.0, 0.3e-3), (104, 0.5, 0.5e-3)],
 )
 def test_waypoints_that_are_coarse_for_a_bend(count, phase, expected):
-    """A lap on an ellipse with ends of 0.7 m radius, known by points 1 m or 0.5 m apart."""
+    """A lap on an ellipse with end radii of 0.7 m, given by points 1 m or 0.5 m apart."""
     angle = np.linspace(0.0, 2.0 * np.pi, 100001)
     x, y = 12.0 * np.cos(angle), 2.9 * np.sin(angle)
     s = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
@@ -190,7 +190,7 @@ def test_a_standing_start_on_the_line_is_an_out_lap(drive, line):
 
 
 def test_crossing_the_line_to_and_fro_is_no_lap(drive, track, line):
-    """Out, over the line, 3 m on, 5 m back over the line, and then a lap."""
+    """Out, across the line, 3 m on, 5 m back across the line, and then a lap."""
     knots = [0.0, 1.0, 3.0, 4.0, 6.0, 12.0]
     places = [-2.0, 3.0, 3.0, -2.0, -2.0, -2.0 + V * 6.0]
     result = run(line, *drive(12.0, s=lambda t: np.interp(t, knots, places)))
@@ -217,7 +217,7 @@ def test_a_car_that_wobbles_on_the_line_starts_its_lap_when_it_leaves(drive, tra
     ("pause", "expected"), [(0.2, []), (0.6, ["not completed"]), (3.0, ["not completed"])]
 )
 def test_time_spent_at_the_line_does_not_vanish(drive, line, pause, expected):
-    """The car crosses the line, stands 0.3 m behind it, falls back 0.4 m and sets out again."""
+    """The car crosses the line, stands 0.3 m beyond it, rolls back 0.4 m and sets out again."""
 
     def progress(t):
         times = [0.0, 1.0, 1.2, 1.2 + pause, 1.4 + pause, 2.0 + pause, 20.0]
@@ -253,7 +253,7 @@ def test_the_largest_of_several_faults_is_named(drive, line):
 
 
 def test_steps_of_a_fast_car_are_no_jumps_where_its_speed_is_measured():
-    """At 30 m/s and 10 Hz steps are 3 m; the raceline has no speeds."""
+    """At 30 m/s and 10 Hz, steps are 3 m; the raceline has no speeds."""
     angle = 2.0 * np.pi * np.arange(400) / 400
     line = Raceline(50.0 * np.cos(angle), 50.0 * np.sin(angle))
     t = np.arange(0.0, 25.0, 0.1)
@@ -262,13 +262,13 @@ def test_steps_of_a_fast_car_are_no_jumps_where_its_speed_is_measured():
     assert [lap.valid for lap in run(line, t, x, y, np.full(t.size, 30.0)).laps] == [
         *(False, True, True, False)
     ]
-    # Up to 1.5 times as fast as measured, and no more.
+    # Up to 1.5 times the measured speed, and no more.
     for v in (np.zeros(t.size), np.full(t.size, 15.0), 30.0 * (np.arange(t.size) % 2)):
         assert reasons(run(line, t, x, y, v))[1] == "jump"
 
 
 def test_laps_too_short_to_brake_in_count():
-    """Of a circle of 0.25 m radius, at 4 m/s: 0.39 s."""
+    """On a circle of 0.25 m radius at 4 m/s: 0.39 s."""
     angle = 2.0 * np.pi * np.arange(40) / 40
     line = Raceline(0.25 * np.cos(angle), 0.25 * np.sin(angle))
     t = np.arange(0.0, 2.0, 0.05)
@@ -314,9 +314,9 @@ def test_a_shortcut_is_a_jump(drive, track, line):
     ("left", "along", "seen"), [(1.0, 4.2, True), (0.2, None, True), (4.0, None, False)]
 )
 def test_a_car_that_cuts_across_between_two_straights_takes_a_shortcut(left, along, seen):
-    """Straights of 12 m, 1.4 m apart; it leaves the first so far [m] before its end.
+    """Straights of 12 m, 1.4 m apart; the car leaves the first at a distance [m] before its end.
 
-    Where it is not seen to do so, for 0.35 s, that alone is said.
+    If poses are missing there, for 0.35 s, only the gap is reported.
     """
     bend = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 23)[1:-1]
     ahead = np.linspace(-6.0, 6.0, 121)
@@ -347,7 +347,7 @@ def test_a_car_that_cuts_across_between_two_straights_takes_a_shortcut(left, alo
 
 
 def test_a_car_carried_back_behind_the_line_starts_a_new_lap(drive, track, line):
-    """After a crash in the lap the car is set down before the start line."""
+    """After a crash during the lap, the car is put down before the start line."""
     length = track.length
 
     def s(t):
@@ -362,7 +362,7 @@ def test_a_car_carried_back_behind_the_line_starts_a_new_lap(drive, track, line)
 
 @pytest.mark.parametrize("hold", [4, 8])
 def test_a_pose_that_catches_up_is_no_jump(drive, line, hold):
-    """The localization repeats its pose for 0.2 s at most, and then is where the car is."""
+    """The localization repeats its pose for up to 0.2 s, and then catches up with the car."""
     t, x, y = drive(17.5, rate=40.0)
     held = np.arange(t.size) // hold * hold
     result = run(line, t, x[held], y[held], limits=LapLimits(max_speed=8.0))
@@ -390,7 +390,7 @@ def test_a_pose_that_hangs_over_the_line_crosses_it_in_its_last_step(drive, line
 
 
 def test_a_small_step_of_the_pose_is_no_jump_wherever_the_tracker_looked(track, drive):
-    """Far outside of the limits the whole track is searched; the place moves a little more."""
+    """Far outside of the limits the whole track is searched; the projection moves a little more."""
     line = track.raceline(walls=0.2)
     t, x, y = drive(17.5, d=lambda s: 0.9 * np.sin(0.2 * s))
     assert not any("jump" in lap.reason for lap in run(line, t, x, y).laps)
@@ -418,7 +418,7 @@ def test_a_car_that_stood(drive, track, line, stood, counts):
     assert not math.isnan(result.laps[2].lap_time_s)
     if not counts:
         seconds, place = re.fullmatch(r"stood (.*) s at s = (.*) m", reason).groups()
-        # Within 5 cm of the place it is for 0.1 s more before and after.
+        # It is within 5 cm of the place for another 0.1 s before and after.
         assert float(seconds) == pytest.approx(stood + 0.2, abs=0.11)
         assert float(place) == pytest.approx(20.0, abs=0.1)
         (moved,) = [
@@ -456,7 +456,7 @@ def test_a_wall_stops_a_car_as_no_brake_does(drive, track, line):
 
 
 def test_a_wall_is_seen_at_a_low_rate(drive, track, line):
-    """7 m/s, then 0.4 m/s for a second, by 10 poses a second."""
+    """7 m/s, then 0.4 m/s for a second, with 10 poses per second."""
     hit = (track.length + 12.0 + 3.0) / 7.0
     knots, places = [0.0, hit, hit + 1.0, 18.0], np.cumsum([-3.0, 7.0 * hit, 0.4, 80.0])
     result = run(line, *drive(14.0, s=lambda t: np.interp(t, knots, places), rate=10.0))
@@ -465,7 +465,7 @@ def test_a_wall_is_seen_at_a_low_rate(drive, track, line):
 
 @pytest.mark.parametrize(("deceleration", "stopped"), [(20.0, False), (30.0, True)])
 def test_brakes_are_weaker_than_walls(drive, track, line, deceleration, stopped):
-    """From 7 m/s; it sets out again as hard after 0.1 s."""
+    """From 7 m/s; after 0.1 s it accelerates again just as hard."""
     begin = (track.length + 15.0) / 7.0
     brake = 7.0 / deceleration
 
@@ -491,7 +491,7 @@ def test_speed_where_stamps_come_in_bunches(drive, line):
 
 @pytest.mark.parametrize("repeats", [1, 2, 4])
 def test_a_localization_slower_than_its_messages(drive, line, repeats):
-    """Each pose is sent again until the next: the lap takes 5 s at 6 m/s, whatever the phase."""
+    """Each pose is repeated until the next: the lap takes 5 s at 6 m/s, whatever the phase."""
     t, x, y = drive(18.0, rate=40.0)
     index = np.arange(t.size) // repeats * repeats
     result = run(line, t, x[index], y[index])
@@ -504,7 +504,7 @@ def test_a_localization_slower_than_its_messages(drive, line, repeats):
 
 
 def test_odometry_without_velocity(drive, line):
-    """Nobody filled it in: the speed is that of the poses."""
+    """It was never filled in: the speed comes from the poses."""
     lap = run(line, *drive(12.0), 0.0).laps[1]
     # 0.1 m to the left the lap is shorter.
     expected = V * (1.0 - 0.1 * math.tau / line.length)
@@ -514,7 +514,7 @@ def test_odometry_without_velocity(drive, line):
 
 @pytest.mark.parametrize("stood", [0.4, 3.0])
 def test_speed_of_a_car_that_stands_between_poses(drive, track, line, stood):
-    """Repeated poses of a standing car are no slow localization."""
+    """Repeated poses of a standing car do not mean a slow localization."""
     hit = (track.length + 12.0 + 3.0) / V
     there = track.length + 12.0
     knots = [0.0, hit, hit + stood, 30.0 + stood]
@@ -574,7 +574,7 @@ def test_walls_and_speeds_are_those_where_the_car_is(drive, track, line):
     ],
 )
 def test_limits_as_documented(drive, track, line, limit, fault, beyond, counts):
-    """A gap of 0.25 s, falling back by 0.5 m, and 2 m off a track without walls."""
+    """A gap of 0.25 s, rolling back by 0.5 m, and 2 m off a track without walls."""
     t, x, y = drive(17.5)
     if limit == "max_gap":
         keep = np.abs(t - 8.0) > 0.5 * (0.25 + beyond)
@@ -596,7 +596,7 @@ def test_limits_as_documented(drive, track, line, limit, fault, beyond, counts):
 
 
 def test_deviation_that_changes_sides_between_samples(drive, track):
-    """Linear in between: of 0.1 m to and fro half is left on average."""
+    """Linear in between: the mean magnitude of +-0.1 m is half of that."""
     t, x, y = drive(12.0, d=lambda s: 0.1 * (-1.0) ** np.arange(s.size))
     lap = run(track.raceline(), t, x, y).laps[1]
     assert lap.mean_abs_lateral_error_m == pytest.approx(0.05, abs=1e-4)
@@ -814,7 +814,7 @@ def test_commands_that_begin_later_or_never(drive, line):
 
 
 def test_commands_that_end_are_not_held_for_ever(drive, line):
-    """The speed error is of the time with commands, and that is said."""
+    """The speed error covers only the time with commands, and a warning says so."""
     t, x, y = drive(18.0)
     at = np.arange(0.0, 8.0, 0.025)
     commands = Commands(at, 0.0 * at, np.where(at < 7.9, 6.0, 1.0))
@@ -822,9 +822,9 @@ def test_commands_that_end_are_not_held_for_ever(drive, line):
     assert result.laps[1].rms_speed_error_mps == pytest.approx(0.0, abs=1e-9)
     assert result.laps[3].speed_reference == "raceline"
     assert result.warnings == [
-        "no drive commands in laps 3: their speed error, if any, is to the raceline",
-        "drive commands are missing for a part of laps 2: their speed error and steering rate are "
-        "of the rest",
+        "no drive commands in laps 3: their speed error, if any, is relative to the raceline",
+        "drive commands are missing for a part of laps 2: their speed error and steering rate "
+        "cover only the rest",
     ]
 
 
@@ -895,7 +895,7 @@ def test_walls_are_those_where_the_car_is(drive, track, line, begin, elsewhere):
 
 @pytest.mark.parametrize("share", [0.4, 0.7, 3.0])
 def test_car_that_never_came_along_drove_elsewhere(track, line, share):
-    """Circles of 4 m/s beside the line; what is less than half a lap may be a start."""
+    """Circles at 4 m/s beside the line; less than half a lap may be a start."""
     t = np.arange(0.0, share * track.length / 4.0, 1.0 / 40.0)
     x, y, psi = track.place(10.0)
     circle = recording(t, x + 0.5 * np.cos(8.0 * t), y + 0.5 * np.sin(8.0 * t))
@@ -904,7 +904,7 @@ def test_car_that_never_came_along_drove_elsewhere(track, line, share):
         return
     with pytest.raises(EvaluationError) as error:
         evaluate(circle, line)
-    found = re.search(r": of (\d+) m it came \d m along the raceline bean$", str(error.value))
+    found = re.search(r": (\d+) m, but only \d m along the raceline bean$", str(error.value))
     assert int(found.group(1)) == pytest.approx(share * track.length, rel=0.1)
 
 
@@ -936,7 +936,7 @@ def test_hangar_recording(shared_data):
 
 
 def test_hangar_laps_agree_with_the_printout_of_its_own_tracker(shared_data):
-    """Its clock restarts up to 0.1 m late, so each lap reads about 0.06 s short."""
+    """Its clock restarts up to 0.1 m late, so each lap is about 0.06 s too short."""
     folder = shared_data / "recordings"
     driven = read_recording(folder / "hangar_map_12laps.bag")
     text = (folder / "hangar_map_12laps.txt").read_text()
@@ -969,7 +969,8 @@ def test_real_laps(shared_data):
 
 @pytest.mark.once
 def test_a_lap_of_a_full_size_car_has_no_jumps():
-    """50 m/s are a meter from pose to pose at 50 Hz; the speeds of the line say that cars do."""
+    """50 m/s at 50 Hz is one meter from pose to pose; the raceline's speeds show that this is
+    normal."""
     track = load_raceline("circuit")
     ends = np.cumsum(track.ds / track.speed)
     t = np.arange(-3.0, ends[-1] + 3.0, 0.02)

@@ -24,7 +24,7 @@ RATE = 40.0
 
 
 class Taken:
-    """What a live evaluation reported."""
+    """The reports of a live evaluation."""
 
     def __init__(self, raceline=None, **options):
         self.laps, self.runs = [], []
@@ -107,7 +107,7 @@ def test_live_laps_are_those_of_the_recording(line, drive, lag):
 
 
 def test_a_car_that_is_left_parked_fills_no_memory(line, drive, monkeypatch):
-    """Its lap is cut, and so is the way of one that never comes to the line, as of a recording."""
+    """Its lap is cut, and so is a drive that never reaches the line, as in a recording."""
     monkeypatch.setattr(laps_module, "_MOST_SAMPLES", 500)
     recording, poses, commands = drive
     step = int(1e9 / RATE)
@@ -218,7 +218,8 @@ def test_commands_that_come_too_late_are_told(line, drive):
 @pytest.mark.once
 @pytest.mark.parametrize("lap", [1, 2])
 def test_late_commands_of_a_lap_that_lasts_are_kept_in_a_few_numbers(track, line, lap):
-    """The car stands in it for a while, and each command comes too late; other laps have none."""
+    """The car stands in it for a while, with every command too late; other laps have no late
+    ones."""
     per_lap, stands = int(track.length / V * RATE), 200
     s = V / RATE * np.arange(4 * per_lap) - 1.0
     at = (lap - 1) * per_lap + 40
@@ -243,7 +244,7 @@ def test_late_commands_of_a_lap_that_lasts_are_kept_in_a_few_numbers(track, line
 
 
 def test_a_pose_that_answers_a_stop_is_not_late(line, drive):
-    """Commands of a stop without poses have later stamps than the first that answers a pose."""
+    """Commands of a stop without poses have later stamps than the first one that answers a pose."""
     _, poses, commands = drive
     stop, resumed = len(poses) // 2, len(poses) // 2 + 20
     taken = Taken(line)
@@ -260,7 +261,7 @@ def test_a_pose_that_answers_a_stop_is_not_late(line, drive):
 
 @pytest.mark.parametrize("early", [0, 5])
 def test_a_step_back_in_time_begins_another_run(line, drive, early):
-    """A bag that is played again; its commands may step back before its poses do."""
+    """A bag is played again; its commands may step back before its poses."""
     recording, poses, commands = drive
     changed = [(stamp, speed + 0.5, steering) for stamp, speed, steering in commands]
     taken = Taken(line)
@@ -328,7 +329,7 @@ def test_commands_of_another_clock_are_shifted(line, drive, offset):
 
 
 def test_doubts_stand_beside_the_laps(track, drive):
-    """Clock, frame and raceline for all laps; commands that were missing in their own."""
+    """Clock, frame and raceline for all laps; missing commands only for the laps concerned."""
     recording, poses, commands = drive
     line = track.raceline(speed=V, walls=1.0)
     line.findings = (Finding("guess", WARNING, "column 4 is a guess"), Finding("a", NOTE, "fine"))
@@ -353,7 +354,7 @@ def test_doubts_stand_beside_the_laps(track, drive):
     assert [lap.lap.valid for lap in taken.laps] == [False, True, True, False]
     missing = (
         "drive commands are missing for a part of laps {}: their speed error and steering rate "
-        "are of the rest"
+        "cover only the rest"
     )
     assert taken.laps[1].warnings == (*common, missing.format(1))
     assert set(taken.laps[2].warnings) == {
@@ -431,11 +432,11 @@ def nothing(columns):
         (commands_of_the_other_direction, "the speed commanded is -1.0"),
         (somebody_else_drives_for_a_while, "s the speed commanded is 0.00 times the motion"),
         (a_throttle, "does not follow the speed commanded"),
-        (commands_that_came_later, " before its steering commands: they are of another clock"),
+        (commands_that_came_later, " before its steering commands: they come from another clock"),
     ],
 )
 def test_what_driving_tells_is_doubted_live_as_offline(track, line, fault, said):
-    """Each doubt of the recording beside the last lap, in the same words, and no other."""
+    """The last lap has all warnings of the recording, in the same words, and no others."""
     t = np.arange(1700) / 40.0
     s = 6.0 * t - 1.2 * np.cos(t) - 3.0
     x, y, psi = track.place(s, 0.1 * np.sin(0.7 * s))
@@ -493,7 +494,7 @@ def test_what_is_kept_of_a_long_run_is_bounded(line, monkeypatch):
 def busy(poses, commands, behind, rng, rate=10.0, held_up=0.05):
     """Messages of a bag that is played fast, as a busy computer receives them.
 
-    A thread for each topic reads all that has come when it gets the processor: at random times,
+    When a topic's thread gets the processor, it reads all messages so far: at random times,
     `held_up` seconds apart on average. The stamps of commands are ``behind`` [ns] behind.
     """
     order = []
@@ -521,10 +522,10 @@ def play_busy(taken, entries):
 @pytest.mark.parametrize("first", ["poses", "commands"])
 @pytest.mark.parametrize("seed", range(10))
 def test_a_busy_computer_is_no_other_clock(line, drive, seed, first):
-    """Messages late by half a second of the bag, those of one topic again and again more."""
+    """Messages are late by half a second of bag time, one topic repeatedly by more."""
     recording, poses, commands = drive
     entries = busy(poses, commands, 0, np.random.default_rng(seed))
-    # Where both topics were held up, one is always read before the other.
+    # If both topics were delayed, one is always read before the other.
     one = first == "commands"
     entries.sort(key=lambda entry: (entry[0] // 1e8, (entry[1] == 1) != one))
     taken = Taken(line)
@@ -606,7 +607,7 @@ def test_a_file_is_continued_without_the_line_that_was_cut_off(tmp_path, laps):
 
 
 def test_a_full_disk_costs_no_other_lap(tmp_path, laps):
-    """The part of a line that still fits is no line, and is not written later."""
+    """The partial line that still fits is removed, and not written later."""
     path = tmp_path / "laps.csv"
     log = LapLog(path, 3)
     log.add(laps[0])
@@ -644,5 +645,5 @@ def test_other_files_are_left_alone(tmp_path, laps):
     with pytest.raises(MapRacingError, match="cannot write"):
         LapLog(tmp_path / "none" / "laps.csv", 3)
     for device in ("/dev/null", "/dev/full", tmp_path):
-        with pytest.raises(MapRacingError, match="cannot write: it is no file"):
+        with pytest.raises(MapRacingError, match="cannot write: it is not a file"):
             LapLog(device, 3)

@@ -1,4 +1,4 @@
-"""Where a lap loses time: known losses are found where they are, and told in words."""
+"""Where a lap loses time: known losses are found in the right places, and put into words."""
 
 import dataclasses
 
@@ -11,6 +11,7 @@ from map_racing.evaluation.analysis import analyze, corner_rows, references, sam
 from map_racing.evaluation.places import (
     Corner,
     Place,
+    Reference,
     against_ideal,
     against_lap,
     against_run,
@@ -83,7 +84,7 @@ def test_a_circle_is_one_stretch_without_name(ring):
 def test_ideal_lap_takes_the_best_of_each_mini_sector(reference, driving):
     half = 0.5 * reference.length
 
-    def speed(s):  # one lap slow in its first half, the next in its second
+    def speed(s):  # one lap is slow in its first half, the next in its second
         second = np.mod(s, reference.length) > half
         return np.where(second == (np.floor(s / reference.length) == 0), 3.0, 4.0)
 
@@ -111,7 +112,7 @@ def test_a_slow_entry_and_a_wide_exit_are_the_first_two_places(reference, drivin
     def speed(s):
         return 4.0 - 1.0 * bump(s, length, 19.0, 22.0) - 0.6 * bump(s, length, 9.5, 11.5)
 
-    def wide(s):  # to the right, outside of a left
+    def wide(s):  # to the right: the outside of a left-hand bend
         return -0.15 * bump(s, length, 20.0, 23.0)
 
     good = profile(driving, reference, lambda s: 4.0)
@@ -152,6 +153,26 @@ def test_the_same_driving_has_no_places(reference, driving):
     assert found == []
 
 
+def test_who_is_faster_all_along_loses_nothing(reference, driving):
+    run = profile(driving, reference, lambda s: 4.0)
+    # Noise of the poses in one cell gives a lap of 3 m/s 4 ms less than this one.
+    time = run.mean("time")
+    slower = time * 4.0 / 3.0
+    slower[72:] -= 0.004 + (slower[72] - slower[71]) - (time[72] - time[71])
+    noisy = Reference("", slower, 0.75 * run.mean("v"), run.mean("d"))
+    assert costliest(run, noisy, corners_of(run.track)) == []
+
+
+def test_a_longer_way_costs_time_at_a_higher_speed(reference, driving):
+    good = profile(driving, reference, lambda s: 4.0)
+    wide = profile(
+        driving, reference, lambda s: 3.9, lambda s: -0.3 * bump(s, reference.length, 9.0, 14.0)
+    )
+    slow = Reference("", good.mean("time"), 0.95 * wide.mean("v"), good.mean("d"))
+    places = costliest(wide, slow, corners_of(wide.track))
+    assert [place.corner.name for place in places] == ["second left"]
+
+
 def test_a_place_over_the_start_line(reference, driving):
     length = reference.length
     slow = lambda s: 4.0 - bump(s + 1.5, length, 0.0, 3.0)  # noqa: E731
@@ -184,8 +205,8 @@ def two_runs(tmp_path_factory, reference):
     at = reference.sample(s)
     sooner = np.minimum(at.speed, reference.sample(s + 0.5).speed)
     speed = np.where((s > early.begin) & (s < early.apex), sooner, at.speed)
-    # Outside of the line around the exit, 0.35 m where it is most, over so long a way that the car
-    # is on its line again before the next bend.
+    # Wide around the exit, by up to 0.35 m, over such a distance that the car is back on its line
+    # before the next bend.
     d = -0.35 * bump(s, reference.length, wide.apex - 1.5, wide.end + 0.5)
     x, y = reference.to_cartesian(s, d)
     bad = Raceline(x, y, vx_mps=speed, d_left_m=at.d_left - d, d_right_m=at.d_right + d, name="bad")
@@ -240,7 +261,7 @@ def test_consistency_of_the_corners(reference, driving):
 
 
 def test_slowest_is_the_bend_not_the_stretch(reference, driving):
-    """The stretch of a corner also has where the one before is left, and the next braked for."""
+    """The stretch also contains the exit of the previous corner and the braking for the next."""
 
     def speed(s):
         return 0.7 * reference.sample(s % reference.length).speed

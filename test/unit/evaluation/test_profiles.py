@@ -18,7 +18,7 @@ def limits():
 
 
 def test_the_controller_plans_no_more_than_the_grip_allows(reference):
-    """Both brake and drive as hard as the controller does, whatever the vehicle file publishes."""
+    """Both use the controller's braking and driving limits, whatever the vehicle file says."""
     parameters = load_controller_parameters("map").with_(speed_scale=1.0)
     limits = car_limits(load_vehicle("nuc4"), parameters)
     track = track_profile(reference, 0.0, limits)
@@ -74,7 +74,7 @@ def test_acceleration_along_the_track(reference, driving):
 
 
 def test_share_of_saturated_steering_is_of_the_time(reference, driving, limits):
-    # Full lock on a quarter of the length, driven at half the speed: 0.4 of the time.
+    # Full lock for a quarter of the length at half speed: 0.4 of the time.
     quarter = reference.length / 4.0
     slow = lambda s: np.where(np.mod(s, reference.length) < quarter, 1.0, 2.0)  # noqa: E731
     recording = driving(
@@ -112,7 +112,7 @@ def test_a_run_without_a_lap_still_has_its_stretch(reference, driving):
 
 
 def test_the_limit_of_the_tires_does_not_depend_on_the_lock(limits):
-    """At walking pace the lock holds the car far below the tires' limit, which rules at speed."""
+    """At walking pace the lock keeps the car far below the tires' limit, which counts at speed."""
     table = limits.table
     assert table.max_lateral_acceleration(1.5) < 0.5 * table.max_lateral_acceleration(5.0)
     v = np.array([0.5, 1.5, 3.0, 5.0, 2.0 * limits.v_max])

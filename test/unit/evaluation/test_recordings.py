@@ -46,7 +46,7 @@ def test_units_behind_the_names(csv):
     assert (recording.x.tolist(), recording.y.tolist()) == ([1.0, 1.5], [2.0, 3.0])
     np.testing.assert_allclose(recording.psi, [np.pi, 0.5 * np.pi])
     np.testing.assert_allclose(recording.v_x, [10.0, 5.0])
-    assert recording.notes == ["warning: column r [rpm]: the unit is not understood: taken as SI"]
+    assert recording.notes == ["warning: column r [rpm]: unknown unit, SI assumed"]
 
 
 @pytest.mark.parametrize("cells", ["9,1,2", "[1, 2],3,4", "'1,2',3,4"])
@@ -152,7 +152,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
     assert recording.t.tolist() == [0.0, 1.5, 2.0, 4.0]
     assert recording.x.tolist() == [1.0, 7.0, 1.0, 0.0]
     notes = "; ".join(recording.notes)
-    assert "line 9, the last, is cut off" in notes
+    assert "line 9, the last, is truncated" in notes
     assert "2 of 7 without a finite pose" in notes
     assert "1 steps back in time" in notes
     assert "1 repeated time stamps" in notes
@@ -226,7 +226,7 @@ def test_files_of_rostopic_echo(csv, stamped):
     np.testing.assert_allclose(recording.psi, 0.5 * np.pi)
     assert (recording.v_x[0], recording.v_y[0], recording.yaw_rate[0]) == (3.0, 0.5, 0.25)
     notes = "; ".join(recording.notes)
-    assert "nanoseconds" in notes and "quaternions have not the length 1 but 2.83" in notes
+    assert "nanoseconds" in notes and "quaternions do not have length 1 but 2.83" in notes
     assert ("4 of 4 stamps are 0" in notes) != stamped
 
 
@@ -242,7 +242,7 @@ def test_frames_of_messages(csv, name):
 
 
 def test_commands_between_the_rows_of_poses(csv):
-    """As a table of two topics has them; where cells are empty the last command holds."""
+    """As in a table of two topics; over empty cells, the last command holds."""
     rows = [f"{0.1 * i:.2f},{i},{2 * i},,\n{0.1 * i + 0.03:.2f},,,0.{i},{i}" for i in range(1, 9)]
     recording = read_csv_recording(csv("t,x,y,steering,speed_command\n" + "\n".join(rows)))
     assert recording.x.tolist() == list(range(1, 9))
@@ -257,7 +257,7 @@ def test_two_columns_that_may_be_of_the_car(csv):
     rows = "\n".join(f"{0.1 * i},{i},{2 * i},{i + 1},{2 * i}" for i in range(9))
     recording = read_csv_recording(csv("t,pose_x,pose_y,x,y\n" + rows))
     said = [note for note in recording.notes if note.startswith("warning")]
-    assert "x is column x; pose_x may be of the car, too (--columns x=pose_x)" in said[0]
+    assert "x is column x; pose_x may be the car's, too (--columns x=pose_x)" in said[0]
     chosen = read_csv_recording(csv("t,pose_x,pose_y,x,y\n" + rows), "x=pose_x,y=pose_y")
     assert chosen.x.tolist() == list(range(9)) and chosen.notes == []
 
@@ -353,7 +353,7 @@ def test_two_runs_in_one_file_are_refused(csv):
 
 
 def test_a_clock_that_is_set_back_while_the_car_drives(csv):
-    """Rows in a wrong order are none, nor are those of a car that stands."""
+    """Rows in the wrong order do not count, nor those of a standing car."""
     t, speed = 0.02 * np.arange(1000), 4.0
 
     def said(t, x):

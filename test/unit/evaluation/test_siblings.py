@@ -1,4 +1,4 @@
-"""Recordings as other programs make them: a car on a circle whose laps and errors are known.
+"""Recordings in the style of other programs: a car on a circle with known laps and errors.
 
 It circles at 6 m with d = 0.1 sin(3 theta): a lap takes 2 pi / 0.8 s, at 4.8 m/s, with an error of
 0.0707 m RMS.
@@ -58,7 +58,7 @@ def link(bag, t, pose, parent, child, stamp=None):
     bag.transform(stamp, *pose, parent=parent, child=child, received=T0 + t + 0.001)
 
 
-# -- bags: what is written at each moment, and what the result says --------------------------------
+# -- bags: what is written at each moment, and the expected result ---------------------------------
 
 
 def unstamped_commands_beside_poses_of_another_clock(bag, i, t):
@@ -173,7 +173,7 @@ def odometry_of_the_laser_in_its_own_frame(bag, i, t):
 
 
 def another_static_publisher(bag, i, t):
-    """The first was wrong, and stopped."""
+    """The first one was wrong, and stopped."""
     if i in (0, 10):
         bag.transform(T0 + t, 0.01 * i, 0.0, 0.0, parent="map", child="odom", static=True)
     link(bag, t, joined(inverse((0.1, 0.0, 0.0)), place(t)), "odom", "base_link")
@@ -238,7 +238,10 @@ def a_slower_localization_sent_again_with_its_stamp(bag, i, t):
     [
         (whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
         (transforms_of_whole_seconds_until_the_clock_is_set, "250 of 900 stamps are too coarse"),
-        (whole_seconds_for_a_while_received_late, "times of receipt used instead, good to 0.006 s"),
+        (
+            whole_seconds_for_a_while_received_late,
+            "times of receipt used instead, accurate to 0.006 s",
+        ),
         (some_stamps_missing_of_late_poses, ""),
         (a_slower_localization_sent_again_with_its_stamp, ""),
         (unstamped_commands_beside_poses_of_another_clock, "1.00"),

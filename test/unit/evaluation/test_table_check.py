@@ -1,4 +1,4 @@
-"""Steering against the table: a known share more is found, in each band of the grip."""
+"""Steering compared with the table: a known excess is found in each band of the grip."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Yaw rates that are not those of the car are told by the path."""
+"""The path reveals wrong yaw rates."""
 
 import dataclasses
 
@@ -65,7 +65,7 @@ def test_less_than_half_a_turn_tells_nothing(reference, driving):
 
 @pytest.mark.parametrize("factor", [180.0 / np.pi, -1.0])
 def test_a_wrong_rate_is_told_on_a_figure_eight_too(factor):
-    """Its laps turn by nothing, all in all."""
+    """Its laps turn by zero in total."""
     recording = figure_eight()
     rate, notes = turning_of(changed(recording, yaw_rate=factor))
     assert np.array_equal(rate, recording.yaw_rate)
@@ -77,20 +77,20 @@ def test_a_wrong_rate_is_told_on_a_figure_eight_too(factor):
 def test_a_heading_that_was_never_filled_in_is_told_on_a_figure_eight():
     recording = changed(figure_eight(), yaw_rate=np.nan, psi=0.0)
     rate, notes = turning_of(recording)
-    assert np.isnan(rate).all() and "heading recorded does not change" in notes[0]
+    assert np.isnan(rate).all() and "recorded heading does not change" in notes[0]
 
 
 def test_a_rate_that_was_never_filled_in_is_told_on_a_figure_eight_too():
     recording = figure_eight()
     rate, notes = turning_of(changed(recording, yaw_rate=0.0))
     assert np.array_equal(rate, recording.yaw_rate)
-    assert notes == ["the yaw rate recorded does not change: that of the heading is used"]
+    assert notes == ["the recorded yaw rate does not change: the rate of the heading is used"]
     rate, notes = turning_of(recording)
     assert rate is recording.yaw_rate and notes == []
 
 
 def figure_eight():
-    """Two laps of an eight."""
+    """Two laps of a figure eight."""
     t = np.arange(0.0, 20.0, 0.02)
     phase = 2.0 * np.pi * t / 10.0
     x, y = 5.0 * np.sin(phase), 2.5 * np.sin(2.0 * phase)

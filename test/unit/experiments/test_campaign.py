@@ -1,4 +1,4 @@
-"""Plans, and what becomes of their races: on disk at once, driven once, in any order."""
+"""Plans and their races: on disk at once, driven only once, in any order."""
 
 import os
 import pickle
@@ -21,7 +21,7 @@ from map_racing.experiments.store import Store
 
 @pytest.fixture
 def driven(monkeypatch):
-    """Seeds in the order in which they are driven, by a race that takes no time."""
+    """Seeds in the order of driving, with an instant fake race."""
     seeds = []
 
     def execute(job, path, bag):
@@ -34,7 +34,7 @@ def driven(monkeypatch):
 
 
 class LastFirst(Executor):
-    """Finishes the last of the jobs that it was given first."""
+    """Finishes the last submitted job first."""
 
     def __init__(self, given=3):
         self._given, self._pending = given, []
@@ -50,7 +50,7 @@ class LastFirst(Executor):
 
 
 def listed(job_of, *batches):
-    """Plan of batches of seeds; its result is the durations in order."""
+    """Plan with batches of seeds; its result is the list of durations."""
 
     def steps():
         durations = []
@@ -176,7 +176,7 @@ if __name__ == "__main__":
 
 @pytest.mark.once
 def test_a_killed_sweep_goes_on_where_it_stopped(job_of, tmp_path):
-    """A real process, killed; what it had finished is not driven again."""
+    """A real process is killed; its finished races are not driven again."""
     jobs = [job_of(seed=seed, laps=6) for seed in range(8)]
     (tmp_path / "sweep.py").write_text(SWEEP)
     (tmp_path / "jobs").write_bytes(pickle.dumps(jobs))

@@ -1,4 +1,4 @@
-"""A controller that learns the day comes near one that was told it."""
+"""A controller that learns comes near one that knows the tires."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def test_after_a_loss_of_grip_laps_are_those_of_less_grip(job):
     lost, told_before = loss_of_grip(job), cold_start(job).told_lap_s
     assert lost.outcome == "completed" and lost.told_lap_s > 1.05 * told_before
     assert abs(lost.slower) < 0.02
-    # Nearly all of the friction is no loss that any controller could meet.
+    # No controller could cope with losing nearly all friction.
     assert loss_of_grip(job, factor=0.15).outcome != "completed"
 
 

@@ -1,4 +1,4 @@
-"""Days: drawn by stated distributions, the same for ever, and nothing but tires differs."""
+"""Days: drawn from the stated distributions, always the same, and only tires differ."""
 
 import dataclasses
 import math
@@ -35,7 +35,7 @@ def test_factors_have_the_stated_distributions():
 
 
 def test_days_are_the_same_for_ever():
-    """Figures that were published with a seed must come out again on any Python."""
+    """Published figures must be reproducible from their seed on any Python."""
     day = day_of(load_plant("nuc4"), PAPER, 1)
     assert day[:4] == (1, 0.9757411193499714, 1.011569132200271, 1.0518666957289569)
 

@@ -1,4 +1,4 @@
-"""Where jobs run makes no difference to what they give."""
+"""Results do not depend on where jobs run."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ from map_racing.experiments.store import Store
 
 
 def plans(job_of):
-    """Two days, each at rising speeds; the second speed of each is decided by the first."""
+    """Two days at rising speeds; the first result of each decides its second speed."""
 
     def steps(seed):
         given = yield [job_of(seed=seed), job_of(seed=seed, scale=0.8)]
@@ -55,6 +55,24 @@ def test_serial_keeps_errors_for_whoever_asks():
         future.result()
 
 
+def test_an_interruption_does_not_reach_a_process_that_starts(tmp_path):
+    """Before it has loaded what would make it ignore the interruption."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, signal\n"
+        "from map_racing.experiments.executors import carried_out, open_executor\n"
+        "if __name__ == '__main__':\n"
+        "    jobs = iter([('one', abs, -1), ('two', abs, -2)])\n"
+        "    with open_executor(jobs=2) as (executor, capacity):\n"
+        "        done = carried_out(executor, capacity, lambda: next(jobs, None))\n"
+        "        print(sorted(done))\n"
+        "else:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert done.stdout == "[('one', 1), ('two', 2)]\n" and done.stderr == ""
+
+
 def test_processes_have_one_thread_each_and_the_environment_stays_as_it_was(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
@@ -72,7 +90,7 @@ def test_one_job_for_each_core_by_default():
 
 
 def test_nobody_outlives_the_parent():
-    """Processes of a parent that is killed end by themselves."""
+    """Worker processes end by themselves when their parent is killed."""
     code = (
         "import os, signal\n"
         "from map_racing.experiments.executors import open_executor\n"
@@ -82,7 +100,7 @@ def test_nobody_outlives_the_parent():
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
-        # The pipe is closed only when the last process that has it is gone.
+        # The pipe closes only when the last process that has it open is gone.
         printed = process.communicate(timeout=60)[0]
     assert (printed, process.returncode) == (b"5\n", -9)
 

@@ -1,4 +1,4 @@
-"""A race as a job: the same description, the same result, and nothing else decides."""
+"""A race as a job: the result depends only on the description."""
 
 import dataclasses
 import math
@@ -33,7 +33,7 @@ def test_the_same_job_gives_the_same_result_wherever_it_goes(job_of):
 
 
 def test_all_that_measures_a_lap_is_in_the_fingerprint():
-    """Otherwise results of another measure would be found on disk."""
+    """Otherwise results measured differently would be found on disk."""
     imports = re.findall(r"^from \.(\w+) import", Path(laps.__file__).read_text(), re.MULTILINE)
     assert "statistics" in imports
     assert {f"evaluation/{name}.py" for name in imports} <= set(jobs._DECISIVE)
@@ -117,7 +117,7 @@ def test_the_public_simulator_drives_the_car_it_is_given(job_of):
     ]
     assert all(result.completed for result in results)
     first, another_seed, with_less_grip = map(repr, results)
-    assert first == another_seed != with_less_grip  # it has no noise
+    assert first == another_seed != with_less_grip  # this plant has no noise
 
 
 def test_files_are_named_for_people(job_of):

@@ -78,7 +78,7 @@ def races(job_of):
 
 
 def ended_at(scale):
-    """Answers to jobs: completed below a scale."""
+    """Results for jobs: completed below a scale."""
     return lambda job: RaceResult("completed" if job.scale < scale else "crashed", (), 1.0)
 
 
@@ -186,7 +186,7 @@ def test_rows_of_races(races):
     assert crashed.max_abs_lateral_error_m == 0.9
     assert in_out_lap.laps_completed == 0 and math.isnan(in_out_lap.mean_lap_time_s)
     assert in_out_lap.max_abs_lateral_error_m == 0.7
-    assert frame.iloc[3].max_abs_lateral_error_m == 0.12  # not that of the out-lap
+    assert frame.iloc[3].max_abs_lateral_error_m == 0.12  # without the out-lap's
     assert len(set(frame.fingerprint)) == 2
 
 
@@ -199,7 +199,7 @@ def test_scaling_table(races):
     ]
     first, second, third = (row for row in table.itertuples())
     assert (first.days, first.days_completed, first.laps_until_end, first.laps) == (2, 1, "1", 2)
-    assert first.median_rms_lateral_error_m == pytest.approx(0.15)  # of the completed day alone
+    assert first.median_rms_lateral_error_m == pytest.approx(0.15)  # of the completed day only
     assert (second.days_completed, second.laps) == (2, 4)
     rms = [second.min_rms_lateral_error_m, second.q1_rms_lateral_error_m]
     rms += [second.median_rms_lateral_error_m, second.q3_rms_lateral_error_m]

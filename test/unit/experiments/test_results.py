@@ -1,4 +1,4 @@
-"""Result directories: read back as written, compared where that makes sense."""
+"""Result directories: read back as written, compared if that makes sense."""
 
 import json
 import math
@@ -74,7 +74,10 @@ def test_changes_and_what_differs_in_provenance():
 @pytest.mark.parametrize(
     "other, expected",
     [
-        (results("velocity-scaling"), "cannot compare tire-models with velocity-scaling"),
+        (
+            results("velocity-scaling"),
+            "cannot compare tire-models with velocity-scaling: expected one experiment",
+        ),
         (results(sha="bb", name="club"), "different tracks, reference and club"),
         (results(sha="bb"), "different versions of the track reference"),
         (results(scales=(0.9,)), "no scale and controller in common"),

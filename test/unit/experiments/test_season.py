@@ -1,4 +1,4 @@
-"""A season: what is found, read once, named by its track, and continued."""
+"""A season: bags are found, read once, named by track, and continued."""
 
 import csv
 import os
@@ -43,7 +43,7 @@ def heat(path, line, begin=T0, speed=3.0, raceline=True, laps=2.3, settings=""):
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory, ring, track):
-    """A folder as a team has it."""
+    """A typical folder of a team."""
     folder = tmp_path_factory.mktemp("bags")
     heat(folder / "friday" / "a.bag", ring)
     heat(folder / "friday" / "b.bag", ring, T0 + 3600, 3.2)
@@ -85,11 +85,11 @@ def test_heats_are_in_order_with_their_tracks_and_reasons(bags, tmp_path):
     season = evaluated(bags, tmp_path)
     assert (season.read, season.kept) == (6, 0)
     rows = {os.path.relpath(row["bag"], str(bags)): row for row in season.heats}
-    # The row has the name of the bag already.
+    # The row already has the name of the bag.
     assert rows["saturday/broken.bag"]["reason"].startswith("no topic with the pose")
     dates = [row["date"] for row in season.heats if not row["reason"]]
     assert dates == sorted(dates) and dates[0] == "2025-06-15 15:06:40"
-    # Lines of one track have one name, whatever the format; the others are numbered.
+    # Lines of the same track have the same name, whatever the format; the others are numbered.
     names = {name: row["track"] for name, row in rows.items()}
     assert names["friday/a.bag"] == "track 1" and names["saturday/a.bag"] == "track 2"
     same = ("friday/b.bag", "saturday/ros2", "saturday/alone.mcap")
@@ -132,11 +132,11 @@ def test_what_has_not_changed_is_not_read_again(bags, tmp_path, monkeypatch, rin
     assert sorted(os.path.basename(path) for path in reads) == ["b.bag", "ros2"]
     evaluated(folder, tmp_path / "out", car_width=0.2)
     assert len(reads) == 2 + 5
-    # Records that were damaged are made again.
+    # Damaged records are made again.
     for record in (tmp_path / "out" / "heats").iterdir():
         record.write_text("{")
     assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 5
-    # Other code of the same version may evaluate otherwise.
+    # Changed code with the same version may evaluate differently.
     monkeypatch.setattr(season_module, "fingerprint_of_code", lambda parts: "other")
     assert evaluated(folder, tmp_path / "out", car_width=0.2).read == 5
 
@@ -181,13 +181,13 @@ def test_given_tracks_name_heats_and_stand_in_for_missing_racelines(tmp_path, ri
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks).heats
     assert row["track"] == "bean" and row["laps"] == 2 and row["reason"] == ""
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tracks[:1]).heats
-    assert "driven on none of the tracks given" in row["reason"] and row["date"]
+    assert "driven on none of the given tracks" in row["reason"] and row["date"]
     (row,) = evaluated(tmp_path / "bags", tmp_path / "out").heats
     assert "--tracks" in row["reason"] and "--raceline" not in row["reason"]
 
 
 def test_tracks_of_one_name_are_told_apart_by_their_folders(tmp_path, ring, track):
-    """As the maps of a stack have: each its folder, all of them the same file name."""
+    """As in a stack's maps: each has its own folder, all have the same file name."""
     lines = {"hall/map": ring, "arena/map": track.raceline()}
     heat(tmp_path / "bags" / "a.bag", ring)
     heat(tmp_path / "bags" / "b.bag", track.raceline(), T0 + 3600)
@@ -198,13 +198,13 @@ def test_tracks_of_one_name_are_told_apart_by_their_folders(tmp_path, ring, trac
         save_raceline(line, tracks[-1])
     rows = evaluated(tmp_path / "bags", tmp_path / "out", tracks=tuple(tracks)).heats
     assert [row["track"] for row in rows] == ["hall/map/reference", "arena/map/reference"]
-    # A shipped track keeps its name; a track that is given twice is one.
+    # A shipped track keeps its name; a track given twice counts once.
     rows = evaluated(tmp_path / "bags", tmp_path / "out", tracks=(tracks[0], tracks[0])).heats
     assert [row["track"] for row in rows] == ["map/reference", "track 1"]
 
 
 def test_a_track_that_has_changed_is_raced_anew(tmp_path, ring, track):
-    """A raceline is optimized again under its old name; also a process that lives on sees it."""
+    """A raceline was re-optimized under its old name; a running process notices it, too."""
     line = tmp_path / "hall.csv"
     save_raceline(ring, line)
     heat(tmp_path / "bags" / "bare.bag", ring, raceline=False)
@@ -220,7 +220,7 @@ def test_a_track_that_has_changed_is_raced_anew(tmp_path, ring, track):
 
 
 def test_reports_are_made_as_their_heats(tmp_path, ring, capsys, monkeypatch):
-    """On the track given, with the limit given, and one that fails costs nothing else."""
+    """On the given track, with the given limit; a failure affects nothing else."""
     save_raceline(ring, tmp_path / "hall #1.csv")
     heat(tmp_path / "bags" / "bare.bag", ring, raceline=False)
     heat(tmp_path / "bags" / "own.bag", ring)
@@ -263,7 +263,7 @@ def test_the_command(bags, tmp_path, capsys):
     assert [row["report"] for row in rows if row["report"]] == ["reports/friday/a.html"]
     page = (output / "season.html").read_text()
     assert 'href="reports/friday/a.html"' in page
-    # Nothing comes from the network, and each trend has a point for each heat.
+    # Nothing is loaded from the network, and each trend has a point for each heat.
     assert not re.search(r"(src|href)=\"(https?:)?//", page)
     drawings = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
     assert len(drawings) == 2 * 3
@@ -276,7 +276,7 @@ def test_the_command(bags, tmp_path, capsys):
 def test_a_cluster_gives_the_same_table(bags, tmp_path, monkeypatch):
     from distributed import LocalCluster
 
-    monkeypatch.chdir(bags)  # the workers have another folder
+    monkeypatch.chdir(bags)  # the workers have another working folder
     tables = []
     options = {"n_workers": 1, "threads_per_worker": 2, "dashboard_address": None}
     with LocalCluster(**options) as cluster:
@@ -284,7 +284,7 @@ def test_a_cluster_gives_the_same_table(bags, tmp_path, monkeypatch):
             output = tmp_path / where[0].strip("-")
             assert main(["season", "friday", "saturday", "--output", str(output), *where]) == 0
             tables.append((output / "season.csv").read_text())
-    # Errors name the file as the process found it.
+    # Errors name the file by the path that the process used.
     assert tables[0] == tables[1] and tables[0].count("\n") == 7
 
 
@@ -318,7 +318,8 @@ def test_settings_are_columns(tmp_path, ring):
 
 
 def test_a_run_that_was_split_is_one_heat(tmp_path, ring, capsys):
-    """By names and times; the lap over the cut counts. Heats that only have numbers stay two."""
+    """By names and times; the lap across the split counts. Heats that are merely numbered stay
+    separate."""
     folder = tmp_path / "bags"
     heat(tmp_path / "whole.bag", ring, laps=4.3)
     for number in range(2):

@@ -1,4 +1,4 @@
-"""Results on disk: the same when they come back, and never half of one."""
+"""Results on disk: unchanged when read back, and never incomplete."""
 
 import json
 import math

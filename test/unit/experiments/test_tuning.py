@@ -1,4 +1,4 @@
-"""The search finds the bottom of valleys that are known."""
+"""The search finds the bottom of known valleys."""
 
 import math
 
@@ -37,7 +37,7 @@ def raced(*errors, outcome="completed"):
 
 
 def tuned_by(error_at, days=2):
-    """Tune on a known surface; infinite is a crash on the last day."""
+    """Tune on a known surface; infinite means a crash on the last day."""
     plan = tune(
         lambda controller: [(controller.m_m, controller.q_s, day) for day in range(days)],
         CONTROLLER,
@@ -62,7 +62,7 @@ def test_error_is_the_mean_over_laps_of_completed_races():
     assert lap_error([raced(0.1, 0.2), raced(0.6)]) == pytest.approx(0.3)
     assert math.isinf(lap_error([raced(0.1), raced(0.1, outcome="crashed")]))
     assert math.isinf(lap_error([raced(outcome="stalled")]))
-    # Completed, but off the track: no lap that counts has an error.
+    # Completed, but off the track: there is no counted lap with an error.
     assert math.isinf(lap_error([raced(0.1), raced()]))
 
 
@@ -70,14 +70,14 @@ def test_error_is_the_mean_over_laps_of_completed_races():
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.0, 1.3), st.floats(0.0, 0.4), st.floats(2.0, 6.0))
 def test_finds_the_bottom_of_a_valley(m, q, v):
-    """Long, oblique, as real ones are: its axis has one lookahead at the speed v."""
+    """Long and oblique, like real ones: along its axis, the lookahead at speed v is constant."""
 
     def error_at(m_m, q_s):
         across = (m_m - m) + v * (q_s - q)
         return 0.01 + abs(across) ** 2 + 0.05 * abs(m_m - m - v * (q_s - q)) ** 2
 
     found, asked = tuned_by(error_at)
-    assert len(set(asked)) == len(asked)  # nothing is driven twice
+    assert len(set(asked)) == len(asked)  # no race is driven twice
     assert {race[:2] for race in asked} == {pair[:2] for pair in found.pairs}
     assert found.races == len(asked)
     lowest = min(pair.error for pair in found.pairs if not pair.given_up)
@@ -91,7 +91,7 @@ def test_finds_the_bottom_of_a_valley(m, q, v):
 
 
 def test_a_valley_beside_a_cliff():
-    """The best pair lies on the cliff, and all pairs beyond are infeasible."""
+    """The best pair is at the edge of the cliff, and all pairs beyond are infeasible."""
 
     def error_at(m, q):
         return math.inf if m + 4.0 * q < 0.72 else 0.05 + 0.2 * (m + 4.0 * q - 0.72)
@@ -101,13 +101,13 @@ def test_a_valley_beside_a_cliff():
     frame = frame_of(found)
     beyond = frame.m_m + 4.0 * frame.q_s < 0.72
     driven = frame[~frame.given_up]
-    # On the first day all of them complete: some of those beyond were given up before the last.
+    # All complete the first day: some infeasible ones were dropped before the last.
     assert (~driven.completed == beyond[~frame.given_up]).all()
     assert driven.rms_lateral_error_m.isna().equals(~driven.completed)
 
 
 def test_what_cannot_become_the_best_is_not_driven_to_its_end():
-    """Of pairs far from the bottom, one race each; the answer is that of driving all."""
+    """Pairs far from the bottom get one race each; the result is the same as with all races."""
 
     def error_at(m, q):
         return 0.02 + (m - 0.4) ** 2 + 4.0 * (q - 0.1) ** 2
@@ -159,7 +159,7 @@ def test_the_robust_search_finds_the_bottom_of_the_mean():
 
 
 def test_the_robust_search_first_completes_everything():
-    """Begun where one job crashes, it does not stay there, though the error is smallest."""
+    """Starting where one job crashes, it moves away, although the error is smallest there."""
 
     def error_at(m, q, delay, job):
         return math.inf if job == 7 and delay < 0.057 else 0.02 + delay
@@ -191,7 +191,7 @@ def test_steps_of_the_robust_search_grow_with_the_car():
     around = plan.send([raced(0.02)])
     steps = {round(abs(c.m_m - given.m_m), 4) for c in around if c.q_s == given.q_s}
     assert steps == {0.0, round(2.0 * ROBUST_STEPS["m_m"] * size.length, 4)}
-    # A delay does not grow with the car.
+    # Delays do not scale with the car.
     assert {round(abs(c.delay_s - given.delay_s), 4) for c in around} == {0.0, 0.01}
 
 
@@ -212,7 +212,7 @@ def test_the_search_of_a_larger_car_has_larger_steps():
         races = next(plan)
         while True:
             asked += races
-            # The valley lies far beyond the grid of a 1:10 car.
+            # The valley is far beyond the grid of a 1:10 car.
             races = plan.send([raced(0.01 + abs(m - 4.0) + 30.0 * abs(q - 0.5)) for m, q in races])
     except StopIteration as stop:
         found = stop.value.controller

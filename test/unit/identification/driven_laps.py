@@ -1,4 +1,4 @@
-"""Laps of the simulated car as runs, without a bag between."""
+"""Laps of the simulated car as runs, without a bag."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""One clock, one low-pass, and what is steady."""
+"""One clock, one low-pass, and steady segments."""
 
 import dataclasses
 import math
@@ -19,9 +19,9 @@ BETA = -0.06  # of the rear axle
 
 
 def circle(v=2.0, r=1.0, duration=8.0, rate=40.0, delay=0.0, ahead=0.0, steps=(), **setup):
-    """A run at constant speed on a circle; `steps` are (time, speed) at which the speed changes.
+    """A run at constant speed on a circle; `steps` are (time, speed) of speed changes.
 
-    Poses are those of a point `ahead` of the rear axle, whose slip angle is `BETA`.
+    Poses refer to a point `ahead` of the rear axle, whose slip angle is `BETA`.
     """
     t = np.arange(0.0, duration, 1.0 / rate)
     speed = np.full(t.size, v)
@@ -86,7 +86,7 @@ def test_velocity_of_the_center_of_gravity_from_poses_of_any_point(ahead, r):
 
 def test_lateral_acceleration_is_that_of_the_center_of_gravity():
     run = circle(r=1.5, imu_x_m=0.2, imu_y_m=0.05)
-    # To the left of the middle, it turns on a smaller circle.
+    # Left of the middle, the circle is smaller.
     motion = motion_of(run, CAR)
     assert motion.a_y[settled(motion)] == pytest.approx(2.0 * 1.5 + 1.5**2 * 0.05)
     motion = motion_of(circle(r=1.5), CAR, acceleration="yaw_rate")
@@ -95,7 +95,7 @@ def test_lateral_acceleration_is_that_of_the_center_of_gravity():
 
 @pytest.mark.parametrize("delay", [0.4, -0.7])
 def test_the_clock_of_the_pose_is_brought_to_that_of_the_yaw_rate(delay):
-    """On a car whose yaw rate changes, since on a circle all times look alike."""
+    """With a varying yaw rate: on a circle all times look alike."""
     t = np.arange(0.0, 20.0, 0.02)
     r = 1.0 + 0.8 * np.sin(0.9 * t) + 0.3 * np.sin(2.3 * t)
     psi = np.append(0.0, np.cumsum(0.5 * 0.02 * (r[1:] + r[:-1])))
@@ -114,7 +114,7 @@ def test_steps_of_speed_are_cut_into_holds():
     cuts = motion.segments()
     assert [round(float(np.mean(motion.v_x[cut])), 2) for cut in cuts] == [2.0, 2.4, 2.8]
     for cut in cuts:
-        # Nothing of the step is left in a hold.
+        # No trace of the step remains in a steady segment.
         assert np.ptp(motion.v_x[cut]) < 0.03
         assert cut.stop - cut.start > 2.5 * 50
 
@@ -207,7 +207,7 @@ def test_refusals():
         signals = {name: s for name, s in run.signals.items() if name != missing}
         with pytest.raises(IdentificationError, match=expected):
             motion_of(dataclasses.replace(run, signals=signals), CAR)
-    with pytest.raises(IdentificationError, match="expected a second"):
+    with pytest.raises(IdentificationError, match="expected at least 1 s with all signals"):
         motion_of(circle(duration=0.6), CAR)
     with pytest.raises(ParameterError, match="cutoff_hz"):
         SteadyLimits(cutoff_hz=30.0)

@@ -169,7 +169,7 @@ def test_bag_as_it_usually_is(bag):
         "steering",
         "speed_command",
     }
-    # The localization's twist is not filled: the yaw rate is the IMU's, the speed that of the path.
+    # The localization's twist is not filled in: yaw rate from the IMU, speed from the path.
     assert run.signals["yaw_rate"].value[0] == 0.5
     assert run.signals["steering"].value[0] == pytest.approx(0.2)
     assert any("v_x is 0 throughout" in note for note in run.notes)

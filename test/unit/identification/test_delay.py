@@ -1,4 +1,4 @@
-"""Delays of cars whose delays are known."""
+"""Delays of cars with known delays."""
 
 import dataclasses
 import json
@@ -30,7 +30,7 @@ NUC4, SIM = load_vehicle("nuc4"), load_vehicle("sim")
 
 
 def driven(plant_name, steering, rate=40.0, seconds=14.0, age=0.02, **changes):
-    """A drive by open-loop commands at the rate of the poses, as a run."""
+    """A drive with open-loop commands at the rate of the poses, as a run."""
     parameters = dataclasses.replace(load_plant(plant_name), localization_rate_hz=rate, **changes)
     plant, localization = build_plant(parameters, seed=3)
     plant.reset(0.0, 0.0, 0.0, 2.5)
@@ -89,7 +89,7 @@ def test_of_the_shipped_car(shipped):
         assert part.status == "estimated"
         assert part.value == pytest.approx(true, abs=0.005)
         assert part.low <= part.value <= part.high
-    # What each has of the sum is known less.
+    # The shares of the sum are less certain.
     assert delays.steering_dead_time.low <= 0.02 <= delays.steering_dead_time.high
     assert delays.steering_lag.low <= 0.03 <= delays.steering_lag.high
     assert delays.speed_lookahead.value == pytest.approx(0.07, abs=0.01)
@@ -98,7 +98,7 @@ def test_of_the_shipped_car(shipped):
 @pytest.mark.once
 @pytest.mark.parametrize(("total", "rate", "scale"), [(0.02, 40.0, 0.9), (0.08, 100.0, 0.6)])
 def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
-    """The ends of what scripts/delays_of_laps measures."""
+    """The extremes of what scripts/delays_of_laps measures."""
     share = total / 0.07
     changes = {
         "localization_latency_s": 0.02 * share,
@@ -119,7 +119,7 @@ def test_from_laps_as_they_are_raced(tmp_path, total, rate, scale):
 
 @pytest.mark.once
 def test_commands_that_are_stamped_with_the_pose_they_answer(tmp_path):
-    """As the controller node does: they are sent when the pose has come."""
+    """As from the controller node: they are sent when the pose has arrived."""
     raceline, parameters = load_raceline("reference"), load_controller_parameters("map")
     controller = build_controller(parameters, NUC4, raceline)
     car, localization = build_plant(load_plant("nuc4"), 1)
@@ -162,9 +162,9 @@ def test_short_delays_at_another_rate():
 
 @pytest.mark.parametrize("real_time", [False, pytest.param(True, marks=pytest.mark.once)])
 def test_the_line_of_the_public_simulator(real_time):
-    """Its servo steps, which shows in poses without noise: the line is known exactly.
+    """Its servo moves in steps, which shows in noise-free poses: the delay line is known exactly.
 
-    In real time poses are stamped a little late, and commands come between two samples.
+    In real time, poses are stamped slightly late, and commands arrive between two samples.
     """
     parameters = dataclasses.replace(load_plant("public_simulator"), steering_delay_s=0.03)
     plant, _ = build_plant(parameters, seed=1)
@@ -188,12 +188,12 @@ def test_the_line_of_the_public_simulator(real_time):
     delays = estimate_delays([Run("a.bag", signals)], SIM)
     assert delays.delay.value == pytest.approx(0.03, abs=1e-9)
     assert delays.steering_lag.value == 0.0
-    said = "the servo moves in steps of 0.01 s, and is 3 of them late"
+    said = "the servo moves in steps of 0.01 s, with a dead time of 3 steps"
     assert delay_text(delays).count(said) == 1
 
 
 def test_a_line_is_found_beyond_a_lesser_dip(monkeypatch):
-    """What each number of samples left of three laps at 40 Hz with 8: 10 is a dip, too."""
+    """Residuals for each number of samples, from three laps at 40 Hz with 8: 10 is a dip, too."""
     left = {6: 0.08, 7: 0.069, 8: 0.008, 9: 0.097, 10: 0.061, 11: 0.153}
 
     class Found(dict):
@@ -247,7 +247,7 @@ def test_noise_is_no_turning(noise):
 
 
 def test_a_car_that_stands_shows_nothing(shipped):
-    """Wheels are turned; noise is all that the sensors see."""
+    """The wheels are turned; the sensors see only noise."""
     signals = dict(shipped.signals)
     for name in ("v_x", "v_y", "yaw_rate"):
         signals[name] = Signal(signals[name].t, 0.001 * signals[name].value)
@@ -264,7 +264,8 @@ def test_speed_commands_in_another_unit_for_a_part_tell_nothing(shipped):
     )
     delays = estimate_delays([run], NUC4)
     assert delays.drive_lag == delays.drive_dead_time == Part(reason="no speed commands")
-    assert any("the speed commanded is 3.6 times the speed: in km/h?" in n for n in delays.notes)
+    said = "the commanded speed is 3.6 times the measured one: in km/h?"
+    assert any(said in note for note in delays.notes)
     assert delays.steering.value == pytest.approx(0.05, abs=0.005)
 
 
@@ -276,7 +277,7 @@ def test_commands_of_another_car_explain_nothing(shipped):
 
 
 def test_the_age_is_within_where_clocks_differ(shipped):
-    """Commands brought to the poses' clock by the times of receipt come early by the age."""
+    """Commands brought to the poses' clock by times of receipt are early by the age."""
     early = Signal(shipped.signals["steering"].t - 0.02, shipped.signals["steering"].value)
     signals = {**shipped.signals, "steering": early}
     run = dataclasses.replace(
@@ -289,7 +290,7 @@ def test_the_age_is_within_where_clocks_differ(shipped):
 
 @pytest.mark.parametrize(("offset", "age"), [(0.0, 0.02), (-0.4, 0.02), (1e6, 0.02)])
 def test_the_age_where_the_recorder_has_another_clock(tmp_path, offset, age):
-    """Poses and commands are of one computer's clock, times of receipt of another's."""
+    """Poses and commands are on one computer's clock, times of receipt on another's."""
     path = tmp_path / "a.bag"
     with BagWriter(path) as bag:
         for i in range(200):
@@ -299,7 +300,7 @@ def test_the_age_where_the_recorder_has_another_clock(tmp_path, offset, age):
             bag.drive(t + age, 0.001 * i, 2.0, received=received)
     delays = estimate_delays([load_run(path)], NUC4)
     assert delays.pose_age.value == pytest.approx(age, abs=1e-6)
-    assert ("another one" in delays.pose_age.reason) == (offset != 0.0)
+    assert ("another clock" in delays.pose_age.reason) == (offset != 0.0)
 
 
 @pytest.mark.once
@@ -307,14 +308,14 @@ def test_an_age_that_nothing_tells_is_not_said_to_be_within(shipped):
     run = dataclasses.replace(shipped, pose_lag=(-0.98,) * 3)
     delays = estimate_delays([run], NUC4)
     assert delays.delay.value == delays.steering.value
-    assert "without the age of the pose: the stamps" in delays.delay.reason
+    assert "without the age of the pose: the timestamps" in delays.delay.reason
 
 
 @pytest.mark.once
 def test_a_servo_later_than_what_is_looked_for():
     run = driven("nuc4", weaving, steering_delay_s=0.32)
     reason = estimate_delays([run], NUC4).steering.reason
-    assert "or more after their commands, expected less than 0.3 s" in reason
+    assert "s after their commands, expected less than 0.3 s" in reason
 
 
 @pytest.mark.once

@@ -1,4 +1,4 @@
-"""Which parts of a drive are known: nobody knows what a car does after its last command."""
+"""Usable parts of a drive: after the last command, the car's behavior is unknown."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ LAST = 6.0
 
 @pytest.fixture(scope="module")
 def rolling():
-    """A car on a circle whose commands end at `LAST`; then it rolls on, slower and slower."""
+    """A car on a circle whose commands end at `LAST`; then it coasts down."""
     t = np.arange(0.0, 12.0, 0.02)
     v = np.where(t < LAST, 3.0, 3.0 - 0.3 * (t - LAST))
     psi = 0.02 * np.cumsum(v) / 4.0
@@ -44,7 +44,7 @@ def test_nor_is_its_rolling_steady_cornering(rolling):
 
 
 def test_a_run_that_tells_no_speed_is_refused(rolling):
-    """Nor is a column of y that is empty, of which no signal is made, a traceback."""
+    """An empty column y, which gives no signal, causes no traceback either."""
     signals = {name: rolling.signals[name] for name in ("x", "yaw_rate", "steering")}
     with pytest.raises(IdentificationError, match="expected a speed or poses, got neither"):
         driving_of(Run("no y", signals))

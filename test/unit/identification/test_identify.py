@@ -1,4 +1,4 @@
-"""From driving data to a car whose table drives."""
+"""From driving data to a car with a working table."""
 
 import dataclasses
 import json
@@ -83,9 +83,9 @@ def test_a_quarter_of_gross_outliers_in_the_bag(ramps, curve_error, tmp_path, se
 @pytest.mark.once
 @pytest.mark.parametrize("scale", [0.5, 2.0, 4.0], ids="{:g} times as long".format)
 def test_a_similar_car_of_another_size_is_identified_alike(ramps, found, scale):
-    """All lengths times `scale`, the same accelerations (Froude): the tires are the same.
+    """All lengths times `scale` at the same accelerations (Froude): the tires are the same.
 
-    Twice as long is a 1:5 car, whose noise [N] is eight times as large as a 1:10 car's.
+    Twice the length is a 1:5 car, with eight times the noise [N] of a 1:10 car.
     """
     time, base = math.sqrt(scale), ramps.base
     factors = {"x": scale, "y": scale, "v_x": time, "yaw_rate": 1.0 / time, "speed_command": time}
@@ -120,7 +120,7 @@ def test_the_papers_front_force_overrates_this_model(ramps, found):
         np.abs(motion.delta[c]).max() for motion in found.motions for c in motion.segments()
     )
     assert ratio == pytest.approx(1.0 / math.cos(widest), rel=0.02)
-    assert f"promises up to {1.0 / math.cos(widest) - 1.0:.1%} more" in report_text(paper)
+    assert f"gives up to {1.0 / math.cos(widest) - 1.0:.1%} more" in report_text(paper)
 
 
 def test_what_is_returned(found, ramps):
@@ -130,7 +130,7 @@ def test_what_is_returned(found, ramps):
     assert found.vehicle.name == "base_identified"
     kept = ("m", "I_z", "l_f", "l_r", "h_cg", "delta_max", "v_max")
     assert all(getattr(found.vehicle, key) == getattr(ramps.base, key) for key in kept)
-    # Linear tires are regressions on all of the data: softer than the slope at zero.
+    # Linear tires are regressions on all data: softer than the slope at zero.
     assert 0.9 * found.vehicle.front.stiffness > found.linear_vehicle.front.C_S
     largest = ramps.true.mu * ramps.true.front.peak * 9.81
     assert 0.93 * largest < found.largest_a_y < 1.01 * largest
@@ -146,7 +146,7 @@ def test_a_limit_of_the_vehicle_file_is_no_lower_than_what_was_held(found, ramps
 
 
 def test_understeer_gradient_is_the_slope_of_the_table(found):
-    """Steering beyond Ackermann's at small accelerations, from the table itself."""
+    """Steering beyond Ackermann at small accelerations, from the table itself."""
     v, a_y = 4.0, 0.3
     table = steady_state_table(found.vehicle, [v], np.linspace(0.0, 0.1, 400))
     beyond = table.steering(v, a_y)[0] - math.atan(found.vehicle.l_wb * a_y / v**2)
@@ -156,7 +156,7 @@ def test_understeer_gradient_is_the_slope_of_the_table(found):
 def test_understeer_gradient_has_the_doubt_about_the_stiffness_of_both_axles(found, ramps):
     value, low, high, determined = found.understeer_gradient
     car = ramps.true
-    # By the tires' own slopes, m g cancels: K = (1 / C_f - 1 / C_r) / (mu g).
+    # With normalized slopes, m g cancels: K = (1 / C_f - 1 / C_r) / (mu g).
     true = (1.0 / car.front.stiffness - 1.0 / car.rear.stiffness) / (9.81 * car.mu)
     assert determined and value == pytest.approx(true, rel=0.05)
     each = [axle.pacejka.parameters["stiffness_n_per_rad"] for axle in found.axles.values()]
@@ -164,7 +164,7 @@ def test_understeer_gradient_has_the_doubt_about_the_stiffness_of_both_axles(fou
     parts = [share * (k.high / k.value - 1.0) for k, share in zip(each, shares)]
     assert (high - low) / 2.0 == pytest.approx(math.hypot(*parts))
     assert f"understeer gradient: {value:+.5f} rad per m/s^2 (95 %: " in report_text(found)
-    # A rear axle of any stiffness: not even the sign is known.
+    # With an undetermined rear axle, not even the sign is known.
     fit = found.axles["rear"].pacejka
     known = fit.parameters["stiffness_n_per_rad"]
     vague = known._replace(high=20.0 * known.value, low=0.0, determined=False)
@@ -180,7 +180,7 @@ def test_understeer_gradient_has_the_doubt_about_the_stiffness_of_both_axles(fou
 
 @pytest.mark.once
 def test_table_of_the_result_drives_as_well_as_the_true_one(found, ramps):
-    """In the closed loop, on the plant that the tires were identified from."""
+    """In closed loop, on the plant on which the tires were identified."""
     raceline = load_raceline("reference")
     parameters = load_controller_parameters("map").with_(speed_scale=0.75)
     errors = {}
@@ -198,7 +198,7 @@ def test_table_of_the_result_drives_as_well_as_the_true_one(found, ramps):
         d = [raceline.project(x, y).d for x, y in log.true_path()[:, 1:3].tolist()]
         errors[name] = math.sqrt(np.mean(np.square(d)))
     assert errors["identified"] < 1.2 * errors["true"]
-    assert errors["base"] > 2.0 * errors["true"]  # it is the tires that matter here
+    assert errors["base"] > 2.0 * errors["true"]  # so the tires do matter here
 
 
 @pytest.mark.once
@@ -234,7 +234,7 @@ def test_steady_acceleration_where_there_is_no_steady_state():
     j, i = 40, 100
     v, delta = float(table.speeds[j]), float(table.angles[i])
     assert steady_acceleration(car, v, delta) == pytest.approx(table.a_lat[i, j], abs=1e-9)
-    # An oversteering car: turned too far it spins, and beyond its critical speed at once.
+    # An oversteering car: it spins if turned too far, and above its critical speed at once.
     loose = dataclasses.replace(car, front=car.rear, rear=dataclasses.replace(car.rear, B=10.0))
     assert math.isnan(steady_acceleration(loose, 15.0, 0.2))
     most = steady_acceleration(loose, 3.0, 0.4)
@@ -321,7 +321,7 @@ def test_a_real_car_predicts_the_runs_it_was_not_fitted_to(circles):
     for quantity in ("yaw_rate", "lateral_acceleration"):
         assert errors["below_limit"][quantity] < 0.05
         assert errors["at_limit"][quantity] < 0.10
-    # Localization errs otherwise in each run, which is told by the rear axle.
+    # The localization error differs in each run, and shows at the rear axle.
     worst = worst_prediction(left_out)
     assert worst["within_5_percent"] >= 0.9 * worst["holds"] and worst["error"] < 0.1
 
@@ -337,7 +337,7 @@ def test_the_sign_of_the_real_imu_is_found(circles):
     turned = []
     for run in circles:
         signals = dict(run.signals)
-        signals["a_y"] = Signal(signals["a_y"].t, -signals["a_y"].value)  # as it is in the file
+        signals["a_y"] = Signal(signals["a_y"].t, -signals["a_y"].value)  # the sign in the file
         turned.append(dataclasses.replace(run, signals=signals))
     with pytest.raises(IdentificationError, match="a_y is -1.0.* its sign is wrong"):
         identify(turned, CIRCLES)
@@ -352,9 +352,9 @@ def test_second_real_car(shared_data):
     runs = [load_run(path, channels) for path in paths]
     with pytest.raises(IdentificationError, match="time: .* a second of the recording lasts 0.86"):
         identify(runs, SECOND)
-    # Its speed oscillates, so a lower cut-off is needed to see what is steady.
+    # Its speed oscillates, so a lower cutoff is needed to find steady segments.
     limits = SteadyLimits(cutoff_hz=0.4)
-    # Its wheels turn more than it says, and nothing tells how much: all of it is hard cornering.
+    # Its wheels turn more than the signal says, by an unknown factor: all of it is hard cornering.
     with pytest.raises(IdentificationError, match="how much more is unknown without cornering"):
         identify(runs, SECOND, fix=True, limits=limits)
     runs = [
@@ -364,7 +364,7 @@ def test_second_real_car(shared_data):
     found = identify(runs, SECOND, fix=True, limits=limits)
     assert found.setup.steering_gain == 1.2
     assert found.setup.time_scale == pytest.approx(0.863, abs=0.01)
-    # One steering angle to one side does not tell a tire's peak.
+    # One steering angle to one side does not determine a tire's peak.
     assert not found.axles["front"].pacejka.saturated and not found.axles["rear"].pacejka.saturated
     assert not found.axles["front"].pacejka.parameters["peak_n"].determined
     assert any("steady cornering to the left only" in finding.text for finding in found.findings)
@@ -373,7 +373,7 @@ def test_second_real_car(shared_data):
 @pytest.mark.once
 @pytest.mark.parametrize("friction, mixed", [(1.0, False), (0.88, True), (0.7, True)])
 def test_ramps_on_two_floors_are_no_silent_mixture(ramps, tmp_path, friction, mixed):
-    """The same car at another speed is no contradiction, on another floor it is."""
+    """The same car at another speed is no contradiction; on another floor it is."""
     floor = dataclasses.replace(ramps.parameters, mu_scale=friction * ramps.parameters.mu_scale)
     write_ramp_bag(tmp_path / "b.bag", drive_ramps(floor, [RampParameters(speed_mps=2.5)], seed=3))
     found = identify_car([ramps.run, load_run(tmp_path / "b.bag")], ramps.base)
@@ -394,7 +394,7 @@ def test_real_circles_are_of_one_floor(shared_data):
 
 
 def test_a_friction_that_no_floor_has_is_doubted(ramps):
-    """Speed and yaw rate in other units than they seem: here a slow-motion clock."""
+    """Speed and yaw rate in wrong units; here because of a slow-motion clock."""
     factors = {"a_y": 0.49, "v_x": 0.7, "v_y": 0.7, "yaw_rate": 0.7}
     signals = {
         name: Signal(0.7 * s.t, s.value / factors.get(name, 1.0))
@@ -402,8 +402,8 @@ def test_a_friction_that_no_floor_has_is_doubted(ramps):
     }
     found = identify_car([dataclasses.replace(ramps.run, signals=signals)], ramps.base)
     assert found.largest_a_y > 1.3 * 9.81
-    assert "expected at most 1.3 of rubber" in car_text(found)
-    held = f"warning: a friction of {found.largest_a_y / 9.80665:.2f}, which the "
-    held += f"{found.largest_a_y:.2f} m/s^2 that were held would take, expected"
+    assert "expected at most 1.3 for rubber" in car_text(found)
+    held = f"warning: a friction of {found.largest_a_y / 9.80665:.2f}, needed for the "
+    held += f"sustained {found.largest_a_y:.2f} m/s^2, expected"
     assert held in provenance(found)
     assert any(held in note for note in car_data(found)["notes"])

@@ -1,4 +1,4 @@
-"""Stamps of two computers in the recording that a car is identified from."""
+"""Stamps of two computers in the recording used for identification."""
 
 import struct
 
@@ -48,7 +48,7 @@ def shifted(ramps, tmp_path):
 
 @pytest.fixture(scope="module")
 def right(ramps):
-    """Stiffnesses of the recording as it is."""
+    """Stiffnesses from the unchanged recording."""
     return stiffness(identify([ramps.run], ramps.base))
 
 
@@ -77,7 +77,7 @@ def test_they_are_found_said_and_repaired(ramps, right, shifted, topics, seconds
 @pytest.mark.rest_once
 @pytest.mark.parametrize("seconds", [-0.3, 0.1, 1.0])
 def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
-    """A bag that was written anew by its stamps."""
+    """A bag rewritten with stamps as times of receipt."""
     run = shifted((POSE,), seconds, receipts=True)
     side = "earlier" if seconds > 0.0 else "later"
     with pytest.raises(IdentificationError, match=f"yaw rate comes .* s {side} than the poses"):
@@ -87,7 +87,7 @@ def test_where_no_receipt_tells_them_they_are_refused(ramps, shifted, seconds):
 @pytest.mark.once
 @pytest.mark.parametrize("seconds", [-0.3, pytest.param(-0.2, marks=pytest.mark.once)])
 def test_late_commands_of_ramps_are_told_by_the_steps_of_the_speed(ramps, right, shifted, seconds):
-    """Ramps of the steering are so even that a shift only looks like other tires."""
+    """Steering ramps are so smooth that a shift just looks like different tires."""
     run = shifted((DRIVE,), seconds, receipts=True)
     wrong = identify([run], ramps.base)
     (said,) = [finding.text for finding in wrong.findings if finding.contradiction]
@@ -122,7 +122,7 @@ def test_commands_whose_receipts_are_shifted_too_are_refused(ramps, shifted, sec
 
 
 def test_a_step_after_a_pause_of_the_commands_tells_no_onset():
-    """Who does not repeat a command does not say that it was held: a multiplexer stops the car."""
+    """A command that was not repeated may not have been held: a multiplexer stops the car."""
     t = np.arange(0.0, 10.0, 0.02)
     signals = {
         "speed_command": Signal(np.array([0.0, 5.0, 5.5]), np.array([1.0, 2.0, 2.0])),

@@ -1,4 +1,4 @@
-"""Tires of cars whose tires are known, from laps; what laps cannot tell stays as it was."""
+"""Known tires identified from laps; what laps do not determine stays unchanged."""
 
 import dataclasses
 
@@ -57,14 +57,14 @@ def test_combinations_and_friction_are_the_cars(low, found):
     assert friction.low < true.mu < friction.high
     assert found.least_friction < true.mu
     assert found.parameters["fit_delay_s"].value == pytest.approx(0.05, abs=0.006)
-    # Nothing else was learned.
+    # Nothing else has changed.
     assert found.vehicle.I_z == NUC4.I_z and found.vehicle.h_cg == NUC4.h_cg
     assert found.vehicle.front.C == NUC4.front.C
 
 
 @pytest.mark.once
 def test_the_steering_has_one_delay(low):
-    """In report and file: the one that `delay_s` is made of."""
+    """Report and file have the one that `delay_s` is based on."""
     found = identify_car([low[0]], NUC4)
     told, head = car_text(found), provenance(found)
     steering = found.laps.delays.steering
@@ -99,14 +99,14 @@ def test_far_from_the_limit_friction_stays_as_it_was():
 
 @pytest.mark.once
 def test_perfect_measurements_do_not_tell_it_there_either():
-    """At small slip a wrong shape of the curve looks like another friction."""
+    """At small slip, a wrong shape of the curve looks like a different friction."""
     run, _ = laps_of(0.45, mu_scale=0.88, **QUIET)
     assert not tires_from_laps([run], NUC4).parameters["friction"].determined
 
 
 @pytest.mark.once
 def test_a_quarter_of_gross_outliers(low):
-    """Friction is right where it is said to be determined, and that is the rule."""
+    """Friction is right whenever it is called determined, which is usually the case."""
     run, true = low
     sizes = {"v_x": 3.0, "v_y": 2.0, "yaw_rate": 4.0, "a_y": 15.0}
     determined = 0
@@ -140,7 +140,7 @@ def test_without_lateral_velocity_or_imu(low):
 
 @pytest.mark.once
 def test_an_imu_away_from_the_center_of_gravity():
-    """The setup says where; it measures parts of the yaw acceleration and of the yaw rate, too."""
+    """The setup gives its position; it also measures parts of yaw acceleration and yaw rate."""
     run, true = laps_of(0.7, mu_scale=0.88, **QUIET)
     t, r = run.signals["yaw_rate"]
     ahead, left = 0.2, -0.1
@@ -152,7 +152,7 @@ def test_an_imu_away_from_the_center_of_gravity():
         expected = stiffness(center.vehicle, axle)
         assert stiffness(there.vehicle, axle) == pytest.approx(expected, rel=within)
     assert there.noise["a_y"] < 0.2
-    # So does the replay of its tires.
+    # The replay of its tires takes this into account, too.
     for one in (moved, run):
         (replayed,) = replay(true, [one], actuators_of([one], true)).runs
         assert replayed.channels["lateral acceleration"].share < 0.06
@@ -161,7 +161,7 @@ def test_an_imu_away_from_the_center_of_gravity():
 @pytest.mark.once
 @pytest.mark.parametrize("factor", [3.6, -1.0])
 def test_an_odometry_in_other_units_or_turned_around(low, found, factor):
-    """Both velocities are of one message: what repairs one repairs the other."""
+    """Both velocities are in the same message: a repair applies to both."""
     spoiled = {
         name: Signal(t, factor * v) for name, (t, v) in low[0].signals.items() if "v_" in name
     }
@@ -177,7 +177,7 @@ def test_an_odometry_in_other_units_or_turned_around(low, found, factor):
 
 @pytest.mark.once
 def test_no_less_grip_than_was_demonstrated(low):
-    """A file that promises less than the car did is wrong, determined or not."""
+    """A file with less grip than the car has shown is wrong, determined or not."""
     run, true = low
     slippery = dataclasses.replace(NUC4, mu=0.4)
     slippery = dataclasses.replace(slippery, a_lat_max=2.0)
@@ -218,7 +218,7 @@ def test_not_beyond_their_lock(low):
 @pytest.mark.once
 def test_the_wrong_shape_of_a_curve_does_not_pass_for_friction(low):
     run, true = low
-    C, E = 1.5, 0.9  # bends late, and then sharply
+    C, E = 1.5, 0.9  # saturates late, and then sharply
     other = {
         axle: PacejkaTire(tire.stiffness / (C * tire.D), C, tire.D, E)
         for axle, tire in (("front", NUC4.front), ("rear", NUC4.rear))
@@ -241,7 +241,7 @@ def test_linear_tires_have_no_friction_to_tell(low):
 
 @pytest.mark.once
 def test_commands_too_early_to_be_the_delay(low):
-    """With the delay at its bound, tires would make up for the rest."""
+    """With the delay at its bound, the tires would absorb the rest."""
     run = low[0]
     steering = run.signals["steering"]
     early = {**run.signals, "steering": Signal(steering.t - 0.28, steering.value)}
@@ -274,7 +274,7 @@ def test_refusals(low):
 @pytest.mark.parametrize("lag", [0.12, 0.3])
 @pytest.mark.parametrize("names", [("v_x",), ("yaw_rate", "v_y"), ("v_x", "v_y", "yaw_rate")])
 def test_a_twist_of_another_moment_than_its_poses_is_refused(low, names, lag):
-    """Its age would be taken for a delay of the steering, or for stiff tires."""
+    """Its lag would look like a steering delay, or like stiff tires."""
     run, _ = low
     late = {
         name: Signal(signal.t, np.interp(signal.t - lag, *signal))

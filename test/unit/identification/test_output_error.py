@@ -1,4 +1,4 @@
-"""The model that recorded commands drive, against the equations of the car in small steps."""
+"""The model driven by recorded commands, compared with the car's equations in small steps."""
 
 import dataclasses
 import math
@@ -31,7 +31,7 @@ def motion(column, t):
 
 
 def windows():
-    """Two windows: one that speeds up, one that brakes, each with commands of its own."""
+    """Two windows, one accelerating and one braking, each with its own commands."""
     t = STEP * np.arange(STEPS + 1)
     v_x, a_long = (np.stack([motion(column, t)[i] for column in (0, 1)], axis=1) for i in (0, 1))
     middle = t[:-1] + 0.5 * STEP
@@ -39,7 +39,7 @@ def windows():
     def commands(kind, delay):
         assert kind == "steering"
         at = middle[:, None] - delay
-        # The second has turns that the servo cannot follow, beyond the lock.
+        # The second has commands that the servo cannot follow, and beyond the lock.
         turn = np.where(at > 0.4, np.where(at > 0.6, -0.6, 0.6), 0.1)
         return np.stack((0.12 * np.sin(9.0 * at), turn), axis=2)
 
@@ -49,7 +49,7 @@ def windows():
 
 
 def wheels(vehicle, parameters, command):
-    """Angle of the wheels in fine steps under the commands of one window."""
+    """Wheel angle in fine steps under the commands of one window."""
     lag = max(parameters["delay"] * parameters["share"], 1e-6)
     gain, slew = math.exp(parameters["gain"]), vehicle.delta_rate_max * STEP
     wanted = gain * np.clip(command, -vehicle.delta_max, vehicle.delta_max) + parameters["offset"]
@@ -67,7 +67,8 @@ def wheels(vehicle, parameters, command):
 
 
 def integrated(vehicle, parameters, given, column):
-    """Yaw rate, lateral velocity and acceleration at each step of a window, by small steps."""
+    """Yaw rate, lateral velocity and acceleration at each step of a window, integrated in small
+    steps."""
     car = car_of(vehicle, parameters)
     car = dataclasses.replace(
         car,

@@ -1,4 +1,4 @@
-"""Open-loop replay: a true car does what was recorded, another one drifts off."""
+"""Open-loop replay: the true car reproduces the recording, another one drifts off."""
 
 import dataclasses
 import json
@@ -61,15 +61,15 @@ def test_another_car_does_not(quiet):
     ]
     for name in ("yaw rate", "lateral acceleration", "lateral drift"):
         assert errors[2][name].share > 2.0 * errors[0][name].share
-    # Nothing is fed back: a car that turns in too wide drifts ever farther.
+    # There is no feedback: a car that turns too wide drifts farther and farther.
     assert errors[2]["lateral drift"].rms > 2.0 * errors[1]["lateral drift"].rms
 
 
 def test_drift_is_measured_across_where_the_car_was(quiet):
-    """Poses that turn off by a known angle per second: 2 s later they are off to the side."""
+    """Poses that turn away by a known angle per second: after 2 s they are off to the side."""
     run, true, actuators = quiet
     t, v = run.signals["v_x"]
-    # A straight drive at 3 m/s by zero steering, seen by a localization that runs to the left.
+    # A straight drive at 3 m/s with zero steering, seen by a localization that drifts to the left.
     speed, side = 3.0, 0.1
     signals = {
         "x": Signal(t, speed * t),
@@ -112,7 +112,7 @@ def test_worst_of_several_runs_is_the_headline(quiet):
 
 
 def test_pieces_with_a_command_to_stop_are_left_out(quiet):
-    """A car told 0 m/s may brake or roll; the log does not say."""
+    """At a command of 0 m/s a car may brake or roll; the log does not show which."""
     run, true, actuators = quiet
     t, speed = run.signals["speed_command"]
     stop = Signal(t, np.where(t < 12.0, speed, 0.0))

@@ -1,4 +1,4 @@
-"""Every sensor that can be wrong is found out, and what would repair it."""
+"""Every faulty sensor is detected, with its repair."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ from map_racing.track.files.load import load_raceline
 from map_racing.track.raceline import Raceline
 from map_racing.vehicle.parameters import load_vehicle
 
-# What is done to the recording, the check that must see it, and the setup that repairs it.
+# Change to the recording, the check that must notice it, and the setup that repairs it.
 FAULTS = {
     "yaw rate turned around": ({"yaw_rate": (-1.0, 0.0)}, "yaw_rate_scale", -1.0),
     "yaw rate in other units": ({"yaw_rate": (57.3, 0.0)}, "yaw_rate_scale", 1.0 / 57.3),
@@ -137,7 +137,7 @@ def test_a_clock_that_runs_at_another_rate(ramps, curve_error):
 
 
 def test_the_point_of_the_pose(ramps):
-    """Poses of the center of gravity that are taken for those of the rear axle."""
+    """Poses of the center of gravity, declared as those of the rear axle."""
     signals, l_r = dict(ramps.run.signals), ramps.base.l_r
     psi = signals["psi"].value
     signals["x"] = Signal(signals["x"].t, signals["x"].value + l_r * np.cos(psi))
@@ -178,18 +178,18 @@ def test_wheels_that_turn_more_than_the_signal_on_one_side(ramps):
     t, value = half["steering"]
     half["steering"] = Signal(t, 0.6 * value)
     run = dataclasses.replace(ramps.run, signals=half)
-    with pytest.raises(IdentificationError, match="the wheels turn more than it says"):
+    with pytest.raises(IdentificationError, match="the wheels turn more than the signal"):
         identify([run], ramps.base)
 
 
 def test_a_gain_beyond_the_lock_is_refused(ramps):
-    """A car whose wheelbase is not the file's: no gain of the steering makes up for it."""
+    """A car with a wheelbase other than the file's: no steering gain can compensate for that."""
     long = dataclasses.replace(ramps.base, l_f=1.5 * ramps.base.l_f, l_r=1.5 * ramps.base.l_r)
     for fix in (False, True):
         with pytest.raises(IdentificationError, match="beyond their lock of 0.419 rad") as error:
             identify([ramps.run], long, fix=fix)
         assert "--fix applies" not in str(error.value)
-    # A stated gain as well; without one, commands beyond the lock are what the servo cuts.
+    # Also a stated gain; without one, the servo clips commands beyond the lock.
     stated = dataclasses.replace(ramps.run, setup=SensorSetup(steering_gain=1.5))
     with pytest.raises(IdentificationError, match="gain 1.500 .* beyond their lock"):
         identify([stated], ramps.base)
@@ -200,13 +200,13 @@ def test_a_gain_beyond_the_lock_is_refused(ramps):
 
 @pytest.mark.once
 def test_saturated_cornering_to_one_side_tells_no_gain(ramps):
-    """Above 45 % of the largest acceleration understeer is not proportional to it."""
+    """Above 45 % of the largest acceleration, understeer is not proportional to acceleration."""
     run = spoiled(ramps.run, {"steering": (0.35, 0.0)})
     motion = motion_of(run, ramps.base)
     t, value = run.signals["steering"]
     a_y = np.interp(t, motion.t, motion.v_x * motion.r)
     hard = a_y > 0.5 * np.percentile(a_y, 98.0)
-    end = t[hard][-1]  # beyond it the last command would count as held
+    end = t[hard][-1]  # beyond this, the last command would count as held
     signals = {name: Signal(s.t[s.t < end], s.value[s.t < end]) for name, s in run.signals.items()}
     signals["steering"] = Signal(t[hard], value[hard])
     with pytest.raises(IdentificationError, match="how much more is unknown") as error:
@@ -215,18 +215,18 @@ def test_saturated_cornering_to_one_side_tells_no_gain(ramps):
 
 
 def test_findings_that_contradict_each_other_are_reported_as_that(ramps):
-    """Hard cornering with another gain of the signal than slow cornering."""
+    """Hard and slow cornering with different gains of the signal."""
     motion = motion_of(ramps.run, ramps.base)
     t, value = ramps.run.signals["steering"]
     a_y = np.interp(t, motion.t, np.abs(motion.v_x * motion.r))
     weak = np.where(a_y > 0.48 * np.percentile(a_y, 98.0), 0.5, 1.0) * value
-    with pytest.raises(IdentificationError, match="these contradict each other") as error:
+    with pytest.raises(IdentificationError, match="no gain and offset satisfy both") as error:
         identify([_with(ramps.run, steering=weak)], ramps.base, fix=True)
     assert "--fix" not in str(error.value)
 
 
 def test_an_oversteering_car_is_not_taken_for_one_with_another_gain(tmp_path):
-    """Its wheels point less into the bend than the bend itself; the front axle moves even less."""
+    """Its wheels steer less than the bend's geometry; the front axle even moves less."""
     scales = {"front_stiffness_scale": 3.0, "rear_stiffness_scale": 0.1}
     plant = dataclasses.replace(load_plant("nuc4"), **scales)
     samples = drive_ramps(plant, [RampParameters(speed_mps=2.5, sides="left")], seed=5)
@@ -264,7 +264,7 @@ def _with(run, **values):
 def test_a_mirrored_path_is_refused(ramps):
     x, y = (ramps.run.signals[name].value for name in ("x", "y"))
     for mirrored in (_with(ramps.run, y=-y), _with(ramps.run, x=y, y=x)):
-        with pytest.raises(IdentificationError, match="an axis of the position turned around"):
+        with pytest.raises(IdentificationError, match="an axis of the position inverted"):
             identify([mirrored], ramps.base)
 
 
@@ -303,7 +303,7 @@ def lobes():
 @pytest.mark.parametrize("line", [load_raceline("reference"), lobes()], ids=["reference", "lobes"])
 @pytest.mark.parametrize("plant, scale", [("nuc4", 0.7), ("public_simulator", 0.7)])
 def test_few_moments_of_steady_cornering_in_laps_are_no_reason_to_repair(plant, scale, line, seed):
-    """Mostly to one side, so that scale and offset look alike."""
+    """Mostly to one side, so that scale and offset cannot be separated."""
     vehicle = load_vehicle("nuc4" if plant == "nuc4" else "sim")
     run, _ = laps_of(scale, seed, line, plant)
     findings = check([motion_of(run, vehicle)], run.setup, vehicle)
@@ -311,7 +311,7 @@ def test_few_moments_of_steady_cornering_in_laps_are_no_reason_to_repair(plant, 
 
 
 def test_runs_whose_imus_have_other_axes(ramps):
-    """An axis that is 0 throughout, as of a simulated IMU, is not recorded."""
+    """An axis that is always 0, as from a simulated IMU, counts as not recorded."""
     signals = {name: signal for name, signal in ramps.run.signals.items() if name != "a_x"}
     without = dataclasses.replace(ramps.run, signals=signals)
     motions = [motion_of(run, ramps.base) for run in (ramps.run, without)]
@@ -321,7 +321,7 @@ def test_runs_whose_imus_have_other_axes(ramps):
 
 
 def test_steering_that_the_turns_do_not_follow_tells_no_gain(ramps):
-    """The same angle whichever way the car turns: infinitely many turns per angle are no answer."""
+    """The same angle whichever way the car turns: an infinite gain is no answer."""
     t, value = ramps.run.signals["steering"]
     run = _with(ramps.run, steering=np.full(value.size, 0.1))
     (finding,) = check_steering_gain([motion_of(run, ramps.base)], run.setup, ramps.base)

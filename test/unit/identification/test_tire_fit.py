@@ -32,14 +32,15 @@ def measured(tire, widest=0.3, count=600, slip_noise=0.0, force_noise=0.0, seed=
 
 
 def worst(tire, fitted, widest):
-    """Largest difference of two curves up to a slip, as a share of the first one's peak there."""
+    """Largest difference of two curves up to a slip, as a share of the first one's peak in that
+    range."""
     slip = np.linspace(0.0, widest, 300)
     true = tire.normalized_force(slip)
     return np.max(np.abs(fitted.normalized_force(slip) - true)) / np.max(true)
 
 
 def steady(vehicle, v, delta):
-    """Lateral velocity, yaw rate and acceleration of the steady state, from the model itself."""
+    """Lateral velocity, yaw rate and acceleration in steady state, from the model itself."""
     a_y = steady_state_table(vehicle, [v], [delta]).a_lat[0, 0]
     r = a_y / v
     rear_slip = -vehicle.rear.slip(a_y / (GRAVITY * vehicle.mu))
@@ -79,7 +80,8 @@ def test_the_papers_front_force_has_the_cosine():
 
 @pytest.mark.once
 def test_errors_that_both_axles_share_are_told_by_the_rear():
-    """Each third of the points with another error of the heading, and noise of it: not in front."""
+    """Each third of the points has its own heading error and heading noise, neither of which
+    affects the front."""
     rng, rear_tire, count = np.random.default_rng(4), PacejkaTire(25.0, 1.3, 1.2, 0.4), 600
     front = measured(FRONT, 0.2, count)
     force = front.force
@@ -137,7 +139,7 @@ def test_a_quarter_of_gross_outliers(seed):
     points = measured(FRONT, force_noise=0.3, seed=seed)
     rng = np.random.default_rng(100 + seed)
     gross = rng.random(points.force.size) < 0.25
-    # All to one side, so that they do not cancel.
+    # All to one side, so that they do not cancel out.
     force = np.where(gross, points.force + rng.uniform(4.0, 25.0, gross.size), points.force)
     fit = fit_pacejka(points._replace(force=force))
     assert worst(FRONT, fit.tire, 0.3) < 0.05
@@ -149,16 +151,16 @@ def test_steps_of_rejection_keep_what_is_within_the_last_threshold():
     points = measured(FRONT, force_noise=0.9)
     fit = fit_pacejka(points)
     error = points.force + LOAD * fit.tire.normalized_force(points.slip)
-    # In left turns the slip is negative; residuals are those of the force over positive slip.
+    # In left turns the slip is negative; residuals refer to the force over positive slip.
     np.testing.assert_allclose(fit.residual, error, atol=1e-9)
     assert 0.0 < fit.rejected_share < 0.3
     np.testing.assert_allclose(fit.error, error, atol=1e-9)
-    # The mask is that of the fit before the last: nearly all of it holds for the last, too.
+    # The mask is from the second-to-last fit: nearly all of it also holds for the last.
     assert np.mean(fit.inlier == (np.abs(error) < 10.0 / 2**3)) > 0.98
 
 
 def test_sum_of_squares_is_what_is_smallest():
-    """A fit that squares its residuals itself minimizes fourth powers."""
+    """A fit that receives squared residuals would minimize fourth powers."""
     points = measured(FRONT, force_noise=0.4, seed=7)
     fit = fit_pacejka(points)
 
@@ -231,7 +233,7 @@ def test_the_peak_is_reached_only_where_the_forces_end_at_it(tire, share):
 
 
 def test_forces_at_a_single_slip_tell_no_peak():
-    """One steering angle at one speed: however flat the curve through it, it is a guess."""
+    """One steering angle at one speed: even a flat curve through it is a guess."""
     rng = np.random.default_rng(1)
     slip = 0.07 + np.cumsum(rng.normal(0.0, 0.002, 400))
     force = 0.6 * LOAD + rng.normal(0.0, 0.4, 400)

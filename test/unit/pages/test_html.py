@@ -16,7 +16,7 @@ from map_racing.pages import html as pages
 from map_racing.pages.html import document, escape, pack, table
 
 EVIL = "</script><script>alert(1)</script><!-- & \" ' \u2028\u202e"
-SHOWN = EVIL[:-2] + "\\u2028\\u202e"  # what turns the direction of writing is written out
+SHOWN = EVIL[:-2] + "\\u2028\\u202e"  # marks that change the writing direction are escaped
 
 
 def unpacked(packed):

@@ -1,4 +1,4 @@
-"""Figures of experiments show what they were given."""
+"""Figures of experiments show their data."""
 
 import math
 
@@ -76,7 +76,7 @@ def test_scaling_boxes(tmp_path):
     top, bottom = figure.axes
     assert [text.get_text() for text in bottom.get_xticklabels()] == ["60", "70"]
     assert top.get_yscale() == "log" and bottom.get_ylabel() == "lap time [s]"
-    # In old versions of matplotlib boxes are artists.
+    # In old versions of matplotlib, boxes are artists.
     boxes = [*top.patches, *getattr(top, "artists", [])]
     assert len(boxes) == 3
     assert [text.get_text() for text in top.texts] == ["3"]
@@ -156,7 +156,7 @@ def test_comparison(tmp_path):
 
 
 def test_days_are_whole(tmp_path):
-    """Where all days but one were completed, the axis has no ticks in between."""
+    """If all days but one were completed, the axis has no fractional ticks."""
     table = pd.DataFrame({"speed_scale": [0.7, 0.8], "controller": ["MAP"] * 2})
     table["days_completed_a"], table["days_completed_b"] = [1, 1], [1, 2]
     figure = plot_comparison(table, ["days_completed"], ("first", "second"), "title")

@@ -63,7 +63,7 @@ def test_prediction(runs):
     figure = plot_prediction(predictions, "predicted")
     yaw, lateral = figure.axes
     assert "yaw rate" in yaw.get_xlabel() and "m/s²" in lateral.get_ylabel()
-    (legend,) = figure.legends  # one for both, beneath them
+    (legend,) = figure.legends  # one for both, below them
     labels = [text.get_text() for text in legend.get_texts()]
     assert {"±5 %", "±10 %"} < set(labels) and len(labels) == runs + 2
     styles = {

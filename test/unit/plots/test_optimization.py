@@ -1,4 +1,4 @@
-"""The figure of an optimized line shows what it is made of."""
+"""The figure of an optimized line shows its components."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from map_racing.track.walls import Walls
 )
 def test_line_walls_curvature_and_speed(tmp_path, track, wide):
     line = load_raceline(track)
-    if not wide:  # a track higher than wide has its curves beside it
+    if not wide:  # a tall track has its curves beside it
         line = Raceline(
             *(-line.y, line.x), vx_mps=line.speed, d_left_m=line.d_left, d_right_m=line.d_right
         )
@@ -48,7 +48,7 @@ def test_line_walls_curvature_and_speed(tmp_path, track, wide):
 
 
 def test_the_middle_line_stands_where_it_is_beside_the_line():
-    """The middle of a bend is there in both, though the middle line is longer."""
+    """The middle of a bend is at the same place in both, although the middle line is longer."""
     line = load_raceline("club")
     wide = Raceline(*line.to_cartesian(line.s, np.full(line.n, -1.2)))
     figure = plot_optimized(line, wide, Walls(line))
@@ -57,7 +57,7 @@ def test_the_middle_line_stands_where_it_is_beside_the_line():
     assert optimized.get_xdata()[bend] == line.s[bend]
     at = middle.get_xdata()
     assert np.all(np.diff(at) >= 0.0) and at[0] >= 0.0 and at[-1] <= line.length
-    # A curve 1.2 m further out turns as much over the same stretch of the line.
+    # A curve 1.2 m farther out turns as much over the same stretch of the line.
     expected = line.sample(at).kappa / (1.0 + 1.2 * line.sample(at).kappa)
     np.testing.assert_allclose(middle.get_ydata(), expected, atol=0.01)
 

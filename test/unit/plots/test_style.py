@@ -22,7 +22,7 @@ backend: TkAgg
 
 
 COMMAND = ["raceline", "check", "club", "--plots"]
-# Draws by itself what takes less time.
+# A separate program with a quick drawing.
 PROGRAM = """
 from map_racing.plots.style import finished, new_figure, own_settings, save
 with own_settings():
@@ -34,8 +34,8 @@ with own_settings():
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
-    """Bytes of a figure of a program that runs in a folder; its output if it fails."""
-    # No user's; of one for all, matplotlib looks through the fonts once.
+    """Bytes of a figure of a program in a folder; its output if it fails."""
+    # Not the user's, and one for all: matplotlib scans the fonts once.
     config = str(tmp_path_factory.mktemp("matplotlib"))
 
     def run(folder, arguments=("-c", PROGRAM), **environment):
@@ -60,7 +60,7 @@ def picture(folder):
 
 @pytest.fixture
 def expected(tmp_path, monkeypatch):
-    """As this process draws it."""
+    """The figure as drawn by this process."""
     here = tmp_path / "here"
     (here / "figures").mkdir(parents=True)
     monkeypatch.chdir(here)

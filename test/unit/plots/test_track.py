@@ -1,4 +1,4 @@
-"""Every map says where the lap begins, which way it goes and how far it is."""
+"""Every map shows the start of the lap, its direction and distances."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The simulated car's clock, and what it does with commands that come when they come."""
+"""The simulated car's clock, and commands at arbitrary times."""
 
 import math
 
@@ -34,7 +34,7 @@ def driven(raceline=None, **parameters):
 
 
 def drive(car, seconds, speed, angle=0.0):
-    """Command at every observation; the observations."""
+    """Command at every observation; return the observations."""
     seen = []
     end = car.car.tick + round(seconds / car.car.plant.time_step)
     for observation in car.advance_to(end):
@@ -51,7 +51,7 @@ def test_poses_come_at_their_rate_and_are_as_old_as_stated(rate):
     for seen in car.advance_to(5000):
         arrivals.append((car.car.now, seen))
     times = np.array([seen.measured.t for _, seen in arrivals])
-    # Each lies on the last tick before it is due.
+    # Each is at the last tick before it is due.
     due = np.arange(times.size) / rate
     assert np.all(times <= due + 1e-9) and np.all(due < times + step)
     for now, seen in arrivals:
@@ -60,7 +60,7 @@ def test_poses_come_at_their_rate_and_are_as_old_as_stated(rate):
 
 
 def test_it_can_sleep_until_the_next_event():
-    """Waking up only for the events is the same as at each tick."""
+    """Waking only for events gives the same as waking at each tick."""
     parameters = PlantParameters("nuc4", localization_latency_s=0.011)
     each, few = (SimulatedCar(Plant(parameters), Localization(parameters, 1)) for _ in range(2))
     expected = []
@@ -110,7 +110,7 @@ def test_what_is_not_finite_is_no_command(bad):
 
 def test_a_wall_stops_the_car_until_it_is_put_elsewhere():
     car = driven()
-    # Straight on from the circle, the right wall, a meter away, is reached after some 6 m.
+    # Straight on from the circle, the car reaches the right wall, a meter away, after about 6 m.
     drive(car, 4.0, 4.0)
     assert car.crashed
     stood = car.car.plant.reference_state()

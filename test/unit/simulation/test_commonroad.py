@@ -1,4 +1,5 @@
-"""The plants of the CommonRoad models: converged, physical, refused in one line without them."""
+"""The plants of the CommonRoad models: converged, physical, refused in one line without the
+package."""
 
 import builtins
 import math
@@ -30,7 +31,7 @@ def car(parameters, speed=0.0, **changes):
 
 
 def drive(plant, seconds, steering, speed):
-    """Final state under constant commands, or commands of time."""
+    """Final state under commands that are constant or functions of time."""
     for step in range(round(1000 * seconds)):
         t = 0.001 * step
         plant.advance(*(value(t) if callable(value) else value for value in (steering, speed)))
@@ -81,7 +82,7 @@ def test_one_step_per_millisecond_is_converged(models, parameters, speed, amplit
 @pytest.mark.once
 def test_the_drift_model_turns_as_its_cornering_stiffness_says(models):
     plant, v, delta = car(F1TENTH, 4.0), 4.0, 0.01
-    # A drive that holds the speed: the commanded one lies above it by the cornering drag.
+    # The drive holds the speed: the command is above it because of cornering drag.
     state = drive(plant, 2.0, delta, v)
     l_f, l_r = 0.15875, 0.17145
     c_f, c_r = 1.0489 * 4.718, 1.0489 * 5.4562  # slopes normalized by the load, times friction
@@ -122,7 +123,7 @@ def test_from_standstill_the_car_rolls_on_its_geometry_and_hands_over_smoothly(m
         yaw.append(plant.state.r)
         fastest = max(fastest, abs(plant.state.v_x - before.v_x))
     assert plant.state.v_x == pytest.approx(top, rel=0.03)
-    # At walking pace tires slip little.
+    # At walking pace, tires hardly slip.
     assert plant.state.r == pytest.approx(plant.state.v_x / radius, rel=0.05)
     assert fastest < 0.02  # no jump in speed
     assert np.abs(np.diff(yaw)).max() < 0.02 * max(yaw)
@@ -134,7 +135,7 @@ def test_the_car_brakes_to_a_stop_and_stands(models, parameters):
     plant = car(parameters, 8.0)
     state = drive(plant, 8.0, 0.0, 0.0)
     assert 0.0 <= state.v_x < 1e-3
-    # Not shorter than the drive can brake.
+    # No shorter than the drive's braking distance.
     assert state.x - plant.vehicle.l_r > 8.0**2 / (2.0 * parameters.a_brake_max_mps2) - 0.1
 
 
@@ -177,7 +178,7 @@ def test_a_slow_spin_does_not_become_rolling_straight_ahead(models, sideslip):
         _, _, _, psi, v_x, v_y, _ = plant.state
         turn = complex(math.cos(psi), math.sin(psi))
         velocities.append(turn * complex(v_x, v_y))
-    # No more than tires can do in a millisecond, until it stands.
+    # Until it stands, no more than tires can do in a millisecond.
     changes = np.abs(np.diff(velocities))
     assert changes.max() < 2.0 * 9.81 * plant.time_step
     assert abs(velocities[-1]) < 1e-3
@@ -201,7 +202,7 @@ def test_steady_states_are_those_of_the_vehicle_identified_on_it(
             size = max(vehicle.l_wb, 0.5)
             for step in range(round(2500 * math.sqrt(size))):
                 delta = min(begin + (angle - begin) * step / 700, angle)
-                # Hold the speed: the drive alone would lose some to the tires' drag.
+                # Hold the speed: otherwise the tires' drag would slow the car.
                 state = plant.state
                 command = speed + 20.0 * parameters.drive_time_constant_s * (speed - state.v_x)
                 plant.advance(delta, command)

@@ -1,4 +1,4 @@
-"""Faults by name: what they do to measurements and commands, and the refusals."""
+"""Faults by name: their effects on measurements and commands, and refusals."""
 
 import dataclasses
 import math
@@ -30,7 +30,7 @@ def parameters():
 
 
 def faulty(parameters, *schedule, where="simulator"):
-    """A plant at 2 m/s, and its faults at 0.5 s."""
+    """A plant at 2 m/s, with faults at 0.5 s."""
     plant = Plant(parameters)
     plant.reset(3.0, 4.0, 0.0, 2.0)
     faults = Faults(schedule, plant, where)
@@ -46,7 +46,7 @@ def seen(t=0.5, **changes):
 MEASURED = [
     ("pose_jump", 1.5, {"y": 5.5}),
     ("pose_turn", 0.7, {"psi": 0.7}),
-    ("pose_drift", 0.5, {"y": 4.0}),  # it begins at 0.5 s
+    ("pose_drift", 0.5, {"y": 4.0}),  # begins at 0.5 s
     ("pose_future", 0.3, {"t": 0.8}),
     ("velocity_missing", None, {"v_x": 0.0, "v_y": 0.0}),
     ("velocity_absurd", 1e9, {"v_x": 1e9}),
@@ -121,7 +121,7 @@ def test_a_slow_servo_and_a_late_drive(parameters):
 
 @pytest.mark.parametrize("name", ["nuc4", "public_simulator"])
 def test_both_plants_do_all_of_it(name):
-    """Braking, driving off, friction, and a car that is held in its place."""
+    """Braking, driving off, friction, and a blocked car."""
     for fault, size in (("motor_weak", 0.2), ("brakes_weak", 0.2), ("motor_dead", None)):
         told = 0.0 if fault == "brakes_weak" else 6.0
         speeds = []
@@ -281,7 +281,7 @@ def test_the_schedule_of_the_page_stops_the_car_as_it_says_and_is_completed(para
     twice = ["pose too old", "pose jumped"] * 2
     assert [why.value for _, why, _ in log.stops()] == [*twice, "no motion although commanded"]
     assert all(math.isfinite(again) for *_, again in log.stops())
-    # A simulator node injects each of them, too.
+    # A simulator node can inject each of them, too.
     assert all(KINDS[fault.fault].where == ("race", "simulator") for fault in schedule)
 
 
@@ -290,7 +290,7 @@ def test_the_schedule_of_the_page_stops_the_car_as_it_says_and_is_completed(para
 
 @pytest.mark.once
 def test_without_faults_supervision_changes_nothing(parameters):
-    """Not one command of laps at the shipped speeds, nor a stop."""
+    """Laps at the shipped speeds have identical commands and no stop."""
     line = load_raceline("reference")
     controller = build_controller(load_controller_parameters("map"), parameters.vehicle, line)
     logs = []
@@ -300,7 +300,7 @@ def test_without_faults_supervision_changes_nothing(parameters):
     assert [log.outcome for log in logs] == [Outcome.COMPLETED] * 2
     assert logs[0].duration == logs[1].duration
     for alone, supervised in zip(*(log.samples for log in logs)):
-        # The lock is also the table's last angle, but for rounding.
+        # Except for rounding, the lock is also the table's last angle.
         assert alone.result[:2] == pytest.approx(supervised.result[:2], abs=1e-12)
     assert logs[1].stops() == [] and len(logs[1].commands) == len(logs[1].samples)
 

@@ -18,7 +18,7 @@ SIMULATOR = load_plant("public_simulator")
 
 
 def settled(plant, grip, speed=4.0, angle=0.03):
-    """Lateral acceleration of a held wheel [m/s^2]."""
+    """Lateral acceleration with the steering held [m/s^2]."""
     plant.reset(0.0, 0.0, 0.0, speed=speed)
     plant.set_grip(grip)
     for _ in range(round(1.5 / plant.time_step)):
@@ -31,7 +31,7 @@ def test_the_car_turns_as_the_table_of_that_friction_has_it(grip):
     plant = Plant(PlantParameters(vehicle="nuc4"))
     slippery = dataclasses.replace(NUC4, mu=NUC4.mu * grip)
     table = steady_state_table(slippery, [4.0, 5.0], [0.0, 0.08, 0.1])
-    settled(plant, 0.3)  # what was before is forgotten
+    settled(plant, 0.3)  # the initial state no longer matters
     assert settled(plant, grip, 4.0, 0.08) == pytest.approx(table.a_lat[1, 0], rel=1e-3)
 
 
@@ -74,7 +74,7 @@ def test_changes_multiply_and_end():
 
 
 def test_twice_the_grip_at_walking_pace():
-    """There the integration has to be stable, too."""
+    """The integration must be stable there, too."""
     plant = Plant(PlantParameters(vehicle="nuc4"))
     assert settled(plant, 2.0, 0.8, 0.1) == pytest.approx(settled(plant, 1.0, 0.8, 0.1), rel=0.05)
 

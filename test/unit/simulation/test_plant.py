@@ -29,7 +29,7 @@ NUMBERS = [
 
 
 def drive(plant, steering, speed, duration):
-    """Advance under constant commands; the history of states at the center of gravity."""
+    """Advance under constant commands; return the history of states at the center of gravity."""
     history = []
     for _ in range(int(round(duration / plant.time_step))):
         plant.advance(steering, speed)
@@ -71,7 +71,7 @@ def turned_in(car, step, duration, speed=6.0):
 
 @pytest.mark.parametrize("car", CARS)
 def test_integration_agrees_with_scipy(car):
-    """While the wheels turn in: to 1e-6 m and rad at the plant's own step of 2 ms."""
+    """During turn-in: within 1e-6 m and rad at the plant's own step of 2 ms."""
     vehicle = load_vehicle(car)
     expected = turning_in(vehicle, 0.09)
     assert turned_in(car, Plant.time_step, 0.09)[:3] == pytest.approx(expected[:3], abs=1e-6)
@@ -101,7 +101,7 @@ def test_a_held_wheel_settles_on_the_circle_of_the_table(car, v, delta):
     assert plant.state.v_x == v
     assert v * plant.state.r == pytest.approx(expected, abs=1e-6)
     assert plant.acceleration == pytest.approx((0.0, expected), abs=1e-6)
-    # once round is back at the start
+    # a full circle ends at the start
     turn = 2.0 * math.pi / abs(plant.state.r)
     before = plant.state
     steps = turn / plant.time_step
@@ -152,7 +152,7 @@ def test_the_reference_point_is_the_rear_axle():
 def test_full_throttle_straight_ahead_is_uniform_acceleration():
     plant = Plant(PlantParameters(vehicle="nuc4", a_max_mps2=5.0))
     plant.reset(0.0, 0.0, 0.0)
-    for state in drive(plant, 0.0, 10.0, 1.8):  # 1 m/s below the target the lag takes over
+    for state in drive(plant, 0.0, 10.0, 1.8):  # 1 m/s below the target, the lag takes over
         assert state.v_x == pytest.approx(5.0 * state.t, abs=1e-9)
         assert state.x - plant.vehicle.l_r == pytest.approx(2.5 * state.t**2, abs=1e-9)
         assert state[2:4] == (0.0, 0.0) and state[5:] == (0.0, 0.0)
@@ -225,9 +225,9 @@ def test_servo_turns_at_its_rate_up_to_the_lock(command, end):
 
 
 def test_lag_and_rate_together_turn_no_faster_than_either():
-    """First at the rate; from where the lag asks for less, exponentially."""
+    """First at the rate limit; once the lag demands less, exponentially."""
     t, found = angles(PlantParameters(vehicle="nuc4", steering_time_constant_s=0.05), 0.4, 0.5)
-    switch = 0.4 - 3.2 * 0.05  # the angle at which what is left is rate times lag
+    switch = 0.4 - 3.2 * 0.05  # the angle at which the remainder is rate times lag
     at = switch / 3.2
     expected = np.where(t <= at, 3.2 * t, 0.4 - 0.16 * np.exp(-(t - at) / 0.05))
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=4e-3)
@@ -309,7 +309,7 @@ def test_impossible_numbers_are_refused_by_name(tmp_path, name, value):
     ],
 )
 def test_values_in_another_unit_are_refused_by_name(tmp_path, name, value, expected):
-    """Milliseconds, percents, or more poses than the plant has steps."""
+    """Milliseconds, percent, or more poses than the plant has steps."""
     assert f": {name}: {expected}" in refusal(tmp_path, {"vehicle": "nuc4", name: value})
 
 

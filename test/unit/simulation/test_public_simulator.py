@@ -1,4 +1,5 @@
-"""The public simulator's plant against its published figures and the equations of its model."""
+"""The public simulator's plant, compared with its published figures and the equations of its
+model."""
 
 import dataclasses
 import math
@@ -59,7 +60,7 @@ def test_each_steering_command_has_its_turn():
 
 
 def test_the_servo_is_bang_bang_with_a_tiny_dead_band():
-    """It swings about its target by one step of 32 mrad, and leaves 0.1 mrad alone."""
+    """It oscillates about its target by one step of 32 mrad, and ignores 0.1 mrad."""
     angles = advance(simulator(2.0), 0.1, 2.0, 60)[10:, 0]
     assert np.max(np.abs(angles - 0.1)) <= 0.032 + 1e-12
     assert set(np.round(np.abs(np.diff(angles)), 9)) == {0.032}
@@ -73,10 +74,10 @@ def test_the_servo_is_bang_bang_with_a_tiny_dead_band():
     [
         (2.0, 3.0, 2.0 * 7.51 / 7.0),  # proportional
         (2.0, 5.4, 2.0 * 7.51 / 7.0 * 3.4),
-        (2.0, 5.6, 7.51),  # to the limit, reached at half of the largest speed
+        (2.0, 5.6, 7.51),  # up to the limit, reached at half of the largest speed
         (2.0, 9.0, 7.51),
         (0.0, 7.0, 7.51),
-        (5.0, 4.999, -8.26),  # full braking, however little too fast
+        (5.0, 4.999, -8.26),  # full braking for any excess speed
         (5.0, 5.0, -8.26),
         (5.0, 0.0, -8.26),
     ],
@@ -112,7 +113,7 @@ def test_straight_ahead_is_euler_integration():
 def test_a_held_wheel_settles_on_the_circle_of_the_linear_single_track_model(v, delta):
     """Understeer gradient: each axle carries its share of m v r."""
     plant = simulator(v, delta)
-    for _ in range(10):  # the line is filled; then on the angle again
+    for _ in range(10):  # fill the delay line, then hold the angle
         plant.advance(delta, v + 1e-9)
     plant.steering_angle = delta
     for _ in range(1500):
@@ -134,7 +135,7 @@ def test_a_held_wheel_settles_on_the_circle_of_the_linear_single_track_model(v, 
 
 @pytest.mark.parametrize("target", [5.0, 3.0])
 def test_one_step_of_the_dynamic_model_is_the_published_one(target):
-    """CommonRoad's single-track model, as printed: load transfer moves grip between the axles."""
+    """CommonRoad's single-track model as printed: load transfer shifts grip between the axles."""
     car = dataclasses.replace(SIM, mu=1.0489)
     plant = PublicSimulator(PublicSimulatorParameters(car))
     plant.reset(0.0, 0.0, 0.0, 4.0)
@@ -191,8 +192,8 @@ def test_one_step_of_the_rolling_model_keeps_its_angles():
     assert (plant.yaw_rate - r) / 0.01 == pytest.approx(slopes[1], rel=1e-6)
 
 
-# Step, then x, y, psi, speed, steering angle, yaw rate and slip angle that the code of the public
-# simulator itself computes for the commands below, with steps of 10 ms.
+# Step, then x, y, psi, speed, steering angle, yaw rate and slip angle, computed by the code of the
+# public simulator for the commands below, with steps of 10 ms.
 ITS_OWN = """
 50 0.8929560231297 0.091210434441606272 0.19095288657447315 3.5357114393796047 0.128 \
     0.78054025626717072 0.0051257020099572236
@@ -206,7 +207,7 @@ ITS_OWN = """
 
 
 def test_it_moves_as_the_simulators_own_code():
-    """From standstill through both models, drives and brakes, steers both ways."""
+    """From standstill through both models, with driving, braking and steering both ways."""
     plant, expected = simulator(), [line.split() for line in ITS_OWN.strip().splitlines()]
     expected = {int(step): np.array(state, float) for step, *state in expected}
     for k in range(1, max(expected) + 1):
@@ -218,11 +219,11 @@ def test_it_moves_as_the_simulators_own_code():
 
 
 def test_the_recorded_simulator_is_this_one(shared_data):
-    """Axle forces from recorded motion: rear tires, load transfer and servo are exactly these.
+    """Axle forces from recorded motion: rear tires, load transfer and servo match exactly.
 
-    Poses and rates of the recording are free of noise; each step's length is its travel over its
-    speed. The rear tires' slip is known, so their law can be read off; the front tires' then gives
-    the steering angle, which moves at the servo's rate or not at all.
+    Poses and rates of the recording have no noise; the length of each step is its travel over its
+    speed. The rear tires' slip is known, so their law can be read off; the front tires' law then
+    gives the steering angle, which moves at the servo's rate or not at all.
     """
     driven = read_recording(shared_data / "recordings" / "hangar_map_12laps.bag")
     v, r, psi = driven.v_x, driven.yaw_rate, np.unwrap(driven.psi)
@@ -238,7 +239,7 @@ def test_the_recorded_simulator_is_this_one(shared_data):
     both, turn = v * (beta_dot + r), I_Z / M * r_dot
     rear, slip_r = (L_F * both - turn) / L_WB, L_R * r / v - beta
     known = ~slow[:n] & (np.abs(slip_r) > 0.05)
-    # rear / slip_r = C_SR (g l_f + a h) / l_wb: a line over a
+    # rear / slip_r = C_SR (g l_f + a h) / l_wb: linear in a
     stiffness = rear[known] / slip_r[known]
     slope, constant = np.polyfit(a[known], stiffness, 1)
     assert np.ptp(a[known]) > 10.0

@@ -1,4 +1,4 @@
-"""Closed loops: laps, crashes, stalls, timing, and what the compensation is worth."""
+"""Closed loops: laps, crashes, stalls, timing, and the benefit of the compensation."""
 
 import dataclasses
 import math
@@ -52,7 +52,7 @@ def drive(raceline=REFERENCE, plant=IDEAL, seed=None, sectors=None, laps=1, limi
 
 
 class _Honest(Plant):
-    """A plant whose pose is measured perfectly and at once."""
+    """A plant whose pose is measured perfectly and without delay."""
 
     def measured_state(self):
         return self.reference_state()
@@ -104,7 +104,7 @@ def test_the_last_lap_is_complete_however_late_the_poses(latency):
 
 @pytest.mark.once
 def test_lap_time_on_a_circle_is_length_over_speed():
-    """At a speed long since reached and without lateral error: to 1 ms."""
+    """At constant speed and without lateral error: within 1 ms."""
     raceline = circle(3.0, 3.0)
     log = drive(raceline, laps=5)
     lap = [lap for lap in evaluated(log, raceline).laps if lap.valid][-1]
@@ -114,7 +114,7 @@ def test_lap_time_on_a_circle_is_length_over_speed():
 
 @pytest.mark.once
 def test_the_shipped_race_is_won_by_the_tires_as_they_are():
-    """MAP follows closest, then MAP on linear tires, then pure pursuit; on a car of its own."""
+    """MAP follows most closely, then MAP with linear tires, then pure pursuit."""
     errors = {}
     for name in ("map", "map_linear", "pure_pursuit"):
         parameters = load_controller_parameters(name).with_(speed_scale=0.8)
@@ -173,14 +173,14 @@ def test_absurd_speed_ends_in_the_wall():
     log = drive(plant=PLANT, seed=1, speed_scale=2.0, v_max_mps=20.0, grip_use=0.0)
     assert (log.outcome, log.laps) == (Outcome.CRASHED, 0)
     assert 1.0 < log.duration < 20.0
-    # the last sample is still on the track, by less than the way to the next, 0.3 m at most
+    # the last sample is still on the track, but by less than the next step, at most 0.3 m
     result = evaluated(log, REFERENCE)
     assert -0.3 < min(lap.min_clearance_m for lap in result.laps) < 0.3
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_the_cars_own_width_is_kept_from_the_walls(side):
-    """On the line: it passes where half its width fits, and does not start where it does not."""
+    """On the line, it passes where half its width fits, and does not start where it does not."""
     half = 0.5 * NUC4.width
     for gap, outcome in ((half + 0.03, Outcome.COMPLETED), (half - 0.001, Outcome.CRASHED)):
         walls = {"left": 1.0, "right": 1.0, side: gap}
@@ -203,7 +203,7 @@ def test_a_car_that_is_told_to_stand_stalls():
 
 
 def test_a_car_that_makes_no_headway_is_not_waited_for():
-    """Standing, or going round in circles."""
+    """Standing, or driving in circles."""
     assert drive(speed_scale=0.0).outcome is Outcome.STALLED
     creeping = drive(v_max_mps=0.03)
     assert creeping.outcome is Outcome.STALLED and creeping.duration < 12.0
@@ -253,7 +253,7 @@ class _Command(NamedTuple):
 
 
 class _Recorder:
-    """A controller that notes when it was called and commands what tells so."""
+    """A controller that records its calls, and whose commands identify them."""
 
     def __init__(self):
         self.states = []
@@ -267,7 +267,7 @@ class _Recorder:
 
 
 class _Circling:
-    """A controller that keeps the wheels turned."""
+    """A controller with constant steering."""
 
     def reset(self):
         pass
@@ -277,7 +277,7 @@ class _Circling:
 
 
 class _Witness(Plant):
-    """A plant that notes the commands it is given, and when."""
+    """A plant that records its commands and their times."""
 
     def __init__(self, parameters):
         super().__init__(parameters)
@@ -305,7 +305,7 @@ def test_poses_come_at_their_rate_and_act_after_their_latency(rate, latency):
     for sample, state in zip(log.samples, controller.states):
         assert sample.measured == state == sample.true
         assert sample.arrival == pytest.approx(sample.true.t + latency)
-    # the plant runs under a command from the tick in which its pose arrived
+    # a command takes effect in the tick in which its pose arrived
     first = {}
     for t, steering in plant.commands:
         first.setdefault(round(steering * 1e6), t)
@@ -338,13 +338,13 @@ AUTHORS = {"21 m": (5.362, 0.108), "39 m": (7.741, 0.159)}
 
 @lru_cache(maxsize=None)
 def hangar_race(shared_data, name, hangar="21 m", delay_s=0.05, rate=100.0):
-    """As `simulator_race`."""
+    """Like `simulator_race`, on the hangar track."""
     raceline = load_raceline(shared_data.joinpath(*HANGARS[hangar]))
     return simulator_race(raceline, name, delay_s, rate)
 
 
 def simulator_race(raceline, name, delay_s=0.05, rate=100.0, laps=6):
-    """RMS lateral error [m], median lap time [s] and least clearance [m] of some laps."""
+    """RMS lateral error [m], median lap time [s] and least clearance [m] over some laps."""
     vehicle = load_vehicle("sim")
     # its base_link is the center of gravity
     parameters = load_controller_parameters(name).with_(
@@ -378,9 +378,11 @@ def test_the_shipped_map_halves_the_error_and_is_faster(shared_data, hangar, del
 @pytest.mark.parametrize(
     "straight, radius, speed, most_error, most_lap",
     [
-        # Beyond its top speed the simulator's car goes on shifting its load, and ran 0.19 m wide.
+        # At its top speed the simulator's car keeps shifting load if commanded more: it ran 0.19 m
+        # wide.
         (10.0, 12.0, 11.0, 0.06, 13.8),
-        # Within 0.92 of the curvature at the lock, a fifth of what the tires hold: it took 8.4 s.
+        # At 0.92 of the curvature at full lock, a fifth of the tires' grip; the lap used to take
+        # 8.4 s.
         (6.0, 0.935, 3.4, 0.04, 6.0),
     ],
     ids=["beyond the top speed", "at the lock"],
@@ -400,7 +402,8 @@ def test_the_shipped_map_where_the_tires_are_not_the_limit(
 @pytest.mark.once
 @pytest.mark.parametrize("hangar", HANGARS)
 def test_the_shipped_map_at_the_rate_of_the_authors_loop(shared_data, hangar):
-    """With the bound of the other rates: the values are a compromise of many tracks and cars."""
+    """With the same bound as at other rates: the values are a compromise for many tracks and
+    cars."""
     error, lap_time, _ = hangar_race(shared_data, "map", hangar, rate=40.0)
     their_lap_time, their_error = AUTHORS[hangar]
     assert error < 0.5 * their_error and lap_time < their_lap_time
@@ -409,7 +412,7 @@ def test_the_shipped_map_at_the_rate_of_the_authors_loop(shared_data, hangar):
 @pytest.mark.once
 @pytest.mark.parametrize("hangar", HANGARS)
 def test_map_as_published_does_there_what_was_measured(shared_data, hangar):
-    """At least as fast and as close as the authors' code, and away from the walls."""
+    """Lap time and error no worse than the authors' code, and away from the walls."""
     error, lap_time, clearance = hangar_race(shared_data, "map_paper", hangar)
     their_lap_time, their_error = AUTHORS[hangar]
     assert 0.9 * their_error < error < their_error
@@ -419,7 +422,7 @@ def test_map_as_published_does_there_what_was_measured(shared_data, hangar):
 
 @pytest.mark.once
 def test_pure_pursuit_as_published_does_there_what_was_measured(shared_data):
-    """The public pure pursuit was measured to lap in 5.62 s with 0.139 m, its loop at 40 Hz."""
+    """The public pure pursuit, with its loop at 40 Hz, was measured at 5.62 s and 0.139 m."""
     error, lap_time, _ = hangar_race(shared_data, "pure_pursuit_paper", rate=40.0)
     assert error == pytest.approx(0.139, abs=0.005)
     assert lap_time == pytest.approx(5.62, abs=0.02)
@@ -428,10 +431,10 @@ def test_pure_pursuit_as_published_does_there_what_was_measured(shared_data):
 @pytest.mark.once
 @pytest.mark.parametrize("name", ["pure_pursuit", "map_paper", "pure_pursuit_paper"])
 def test_what_feedforward_compensation_and_tires_are_worth_there(shared_data, name):
-    """Half the error of those as published; less on linear tires beside the shipped pure pursuit.
+    """Half the error of the published ones; the gain over the shipped pure pursuit is smaller here.
 
-    That one has the same compensation and speeds, and these tires hardly understeer. `map` gives
-    away some error here to hold on soft rear tires.
+    Pure pursuit has the same compensation and speeds, and these tires hardly understeer. `map`
+    accepts some error here to stay stable with soft rear tires.
     """
     ours = hangar_race(shared_data, "map", "39 m")[0]
     theirs = hangar_race(shared_data, name, "39 m")[0]

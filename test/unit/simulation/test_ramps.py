@@ -41,7 +41,7 @@ def test_the_bag_holds_what_was_measured_and_commanded(ramps):
 def test_same_seed_same_drive(ramps):
     one = RampParameters(speed_mps=1.5, rate_radps=0.2, sides="left")
     drives = [drive_ramps(ramps.parameters, [one], seed=seed) for seed in (4, 4, 5)]
-    # v_y and all else are numbers here, so that drives can be compared.
+    # v_y and all other values are numbers here, so that drives can be compared.
     assert drives[0] == drives[1] != drives[2]
 
 

@@ -1,4 +1,4 @@
-"""The bag of a simulated race holds the race."""
+"""The bag of a simulated race contains the race."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Every fault once: what the car does, and that the table in the documentation says so."""
+"""Every fault once: the car's reaction, and its table in the documentation."""
 
 import math
 import re
@@ -49,7 +49,7 @@ def names(scenario):
 @pytest.mark.once
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=names)
 def test_no_command_is_beyond_limit_lock_or_grip(scenario):
-    """At the measured speed, in every sample, whatever goes wrong."""
+    """At the measured speed, in every sample, with any fault."""
     found = rehearsed(scenario)
     bounds = found.bounds
     assert bounds.commands == len(found.log.commands) > 50
@@ -62,7 +62,7 @@ def test_no_command_is_beyond_limit_lock_or_grip(scenario):
 @pytest.mark.once
 @pytest.mark.parametrize("at", [8.0, 11.5])
 def test_a_stop_without_poses_brakes_and_steers_within_the_grip(at):
-    """Of the true car, which accelerates out of a bend as its poses stop."""
+    """Checked on the true car, which accelerates out of a bend when its poses stop."""
     parameters, plant_parameters = load_controller_parameters("map"), load_plant("nuc4")
     parameters, track = parameters.with_(speed_scale=1.0), load_raceline("reference")
     plant, localization = build_plant(plant_parameters, 1)
@@ -79,7 +79,7 @@ def test_a_stop_without_poses_brakes_and_steers_within_the_grip(at):
 
 @pytest.fixture(scope="module")
 def road_car(tmp_path_factory):
-    """Plant file of a passenger car on the single-track model, which needs no other library."""
+    """Plant file of a passenger car with the single-track model, which needs no other library."""
     values = yaml.safe_load(find_config("plants", "nuc4", (".yaml",)).read_text())
     values.update(vehicle="bmw_320i", drive_time_constant_s=0.3, a_max_mps2=3.5, a_brake_max_mps2=7)
     path = tmp_path_factory.mktemp("plants") / "road_car.yaml"
@@ -98,7 +98,7 @@ def road_car(tmp_path_factory):
     ],
 )
 def test_a_road_car_is_supervised_as_a_small_one(road_car, fault, value, reason):
-    """Limits, track and size of the faults are those of its size: it does the same."""
+    """With limits, track and faults scaled to its size, it reacts in the same way."""
     scenario = Scenario(fault, value)
     found, small = rehearse(scenario, road_car), rehearsed(scenario)
     assert found.reason.value == small.reason.value == reason
@@ -121,7 +121,7 @@ def test_a_rehearsal_of_another_size_keeps_what_is_no_length_or_speed():
 
 
 def test_an_angle_beyond_the_grip_would_be_told():
-    """The bounds are those of the commands: with one of them changed they say so."""
+    """The checks notice a changed command."""
     found, parameters = rehearsed(SCENARIOS[0]), load_controller_parameters("map")
     measured = {sample.arrival: sample.measured.v_x for sample in found.log.samples}
     at = max(k for k, c in enumerate(found.log.commands) if c.t in measured and c.t < BEGIN)
@@ -144,12 +144,12 @@ def test_a_stop_is_a_ramp(scenario):
     for before, after in zip(commands, commands[1:]):
         if before.decision.mode is after.decision.mode is Mode.STOPPING:
             fell = before.decision.speed - after.decision.speed
-            # 4 m/s^2, or what the raceline demands.
+            # 4 m/s^2, or more if the raceline demands it.
             hardest = load_controller_parameters("map").a_brake_max_mps2
             assert fell <= hardest * (after.t - before.t) + 1e-9
 
 
-# What the supervisor has to notice, and by when [s], besides the latency of the pose.
+# Faults that the supervisor must notice, and within what time [s] beside the pose's latency.
 NOTICED = {
     "pose_dropout": ("pose too old", 0.2),
     "pose_frozen": ("pose too old", 0.2),
@@ -209,7 +209,8 @@ def on_page(title):
 
 @pytest.mark.once
 def test_the_table_of_the_page_is_what_comes_of_the_rehearsal():
-    """Numbers to a pose and a few centimeters; ``map-racing faults`` prints it anew."""
+    """Numbers agree within a pose and a few centimeters; ``map-racing faults`` prints a new
+    table."""
     rows = [line.split("|")[1:-1] for line in on_page("rehearsal").splitlines() if "|" in line]
     rows = [[cell.strip() for cell in row] for row in rows]
     assert tuple(rows[0]) == HEADER

@@ -1,4 +1,4 @@
-"""Centerlines from maps: drawn ones whose track is known, and real ones beside theirs."""
+"""Centerlines from maps: drawn maps with a known track, and real maps with published lines."""
 
 import math
 import re
@@ -29,7 +29,7 @@ def bean():
 
 @lru_cache(maxsize=None)
 def distances(track):
-    """Distance of each cell from the track's line [m]: 16 m wide around the origin."""
+    """Distance of each cell from the track's line [m], in a 16 m square around the origin."""
     axis = (np.arange(320) + 0.5) * CELL - 8.0
     x, y = np.meshgrid(axis, axis[::-1])
     at = track.sample(np.linspace(0.0, track.length, 4000, endpoint=False))
@@ -93,7 +93,7 @@ def test_line_and_widths_of_a_drawn_track(tmp_path, suffix):
     total = track.d_left + track.d_right
     assert np.median(total) == pytest.approx(2.0 * HALF, abs=CELL)
     assert total.min() > 2.0 * HALF - 2.0 * CELL and total.max() < 2.0 * HALF + 3.0 * CELL
-    # Nothing is known of the direction, and the lap begins beside the start.
+    # The direction is not given, and the lap begins beside the start.
     assert codes(track) == ["direction"]
     assert np.hypot(track.x[0] - 6.2, track.y[0]) < 0.1
     assert np.sum(track.kappa) * track.ds == pytest.approx(2.0 * math.pi, abs=0.01)
@@ -115,7 +115,7 @@ def test_a_direction_across_the_track_is_refused(tmp_path):
 
 
 def test_origin_with_yaw(tmp_path):
-    """The map turned about its lower left corner, and moved."""
+    """The map rotated about its lower left corner, and moved."""
     yaw, moved = 0.7, np.array([3.0, -2.0])
     rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
 
@@ -154,7 +154,7 @@ def test_a_threshold_that_is_missing_is_said(tmp_path):
     path = written(tmp_path, drawn(outside=UNKNOWN))
     path.write_text(path.read_text().replace("free_thresh", "free_tresh"))
     (finding,) = read_map_image(path).findings
-    assert finding.text == "free_thresh is missing: taken as 0.196"
+    assert finding.text == "free_thresh is missing: 0.196 assumed"
 
 
 def test_thin_walls_in_the_open_are_enough(tmp_path):
@@ -167,7 +167,7 @@ def test_unknown_cells_are_no_road(tmp_path):
     track = track_of(tmp_path, gray)
     assert np.abs(deviations(track, bean())).max() < 0.05
     assert "unknown-cells" not in codes(track)
-    # With this threshold map_server would drive on them.
+    # With this threshold, map_server considers them free.
     track = track_of(tmp_path, gray, free_thresh=0.25)
     assert np.abs(deviations(track, bean())).max() < 0.05
     assert "unknown-cells" in codes(track)
@@ -182,7 +182,7 @@ def test_unknown_cells_are_no_road_in_a_map_that_was_painted_in(tmp_path, painte
     assert codes(image) == ["unknown-cells"]
     inverted = read_map_image(written(tmp_path, 255 - gray, free_thresh=0.25, negate=1))
     assert np.array_equal(inverted.free, image.free) and codes(inverted) == codes(image)
-    # Where all grays are equally common, 205 is one of them.
+    # If all grays are equally common, 205 is just one of them.
     gray.flat[: 256 * 200] = np.arange(256 * 200) % 256
     gray[gray == UNKNOWN] = 206
     gray.flat[205 : 256 * 200 : 256] = 205
@@ -191,7 +191,7 @@ def test_unknown_cells_are_no_road_in_a_map_that_was_painted_in(tmp_path, painte
 
 
 def test_occupied_below_free_threshold_is_that_of_map_server(tmp_path):
-    """What is darker than the occupied threshold is occupied, whatever the free one says."""
+    """Cells darker than the occupied threshold are occupied, whatever the free threshold."""
     gray = drawn()
     gray[:4] = [[240], [239], [200], [192]]  # 0.059, 0.063, 0.216 and 0.247 occupied
     image = read_map_image(written(tmp_path, gray, occupied_thresh=0.0625, free_thresh=0.25))
@@ -256,7 +256,7 @@ def test_a_gap_at_the_start_line_is_one_gap(tmp_path):
     for s in (9.5, 10.0, 10.1):
         track = track_of(tmp_path, gray, bean().position(s), float(bean().pose(s).psi))
         (text,) = [str(found) for found in track.findings if found.code == "openings"]
-        assert text.startswith("1 opening in the walls shorter")
+        assert text.startswith("1 opening in the walls, shorter")
         assert track.d_left.max() < HALF + 0.5
 
 
@@ -292,7 +292,7 @@ def room(narrow=0):
 def test_corners_of_a_room_are_no_openings(tmp_path):
     track = track_of(tmp_path, room(), start=(0.0, -2.3), passage=0.4)
     assert "openings" not in codes(track)
-    # The line rounds the corners, which lie farther away than the walls.
+    # The line goes around the corners, which are farther away than the walls.
     assert max(track.d_left.max(), track.d_right.max()) > 1.0
 
 
@@ -315,7 +315,7 @@ def test_a_track_that_the_passage_itself_closes_is_told(tmp_path, narrow):
 
 @pytest.mark.parametrize("walls, told", [(1, False), (0, True), (-4, True)])
 def test_a_track_that_reaches_the_edge_of_the_map_is_told(tmp_path, walls, told):
-    """Cropped to its walls, between them and the track, and within the track."""
+    """Cropped at its walls, between them and the track, and within the track."""
     gray = drawn()
     free = np.flatnonzero(np.any(gray == FREE, axis=0))[-1]
     track = track_of(tmp_path, gray[:, : free + 1 + walls])
@@ -389,7 +389,7 @@ def test_published_centerlines_are_found_in_their_maps(shared_data, circuit):
 
 
 def test_a_real_hall(shared_data):
-    """Posts stand on the track, and unknown cells look free by the file's threshold."""
+    """There are posts on the track, and unknown cells look free with the file's threshold."""
     folder = shared_data / "laps" / "ipz20"
     published = load_raceline(folder / "centerline.csv")
     image = read_map_image(folder / "IPZ20.yaml")

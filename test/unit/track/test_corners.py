@@ -25,7 +25,7 @@ def test_a_corner_takes_all_of_the_table_at_its_limit(table):
     found = corners(Raceline(8.0 * np.cos(phi), 3.5 * np.sin(phi)), table)
     assert len(found) == 2
     for corner in found:
-        assert corner.curvature == pytest.approx(8.0 / 3.5**2, rel=2e-3)  # of an ellipse's end
+        assert corner.curvature == pytest.approx(8.0 / 3.5**2, rel=2e-3)  # at the end of an ellipse
         demand = corner.limit_speed**2 * corner.curvature
         assert demand == pytest.approx(table.max_lateral_acceleration(corner.limit_speed), rel=1e-3)
         assert math.isnan(corner.speed)
@@ -36,7 +36,7 @@ def test_a_raceline_with_speeds_is_judged_where_it_is_nearest_to_the_limit(table
     found = corners(raceline, table)
     assert [corner.s for corner in found] == sorted(corner.s for corner in found)
     worst = max(found, key=lambda corner: corner.share)
-    # At that share of its speeds, no place of the line asks for more than the table has.
+    # At that share of its speeds, no place of the line exceeds the table's limit.
     v = raceline.speed / worst.share * (1.0 - 1e-3)
     assert np.all(v * v * np.abs(raceline.kappa) < table.max_lateral_acceleration(v))
     v = raceline.speed / worst.share * 1.01
@@ -61,7 +61,7 @@ def test_a_circle_is_one_corner_and_a_huge_one_none(table):
 
 
 def _egg(radius):
-    """A wide arc of 5 m and a tight one, joined by straights: driven fast, and slowly."""
+    """A wide arc of 5 m, driven fast, and a tight one, driven slowly, joined by straights."""
     wide, between = 5.0, 12.0
     turn = math.acos((wide - radius) / between)
     far = np.linspace(turn, 2.0 * math.pi - turn, 400)
@@ -78,7 +78,7 @@ def _egg(radius):
 def test_a_fast_bend_beyond_the_limit_is_not_hidden_by_a_tight_one(table):
     line = _egg(0.9)
     worst = max(corners(line, table), key=lambda corner: corner.share)
-    assert 0.19 < abs(worst.curvature) < 0.3  # where an arc of radius 5 m begins, not of 0.9 m
+    assert 0.19 < abs(worst.curvature) < 0.3  # at the arc of radius 5 m, not of 0.9 m
     v = line.speed / worst.share * (1.0 - 1e-3)
     assert np.all(v * v * np.abs(line.kappa) < table.max_lateral_acceleration(v))
 

@@ -45,7 +45,7 @@ def test_two_circles_cross_twice(apart):
 
 
 def test_one_long_segment_among_short_ones():
-    # The chord that closes a half circle, cut by a stroke.
+    # The chord that closes a half circle, crossed by a line.
     half = np.stack((np.cos(T[:100]), np.sin(T[:100])), axis=1)
     stroke = np.array([[0.2, -0.5], [0.2, 0.5], [0.21, 0.5], [0.21, -0.5]])
     pairs = crossings(half, stroke)

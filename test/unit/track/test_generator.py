@@ -1,4 +1,4 @@
-"""Tracks from seeds: what was asked for, walls that do not cross, the same everywhere."""
+"""Tracks from seeds: as requested, without crossing walls, the same on every computer."""
 
 import dataclasses
 import subprocess
@@ -83,7 +83,7 @@ def test_another_seed_is_another_track():
 
 
 def test_a_seed_is_the_same_track_everywhere():
-    """Figures of one track, so that no version of anything changes it unnoticed."""
+    """Figures of one track, so that no library version can change it unnoticed."""
     track = draw_track(1, TrackShape())
     expected = [40.634181209, -2.203349668, 8.383926012, 0.991160378, 2.657523134]
     assert expected == pytest.approx(

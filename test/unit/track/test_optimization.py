@@ -1,4 +1,4 @@
-"""Optimized lines against known answers, against other solvers, and against the published ones."""
+"""Optimized lines compared with known answers, other solvers and published lines."""
 
 import math
 import tracemalloc
@@ -74,7 +74,7 @@ def test_the_line_of_a_symmetric_track_is_symmetric():
     line = found.raceline
     assert squared_curvature(line) < 0.75 * squared_curvature(track)
     assert line.d_right.min() == pytest.approx(0.2, abs=2e-3)
-    # The track is symmetric about both axes, and so is what is best on it.
+    # The track is symmetric about both axes, and so is its best line.
     for mirrored in ((line.x, -line.y), (-line.x, line.y)):
         away = [
             abs(line.project(x, y).d) for x, y in zip(*(column.tolist() for column in mirrored))
@@ -136,7 +136,7 @@ def test_the_clearance_is_kept_also_between_the_points():
 
 def test_a_wall_that_juts_out_between_the_normals_is_not_touched():
     width = np.full(300, 1.0)
-    width[75] = 0.35  # a post, thinner than the distance of the normals
+    width[75] = 0.35  # a post, thinner than the spacing of the normals
     found = minimum_curvature(bean(d_left_m=width, d_right_m=np.full(300, 1.0)), 0.2, step=0.3)
     line = found.raceline
     at = line.sample(np.linspace(0.0, line.length, 20 * line.n, endpoint=False))
@@ -191,7 +191,7 @@ def test_bounded_steps_are_those_of_another_solver(n, seed):
 
 @pytest.mark.once
 def test_on_a_ring_the_narrowest_circle_is_fastest():
-    """The lap takes 2 pi sqrt(R / a), though the widest circle bends least."""
+    """The lap takes 2 pi sqrt(R / a), although the widest circle has the least curvature."""
     found = fastest_line(ring(5.0, 1.0), 0.25, LIMITS)
     np.testing.assert_allclose(np.hypot(found.raceline.x, found.raceline.y), 4.25, atol=3e-3)
     _, time = raceline_speeds(found.raceline, **LIMITS)
@@ -216,7 +216,7 @@ def test_the_fastest_line_is_faster_and_bends_little_more():
 @pytest.mark.once
 @pytest.mark.parametrize("name", ["reference", "club"])
 def test_shipped_tracks_have_room_for_better(name):
-    """Within the clearance that the shipped line keeps itself, both sums and times fall."""
+    """Within the clearance of the shipped line, both curvature and lap time decrease."""
     track = load_raceline(name)
     clearance = Walls(track).distance(np.stack((track.x, track.y), axis=1)).min()
     found = fastest_line(track, float(clearance), LIMITS)
@@ -228,7 +228,7 @@ def test_shipped_tracks_have_room_for_better(name):
 
 @pytest.mark.parametrize("circuit", CIRCUITS)
 def test_no_worse_than_the_published_line(shared_data, circuit):
-    """Within the clearance of the published line, by the limits of the shipped car."""
+    """Within the clearance of the published line, with the limits of the shipped car."""
     folder = shared_data / "tracks" / circuit
     track = load_raceline(folder / f"{circuit}_centerline.csv")
     published = load_raceline(folder / f"{circuit}_raceline.csv")
@@ -259,11 +259,11 @@ def test_memory_is_linear_in_the_number_of_points():
     assert peaks[1] < 5.0 * peaks[0]
 
 
-# -- what cannot be, or has to be mended --------------------------------------------------------
+# -- impossible inputs, and repairs -------------------------------------------------------------
 
 
 def test_crossing_normals_are_mended_and_told():
-    """A square with sharp corners, wider than they are round."""
+    """A square whose corners are sharper than the track is wide."""
     side = np.linspace(-4.0, 4.0, 80, endpoint=False)
     x = np.concatenate((side, np.full(80, 4.0), -side, np.full(80, -4.0)))
     y = np.concatenate((np.full(80, -4.0), side, np.full(80, 4.0), -side))
@@ -271,8 +271,8 @@ def test_crossing_normals_are_mended_and_told():
     found = minimum_curvature(track, 0.2)
     assert "crossing-normals" in [finding.code for finding in found.findings]
     assert found.clearance > 0.2 - 1e-3
-    # The inner corners stand at 3 m; a circle around them is the widest that fits between the
-    # corners and the outer walls, and the line bends less.
+    # The inner corners are at 3 m; a circle around them is the widest that fits between the corners
+    # and the outer walls, and the line has less curvature.
     assert np.hypot(np.abs(found.raceline.x) - 3.0, np.abs(found.raceline.y) - 3.0).min() > 0.199
     assert squared_curvature(found.raceline) < 2.0 * math.pi / (3.0 * math.sqrt(2.0) + 0.2)
     assert 1.0 / np.abs(found.raceline.kappa).max() > 3.0

@@ -158,8 +158,8 @@ def test_projection_inverts_to_cartesian(part, d):
 def test_projection_is_the_closest_point_of_all(x, y):
     foot = WINDING.project(x, y)
     at_x, at_y = WINDING.position(foot.s)
-    # Where the curve is nearly a circle around the position, its closest point is a matter of 1e-5.
-    # The closest of the samples may lie half their spacing along the curve.
+    # Where the curve is nearly a circle around the position, its closest point is known only to
+    # 1e-5. The closest sample may be half the spacing away along the curve.
     closest = brute_force_distance(x, y)
     assert abs(foot.d) <= closest + 2e-5
     assert math.hypot(foot.d, 0.5 * DENSE_S[1]) >= closest - 2e-5
@@ -223,7 +223,7 @@ def test_projection_from_any_guess_is_a_closest_point_or_none(x, y, part):
 
 
 def test_farthest_point_is_no_projection():
-    # From 1 m beyond the center, the guess on the far side is a stationary, but farthest point.
+    # From 1 m beyond the center, the guess on the far side is a stationary, but the farthest point.
     assert circle().project_near(-1.0, 0.0, 0.0) is None
 
 
@@ -293,7 +293,7 @@ def test_point_ahead_is_the_first_one(part, d, distance):
 
 
 def test_point_ahead_stops_where_the_track_turns_back():
-    # On a circle seen from its center every point is equally far: half a lap without a crossing.
+    # Seen from the center of a circle, all points are equally far: half a lap without a crossing.
     track = circle()
     assert track.point_ahead(0.0, 0.0, 3.0, 5.5).distance == pytest.approx(5.0, abs=1e-6)
     assert track.point_ahead(0.0, 0.0, 3.0, math.inf).distance == pytest.approx(5.0, abs=1e-6)

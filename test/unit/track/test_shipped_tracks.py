@@ -1,4 +1,4 @@
-"""The tracks in config/tracks are what they are said to be, and come from their generator."""
+"""The tracks in config/tracks are as documented, and come from their generator."""
 
 import importlib.machinery
 import importlib.util
@@ -63,7 +63,7 @@ def test_walls_leave_room_and_do_not_cross(name):
     for side, widths in ((1, track.d_left), (-1, track.d_right)):
         x, y = track.to_cartesian(track.s, side * widths)
         for k in range(track.n):
-            # A point of a wall is not within the walls of another place of the track.
+            # No wall point is within the walls at another place of the track.
             foot = track.project(float(x[k]), float(y[k]))
             assert math.remainder(foot.s - track.s[k], track.length) == pytest.approx(0, abs=1e-3)
             assert side * foot.d == pytest.approx(widths[k], abs=1e-5)

@@ -1,4 +1,4 @@
-"""Speed profiles against closed-form answers and the physics they stand for."""
+"""Speed profiles compared with closed-form solutions and physics."""
 
 import math
 
@@ -32,7 +32,8 @@ def test_out_of_and_into_a_slow_point_at_constant_acceleration():
     kappa[50] = 10.0 / 2.0**2
     speed = speed_profile(kappa, 0.1, **LIMITS)
     way = 0.1 * np.arange(60)
-    # The cells on both sides of the slow point have its curvature, and all their grip is lateral.
+    # The cells on both sides of the slow point have its curvature, and use all their grip
+    # laterally.
     np.testing.assert_allclose(speed[49:52], 2.0, rtol=1e-12)
     drive = np.minimum(np.sqrt(4.0 + 2.0 * 6.0 * way), 9.0)
     brake = np.minimum(np.sqrt(4.0 + 2.0 * 8.0 * way), 9.0)
@@ -59,7 +60,7 @@ def value(limit, v):
 
 
 def grip_used(kappa, square, a_long, limits):
-    """Share of the friction ellipse in use, at most 1 where the limits are kept."""
+    """Share of the friction ellipse in use, at most 1 within the limits."""
     v = np.sqrt(square)
     along = np.where(
         a_long > 0.0,
@@ -95,7 +96,7 @@ def test_no_point_can_be_faster(limits, kappa, ds):
     cell = np.maximum(kappa, np.roll(kappa, -1))
 
     def broken(k, square):
-        """Whether cell k breaks its bound: its higher curvature at its higher speed."""
+        """Whether cell k violates its bound: its higher curvature at its higher speed."""
         ends = square[k], square[(k + 1) % square.size]
         a_long = np.array([(ends[1] - ends[0]) / (2.0 * ds)])
         return grip_used(cell[k], np.array([max(ends)]), a_long, limits)[0] > 1.0
@@ -110,7 +111,7 @@ def test_no_point_can_be_faster(limits, kappa, ds):
 @settings(deadline=None, max_examples=30)
 @given(CURVATURES, st.lists(st.floats(1.0, 3.0), min_size=60, max_size=60), st.floats(0.02, 0.5))
 def test_a_profile_within_lower_limits_is_nowhere_faster(kappa, slower, ds):
-    """Fastest at all points at once: what keeps to the bounds is nowhere above."""
+    """The profile is the fastest at all points: nothing within the bounds is faster anywhere."""
     kappa = 0.3 * np.abs(kappa)
     below = speed_profile(kappa * np.array(slower[: kappa.size]), ds, **SPEED_DEPENDENT)
     assert np.all(below <= speed_profile(kappa, ds, **SPEED_DEPENDENT) * (1.0 + 1e-9))
@@ -165,12 +166,28 @@ def test_tighter_bends_than_a_least_speed_allows_are_driven_at_it():
     np.testing.assert_array_equal(with_least, speed_profile(kappa, 0.1, **SPEED_DEPENDENT))
 
 
+def test_from_rest_in_a_bend_tighter_than_the_least_speed_allows():
+    """Up to that speed the lateral share is v^2 / v_min^2: d(v^2)/ds = 2 a sqrt(1 - v^4)."""
+    ds = 5e-4
+    s, kappa = ds * np.arange(400), np.full(400, 1.2)
+    v_max = np.where(s > 0.0, 9.0, 0.0)
+
+    def with_grip(most):
+        limits = {"a_lat_max": lambda v: np.minimum(v**2 / 0.7, most), "v_max": v_max}
+        return speed_profile(kappa, ds, **{**SPEED_DEPENDENT, **limits}, v_min=1.0)
+
+    less, more = with_grip(0.8), with_grip(1.3)  # only with 0.8 the bend is too tight for 1 m/s
+    begin = s < 0.1
+    np.testing.assert_allclose(less[begin] ** 2, np.sin(2.0 * 6.0 * s[begin]), atol=5e-3)
+    assert np.all(less <= more + 1e-12) and less.max() <= 1.0 < more.max()
+
+
 @pytest.mark.once
 @BOTH
 @settings(deadline=None, max_examples=40)
 @given(CURVATURES, st.lists(st.floats(0.0, 9.0), min_size=60, max_size=60), st.floats(0.02, 0.5))
 def test_top_speeds_of_places(limits, kappa, v_max, ds):
-    """Nowhere above them, within the other limits between any two, and slower than without."""
+    """Nowhere above them, within the other limits in between, and slower than without."""
     kappa = 0.5 * np.abs(kappa)
     v_max = np.array(v_max[: kappa.size])
     v_max[0] = max(v_max[0], 0.1)
@@ -228,7 +245,7 @@ def test_the_start_line_does_not_matter(kappa, shift):
 
 def test_lap_time():
     assert lap_time(np.full(50, 4.0), 0.2) == pytest.approx(2.5, abs=1e-12)
-    # 1 to 3 m/s and back at constant acceleration takes the way over the mean speed.
+    # From 1 to 3 m/s and back at constant acceleration takes distance over mean speed.
     assert lap_time([1.0, 3.0], 5.0) == pytest.approx(5.0, abs=1e-12)
     assert lap_time([0.0, 3.0, 3.0], 5.0) < math.inf
     assert lap_time([0.0, 0.0, 3.0], 5.0) == math.inf
@@ -248,7 +265,7 @@ def test_impossible_curvature(kappa):
 
 
 def test_a_car_without_drive_at_top_speed_starts_from_rest():
-    """The limits of a cell are first read at its top speed, where this drive ends."""
+    """The limits of a cell are first read at its top speed, where this drive has no force."""
 
     def drive(v):
         return np.maximum(5.0 * (1.0 - v / 10.0), 0.0)
@@ -257,5 +274,5 @@ def test_a_car_without_drive_at_top_speed_starts_from_rest():
     v_max[0] = 0.0
     limits = {"a_lat_max": 5.0, "a_drive_max": drive, "a_brake_max": 5.0}
     speed = speed_profile(np.zeros(50), 0.5, v_max=v_max, **limits)
-    # Constant acceleration over the cell, of the drive at its end: v^2 = 2 ds drive(v).
+    # Constant acceleration over the cell, with the drive's value at its end: v^2 = 2 ds drive(v).
     assert speed[1] ** 2 == pytest.approx(float(drive(speed[1])), rel=1e-3)

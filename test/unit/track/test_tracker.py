@@ -1,4 +1,4 @@
-"""Tracking: on one's own branch while driving, anywhere after a jump."""
+"""Tracking: on the right branch while driving, anywhere after a jump."""
 
 import csv
 import gzip
@@ -28,7 +28,7 @@ def hairpin(walls=None):
 
 
 def drive(tracker, step, laps, noise=0.0, offset=0.0, seed=0):
-    """Errors of the arc length found and flags (reacquired, lost), update by update."""
+    """Errors of the arc length and flags (reacquired, lost) for each update."""
     track = tracker.raceline
     random = np.random.default_rng(seed)
     s = np.arange(3.0, laps * track.length, step)
@@ -93,7 +93,7 @@ def test_reacquires_after_a_jump():
 
 
 def test_recovers_from_a_start_on_the_crossing():
-    """There either branch is right; driving on shows which one it was."""
+    """Either branch is possible there; driving on shows which one it is."""
     track = figure_eight()
     tracker = RacelineTracker(track)
     wrong = (tracker.update(0.0, 0.0).s + 0.5 * track.length) % track.length

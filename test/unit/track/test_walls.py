@@ -24,7 +24,7 @@ def test_distance_to_the_walls_of_a_ring():
     angle, radius = generator.uniform(0.0, 2.0 * math.pi, 300), generator.uniform(3.5, 6.0, 300)
     points = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
     expected = np.minimum(radius - 3.5, 6.0 - radius)
-    # A wall is a polygon: 0.1 m of it leave the circle by 0.3 mm.
+    # Walls are polygons: a segment of 0.1 m deviates from the circle by 0.3 mm.
     np.testing.assert_allclose(walls.distance(points), expected, atol=4e-4)
 
 
@@ -38,7 +38,11 @@ def test_clearance_is_negative_beyond_a_wall(offset):
 
 def test_clearance_in_a_bend_tighter_than_the_track_is_wide():
     """Around the end of a thin inner wall, as measured from that wall itself."""
-    half, length, radius = 0.15, 5.0, 0.5  # of the inner wall, of the straights, of the track
+    half, length, radius = (
+        0.15,
+        5.0,
+        0.5,
+    )  # half width of the inner wall, length of the straights, radius of the track
     wide = 1.2  # from the track to the outer wall
     turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 60)
     leg = np.linspace(-length, length, 200)[1:-1]
@@ -79,7 +83,7 @@ def test_reach_away_from_where_the_clearance_begins():
         out = np.stack((np.cos(angle), np.sin(angle)), axis=1)
         reach = walls.reach(radius * out, sign * out, 0.3, 20.0)
         np.testing.assert_allclose(reach, 1.9, atol=2e-3)
-        # Toward the wall there is nothing left.
+        # Nothing is left toward the wall.
         np.testing.assert_allclose(
             walls.reach(radius * out, -sign * out, 0.3, 20.0), 0.0, atol=1e-3
         )
@@ -110,21 +114,21 @@ def test_walls_of_a_sharp_corner_meet_in_its_point():
     walls = Walls(track)
     assert [finding.code for finding in walls.findings] == ["crossing-normals"]
     inside = walls.segments[np.max(np.abs(walls.segments[:, 0]), axis=1) < 4.0]
-    # No wall is left in the track, and the corner is where the two sides meet.
+    # No wall remains within the track, and the two sides meet at the corner.
     assert np.max(np.abs(inside)) < 3.02
     corner = walls.distance(np.array([[3.0, 3.0], [-3.0, 3.0], [3.0, -3.0]]))
     np.testing.assert_allclose(corner, 0.0, atol=0.06)
 
 
 def test_stretches_that_claim_the_same_ground_are_told():
-    """Two straights 2 m apart that have 1.3 m each on the side between them."""
+    """Two straights 2 m apart that claim 1.3 m each toward the other."""
     turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 30)
     straight = np.linspace(-6.0, 6.0, 120)[1:-1]
     x = np.concatenate((6.0 + np.cos(turn), straight[::-1], -6.0 - np.cos(turn), straight))
     y = np.concatenate((np.sin(turn), np.full(118, 1.0), -np.sin(turn), np.full(118, -1.0)))
     walls = Walls(Raceline(x, y, d_left_m=np.full(x.size, 1.3), d_right_m=np.full(x.size, 0.5)))
     assert "shared-ground" in [finding.code for finding in walls.findings]
-    # Either has what the wall of the other leaves.
+    # Each gets what the other's wall leaves.
     assert walls.distance(np.array([[0.0, 1.0]])) == pytest.approx([0.5], abs=1e-3)
     assert walls.distance(np.array([[0.0, 0.5]])) == pytest.approx([0.2], abs=1e-3)
 
@@ -139,6 +143,6 @@ def test_smoothing_stays_between_the_walls():
     assert np.std(np.hypot(*smooth.T)) < 0.3 * np.std(np.hypot(*points.T))
     _, clear = smooth_between(points, track.length, 0.5, walls.distance, 1.2)
     assert not clear
-    # Much smoothing would draw the ring together; it is halved until the ring is clear.
+    # Strong smoothing would shrink the ring; it is halved until the ring is clear.
     smooth, clear = smooth_between(points, track.length, 6.0, walls.distance, 0.3)
     assert clear and walls.distance(smooth).min() >= 0.3

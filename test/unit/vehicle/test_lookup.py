@@ -152,7 +152,7 @@ def test_the_published_grid():
 
 
 def test_angles_of_a_large_car_are_denser_the_smaller_they_are():
-    """At full speed it steers by hundredths of a radian; its columns are farther apart."""
+    """At full speed it steers by hundredths of a radian; its speed columns are farther apart."""
     car = load_vehicle("bmw_320i")
     speed_axis, angle_axis = default_grid(car)
     steps = np.diff(angle_axis)
@@ -202,7 +202,7 @@ def test_wheelbase_is_that_of_the_provenance():
 
 
 def one_column(l_wb, v=2.0):
-    """Table of one speed, of a car that drives as geometry has it."""
+    """Table for one speed, of a car without slip."""
     return LookupTable([v], [0.0, 0.1, 0.2], np.array([[0.0, 0.1, 0.2]]).T * v**2 / l_wb)
 
 
@@ -273,10 +273,10 @@ def test_only_the_rising_branch_is_inverted():
     assert table.steering(1.0, 1.5) == (pytest.approx(0.2), False)
     assert table.steering(1.0, 2.9) == (pytest.approx(0.39), False)
     assert table.steering(1.0, 9.0) == (pytest.approx(0.4), True)
-    # nor where it stays as it is
+    # nor where it stays constant
     table = LookupTable([1.0], np.arange(4) / 10.0, np.array([[0.0, 1.0, 1.0, 2.0]]).T)
     assert table.steering(1.0, 1.5) == (pytest.approx(0.2), False)
-    # nor is there a branch at no angle
+    # nor is there a branch at angle 0
     table = LookupTable([1.0], [0.0, 0.1], [[0.2], [1.0]])
     assert table.steering(1.0, 0.5) == (pytest.approx(0.05), False)
 
@@ -421,7 +421,7 @@ def test_cells_that_give_no_wheelbase_are_no_table():
     "cell", ["6.934876035770011697e-310", "nan", "-inf", "1e300", "", "3", "v"]
 )
 def test_the_corner_cell_means_nothing(tmp_path, cell):
-    """In published tables it is uninitialized memory."""
+    """In published tables, it is uninitialized memory."""
     (tmp_path / "t.csv").write_text(f"{cell},1,2\n0,0,0\n0.1,1,3\n0.2,2,nan\n")
     table = load_table(tmp_path / "t.csv")
     assert table.speeds.tolist() == [1.0, 2.0] and table.angles.tolist() == [0.0, 0.1, 0.2]
@@ -434,12 +434,13 @@ def test_a_published_table_with_a_junk_corner(shared_data):
 
 
 def test_a_cell_that_was_mistyped_is_refused():
-    """1.0 for 0.1 in one cell of a published grid."""
+    """1.0 instead of 0.1 in one cell of a published grid."""
     table = TABLES[NUC4.name]
     cells = table.a_lat.copy()
     i, j = np.argwhere((cells > 0.5) & (cells < 1.0))[10]
     cells[i, j] *= 10.0
-    with pytest.raises(ParameterError, match=f"at {table.speeds[j]:g} m/s and .* the cells beside"):
+    where = f"at {table.speeds[j]:g} m/s and .* the neighboring cells"
+    with pytest.raises(ParameterError, match=where):
         LookupTable(table.speeds, table.angles, cells)
 
 
@@ -447,7 +448,7 @@ GEOMETRIC_V, GEOMETRIC_DELTA = np.array([1.0, 2.0, 3.0, 4.0]), np.linspace(0.0, 
 
 
 def geometric(cells, l_wb=0.4):
-    """Table of a car that rolls as geometry has it, but for some cells, given in its multiples."""
+    """Table of a car without slip, with some cells multiplied by a factor."""
     rolling = np.tan(GEOMETRIC_DELTA)[:, None] * GEOMETRIC_V**2 / l_wb
     a_lat = rolling.copy()
     for (i, j), multiple in cells.items():
@@ -468,20 +469,20 @@ def test_a_cell_far_above_geometry_and_all_beside_it_is_refused(i, j):
 @pytest.mark.parametrize("beside", [(3, 1), (2, 2)])
 @pytest.mark.parametrize("swapped", [False, True])
 def test_it_is_not_where_a_cell_beside_it_has_half_of_it(beside, swapped):
-    """As many are together where a car oversteers."""
+    """Cells of an oversteering car may differ as much."""
     rolling = np.tan(GEOMETRIC_DELTA)[:, None] * GEOMETRIC_V**2
     one, other = ((2, 1), beside) if not swapped else (beside, (2, 1))
     ratio = rolling[one] / rolling[other]
     geometric({one: 40.0, other: 0.55 * 40.0 * ratio})
-    with pytest.raises(ParameterError, match="the cells beside"):
+    with pytest.raises(ParameterError, match="the neighboring cells"):
         geometric({one: 40.0, other: 0.45 * 40.0 * ratio})
 
 
 def test_far_above_geometry_is_three_times_and_more_than_1():
     geometric({(4, 3): 2.9})
-    with pytest.raises(ParameterError, match="the cells beside"):
+    with pytest.raises(ParameterError, match="the neighboring cells"):
         geometric({(4, 3): 3.1})
     once = math.tan(0.1) / 4.0
     geometric({(1, 0): 0.9 / once}, l_wb=4.0)
-    with pytest.raises(ParameterError, match="the cells beside"):
+    with pytest.raises(ParameterError, match="the neighboring cells"):
         geometric({(1, 0): 1.1 / once}, l_wb=4.0)

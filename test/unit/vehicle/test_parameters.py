@@ -37,7 +37,7 @@ PACEJKA = {
 
 share = st.floats(0.5, 2.0)
 tires = st.builds(PacejkaTire, st.floats(1.0, 20.0), share, share, st.floats(-10.0, 10.0))
-# 1:10 cars, twice or half as large, heavy, and sticky as they are.
+# 1:10 cars, and twice or half their size, mass and grip.
 vehicles = st.builds(
     Vehicle,
     name=st.text("abcNUC4_-: #", min_size=1),
@@ -224,7 +224,7 @@ def test_impossible_pacejka_coefficients_are_refused(write, changes, message):
         load_vehicle(write({**PACEJKA, **changes}))
 
 
-# What the files of the newer public stacks hold beside the model.
+# Further contents of the newer public stacks' files.
 FURTHER = {"C_0d": 0.48, "C_R": 3.7, "C_acc": 7.1, "C_d": -0.9, "C_dec": 0.6, "tau_steer": 0.16}
 
 
@@ -239,11 +239,11 @@ def test_keys_that_are_not_used_are_noted(write):
 
 @pytest.mark.parametrize("key", ["model_name", "C_R", "tau_steer"])
 def test_mu_of_published_files_is_not_used_as_their_program_does_not(write, key):
-    """Its single-track model has no friction coefficient: D holds it."""
+    """Its single-track model has no friction coefficient: D includes it."""
     value = "NUC7" if key == "model_name" else 0.2
     car = load_vehicle(write({**PACEJKA, "mu": 0.95, key: value}))
-    assert car.mu == 1.0 and car.notes[0].startswith("mu: 0.95 not used but 1")
-    # Where it is 1 there is nothing to say; in a file of our own it counts.
+    assert car.mu == 1.0 and car.notes[0].startswith("mu: 0.95 ignored, 1 used")
+    # If it is 1, there is no note; in this package's own files it counts.
     assert not any(
         "mu" in note for note in load_vehicle(write({**PACEJKA, "mu": 1, key: value})).notes
     )
@@ -253,7 +253,7 @@ def test_mu_of_published_files_is_not_used_as_their_program_does_not(write, key)
 
 def test_files_without_mu_or_tire_model(write):
     car = load_vehicle(write(without(PACEJKA, "mu", "tire_model")))
-    assert car.mu == 1.0 and car.notes == ("no mu: taken as 1",)
+    assert car.mu == 1.0 and car.notes == ("no mu: 1 assumed",)
     assert car.front == PacejkaTire(*PACEJKA["C_Pf"])
     assert load_vehicle(write(without(MINIMAL, "tire_model"))).front == LinearTire(4.7)
     both = without({**MINIMAL, **PACEJKA}, "tire_model")
@@ -282,7 +282,7 @@ TIRES = {
 
 @pytest.fixture
 def split(tmp_path):
-    """A car as the newer stacks split it; tires of one floor."""
+    """A car split into files as by the newer stacks, with tires for one floor."""
     car = without({**PACEJKA, **FURTHER}, "C_Pf", "C_Pr", "tire_model", "mu")
     (tmp_path / "car_model.yaml").write_text(yaml.safe_dump(car))
     (tmp_path / "vesc.yaml").write_text("max_rpm: 20000\n")
@@ -299,7 +299,7 @@ def test_a_car_split_from_its_tires_is_joined(split, write):
     assert parameter_hash(by_car) == parameter_hash(by_tires) == parameter_hash(expected)
     assert by_car.notes[0] == f"tires from {tires}"
     assert by_tires.notes[0] == f"mass and geometry from {split / 'car_model.yaml'}"
-    # Beside it, under any name.
+    # Next to it, under any name.
     tires.rename(split / "pacejka_tire_params.yaml")
     assert load_vehicle(split / "car_model.yaml").front == expected.front
 
@@ -308,7 +308,7 @@ def test_tires_of_two_floors_must_be_chosen(split):
     other = split / "pacejka" / "foyer"
     other.mkdir()
     (other / "default.yaml").write_text(yaml.safe_dump({**TIRES, "Df": 0.5, "Dr": 0.5}))
-    with pytest.raises(ParameterError, match=r"name one of .*foyer/default.yaml, .*hall/default"):
+    with pytest.raises(ParameterError, match=r"give one of .*foyer/default.yaml, .*hall/default"):
         load_vehicle(split / "car_model.yaml")
     assert load_vehicle(other / "default.yaml").front.D == 0.5
 

@@ -1,4 +1,4 @@
-"""Values of vehicle files in other units are told by the size of the car."""
+"""Values in wrong units are recognized by the size of the car."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_another_unit_is_refused_with_file_field_value_and_expectation(
         load(car, **{field: value})
     text = str(caught.value)
     assert text.startswith(f"{tmp_path / 'car.yaml'}: ") and f"{value:g}" in text
-    # A lever in other units makes the wheelbase impossible, or its own share of it.
+    # An axle distance in wrong units makes the wheelbase, or its share of it, impossible.
     assert field in text and "expected" in text
     assert field in ("l_f", "l_r") or f"in {unit}?" in text
 
@@ -77,7 +77,7 @@ def test_the_height_in_another_unit(load, value):
 
 
 def test_a_tire_whose_numbers_stand_in_another_order_is_doubted(tmp_path):
-    """Of one axle only: the other one holds the car within what rubber can."""
+    """On one axle only: the other axle keeps the car within plausible grip."""
     lines = {"m": 3.54, "I_z": 0.06, "l_f": 0.162, "l_r": 0.145, "h_cg": 0.014, "mu": 1.0}
     lines.update(C_Pf=[0.65, 2.2, 4.8, 0.37], C_Pr=[20.0, 1.5, 0.6, 0.0])
     path = tmp_path / "car.yaml"
@@ -153,7 +153,9 @@ def test_a_table_that_was_cut_off_is_doubted():
     car = load_vehicle("sim")
     own = steady_state_table(car, np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.1, 41))
     (doubt,) = doubts_of_table(own, car)
-    assert doubt == "lookup table: ends at an angle of 0.1 rad, the wheels of SIM turn to 0.419 rad"
+    assert doubt == (
+        "lookup table: ends at a steering angle of 0.1 rad, but SIM steers up to 0.419 rad"
+    )
 
 
 def test_published_tables_are_of_their_cars(shared_data):
@@ -166,10 +168,10 @@ def test_published_tables_are_of_their_cars(shared_data):
     "rows, columns, value, said",
     [
         ((), (), 1.0, ""),
-        (5, slice(None), 2.0, "cells at 0.05 rad: 2 times what is beside"),
-        (slice(None), 11, 0.5, "cells at 4.84211 m/s: 0.5 times what is beside"),
-        (10, 11, 1.5, "cell at 4.84211 m/s and 0.1 rad: 1.5 times what is beside"),
-        (3, 11, np.nan, "cell at 4.84211 m/s and 0.03 rad: nan between others"),
+        (5, slice(None), 2.0, "cells at 0.05 rad: 2 times the neighbors"),
+        (slice(None), 11, 0.5, "cells at 4.84211 m/s: 0.5 times the neighbors"),
+        (10, 11, 1.5, "cell at 4.84211 m/s and 0.1 rad: 1.5 times the neighbors"),
+        (3, 11, np.nan, "cell at 4.84211 m/s and 0.03 rad: nan between valid cells"),
         (3, 11, -1.0, "cell at 4.84211 m/s and 0.03 rad: -0.9"),
     ],
 )
@@ -185,7 +187,7 @@ def test_cells_that_do_not_fit_those_beside_them_are_doubted(rows, columns, valu
 @pytest.mark.parametrize("car", ["nuc4", "sim", "bmw_320i"])
 @pytest.mark.parametrize("step", [0.1, 2.0])
 def test_cells_of_any_grid_fit_those_beside_them(car, step):
-    """As of tables that are computed or measured in few steps, of tires with a peak and without."""
+    """As in tables computed or measured in few steps, for tires with and without a peak."""
     vehicle = load_vehicle(car)
     for angles in (np.linspace(0.0, 0.4, 5), np.linspace(0.0, 0.4, 60)):
         own = steady_state_table(vehicle, np.arange(1.0, 9.1, step), angles)
@@ -197,13 +199,13 @@ def test_a_table_of_linear_tires_is_doubted_for_a_car_whose_tires_have_a_peak():
     speeds, angles = np.linspace(0.5, 7.0, 20), np.linspace(0.0, 0.4, 41)
     table = steady_state_table(linearized(car), speeds, angles)
     (doubt,) = doubts_of_table(table, car)
-    assert "the tires of NUC4 7.06 m/s^2: of other tires, or of linear ones?" in doubt
+    assert "but the tires of NUC4 only 7.06 m/s^2: made for other tires, or linear" in doubt
     assert doubts_of_table(table, linearized(car)) == []
 
 
 @pytest.mark.parametrize("grip, said", [(1.0, False), (2.5, True)])
 def test_a_table_whose_peak_no_rubber_has_is_doubted(grip, said):
-    """Without the vehicle, too; of linear tires, which have no peak, nothing is said."""
+    """Also without the vehicle; linear tires, which have no peak, give no warning."""
     car = load_vehicle("nuc4")
     speeds, angles = np.linspace(0.5, 9.0, 20), np.linspace(0.0, 0.4, 41)
     own = steady_state_table(car, speeds, angles)
@@ -211,6 +213,6 @@ def test_a_table_whose_peak_no_rubber_has_is_doubted(grip, said):
     assert bool(doubts_of_peak(table)) == said
     assert bool(doubts_of_table(table, car)) == said
     if said:
-        assert "its peak is that of a friction of 1.8" in doubts_of_peak(table)[0]
+        assert "its peak takes a friction of 1.8" in doubts_of_peak(table)[0]
     linear = steady_state_table(load_vehicle("sim"), speeds, angles)
     assert np.nanmax(linear.a_lat) > 20.0 and doubts_of_peak(linear) == []

@@ -19,7 +19,7 @@ from map_racing.vehicle.single_track import (
 )
 
 NUC4 = load_vehicle("nuc4")
-# a higher center of gravity and another friction than 1, so that neither goes unnoticed
+# a higher center of gravity and a friction other than 1, so that neither goes unnoticed
 SIM = dataclasses.replace(load_vehicle("sim"), h_cg=0.074, mu=1.05)
 CARS = [NUC4, SIM, linearized(NUC4)]
 
@@ -41,7 +41,7 @@ def printed_equations(car, v_x, v_y, r, delta, a_long):
 
 
 def drive(car, v_x, a_long, steer, duration, step=0.002, v_y=0.0, r=0.0):
-    """Integrate with RK4 at constant a_long; the history of (v_x, v_y, r)."""
+    """Integrate with RK4 at constant a_long; return the history of (v_x, v_y, r)."""
     derivatives = single_track_derivatives(car)
     history = []
     for k in range(int(round(duration / step))):

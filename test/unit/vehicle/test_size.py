@@ -26,7 +26,7 @@ def test_1_10_cars_are_the_measure(name):
 
 
 def test_safety_limits_are_those_of_the_size(tmp_path):
-    """Of the shipped controllers; a file of one's own is taken as it stands."""
+    """For shipped controllers; the user's own files are used unchanged."""
     assert load_safety_limits("map", load_vehicle("nuc4")) == SafetyLimits()
     car = load_vehicle("bmw_320i")
     length, time = size_of(car)

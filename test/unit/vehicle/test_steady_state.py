@@ -1,4 +1,4 @@
-"""The steady-state table against integration, closed forms, and published tables."""
+"""The steady-state table compared with integration, closed forms, and published tables."""
 
 import dataclasses
 import math
@@ -46,7 +46,8 @@ cars = st.builds(
 
 
 def simulate_to_steady_state(car, v, delta, duration=20.0):
-    """Integrate from straight running: lateral acceleration at the end, NaN if not settled."""
+    """Integrate from straight running; return the final lateral acceleration, NaN if not
+    settled."""
     derivatives = single_track_derivatives(car, v_eps=1e-9)
 
     def right_hand_side(_, state):
@@ -62,7 +63,7 @@ def simulate_to_steady_state(car, v, delta, duration=20.0):
 
 
 def equilibrium(car, v, delta, a_lat):
-    """v_y of the steady state with the rear tire on its rising side, and the Jacobian there."""
+    """Steady-state v_y with the rear tire on its rising side, and the Jacobian there."""
     v_y = a_lat * car.l_r / v - v * math.tan(car.rear.slip(a_lat / (car.mu * GRAVITY)))
     derivatives, r, h = single_track_derivatives(car, v_eps=1e-9), a_lat / v, 1e-6
 
@@ -97,14 +98,14 @@ def test_cells_are_stable_equilibria_of_the_equations(car):
     for i, j in np.argwhere(np.isfinite(table.a_lat)).tolist():
         residual, jacobian = equilibrium(car, SPEEDS[j], ANGLES[i], table.a_lat[i, j])
         assert residual == pytest.approx((0.0, 0.0), abs=1e-5)
-        # At the rear tire's very peak its slip cannot be told from the force: slope and with it the
-        # Jacobian go with the root of the force that is missing.
+        # Exactly at the rear tire's peak, its slip is not determined by the force: the slope, and
+        # with it the Jacobian, varies with the square root of the missing force.
         if table.a_lat[i, j] < (1.0 - 1e-9) * car.mu * GRAVITY * car.rear.peak:
             assert np.linalg.eigvals(jacobian).real.max() < 1e-4
 
 
 def test_tires_that_peak_together_end_the_branch_before_their_peak():
-    """A front tire a little stiffer than the rear one makes the last millirad a saddle."""
+    """With a front tire slightly stiffer than the rear one, the last millirad is a saddle."""
     car = dataclasses.replace(
         NUC4,
         front=PacejkaTire(12.0, 2.0, 0.4, 0.0),
@@ -122,7 +123,7 @@ def test_tires_that_peak_together_end_the_branch_before_their_peak():
 
 
 def test_tires_that_peak_together_may_swing_just_beyond_their_peak():
-    """No saddle, but a growing oscillation, between the peak and the next point followed."""
+    """Not a saddle but a growing oscillation, between the peak and the next point on the branch."""
     car = dataclasses.replace(
         NUC4,
         front=PacejkaTire(21.5, 2.0, 0.59375, 0.0),
@@ -236,7 +237,7 @@ def test_impossible_axes_are_refused(speeds, angles, name):
 
 @pytest.mark.once
 def test_a_growing_oscillation_is_no_steady_state():
-    """A front tire far beyond its peak feeds the yaw motion; the equilibrium is no saddle."""
+    """A front tire far beyond its peak drives the yaw motion; the equilibrium is not a saddle."""
     car = dataclasses.replace(
         NUC4,
         front=PacejkaTire(11.74, 1.302, 0.8393, 1.441),
@@ -257,7 +258,7 @@ def test_what_has_not_settled_is_no_steady_state():
 
 
 def test_a_car_without_any_steady_state_is_refused_by_name():
-    with pytest.raises(ParameterError, match="^oversteer: its steady states form no table: a_lat"):
+    with pytest.raises(ParameterError, match="^oversteer: no table of steady states: a_lat"):
         steady_state_table(OVERSTEER, [11.0], ANGLES)
 
 

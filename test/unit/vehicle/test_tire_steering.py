@@ -1,4 +1,4 @@
-"""Steering with scaled tires: the same as the table that would have to be computed for them."""
+"""Steering with scaled tires equals a table computed for them."""
 
 import dataclasses
 
@@ -82,7 +82,8 @@ def test_odd_and_saturated_exactly_beyond_the_limit(v, share, friction, front):
 @settings(deadline=None, max_examples=50)
 @given(factors=st.tuples(*[st.floats(0.6, 1.4)] * 3))
 def test_the_level_is_the_friction_that_has_no_higher_limit(factors):
-    """Where tires limit the turn; in tighter ones it is the lock, which friction hardly changes."""
+    """Where the tires limit the turn; in tighter turns it is the lock, which friction hardly
+    affects."""
     steering = STEERING.scaled(*factors)
     level = steering.level(4.5)
     assert level <= factors[0] * (1.0 + 1e-9)

@@ -1,4 +1,4 @@
-"""Force curves: known points, symmetry, and agreement of their several forms."""
+"""Force curves: known points, symmetry, and agreement of their different forms."""
 
 import math
 
@@ -68,10 +68,10 @@ def test_slope_is_the_derivative(tire):
 def test_peak_is_the_largest_force_on_the_first_rise(tire):
     slip = np.linspace(0.0, min(tire.peak_slip, 10.0), 1001)
     force = tire.normalized_force(slip)
-    # at the limit both sides round
+    # at the limit, both sides are rounded
     assert np.all(force <= tire.peak * (1.0 + 1e-12))
     assert np.all(np.diff(force) > -1e-12)
-    # as C or E approaches 1 from above the peak moves to infinity, and its slip loses its digits
+    # as C or E approaches 1 from above, the peak moves to infinity, and its slip loses precision
     if tire.peak_slip < 3.0:
         assert tire.normalized_force(tire.peak_slip) == pytest.approx(tire.peak, rel=1e-12)
         assert tire.normalized_force(1.01 * tire.peak_slip) < tire.peak

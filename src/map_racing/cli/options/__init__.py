@@ -1,1 +1,1 @@
-"""Options of each command, apart from its work: ``--help`` need not import what the work needs."""
+"""Options of each command, separate from its work, so that ``--help`` imports little."""

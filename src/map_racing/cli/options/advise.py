@@ -10,16 +10,14 @@ from .shared import add_number
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "For each sector, a scale of the raceline's speed for the next heat, and the predicted lap "
+        "A speed scale for each sector of the raceline for the next heat, and the predicted lap "
         "time. They follow from the grip used in the last heat, the distance to the walls and the "
-        "lateral error. Drive them at speed_scale 1."
+        "lateral error. Drive these scales at speed_scale 1."
     )
     add_evaluation_options(parser)
     add_car_options(parser)
     parser.add_argument(
         "--speed-sectors", metavar="YAML", help="write the scales as speed_scaling.yaml"
     )
-    add_number(
-        parser, "--step", 0.15, "largest increase of a scale, as a share of it", metavar="SHARE"
-    )
+    add_number(parser, "--step", 0.15, "largest relative increase of a scale", metavar="SHARE")
     parser.set_defaults(run="advise.run")

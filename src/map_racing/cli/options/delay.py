@@ -8,10 +8,10 @@ from .recording import add_runs, add_signal_options
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Estimate how late a car acts from recorded laps: age of the pose, dead time and lag of "
+        "Estimate the delays of a car from recorded laps: age of the pose, dead time and lag of "
         "the steering and of the drive, and the controller's delay_s and speed_lookahead_s that "
-        "follow, each with its 95 % interval. Where the driving was too straight to show a delay, "
-        "it says so."
+        "follow, each with its 95 % interval. It says so if the driving was too straight to show a "
+        "delay."
     )
     add_runs(parser)
     parser.add_argument(

@@ -21,7 +21,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
-    """Add the recordings, and how they are evaluated."""
+    """Add the recordings and the options for evaluating them."""
     parser.add_argument(
         "recordings",
         nargs="+",
@@ -42,7 +42,7 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     )
     add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     add_limit_options(parser)
-    # As in `map_racing.evaluation.laps.LapLimits`, which help must not wait for.
+    # As in `map_racing.evaluation.laps.LapLimits`, which is slow to import for --help.
     stop = "longest time that the car may stand in a lap that counts [s]"
     add_number(parser, "--max-stop", 0.3, stop, metavar="S")
     braking = "harder braking counts as hitting a wall [m/s^2]"
@@ -50,7 +50,7 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_limit_options(parser: argparse.ArgumentParser) -> None:
-    """Add the size of the car, and how far off the line a lap counts."""
+    """Add the width of the car, and the limits of the track."""
     width = "width of the car, for the clearance to the walls [m]"
     add_number(parser, "--car-width", 0.3, width, metavar="M")
     parser.add_argument(

@@ -56,8 +56,8 @@ def _add_robustness(kinds):
         "robustness",
         help="whether controllers complete every track with every car",
         description="Race controllers on a grid of tracks, shipped and generated, and cars that "
-        "differ from what the controllers believe. Reports how many races were completed and how "
-        "closely, and where and why the others ended.",
+        "differ from the controllers' model. Reports how many races were completed and with what "
+        "error, and where and why the others ended.",
     )
     parser.add_argument(
         "--controller",
@@ -124,7 +124,7 @@ def _add_mpc(kinds):
         help="scale of the raceline's speeds at which all are tuned, instead of the conditions'",
     )
     parser.add_argument("--no-tuning", action="store_true", help="race all as shipped")
-    slowdown = "factor on the computing time, as of a slower processor"
+    slowdown = "factor on the computing time, to emulate a slower processor"
     add_number(parser, "--slowdown", 1.0, slowdown, metavar="FACTOR")
     add_number(parser, "--laps", 2, "timed laps of a race", metavar="N")
     add_effort_options(parser)

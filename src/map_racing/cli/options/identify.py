@@ -54,8 +54,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="RECORDING",
-        help="recordings that the car is not fitted to: it is driven open loop by their commands, "
-        "and the largest error of all channels and runs heads the report",
+        help="recordings that the car is not fitted to: it is driven open loop with their "
+        "commands, and the largest error of all channels and runs heads the report",
     )
     add_replay_window(parser)
     _add_steady(parser)
@@ -65,7 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_steady(parser):
-    """Add how steady cornering is found and fitted."""
+    """Add the options for finding and fitting steady cornering."""
     parser.add_argument(
         "--acceleration",
         choices=("imu", "yaw_rate"),

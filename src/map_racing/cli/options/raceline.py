@@ -80,7 +80,7 @@ def add_optimize(actions):
         "optimize",
         help="the fastest line between the walls, from a centerline, a raceline or a map",
         description="Find the path of least squared curvature that stays half the car's width "
-        "and a margin away from the walls; where a shorter path is faster, take that. Then find "
+        "and a margin away from the walls, or a shorter path if it is faster. Then find "
         "the highest speeds on it that the vehicle can drive: lateral acceleration is limited by "
         "its lookup table, and shares the grip with driving and braking in a friction ellipse. "
         "Prints length, squared curvature and estimated lap time before and after.",
@@ -114,7 +114,7 @@ def add_optimize(actions):
     _add_line(parser.add_argument_group("line"))
     _add_speed(parser.add_argument_group("speed"))
     _add_map(parser.add_argument_group("map"))
-    # Else argparse takes -1.5,2 for an option.
+    # Otherwise argparse mistakes -1.5,2 for an option.
     parser._negative_number_matcher = re.compile(r"^-\.?\d[\d.,e+-]*$")
     parser.set_defaults(run="raceline_optimize.run_optimize")
 
@@ -207,7 +207,7 @@ def add_record(actions):
     """Add ``raceline record``."""
     parser = actions.add_parser(
         "record",
-        help="a closed raceline from a lap that was driven, by hand or by another controller",
+        help="a closed raceline from a lap driven by hand or by another controller",
         description="Find the laps of a recording and write the line of one of them: smoothed, "
         "closed, at equal distances, with the speeds driven; and check it like raceline check. "
         "With a raceline the laps are those of evaluate; without one they are found from the path "

@@ -24,7 +24,7 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_signal_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says where the signals of a recording are."""
+    """Add the options that locate the signals of a recording."""
     parser.add_argument(
         "--channels",
         metavar="YAML",

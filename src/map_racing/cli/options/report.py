@@ -22,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_car_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says which car was driven."""
+    """Add the options for car and laps."""
     parser.add_argument(
         "--vehicle",
         metavar="NAME",
@@ -32,5 +32,5 @@ def add_car_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--laps",
         metavar="LAPS",
-        help="numbers of the laps to look at, such as 2-5,8 (default: all)",
+        help="numbers of the laps to include, such as 2-5,8 (default: all)",
     )

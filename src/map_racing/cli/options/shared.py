@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options that several commands share."""
 
 import argparse
 
@@ -25,16 +25,16 @@ CONDITIONS = "YAML file, or shipped: " + ", ".join(
 
 
 def add_join_option(parser: argparse.ArgumentParser) -> None:
-    """Add how bags that a recorder split are read."""
+    """Add the option that joins the parts of a split bag."""
     parser.add_argument(
         "--join",
         action="store_true",
-        help="the bags are the parts of one run, which the recorder split by size or time",
+        help="treat the bags as the parts of one run that the recorder split by size or time",
     )
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add what is read from recordings of laps."""
+    """Add the options for reading recordings of laps."""
     parser.add_argument(
         "--raceline",
         metavar="FILE",
@@ -53,7 +53,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_number(parser, option: str, default: float, meaning: str, **settings) -> None:
-    """Add an option for a number of the type of its default, which the help names."""
+    """Add a number option; its type and help text follow from the default."""
     text = f"{meaning} (default: %(default)s)"
     parser.add_argument(option, type=type(default), default=default, help=text, **settings)
 
@@ -113,26 +113,26 @@ def add_results(parser: argparse.ArgumentParser) -> None:
 
 
 def add_effort_options(parser: argparse.ArgumentParser) -> None:
-    """Add where races are driven, and where known ones are."""
+    """Add the options for workers and for reusing races."""
     add_worker_options(parser)
     parser.add_argument(
         "--reuse",
         action="append",
         default=[],
         metavar="DIR",
-        help="take over races from this result directory instead of driving them; may be repeated",
+        help="reuse races from this result directory instead of driving them; may be repeated",
     )
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """Add how many processes work, or where."""
+    """Add the number of processes, or the Dask scheduler."""
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes (default: one for each core)"
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="work on the workers of this Dask scheduler (pip install 'map_racing[cluster]')",
+        help="run on the workers of this Dask scheduler (pip install 'map_racing[cluster]')",
     )
 
 

@@ -1,4 +1,4 @@
-"""What is wrong in a track is found, where it is, and only that."""
+"""Faults of a track are found at the right place, without false alarms."""
 
 import json
 import math
@@ -16,8 +16,8 @@ from map_racing.track.files.table import RacelineTable
 from map_racing.track.findings import ERROR, NOTE, WARNING
 from map_racing.track.raceline import Raceline
 
-# A track with bends both ways, driven counter-clockwise; walls and speeds as a racing line has
-# them: close to the inner wall and slow in bends.
+# A track with bends both ways, driven counter-clockwise, with the walls and speeds of a racing
+# line: close to the inner wall and slow in bends.
 T = np.arange(400) * 2.0 * math.pi / 400
 R = 6.0 + 1.5 * np.cos(3.0 * T)
 LINE = Raceline(R * np.cos(T), R * np.sin(T))
@@ -100,13 +100,13 @@ def test_two_laps_of_the_same_track():
     found = codes(table(rows=np.tile(np.arange(N), 2), without=("s",)))
     assert found["two-loops"].severity == ERROR
     assert found["two-loops"].places[0].index == N
-    # As driven: the laps differ by 10 cm, and one is cut short.
+    # As recorded: the laps differ by 10 cm, and one is incomplete.
     rows = np.append(np.arange(N), np.arange(N - 20))
     width = 0.1 * np.sin(np.arange(rows.size) / 70.0)
     x, y = LINE.to_cartesian(LINE.s[rows], width)
     found = codes(RacelineTable({"x": x, "y": y}))
     assert abs(found["two-loops"].places[0].index - N) < 3
-    # Any more than one lap.
+    # Anything longer than one lap.
     for laps in (1.2, 1.5, 3.0, 7.0):
         rows = np.arange(int(laps * N)) % N
         finding = codes(table(rows=rows, without=("s",)))["two-loops"]
@@ -128,7 +128,7 @@ def test_neither_hairpins_nor_crossings_are_two_loops():
     assert [finding.code for finding in examination.findings] == ["self-crossing"]
     assert examination.findings[0].severity == NOTE
     assert np.hypot(*examination.findings[0].places[0][3:]) < 0.2
-    # Out and back 1 m beside each other.
+    # Out and back, 1 m apart.
     long = {"x": 20.0 * np.cos(T), "y": 0.5 * np.sign(np.sin(T)) * np.abs(np.sin(T)) ** 0.4}
     assert "two-loops" not in codes(RacelineTable(long))
 
@@ -152,7 +152,7 @@ def test_points_that_turn_back():
 def test_a_line_driven_there_and_back_is_no_track(count, slope):
     there = np.arange(count) * 0.5
     way = np.append(there, there[::-1])
-    with pytest.raises(RacelineError, match="turns back|there and back"):
+    with pytest.raises(RacelineError, match="turns back|back and forth"):
         raceline_of(RacelineTable({"x": way, "y": slope * way}))
 
 
@@ -253,7 +253,7 @@ def test_walls():
     found = codes(table(d_left=set_at("d_left", [3, 4], -2.0)))
     assert {"beyond-wall", "no-width"} <= set(found)
     assert "walls-cross" in codes(table(d_left=GOOD["d_left"] + 9.0))
-    # A waist of 1 m between walls that are said to be 0.8 m away on either side.
+    # A waist of 1 m with walls declared 0.8 m away on both sides.
     peanut = {"x": 12.0 * np.cos(T), "y": (0.5 + 6.0 * np.cos(T) ** 2) * np.sin(T)}
     peanut.update(d_left=0.0 * T + 0.8, d_right=0.0 * T + 0.8)
     texts = [f.text for f in examine(RacelineTable(peanut)).findings if f.code == "walls-cross"]
@@ -269,9 +269,10 @@ def exchanged(line):
 
 def test_exchanged_walls():
     assert list(codes(exchanged(load_raceline("reference")))) == ["swapped-walls"]
-    # Walls at an even distance from each other are as smooth: the line keeps outside in all bends.
+    # Walls at a constant distance from each other are equally smooth: the line stays outside in all
+    # bends.
     assert list(codes(exchanged(load_raceline("club")))) == ["swapped-walls"]
-    # A line that weaves between two circles, whose turns tell nothing.
+    # A line that weaves between two circles, whose bends reveal nothing.
     r = 6.0 + 0.4 * np.sin(2.0 * T)
     columns = {"x": r * np.cos(T), "y": r * np.sin(T), "d_left": r - 5.0, "d_right": 7.5 - r}
     assert codes(RacelineTable(columns)) == {}
@@ -279,7 +280,7 @@ def test_exchanged_walls():
 
 @pytest.mark.parametrize("digits", [2, 3])
 def test_rounded_points_do_not_exchange_the_walls(digits):
-    """Normals to points that jitter swing, and the far wall with them more than the near one."""
+    """Normals at jittering points swing, which moves the far wall more than the near one."""
     far = 14.0 * np.cos(T), 9.0 * np.sin(T)
     walls = {"d_left": 1.3 + 0.2 * np.cos(3.0 * T), "d_right": 1.0 + 0.15 * np.sin(2.0 * T)}
     x, y = (np.round(column, digits) for column in far)
@@ -294,7 +295,7 @@ def test_walls_of_a_track_that_crosses_itself_cross_there():
 
 
 def test_a_last_point_beside_the_first_closes_the_track():
-    """The first point again, but for rounding: no overlap of a millimeter."""
+    """The first point repeated with rounding: no overlap of a millimeter."""
     for off in (-0.001, 0.001):
         ends = {key: np.append(GOOD[key], GOOD[key][0]) for key in ("x", "y", "speed")}
         ends["x"][-1] += off * np.cos(LINE.psi[0])
@@ -308,7 +309,7 @@ def test_a_last_point_beside_the_first_closes_the_track():
 @pytest.mark.parametrize("turned", ["line", "both", "other", "nothing"])
 @pytest.mark.parametrize("shown", ["markers", "line"])
 def test_a_file_that_shows_its_walls_tells_whether_they_are_exchanged(tmp_path, shown, turned):
-    """A line that weaves evenly between two circles, where neither shape nor bends tell."""
+    """A line that weaves evenly between two circles: neither shape nor bends reveal anything."""
     r, a = 6.0 + 0.4 * np.sin(2.0 * T), 2.0 * T
     walls = [[w * np.cos(a), w * np.sin(a)] for w in (5.0, 7.5)]
 
@@ -329,7 +330,7 @@ def test_a_file_that_shows_its_walls_tells_whether_they_are_exchanged(tmp_path, 
     path.write_text(json.dumps(content))
     found = codes(read_raceline_file(path))
     assert ("swapped-walls" in found) == (turned in ("line", "both"))
-    # What a file shows that is of another track tells nothing.
+    # A file whose shape is another track's proves nothing.
     content["trackbounds_markers"] = {"markers": [{"pose": {"position": {"x": 50.0, "y": 9.0}}}]}
     path.write_text(json.dumps(content))
     assert codes(read_raceline_file(path)) == {}
@@ -347,7 +348,7 @@ def test_walls_in_other_units(unit):
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("track", ["reference", "club"])
 def test_a_line_along_one_wall_is_not_taken_for_exchanged(track, side):
-    """Close to one wall all around, and swinging: the other wall is as smooth as it was."""
+    """Close to one wall all around, and weaving: the other wall is equally smooth."""
     middle = load_raceline(track)
     room = middle.d_left if side == "left" else -middle.d_right
     for share, swing in ((0.85, 0.0), (0.7, 0.3)):
@@ -436,7 +437,7 @@ def test_no_false_alarm_on_good_tracks(seed, clockwise, size, count):
 
 
 def test_long_tracks_of_full_size_cars_are_told_from_other_units():
-    """A circuit in meters; the same length, but a 1:10 track in centimeters."""
+    """A circuit in meters, and a 1:10 track in centimeters with the same length."""
     grown = {key: 60.0 * GOOD[key] for key in ("x", "y")}
     fast = {**grown, "speed": math.sqrt(60.0) * GOOD["speed"]}
     wide = {**grown, "d_left": 6.0 * GOOD["d_left"], "d_right": 6.0 * GOOD["d_right"]}
@@ -451,7 +452,7 @@ def test_long_tracks_of_full_size_cars_are_told_from_other_units():
 @pytest.mark.parametrize("scale", [100.0, 1000.0])
 @pytest.mark.parametrize("without", [("speed",), ("d_left", "d_right"), ()])
 def test_a_track_that_is_certainly_in_another_unit_is_refused(scale, without):
-    """In centimeters a lap takes minutes without a bend, or is as wide as a field."""
+    """In centimeters, a lap lasts minutes without a bend, or the track is as wide as a field."""
     lengths = ("x", "y", "d_left", "d_right")
     columns = {key: GOOD[key] * (scale if key in lengths else 1.0) for key in (*lengths, "speed")}
     for key in without:
@@ -483,7 +484,7 @@ def test_a_track_smaller_than_a_car_is_refused():
 
 @pytest.mark.parametrize("speed, size", [(0.5, 1.0), (1.5, 10.0), (15.0, 100.0)])
 def test_slow_laps_in_meters_are_driven(speed, size):
-    """At walking pace around a hall or a parking lot; at the speed of a full-size car."""
+    """At walking pace around a hall or a parking lot, or at the speed of a full-size car."""
     columns = {key: size * GOOD[key] for key in ("x", "y")}
     assert "unit" not in codes(RacelineTable({**columns, "speed": speed + 0.0 * GOOD["speed"]}))
 
@@ -496,7 +497,7 @@ def test_slow_laps_in_meters_are_driven(speed, size):
         (1.0, 0.5, False),  # driven at half speed
         (30.0, 6.0, False),  # a full-size car
         (30.0, 0.4, False),  # at walking pace
-        (30.0, 0.0, False),  # evenly, as a car that makes a map of a large hall
+        (30.0, 0.0, False),  # constant speed, as when mapping a large hall
     ],
 )
 def test_speeds_that_need_no_grip_tell_another_unit(scale, speeds, said):

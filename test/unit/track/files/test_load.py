@@ -1,4 +1,4 @@
-"""Every format that is written, read by every reader: the track stays where it is."""
+"""Every format is written and read back: the track stays unchanged."""
 
 import gzip
 import json
@@ -37,7 +37,7 @@ HAS = {  # which columns survive
 
 
 def smooth(rng, t, low, high, waves=3):
-    """A random smooth closed function between two values."""
+    """A random smooth periodic function between two values."""
     k = np.arange(1, waves + 1)[:, None]
     size, shift = rng.normal(size=k.shape) / k, rng.uniform(0.0, 6.3, k.shape)
     total = np.sum(size * np.cos(k * t + shift), axis=0)
@@ -64,7 +64,7 @@ def random_track(seed, count=150, size=8.0, origin=(0.0, 0.0), clockwise=False):
 
 
 def same(read, track, columns=(), atol=1e-6):
-    """The table read is the track, at its points and along the curve."""
+    """The table equals the track, at its points and along the curve."""
     driven = driven_columns(read)
     assert driven.columns["x"].size == track.columns["x"].size
     for key in ("x", "y", *columns):
@@ -93,10 +93,10 @@ def test_round_trips(tmp_path_factory, form, seed, count, size, x, y, clockwise)
     save_raceline(raceline, path, form, track)
     read = read_raceline(path)
     same(read, track, HAS[form])
-    # What it says of the curve is true, so nothing of that is found wrong.
+    # Its statements about the curve are true, so none of them is reported.
     codes = {f.code for f in load_raceline(path).findings}
     assert not codes & {"heading", "heading-point", "curvature", "arc-length", "acceleration"}
-    # A second trip changes nothing more.
+    # A second round trip changes nothing more.
     again = driven_columns(read)
     save_raceline(raceline_of(again), path, form, again)
     same(read_raceline(path), again, HAS[form], atol=1e-12 if form in SUFFIX else 1e-6)
@@ -163,7 +163,7 @@ def test_layouts(tmp_path, content, columns, packed):
     data = content.encode()
     path.write_bytes(gzip.compress(data) if packed else data)
     read = read_raceline(path)
-    # Speeds that know nothing of bends are not taken for speeds unless named so.
+    # Speeds unrelated to bends are not recognized as speeds unless named.
     if columns == ("speed",) and "width" in read.columns:
         read = read_raceline(f"{path}#x,y,speed")
     same(read, TRACK, columns)
@@ -178,7 +178,7 @@ def test_three_unnamed_columns_are_told_apart_by_their_numbers(tmp_path):
         assert np.array_equal(np.round(read.columns[key], 9), np.round(third, 9))
         assert [finding.code for finding in read.findings] == ["unnamed-columns"]
         assert f"Taken as x,y,{key}" in read.findings[0].text
-        # Given, nothing is guessed.
+        # With given columns, nothing is guessed.
         for name, meaning in (("v", "speed"), ("width", "width"), ("-", None)):
             told = read_raceline(f"{path}#x,y,{name}")
             assert set(told.columns) == {"x", "y", meaning} - {None} and told.findings == ()
@@ -210,7 +210,7 @@ def test_three_columns_of_real_racelines_and_centerlines(shared_data, tmp_path):
 @pytest.mark.parametrize("closed", [False, True])
 @pytest.mark.parametrize("named", [False, True])
 def test_reference_lines_with_shifts(tmp_path, side, closed, named):
-    """On a ring the walls of the shifted line are where circles say, along its own normals."""
+    """On a ring, the walls of the shifted line are at the known distances along its own normals."""
     radius, inner, outer = 6.0, 5.0, 7.5
     t = np.arange(300) * 2.0 * math.pi / 300
     ref = np.stack((radius * np.cos(t), radius * np.sin(t)), axis=1)
@@ -303,7 +303,7 @@ def test_the_raceline_of_the_tum_tools(tmp_path):
     table = np.loadtxt(str(tmp_path / "c.csv"), delimiter=";")
     assert np.array_equal(table[0, 1:], table[-1, 1:])
     assert table[-1, 0] == pytest.approx(LINE.length, abs=1e-6)
-    # Counter-clockwise from +y: a track going along +y has heading 0.
+    # Counter-clockwise from +y: a track along +y has heading 0.
     heading = np.arctan2(-np.sin(table[:, 3]), np.cos(table[:, 3]))
     ahead = np.stack((np.sin(heading), np.cos(heading)), axis=1)[:-1]
     chords = np.diff(table[:, 1:3], axis=0)
@@ -365,7 +365,7 @@ def test_race_stack(tmp_path):
     wpnts = content["global_traj_wpnts_iqp"]["wpnts"]
     assert list(wpnts[0]) == WPNT
     assert [wpnt["id"] for wpnt in wpnts] == list(range(AT.x.size + 1))
-    # Its readers take the last point for the first again, and its s for the length.
+    # Its readers treat the last point as the first, and its s as the length.
     assert wpnts[-1]["s_m"] == LINE.length and wpnts[-1]["x_m"] == wpnts[0]["x_m"]
     ds = np.diff(np.append(AT.s, LINE.length))
     time = np.sum(2.0 * ds / (AT.speed + np.roll(AT.speed, -1)))
@@ -445,7 +445,7 @@ def test_garbage_in_the_middle_of_a_file(tmp_path):
 
 
 def test_a_large_file(tmp_path):
-    """50,000 rows are read, and every one has its line."""
+    """50,000 rows are read, each with its line number."""
     count = 50000
     t = np.arange(count) * 2.0 * math.pi / count
     rows = [f"{x:.4f},{y:.4f}" for x, y in zip(700.0 * np.cos(t), 700.0 * np.sin(t))]
@@ -477,7 +477,7 @@ OTHER_CIRCUITS = tuple(f"tracks/{name}/" for name in MAPS[1:])
 @pytest.mark.rest_once
 @pytest.mark.parametrize("source", REAL)
 def test_real_files_are_read_right(shared_data, tmp_path, source):
-    """Nothing is wrong with them, and what they state agrees with what is recomputed."""
+    """Nothing is wrong with them, and their values agree with recomputed ones."""
     heading, closed = REAL[source]
     table = read_raceline(f"{shared_data}/{source}")
     line = raceline_of(table)
@@ -487,7 +487,7 @@ def test_real_files_are_read_right(shared_data, tmp_path, source):
     assert codes.count("closing-point") == closed
     rows = slice(0, line.s_points.size)
     at = line.sample(line.s_points)
-    if "kappa" in table.columns and closed:  # those of centerlines are of smoothed ones
+    if "kappa" in table.columns and closed:  # centerlines have the curvature of smoothed lines
         assert np.max(np.abs(table.columns["kappa"][rows] - at.kappa)) < 0.05
     if "s" in table.columns:
         np.testing.assert_allclose(table.columns["s"][rows], line.s_points, atol=0.02 * line.length)
@@ -495,7 +495,7 @@ def test_real_files_are_read_right(shared_data, tmp_path, source):
         zero = 0.0 if heading == "heading-x" else 0.5 * math.pi
         off = np.abs(wrap(table.columns["psi"][rows] + zero - at.psi))
         assert np.percentile(off, 95) < 0.02
-    # And they go through every format that can hold them, unmoved; circuits are all alike there.
+    # They survive every format that can store them; all circuits behave the same.
     track = driven_columns(table)
     for form in () if source.startswith(OTHER_CIRCUITS) else FORMATS:
         if line.speed is None and form in ("tum", "racetracks"):
@@ -510,7 +510,7 @@ def test_real_files_are_read_right(shared_data, tmp_path, source):
 
 @pytest.mark.parametrize("side, other", [("right", "left"), ("left", "right")])
 def test_offsets_of_the_walls_to_one_side_are_distances(tmp_path, side, other):
-    """With signs all around: as given in all that is made of the file, also by a repair."""
+    """With the same sign all around: kept in everything made from the file, also by a repair."""
     a = np.arange(200) * 2.0 * np.pi / 200
     walls = {"left": 1.3 + 0.0 * a, "right": 0.9 + 0.0 * a}
     walls[side] = -walls[side]

@@ -1,4 +1,4 @@
-"""Raceline files: every layout, every convention, and what is wrong in them."""
+"""Raceline files: every layout, every convention, and every fault."""
 
 import gzip
 import json
@@ -15,7 +15,7 @@ from map_racing.track.files.readers import (
 )
 from map_racing.track.raceline import Raceline
 
-# An ellipse, counter-clockwise: all that a file may say about it.
+# A counter-clockwise ellipse, with everything that a file may contain.
 T = np.arange(120) * 2.0 * math.pi / 120
 TRACK = Raceline(
     6.0 * np.cos(T),
@@ -97,7 +97,7 @@ def test_centerline_with_walls(tmp_path, header):
     at, expected = assert_same_curve(track)
     np.testing.assert_allclose(at.d_left, expected.d_left, atol=1e-4)
     assert track.speed is None
-    # Without names the meaning is a guess, though a good one.
+    # Without names, the meaning is a good guess.
     assert [finding.code for finding in track.findings] == ["unnamed-columns"][: header is None]
 
 
@@ -253,6 +253,17 @@ def test_files_that_are_no_text(tmp_path):
             read_raceline_file(tmp_path / name)
 
 
+def test_an_image_is_called_one(tmp_path):
+    """Of a map, in place of its YAML file."""
+    for name, data in (
+        ("hall.png", b"\x89PNG\r\n\x1a\n\0"),
+        ("hall.pgm", b"P5\n2 1\n255\n\xfe\xcd"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(FileFormatError, match=name + ": expected UTF-8 text, got an image"):
+            load_raceline(tmp_path / name)
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_unicode_text_of_windows_is_read(tmp_path, encoding):
     path = write(tmp_path / "c.csv", ["x_m", "y_m"], separator="\t")
@@ -358,7 +369,7 @@ def test_real_racelines(shared_data, file, length, heading):
 )
 def test_real_centerlines(shared_data, file):
     track = load_raceline(shared_data / file)
-    # A line in the middle need not be driven, and its walls fold inside of its sharpest bends.
+    # A centerline need not be drivable, and its walls fold inside its sharpest bends.
     told = {"unnamed-columns"} if "ipz20" in file else set()
     assert {finding.code for finding in track.findings} == {"tight-bend", "wall-folds"} | told
     assert {finding.severity for finding in track.findings} == {"note"}

@@ -1,4 +1,4 @@
-"""Repairs bring back the track that was broken, and say what they did."""
+"""Repairs restore the broken track, and report what they did."""
 
 import math
 
@@ -48,7 +48,7 @@ def wrong(table):
 
 
 def mended(broken, atol, repairs):
-    """Repair; the track must be the good one again, at all its places."""
+    """Repair; the result must equal the good track everywhere."""
     assert wrong(broken)
     track, done = repaired(broken)
     assert done == repairs
@@ -139,10 +139,10 @@ def test_points_that_turn_back():
     rows = np.arange(N)
     rows[[100, 102]] = rows[[102, 100]]
     mended(table(rows), 1e-4, ["2 points dropped at which the track turned back"])
-    # There and back to the same point, which is there twice then.
+    # There and back to the same point, which then occurs twice.
     rows = np.insert(np.arange(N), 100, [150, 99])
     mended(table(rows), 0.0, ["2 points dropped at which the track turned back"])
-    # One point far off: both its neighbors' ways turn back there.
+    # One point far off: the line turns back at both of its neighbors.
     broken = table(x=set_at("x", 200, 3.0 * LINE.x[200]), y=set_at("y", 200, 3.0 * LINE.y[200]))
     mended(broken, 1e-5, ["1 point dropped at which the track turned back"])
 

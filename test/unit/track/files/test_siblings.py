@@ -1,4 +1,5 @@
-"""Raceline files as other programs write them: speeds and walls come out right, or it is said."""
+"""Raceline files as other programs write them: speeds and walls are right, or a warning says why
+not."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Columns without names, or with names of any spelling: read right, or the trouble named."""
+"""Columns without names, or with any spelling: read correctly, or with a clear warning."""
 
 import math
 from contextlib import suppress
@@ -65,13 +65,13 @@ def codes(findings):
         lambda psi: np.unwrap(psi) + 4.0 * math.pi,
         np.degrees,
         lambda psi: np.mod(90.0 - np.degrees(psi), 360.0),
-        lambda psi: psi + 1.0,  # of a car whose localization is turned
+        lambda psi: psi + 1.0,  # of a car with a rotated localization
         lambda psi: psi + 0.05 * np.sin(np.arange(150)),  # measured
     ],
 )
 @pytest.mark.parametrize("speed", ["speed", "constant", "rising"])
 def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
-    """x, y, yaw, speed in any convention of the heading: the speeds are speeds, and no walls."""
+    """x, y, yaw, speed in any heading convention: the speeds are not mistaken for walls."""
     path = write(tmp_path / "wp.csv", "x", "y", heading(COLUMNS["psi"]), speed)
     read = read_raceline(path)
     assert set(read.columns) == {"x", "y", "psi", "speed"}
@@ -116,7 +116,7 @@ def test_waypoints_with_heading_and_speed(tmp_path, heading, speed):
         ("x y radius speed", "x y speed", WARNING),
         ("x y psi steering speed", "x y psi speed", WARNING),
         ("x y psi speed yaw_rate", "x y psi speed", WARNING),
-        # Seven columns in another order than the public tools'; walls behind them in either.
+        # Seven columns in an order other than the public tools', followed by walls in either order.
         ("s x y psi speed kappa ax", "s x y psi speed kappa", WARNING),
         (
             "s x y psi kappa speed ax d_right d_left",
@@ -134,7 +134,7 @@ def test_columns_without_names(tmp_path, columns, expected, severity):
 
 
 def test_three_constant_columns_are_a_guess(tmp_path):
-    """Speed and walls, or walls and height: only their sizes tell."""
+    """Speed and walls, or walls and height: only their magnitudes tell."""
     ones = np.ones(150)
     path = write(tmp_path / "c.csv", "x", "y", 3.0 * ones, 1.1 * ones, 0.9 * ones)
     (finding,) = read_raceline(path).findings
@@ -236,12 +236,12 @@ def test_names_that_are_not_understood_are_named(tmp_path):
     read = read_raceline(path)
     assert set(read.columns) == {"x", "y"}
     assert "foo, bar_mps" in str(read.findings[0]) and read.findings[0].severity == WARNING
-    # Nothing is taken by its position under a header, with # or not.
+    # Under a header, with # or not, no column is taken by position.
     for mark in ("# ", "#", ""):
         path = write(tmp_path / "c.csv", "x", "y", "speed", header=f"{mark}lat,lon,speed")
         with pytest.raises(FileFormatError, match=r"1: expected names of columns with x_m and y_m"):
             read_raceline(path)
-    # A remark is no header.
+    # A comment is not a header.
     path = write(tmp_path / "c.csv", "x", "y", header="# recorded on Monday, by hand")
     assert set(read_raceline(path).columns) == {"x", "y"}
 
@@ -285,7 +285,7 @@ def test_cells_that_are_not_used_may_hold_anything(tmp_path, cell):
 
 
 def test_the_shared_cases(shared_cases):
-    """The column "right" of the README beside them."""
+    """Compared with the column "right" in their README."""
     for name in ("wp_xyyawv.csv", "wp_xyyawv_2pi.csv"):
         track = load_raceline(shared_cases / name)
         assert track.d_left is None
@@ -301,7 +301,7 @@ def test_the_shared_cases(shared_cases):
 
 
 def test_a_speed_behind_both_walls_is_no_height(tmp_path):
-    """A speed that does not drop in the bends, behind distances that are like walls."""
+    """A speed that does not drop in bends, after columns that look like walls."""
     path = write(tmp_path / "a.csv", "x", "y", "d_right", "d_left", "wild")
     line = load_raceline(path)
     assert line.speed_at(0.0) == pytest.approx(4.0, abs=0.01)
@@ -310,7 +310,7 @@ def test_a_speed_behind_both_walls_is_no_height(tmp_path):
 
 
 def test_a_column_that_is_not_taken_makes_the_places_a_guess(tmp_path):
-    """Here the speed stands first, so that it is taken for x, and y for what is not understood."""
+    """The speed comes first, so it is taken for x, and y is not recognized."""
     line = load_raceline(write(tmp_path / "a.csv", "wild", "x", "y"))
     assert codes(line.findings)["unnamed-columns"] == WARNING
 
@@ -332,7 +332,7 @@ def test_waypoints_of_a_localization_jitter(tmp_path, jitter, columns):
 
 @pytest.mark.parametrize("size", [1e-310, 1e-160, 1e160])
 def test_numbers_that_nothing_has_do_not_overflow(tmp_path, size):
-    """Neither squares nor inverses of them: a RuntimeWarning is an error in these tests."""
+    """Neither do their squares or inverses: a RuntimeWarning is an error in these tests."""
     one = SLOW.copy()
     one[7] = size
     for column in (one, size * np.sin(3.0 * T), size * SLOW):
@@ -343,7 +343,7 @@ def test_numbers_that_nothing_has_do_not_overflow(tmp_path, size):
 
 
 def test_a_wide_track_is_a_guess(tmp_path):
-    """On a circle nothing but the size tells two speeds from two walls."""
+    """On a circle, only the magnitude distinguishes two speeds from two walls."""
     circle = 6.0 * np.cos(T), 6.0 * np.sin(T)
     for size, severity in ((1.1, NOTE), (4.4, WARNING)):
         path = write(tmp_path / "c.csv", *circle, size + 0.0 * T, 0.9 * size + 0.0 * T)
@@ -409,7 +409,7 @@ def test_a_constant_on_a_circle_is_neither_curvature_nor_radius(tmp_path, jitter
 
 
 def test_a_wall_that_is_near_in_bends_is_no_speed(tmp_path):
-    """The smaller of two columns that are left, as racing lines touch one wall in bends."""
+    """The smaller of the two remaining columns, because racing lines touch one wall in bends."""
     near = 0.6 - 0.2 * np.abs(AT.kappa) / np.max(np.abs(AT.kappa)) + 0.07 * np.sin(7.0 * T)
     path = write(tmp_path / "c.csv", "x", "y", "psi", near, "d_left")
     read = read_raceline(path)
