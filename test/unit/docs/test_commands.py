@@ -333,7 +333,7 @@ def nodes():
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Figures are composed but not rendered; tuning tries few pairs; speed plans and fits are coarser.
+    """Figures are composed but not rendered; tuning tries few pairs; plans and fits are coarser.
 
     Other tests cover these in full.
     """
