@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import ParameterError
-from map_racing.track.crossings import crossings
+from map_racing.track.crossings import Polyline, crossings
 from map_racing.track.files.load import load_raceline
 from map_racing.track.generator import TrackShape
 from map_racing.track.generator import draw_track as draw
@@ -53,8 +53,8 @@ def test_neither_line_nor_walls_cross(kind):
         np.stack(track.to_cartesian(track.s, d), axis=1)
         for d in (track.d_left, np.zeros(track.n), -track.d_right)
     ]
-    assert not any(len(crossings(line)) for line in lines)
-    assert not len(crossings(lines[0], lines[2]))
+    assert not any(len(crossings(Polyline(line))) for line in lines)
+    assert not len(crossings(Polyline(lines[0]), Polyline(lines[2])))
     across = track.d_left + track.d_right
     assert across.min() > 0.95 * shape.width and across.max() < 1.3 * shape.width
 
