@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from itertools import islice
 from pathlib import Path
 from typing import Iterator, NamedTuple
 
-__all__ = ["Bag", "Connection", "Message", "time_span"]
+import numpy as np
+
+__all__ = ["Bag", "Batch", "Connection", "Message", "batched", "time_span"]
 
 
 class Connection(NamedTuple):
@@ -33,6 +36,61 @@ class Message(NamedTuple):
     connection: int
     time_ns: int
     data: bytes
+
+
+class Batch:
+    """Messages, many at once; iterating gives them one by one.
+
+    Parameters
+    ----------
+    buffer : bytes
+        Where they are.
+    starts, stops : ndarray of int, shape (n,)
+        Where each begins and ends.
+    numbers, times : ndarray of int, shape (n,)
+        Connection, and time of receipt [ns], of each.
+    """
+
+    def __init__(self, buffer, starts, stops, numbers, times):
+        self._buffer, self._starts, self._stops = buffer, starts, stops
+        self.numbers, self.times = numbers, times
+
+    def __len__(self):
+        return len(self.numbers)
+
+    def __iter__(self):
+        numbers, times = self.numbers.tolist(), self.times.tolist()
+        return map(Message, numbers, times, self._data())
+
+    def _data(self):
+        places = zip(self._starts.tolist(), self._stops.tolist())
+        return [self._buffer[start:stop] for start, stop in places]
+
+    def only(self, chosen: np.ndarray) -> Batch:
+        """Those of a mask."""
+        columns = self._starts, self._stops, self.numbers, self.times
+        return Batch(self._buffer, *(column[chosen] for column in columns))
+
+    def contents(self) -> np.ndarray | list[bytes]:
+        """The messages: rows of bytes, shape (n, size), if all have one size, which is faster."""
+        sizes = self._stops - self._starts
+        size = int(sizes[0]) if len(self) else 0
+        if not size or np.any(sizes != size):
+            return self._data()
+        anywhere = len(self._buffer) - size + 1
+        places = np.ndarray(anywhere, np.dtype((np.void, size)), self._buffer, strides=1)
+        return places[self._starts].view(np.uint8).reshape(-1, size)
+
+
+def batched(messages: Iterator[Message], size: int = 2048) -> Iterator[Batch]:
+    """Batches of messages, of so many at most."""
+    for batch in iter(lambda: list(islice(messages, size)), []):
+        numbers, times, data = zip(*batch)
+        stops = np.cumsum([len(one) for one in data])
+        starts = np.append(0, stops[:-1])
+        yield Batch(
+            b"".join(data), starts, stops, np.array(numbers), np.array(times, dtype=np.int64)
+        )
 
 
 class Bag(ABC):
@@ -75,6 +133,10 @@ class Bag(ABC):
         wanted : set of int, optional
             Identifiers of the connections to yield; all by default.
         """
+
+    def batches(self, wanted: set[int]) -> Iterator[Batch]:
+        """As `messages`, many at once, which takes a fraction of the time."""
+        return batched(self.messages(wanted))
 
     @abstractmethod
     def notes(self) -> list[str]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 from itertools import permutations
-from typing import Callable, Iterator, NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 
-from .bag import Message
+from .bag import Batch
 
 __all__ = [
     "CONN_LENGTH",
@@ -28,6 +28,7 @@ HEADER_SIZE, RECORD_SIZE = 38, 38 + 8
 _FIELDS = {"conn": ("I5xI", 13), "op": ("Q", 8), "time": ("17x", 17)}
 (OP_FIELD,) = struct.unpack("<Q", b"\x04\0\0\0op=\x02")
 CONN_LENGTH = 9
+_RECORD = np.dtype((np.void, RECORD_SIZE))
 # Possible offsets of the field op: before it are the length of the header and none, one or both of
 # the other fields.
 _OP_OFFSETS = (4, 4 + 13, 4 + 17, 4 + 30)
@@ -89,9 +90,7 @@ def layout_at(buffer: bytes, at: int) -> Layout | None:
     return next((layout for layout in LAYOUTS if layout.read(buffer, at)), None)
 
 
-def read_at_once(
-    buffer: bytes, places: np.ndarray, numbers: np.ndarray
-) -> Iterator[Message] | None:
+def read_at_once(buffer: bytes, places: np.ndarray, numbers: np.ndarray) -> Batch | None:
     """Read messages at known places.
 
     Parameters
@@ -105,7 +104,7 @@ def read_at_once(
 
     Returns
     -------
-    iterator of Message or None
+    Batch or None
         None for a record that is not there.
     """
     first, last = int(places[0]), int(places[-1])
@@ -113,8 +112,8 @@ def read_at_once(
     if layout is None:
         return None
     # A recorder keeps to one order of the fields.
-    bytes_of = np.frombuffer(buffer, np.uint8)[places[:, None] + np.arange(RECORD_SIZE)]
-    records = bytes_of.view(layout.record)[:, 0]
+    anywhere = len(buffer) - RECORD_SIZE + 1
+    records = np.ndarray(anywhere, _RECORD, buffer, strides=1)[places].view(layout.record)
     starts = places + RECORD_SIZE
     stops = starts + records["size"]
     if not (
@@ -126,8 +125,7 @@ def read_at_once(
     ):
         return None
     times = records["sec"].astype(np.int64) * 1000000000 + records["nsec"]
-    data = [buffer[start:stop] for start, stop in zip(starts.tolist(), stops.tolist())]
-    return map(Message._make, zip(numbers.tolist(), times.tolist(), data))
+    return Batch(buffer, starts, stops, numbers, times)
 
 
 def find_message(buffer: bytes, at: int) -> int:

@@ -92,12 +92,13 @@ def _read(path, bag, source, notes):
     pose = source.series(bag)
     command = Series(msg.decode_drive, connections=senders, delay_ns=COMMAND_DELAY_NS)
     waypoints, believed = WaypointCollection(bag), Series(msg.decode_belief)
-    add = dict.fromkeys(waypoints.connections, waypoints.add)
-    add.update(dict.fromkeys(believing, believed.add))
-    add.update(dict.fromkeys(drives, command.add))
-    add.update((number, pose.add) for number in source.connections)
-    for message in bag.messages(set(add)):
-        add[message.connection](message)
+    takers = [
+        (waypoints, set(waypoints.connections)),
+        (believed, set(believing)),
+        (command, set(drives)),
+        (pose, set(source.connections)),
+    ]
+    _distribute(bag, [(taker, numbers) for taker, numbers in takers if numbers])
     damage = bag.notes()
     notes += waypoints.notes + [_as_doubt(note) for note in damage]
     clock = pose.clock(_use_receive_time(path, pose, command, notes))
@@ -132,6 +133,15 @@ def _read(path, bag, source, notes):
         clock=clock,
         notes=notes,
     )
+
+
+def _distribute(bag, takers):
+    """Give each of the takers the messages of its connections."""
+    for batch in bag.batches(set().union(*(numbers for _, numbers in takers))):
+        for taker, numbers in takers:
+            chosen = np.any([batch.numbers == number for number in numbers], axis=0)
+            if chosen.any():
+                taker.extend(batch.only(chosen))
 
 
 def _waypoints(collected, pose_frame, clock, t0_ns, notes):
@@ -232,15 +242,14 @@ def read_signals(source: Source, recording: Recording, topics: dict[str, str]) -
         found = {name: topic and "/" + topic.lstrip("/") for name, topic in topics.items()}
         found = {name: topic or imu_topic(bag) for name, topic in found.items()}
         found = {name: topic for name, topic in found.items() if topic is not None}
-        signals, owners = {}, {}
+        signals, takers = {}, []
         for topic in found.values():
             if topic not in signals:
                 numbers, decode, columns = _signal_connections(bag, topic)
                 # Sensors are stamped when they measure, and are sent at once like commands.
                 signals[topic] = Series(decode, delay_ns=COMMAND_DELAY_NS), columns
-                owners.update(dict.fromkeys(numbers, signals[topic][0]))
-        for message in bag.messages(set(owners)):
-            owners[message.connection].add(message)
+                takers.append((signals[topic][0], numbers))
+        _distribute(bag, takers)
     read = {
         topic: _on_clock(path, recording, topic, series, columns)
         for topic, (series, columns) in signals.items()

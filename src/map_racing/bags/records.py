@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import BagError
 from ..printing import printable
-from .bag import Bag, Connection, Message, time_span
+from .bag import Bag, Batch, Connection, Message, batched, time_span
 from .compression import decompress
 from .message_records import (
     CONN_LENGTH,
@@ -159,10 +159,20 @@ class BagFile(Bag):
 
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
         """As `Bag.messages`."""
+        for part in self._parts(wanted):
+            yield from part
+
+    def batches(self, wanted: set[int]) -> Iterator[Batch]:
+        """As `Bag.batches`."""
+        for part in self._parts(wanted):
+            yield from [part] if isinstance(part, Batch) else batched(part)
+
+    def _parts(self, wanted):
+        """Yield the messages of each chunk."""
         self._read = 0
         for buffer, position, index in self._chunks():
             picked = self._pick(buffer, index, wanted) if wanted and index else None
-            yield from self._walk(buffer, position, wanted) if picked is None else picked
+            yield self._walk(buffer, position, wanted) if picked is None else picked
         self._found = self._read if self._found is None else min(self._found, self._read)
 
     def notes(self) -> list[str]:
@@ -261,9 +271,10 @@ class BagFile(Bag):
         if len(head) < length + 4:
             return None
         header = _header(head, 0, length)
-        if header is None or header.op is None:
+        op = header and header.op
+        if not op:
             return None
-        return _Record(header.op, header, position + length + 8, _U32.unpack_from(head, length)[0])
+        return _Record(op, header, position + length + 8, _U32.unpack_from(head, length)[0])
 
     def _chunks(self):
         """Yield the contents of each chunk, the position of its data in the file, and its index.
@@ -285,13 +296,14 @@ class BagFile(Bag):
                 length = length if whole else min(self._size - start, _MAX_OPEN_CHUNK)
                 compression = header.text(b"compression") or "unknown"
                 contents, sound = decompress(compression, self._read_at(start, length))
-                index = {}
+                index, position = {}, end
                 if whole and sound and len(contents) == header.u32(b"size"):
-                    index = self._chunk_index(end) if self.indexed else {}
+                    if self.indexed:
+                        index, position = self._chunk_index(end)
                 else:
                     self._add_damage(start)
                 yield contents, start, index
-                position = end if whole else self._find_chunk(start)
+                position = position if whole else self._find_chunk(start)
             else:
                 if op is _Op.CONNECTION:
                     data = self._read_at(start, length)
@@ -300,20 +312,20 @@ class BagFile(Bag):
                     self._add_damage(position)
                 position = end
 
-    def _chunk_index(self, position):
-        """Offsets of the messages of each connection in the chunk that ends at ``position``."""
-        index = {}
+    def _chunk_index(self, begin):
+        """Offsets of each connection's messages in the chunk that ends there; end of the index."""
+        index, position = {}, begin
         record = self._record_at(position)
         while record is not None and record.op is _Op.INDEX:
             data = self._read_at(record.start, record.length)
             number = record.header.u32(b"conn")
-            if number is None or len(data) % _INDEX_ENTRY.itemsize:
-                return {}
+            if number is None or len(data) % _INDEX_ENTRY.itemsize or record.end > self._size:
+                return {}, begin
             index[number] = np.frombuffer(data, _INDEX_ENTRY)["offset"].astype(np.int64)
             position = record.end
             record = self._record_at(position)
         # The index of another connection may follow an unreadable one.
-        return index if record is not None or position >= self._size else {}
+        return (index, position) if record is not None or position == self._size else ({}, begin)
 
     def _find_chunk(self, position):
         """Position of the next chunk record from ``position`` on, or the end of the file."""

@@ -6,14 +6,14 @@ from typing import Callable
 
 import numpy as np
 
-from .bag import Connection, Message
+from .bag import Batch, Connection
 from .clocks import LATENCY_NS, Clock, coarse_note, mended
 from .messages import SHORTEST_QUATERNION, UNIT_QUATERNION, decode_frame
 from .samples import in_order, is_map_frame, is_odometry_frame, jump_back, usable
 
 __all__ = ["FrameChoice", "PoseSeries", "Series", "commands_of_two", "followed", "quaternion_note"]
 
-_BATCH = 2048
+_BATCH, _NONE = 2048, np.zeros(0, dtype=np.int64)
 # Commands come from two nodes if, in a block of this many, a larger share than the first number
 # differs from both neighbors by more than the second [rad, m/s]. With noisy poses, a single node
 # has a share of up to 0.12 for angles and 0.01 for speeds.
@@ -136,34 +136,39 @@ class Series:
         self._decode, self._coordinates, self._delay_ns = decode, coordinates, delay_ns
         names = {n: c.sender or f"connection {n}" for n, c in (connections or {}).items()}
         self._senders = _Senders(names) if len(set(names.values())) > 1 else None
-        self._data, self._received = [], []
+        self._data, self._received, self._waiting = [], [_NONE], 0
         self._stamps, self._times, self._values = [], [], []
-        self._broken = 0
+        self._broken, self._whole = 0, None
 
-    def add(self, message: Message) -> None:
-        """Add a message."""
-        if self._senders is not None and not self._senders.counts(message):
-            return
-        self._data.append(message.data)
-        self._received.append(message.time_ns)
-        if len(self._data) == _BATCH:
+    def extend(self, batch: Batch) -> None:
+        """Add messages."""
+        if self._senders is not None:
+            batch = batch.only(np.array([self._senders.counts(m) for m in batch], dtype=bool))
+        self._data.append(batch.contents())
+        self._received.append(batch.times)
+        self._waiting += len(batch)
+        if self._waiting >= _BATCH:
             self._flush()
 
     def _flush(self):
-        if not self._data and self._stamps:
+        if not self._waiting and self._stamps:
             return
-        stamps, values, good = self._decode(self._data)
-        received = np.array(self._received, dtype=np.int64)
+        data, received = self._counted(_together(self._data), np.concatenate(self._received))
+        stamps, values, good = self._decode(data)
         self._broken += np.count_nonzero(~good)
         self._stamps.append(stamps[good])
         self._times.append(received[good])
         self._values.append(values[good])
-        self._data, self._received = [], []
+        self._data, self._received, self._waiting, self._whole = [], [_NONE], 0, None
+
+    def _counted(self, data, received):
+        """Those of the messages that count, and their times of receipt."""
+        return data, received
 
     @property
     def size(self) -> int:
         """Number of messages."""
-        return len(self._data) + sum(times.size for times in self._times)
+        return self._waiting + sum(times.size for times in self._times)
 
     def jump_back(self, received: bool = False) -> float | None:
         """How far the stamps or times of receipt fall back [s]; None if they do not.
@@ -184,18 +189,19 @@ class Series:
         stamps, received : ndarray of int, shape (n,)
             [ns]
         """
-        stamps, times, values = self._all()
-        keep = usable(stamps, values.T[: self._coordinates])
-        keep &= np.append(True, np.diff(stamps) != 0)[: stamps.size] | _changed(values)
-        return stamps[keep], times[keep]
+        self._all()
+        return self._whole[-1]
 
     def _all(self, topic="", notes=None):
         """Corrected stamps, times of receipt and values; corrections go to the notes."""
         self._flush()
-        given, times, values = (
-            np.concatenate(part) for part in (self._stamps, self._times, self._values)
-        )
-        stamps, coarse, spread = mended(given, times, _changed(values))
+        parts = self._stamps, self._times, self._values
+        if self._whole is None:
+            for part in parts:
+                part[:] = [np.concatenate(part)]
+            self._whole = self._mended(*(part[0] for part in parts))
+        (given,), (times,), (values,) = parts
+        stamps, coarse, spread, _ = self._whole
         if notes is None:
             return stamps, times, values
         unstamped = np.count_nonzero(given == 0)
@@ -205,6 +211,14 @@ class Series:
         if coarse.any():
             notes.append(coarse_note(topic, coarse, spread))
         return stamps, times, values
+
+    def _mended(self, given, times, values):
+        """What `mended` gives, and the `stamps`."""
+        changed = _changed(values)
+        stamps, coarse, spread = mended(given, times, changed)
+        keep = usable(stamps, values.T[: self._coordinates])
+        keep &= np.append(True, np.diff(stamps) != 0)[: stamps.size] | changed
+        return stamps, coarse, spread, (stamps[keep], times[keep])
 
     def clock(self, use_receipt: bool) -> Clock:
         """Clock of the stamps, or of receipt."""
@@ -265,22 +279,23 @@ class PoseSeries(Series):
         self._flush()
         return self._choice.frame
 
-    def _flush(self):
-        if self._data:
-            if self._encoded is None:
-                self._encoded = _frame_bytes(self._data[0])
-            size = 12 + len(self._encoded)
-            same = [data[12:size] == self._encoded for data in self._data]
-            if all(same):
-                self._choice.counts(_name(self._encoded), _time(self._data[-1], self._received[-1]))
-            else:
-                self._choose()
-        super()._flush()
+    def _counted(self, data, received):
+        if not len(data):
+            return data, received
+        if self._encoded is None:
+            self._encoded = _frame_bytes(bytes(data[0]))
+        size = 12 + len(self._encoded)
+        same = isinstance(data, np.ndarray) and data.shape[1] >= size
+        if same and np.all(data[:, 12:size] == np.frombuffer(self._encoded, np.uint8)):
+            at = _time(bytes(data[-1]), int(received[-1]))
+            self._choice.counts(_name(self._encoded), at)
+            return data, received
+        return self._choose([bytes(message) for message in data], received)
 
-    def _choose(self):
+    def _choose(self, messages, received):
         """Keep messages in the frame that counts; truncated ones are left to the decoder."""
         kept = []
-        for data, at in zip(self._data, self._received):
+        for index, (data, at) in enumerate(zip(messages, received.tolist())):
             encoded, before = _frame_bytes(data), self._choice.frame
             name = _name(encoded)
             if not self._choice.counts(name, _time(data, at)):
@@ -295,8 +310,8 @@ class PoseSeries(Series):
                 self._stamps, self._times, self._values, kept = [], [], [], []
                 self._broken = 0
             self._encoded = encoded
-            kept.append((data, at))
-        self._data, self._received = (list(part) for part in zip(*kept)) if kept else ([], [])
+            kept.append(index)
+        return [messages[index] for index in kept], received[kept]
 
     def way(self, received: bool = False) -> float:
         """Length of the path through the poses in the order of stamps or times of receipt [m]."""
@@ -319,6 +334,14 @@ class PoseSeries(Series):
                 f"{frame} counts"
             )
         return times, columns
+
+
+def _together(parts):
+    """Contents of batches as those of one."""
+    rows = [part for part in parts if isinstance(part, np.ndarray)]
+    if len(rows) == len(parts) and len({part.shape[1] for part in rows}) == 1:
+        return np.concatenate(rows)
+    return [bytes(message) for part in parts for message in part]
 
 
 def _changed(values):
@@ -406,10 +429,17 @@ def _alternating_share(values, least):
         return 0.0
     steps = np.abs(np.diff(values))
     away, across = np.minimum(steps[1:], steps[:-1]), np.abs(values[2:] - values[:-2])
-    count, most = away.size // _BLOCK or 1, 0.0
-    for one, other in zip(np.array_split(away, count), np.array_split(across, count)):
+    length, longer = divmod(away.size, away.size // _BLOCK or 1)
+    most, begin = 0.0, longer * (length + 1)
+    for part, size in ((slice(begin), length + 1), (slice(begin, None), length)):
+        one, other = away[part].reshape(-1, size), across[part].reshape(-1, size)
+        with np.errstate(invalid="ignore"):
+            some = np.any((one > least) & (other < _AGREE * one), axis=1)
         # The percentile is the slowest part, and rarely needed.
-        if np.isfinite(one).all() and np.mean((one > least) & (other < _AGREE * one)) > most:
-            usual = float(np.percentile(other, _MOST))
-            most = max(most, np.mean((one > max(least, _MANY * usual)) & (other < _AGREE * one)))
-    return float(most)
+        some &= np.isfinite(one).all(axis=1)
+        one, other = one[some], other[some]
+        if one.size:
+            usual = np.percentile(other, _MOST, axis=1)[:, None]
+            leaves = (one > np.maximum(least, _MANY * usual)) & (other < _AGREE * one)
+            most = max(most, float(np.max(np.mean(leaves, axis=1))))
+    return most

@@ -352,7 +352,7 @@ class _PlacedPoses:
 
     def __init__(self, poses):
         self._poses = poses
-        self.add, self.jump_back = poses.add, poses.jump_back
+        self.extend, self.jump_back = poses.extend, poses.jump_back
         self.stamps, self.clock, self.way = poses.stamps, poses.clock, poses.way
 
     @property

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from .clocks import lag_of_effect
+from .lags import lag_of_effect
 
 __all__ = ["lag_of_speed", "lag_of_turning", "when"]
 

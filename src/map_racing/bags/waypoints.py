@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Iterable
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def read_waypoints(source: Source, topic: str | None = None) -> Waypoints:
         arrays = WaypointCollection(bag, topic)
         first = min(arrays.connections.values(), key=_rank, default=None)
         for message in bag.messages(set(arrays.connections)):
-            arrays.add(message)
+            arrays.extend([message])
             if first in arrays.columns:
                 break
         waypoints, notes = arrays.best(), arrays.notes
@@ -97,8 +98,12 @@ class WaypointCollection:
         self.notes: list[str] = []
         self._bodies: dict[str, bytes] = {}
 
-    def add(self, message: Message) -> None:
-        """Add a message of one of the `connections`."""
+    def extend(self, messages: Iterable[Message]) -> None:
+        """Add messages of the `connections`."""
+        for message in messages:
+            self._add(message)
+
+    def _add(self, message):
         topic = self.connections[message.connection]
         body = message.data[12:]  # after sequence number and stamp
         if self._bodies.get(topic) == body:

@@ -7,13 +7,13 @@ from typing import Sequence
 
 import numpy as np
 
-from ..bags.clocks import lag_of_effect
-from ..bags.samples import Recording, is_map_frame, is_odometry_frame
+from ..bags.lags import lag_of_effect
+from ..bags.samples import Commands, Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
 from .pose_doubts import rounded, set_aside, to_and_fro
-from .results import Lap
+from .results import NOT_FOLLOWED, Lap
 from .speed import beyond_for_a_while, chords, speed_of
-from .speed_doubts import speed_doubts
+from .speed_doubts import is_measured, speed_doubts
 
 __all__ = [
     "alternation",
@@ -80,9 +80,12 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
     v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
     begin = min((begin for begin, _ in spans), default=math.inf)
     end = max((end for _, end in spans), default=-math.inf)
-    of_commands = [*command_units(recording), unfollowed(recording)]
-    if not any(of_commands):
-        of_commands = [_command_for_a_while(recording, begin, end)]
+    found = chords(t, x, y, v if is_measured(v) else None)
+    of_commands = []
+    if recording.commands is not None:
+        of_commands = [*command_units(recording.commands, *found[:2]), unfollowed(recording)]
+        if not any(of_commands):
+            of_commands = [_command_for_a_while(recording.commands, *found[:2], begin, end)]
     doubts = [
         frame_warning(topic, recording.frame),
         alternation(topic, t, x, y)
@@ -91,7 +94,7 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
         rounded(topic, x, y),
         bunches(topic, t),
         time_jump(topic, t, x, y),
-        *speed_doubts(topic, t, x, y, v, begin, end),
+        *speed_doubts(topic, t, x, y, v, found, begin, end),
         command_clock(recording),
         *of_commands,
     ]
@@ -130,13 +133,19 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     t, x, y = (values[_new(x, y)] for values in (t, x, y))
     if t.size < 10 * _EVEN + 2:
         return ""
-    apart = _alternates(t, x, y, _APART)
+    spent = t[2:] - t[:-2]
+    share = (t[1:-1] - t[:-2]) / spent
+    bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
+    off = np.hypot(*bends)
+    apart = _alternates(bends, off, _APART)
     blocks = np.array_split(np.arange(t.size), max(t.size // _BLOCK, 1))
-    apart = apart or max(_alternates(t[b], x[b], y[b], _APART_IN_BLOCK) for b in blocks)
+    inner = [slice(b[0], b[-1] - 1) for b in blocks]
+    apart = apart or max(_alternates(bends[:, p], off[p], _APART_IN_BLOCK) for p in inner)
     if apart:
         return f"{topic}: poses alternate between two places {apart:.2f} m apart: from two nodes?"
-    pieces = [slice(max(b[0] - 2, 0), b[-1] + 3) for b in blocks]
-    found = [_off_path_counts(t[part], x[part], y[part]) for part in pieces]
+    way, beside = _beside(x, y)
+    pieces = [slice(max(b[0] - 2, 0), b[-1] + 1) for b in blocks]
+    found = [_off_path_counts(spent[p], way[p], beside[p]) for p in pieces]
     few = sum(count for count, _ in found if count >= _FEW) or sum(far for _, far in found)
     if few:
         lie, why = ("poses lie", "from two nodes?") if few > 1 else ("pose lies", "is it wrong?")
@@ -144,11 +153,15 @@ def alternation(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
     return ""
 
 
-def _alternates(t, x, y, least):
-    """Distance [m] between the two places if poses alternate; otherwise 0."""
-    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-    bends = np.stack([(v[:-2] - v[1:-1]) + share * (v[2:] - v[:-2]) for v in (x, y)])
-    apart = float(np.median(np.hypot(*bends)))
+def _alternates(bends, off, least):
+    """Distance [m] between the two places if poses alternate; otherwise 0.
+
+    `bends` are the vectors from each pose to the path of its neighbors, `off` their lengths.
+    """
+    # If most are less, so is the median, which takes longer.
+    if 2 * np.count_nonzero(off >= least) < off.size:
+        return 0.0
+    apart = float(np.median(off))
     if apart < least:
         return 0.0
     size = float(np.median(np.sum(bends**2, axis=0)))
@@ -159,18 +172,27 @@ def _alternates(t, x, y, least):
     return apart if odd < -_ALIKE and even > _ALIKE else 0.0
 
 
-def _off_path_counts(t, x, y):
-    """Number of single poses beside the path of their neighbors, and of those no car could reach.
+def _beside(x, y):
+    """Distance [m] between the neighbors of each pose, and of the pose from the path between them.
 
-    Only the distance across the path counts: a late stamp shifts a pose along it. Two poses at each
-    end are left out.
+    Only the distance across the path counts: a late stamp shifts a pose along it.
     """
     along = np.stack([x[2:] - x[:-2], y[2:] - y[:-2]])
     off = np.stack([x[1:-1] - x[:-2], y[1:-1] - y[:-2]])
     way = np.hypot(*along)
-    usual = float(np.median(way))
     with np.errstate(divide="ignore", invalid="ignore"):
         beside = np.abs(along[0] * off[1] - along[1] * off[0]) / way
+    return way, np.where(way > 0.0, beside, 0.0)
+
+
+def _off_path_counts(spent, way, beside):
+    """Number of single poses beside the path of their neighbors, and of those no car could reach.
+
+    `spent` is the time between the neighbors [s]. Two poses at each end are left out.
+    """
+    if not np.any(beside > _BESIDE):
+        return 0, 0
+    usual = float(np.median(way))
     beside = np.where((way > 0.2 * usual) & (way < 1.5 * usual), beside, 0.0)
     usually = float(np.median(beside))
     if usually > _NOISY * usual:
@@ -181,7 +203,7 @@ def _off_path_counts(t, x, y):
     far &= beside >= around
     far[[0, -1]] = False
     far_off = far & (beside > max(_FAR, _MUCH * usually))
-    impossible = far_off & (8.0 * beside > _FORCED * (t[2:] - t[:-2]) ** 2)
+    impossible = far_off & (8.0 * beside > _FORCED * spent**2)
     return int(np.count_nonzero(far)), int(np.count_nonzero(impossible))
 
 
@@ -247,8 +269,6 @@ def command_clock(recording: Recording) -> str:
     commands = recording.commands
     if commands is None or recording.t.size < 10:
         return ""
-    if commands_of_two(commands.topic, commands.steering_angle, commands.speed):
-        return ""  # `speed_doubts` warns, and the lag is meaningless
     t, moved = recording.t, [np.gradient(v, recording.t) for v in (recording.x, recording.y)]
     speed, psi = np.hypot(*moved), recording.psi
     if np.isnan(psi).all():
@@ -258,7 +278,8 @@ def command_clock(recording: Recording) -> str:
     with np.errstate(divide="ignore", invalid="ignore"):
         curvature = np.where(speed > _MOVING, turning / speed, math.nan)
     lag = lag_of_effect(commands.t, commands.steering_angle, t[known], curvature[known])
-    if lag is None:
+    # With commands of two nodes, about which the reader warns, the lag is meaningless.
+    if lag is None or commands_of_two(commands.topic, commands.steering_angle, commands.speed):
         return ""
     when = "after" if lag > 0.0 else "before"
     return (
@@ -267,11 +288,16 @@ def command_clock(recording: Recording) -> str:
     )
 
 
-def command_units(recording: Recording) -> list[str]:
-    """Warnings about commands that are not in radians or m/s."""
-    commands, doubts = recording.commands, []
-    if commands is None:
-        return doubts
+def command_units(commands: Commands, at: np.ndarray, driven: np.ndarray) -> list[str]:
+    """Warnings about commands that are not in radians or m/s.
+
+    Parameters
+    ----------
+    commands : Commands
+    at, driven : ndarray, shape (k,)
+        Times [s] and speeds of the poses [m/s] of `chords`.
+    """
+    doubts = []
     angles = np.abs(commands.steering_angle[np.isfinite(commands.steering_angle)])
     if angles.size and np.percentile(angles, 90.0) > _FARTHEST_ANGLE:
         widest = float(np.percentile(angles, 90.0))
@@ -279,7 +305,6 @@ def command_units(recording: Recording) -> list[str]:
             f"{commands.topic}: steering angles of {widest:.3g} rad: in degrees? The steering rate "
             "is in the same unit"
         )
-    at, driven, _ = chords(recording.t, recording.x, recording.y)
     commanded = commands.held(at, commands.speed)
     with np.errstate(invalid="ignore"):
         moving = (driven > _MOVING) & (np.abs(commanded) > _MOVING)
@@ -295,12 +320,8 @@ def command_units(recording: Recording) -> list[str]:
     return doubts
 
 
-def _command_for_a_while(recording, begin, end):
+def _command_for_a_while(commands, at, driven, begin, end):
     """Warning about commands far from the speed for a while, as while another node drives."""
-    commands = recording.commands
-    if commands is None:
-        return ""
-    at, driven, _ = chords(recording.t, recording.x, recording.y)
     commanded = commands.held(at, commands.speed)
     within = (at > begin) & (at < end) & (driven > _BRAKES) & np.isfinite(commanded)
     ratio = commanded[within] / driven[within]
@@ -341,7 +362,7 @@ def unfollowed(recording: Recording) -> str:
     if not found:
         return ""
     return (
-        f"{commands.topic}: the car's speed does not follow the speed commanded (correlation at "
+        f"{commands.topic}: {NOT_FOLLOWED} (correlation at "
         f"most {max(found):.2f}): speed errors are meaningless"
     )
 

@@ -38,7 +38,6 @@ NO_WALLS = 2.0
 """Largest deviation [m] if neither walls nor a limit are known."""
 
 _NAN = math.nan
-_new = tuple.__new__  # like _Sample(...), which takes twice as long
 # Shorter stretches [m], [s] are jitter of a car parked on the line.
 _JITTER, _JITTER_TIME = 0.5, 1.0
 _MOST_SECTORS = 1000
@@ -233,7 +232,7 @@ class LapEvaluator:
     def _restart(self):
         self._laps = []
         self._number = 0
-        self._last, self._changed = None, 0.0
+        self._last, self._changed, self._crossed = None, 0.0, 0
         self._begin(None)
 
     def _begin(self, line):
@@ -247,8 +246,8 @@ class LapEvaluator:
         if not math.isfinite(t + x + y):
             return
         last, length = self._last, self.raceline.length
-        if last is not None and t <= last.t:
-            if t > last.t - self.limits.max_gap:
+        if last is not None and t <= last[0]:
+            if t > last[0] - self.limits.max_gap:
                 return
             self._close_open("clock set back")
             self._begin(None)
@@ -256,31 +255,24 @@ class LapEvaluator:
         if last is None:
             self._tracker.reset()
             self._changed = t
-        repeated = (
-            last is not None and abs(x - last.x) <= REPEATED_M and abs(y - last.y) <= REPEATED_M
-        )
-        if repeated:
-            x, y, progress, d = last.x, last.y, last.progress, last.d
-        else:
             place = self._tracker.update(x, y)
             progress, d = (place.s - self._start_s) % length, place.d
-            if last is not None:
-                step = progress - last.progress % length
+        else:
+            _, x_0, y_0, progress_0, d_0 = last[:5]
+            if abs(x - x_0) <= REPEATED_M and abs(y - y_0) <= REPEATED_M:
+                x, y, progress, d = x_0, y_0, progress_0, d_0
+            else:
+                place = self._tracker.update(x, y)
+                d, step = place.d, (place.s - self._start_s) % length - progress_0 % length
                 if not -0.4 * length < step < 0.4 * length:
                     step -= length * round(step / length)
-                progress = last.progress + step
-        sample = _new(_Sample, (t, x, y, progress, d, v, speed_command, steering))
+                progress = progress_0 + step
+        # A _Sample takes five times as long.
+        sample = t, x, y, progress, d, v, speed_command, steering
+        crossed = math.floor(progress / length)
         if last is not None:
-            changed = self._changed
-            faults = self._step_faults(last, sample)
-            if faults:
-                self._faults.update(faults)
-            crossed = math.floor(progress / length)
-            if crossed > math.floor(last.progress / length):
-                # A localization slower than its messages repeats its pose while the car drives on.
-                if changed < last.t and t - changed <= self.limits.max_gap:
-                    last = last._replace(t=changed)
-                self._cross(crossed, last, sample, faults)
+            self._step(last, sample, crossed)
+        self._crossed = crossed
         self._last = sample
         self._samples.extend(sample)
         if progress > self._farthest:
@@ -294,18 +286,30 @@ class LapEvaluator:
             self._samples.extend(sample)
             self._farthest = progress
 
-    def _step_faults(self, last, sample):
-        """Faults of the step from one sample to the next, by kind."""
-        limits, faults = self.limits, {}
-        moved = math.hypot(sample.x - last.x, sample.y - last.y)
-        # A localization that is slower than its messages, or hangs, repeats its pose while the car
-        # drives on.
-        since = sample.t - self._changed
+    def _step(self, last, sample, crossed):
+        """Faults of the step from one sample to the next, and whether it crosses the line."""
+        t, limits, changed, faults = sample[0], self.limits, self._changed, {}
+        moved = math.hypot(sample[1] - last[1], sample[2] - last[2])
         if moved > 0.0:
-            self._changed = sample.t
-        if since <= limits.max_gap and moved <= limits.jump_margin and not self._tracker.reacquired:
-            return faults
-        gap = sample.t - last.t
+            self._changed = t
+        if t - changed > limits.max_gap or moved > limits.jump_margin or self._tracker.reacquired:
+            last, sample = _Sample._make(last), _Sample._make(sample)
+            faults = self._step_faults(last, sample, moved, t - changed)
+            self._faults.update(faults)
+        if crossed > self._crossed:
+            last, sample = _Sample._make(last), _Sample._make(sample)
+            # A localization slower than its messages repeats its pose while the car drives on.
+            if changed < last.t and t - changed <= limits.max_gap:
+                last = last._replace(t=changed)
+            self._cross(crossed, last, sample, faults)
+
+    def _step_faults(self, last, sample, moved, since):
+        """Faults by kind of a step from one sample to the next that moved the pose [m].
+
+        A localization that is slower than its messages, or hangs, repeats its pose while the car
+        drives on: `since` is the time since the pose changed [s].
+        """
+        limits, faults, gap = self.limits, {}, sample.t - last.t
         if moved > limits.jump_margin:
             gap = since
         if gap > limits.max_gap:
@@ -365,16 +369,16 @@ class LapEvaluator:
         t, x, y, progress, d, v, command, steering = np.ascontiguousarray(rows.T)
         dt = np.diff(t)
         begin = progress[0] if self._line is None else self._line * self.raceline.length
-        curve = self.raceline.sample(progress + self._start_s)
+        planned, left, right = self.raceline.speed_and_walls(progress + self._start_s)
         v, reference = speed_of(t, x, y, v), command
         source = "command"
         if np.isnan(command).all():
-            reference, source = curve.speed, "raceline" if curve.speed is not None else ""
+            reference, source = planned, "raceline" if planned is not None else ""
         speed_error = v - reference if source else np.full(v.size, _NAN)
         magnitude = np.abs(d)
         clearance = _NAN
-        if curve.d_left is not None:
-            clearance = float(np.min(np.minimum(curve.d_left - d, curve.d_right + d)))
+        if left is not None:
+            clearance = float(np.min(np.minimum(left - d, right + d)))
         reasons = self._reasons(reason, clearance, magnitude.max())
         if complete:
             reasons += self._stops(t, x, y, progress)
@@ -426,9 +430,8 @@ class LapEvaluator:
         def at(times):
             return np.interp(times, t_new, x_new), np.interp(times, t_new, y_new)
 
-        def speed(begin, end):
-            (x_1, y_1), (x_2, y_2) = at(begin), at(end)
-            return np.hypot(x_2 - x_1, y_2 - y_1) / (end - begin)
+        def speed(begin, end, spent):
+            return np.hypot(end[0] - begin[0], end[1] - begin[1]) / spent
 
         def place(time):
             s = float(np.interp(time, t, progress)) + self._start_s
@@ -436,7 +439,8 @@ class LapEvaluator:
 
         reasons = []
         begin = t[t <= t[-1] - _STANDING_TIME]
-        slow = begin[speed(begin, begin + _STANDING_TIME) * _STANDING_TIME < _STANDING]
+        end = begin + _STANDING_TIME
+        slow = begin[speed(at(begin), at(end), end - begin) * _STANDING_TIME < _STANDING]
         if slow.size:
             # Only the longest stop is reported.
             pieces = np.split(slow, np.flatnonzero(np.diff(slow) > _STANDING_TIME) + 1)
@@ -449,16 +453,19 @@ class LapEvaluator:
                 reasons.append(f"stood {stood:.1f} s at {place(still[0])}")
         wait = max(_BRAKING_TIME, 2.0 * float(np.median(np.diff(t))))
         now = t[(t >= t[0] + wait) & (t <= t[-1] - 3.0 * wait)]
-        if now.size:
-            before, after = speed(now - wait, now), speed(now, now + wait)
+        least = self.limits.max_deceleration * wait
+        at_now, at_end = at(now), at(now + wait)
+        before = speed(at(now - wait), at_now, now - (now - wait))
+        after = speed(at_now, at_end, now + wait - now)
+        if now.size and np.max(before - after) > least:
             s_1, s_2, s_3 = (np.interp(now + by, t, progress) for by in (-wait, 0.0, wait))
             # Corrections of the localization are not stops: neither sideways ones nor those
             # backwards after which the car is no slower.
             drop = np.minimum(before - after, (2.0 * s_2 - s_1 - s_3) / wait)
-            later = speed(now + wait, now + 3.0 * wait)
+            later = speed(at_end, at(now + 3.0 * wait), now + 3.0 * wait - (now + wait))
             drop = np.where(later < 0.5 * before, drop, 0.0)
             worst = int(np.argmax(drop))
-            if drop[worst] > self.limits.max_deceleration * wait:
+            if drop[worst] > least:
                 reasons.append(
                     f"stopped from {before[worst]:.1f} to {after[worst]:.1f} m/s at "
                     f"{place(now[worst])}"

@@ -78,18 +78,18 @@ def set_aside(
     steps = np.diff(np.stack([t, x, y])[:, kept])
     if steps.shape[1] < 10 * _BESIDE:
         return ""
-    windows = np.stack(
-        [steps[:, k : steps.shape[1] - 2 * _BESIDE + k] for k in range(2 * _BESIDE + 1)]
-    )
-    others = np.delete(windows, _BESIDE, axis=0).mean(axis=0)
-    at, spent = t[kept][_BESIDE : _BESIDE + others.shape[1]], windows[:, 0]
+    parts = [steps[:, k : steps.shape[1] - 2 * _BESIDE + k] for k in range(2 * _BESIDE + 1)]
+    spent = np.stack([part[0] for part in parts])
+    own = parts.pop(_BESIDE)
+    others = np.mean(parts, axis=0)
+    at = t[kept][_BESIDE : _BESIDE + others.shape[1]]
     # If poses are missing or stamps jitter, steps differ anyway.
     even = np.max(np.abs(spent - spent.mean(axis=0)), axis=0) < _EVEN * spent.mean(axis=0)
     drives = np.hypot(*others[1:]) > _DRIVES * others[0]
     counts = even & drives & (at > begin) & (at < end)
     if not counts.any():
         return ""
-    beside = np.where(counts, np.hypot(*(windows[_BESIDE] - others)[1:]), 0.0)
+    beside = np.where(counts, np.hypot(*(own - others)[1:]), 0.0)
     worst = int(np.argmax(beside))
     if beside[worst] <= max(_ASIDE, _USUAL * float(np.median(beside[counts]))):
         return ""

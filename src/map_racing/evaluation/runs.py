@@ -151,8 +151,9 @@ def _check_followed(recording, result, progress, max_deviation):
     deviation = np.abs(d)
     allowed = max_deviation
     if allowed is None and raceline.d_left is not None:
-        curve = raceline.sample(np.concatenate([result.places_of(lap) for lap in result.laps]))
-        allowed = np.where(d > 0.0, curve.d_left, curve.d_right)
+        places = np.concatenate([result.places_of(lap) for lap in result.laps])
+        _, left, right = raceline.speed_and_walls(places)
+        allowed = np.where(d > 0.0, left, right)
     elif allowed is None:
         allowed = NO_WALLS
     if float(np.median(deviation - allowed)) > _ELSEWHERE:
@@ -160,9 +161,10 @@ def _check_followed(recording, result, progress, max_deviation):
             f"{recording.source}: the car drove elsewhere: half of the time more than "
             f"{np.median(deviation):.1f} m off the raceline {_name(raceline)}"
         )
+    if result.summary.laps_completed:
+        return
     driven = _driven(recording.x.tolist(), recording.y.tolist())
-    followed = result.summary.laps_completed or abs(progress) > 0.5 * driven
-    if driven > 0.5 * raceline.length and not followed:
+    if driven > 0.5 * raceline.length and not abs(progress) > 0.5 * driven:
         why = alternation(recording.topic, recording.t, recording.x, recording.y)
         raise EvaluationError(
             f"{recording.source}: the car drove elsewhere: {driven:.0f} m, but only "

@@ -7,7 +7,7 @@ import numpy as np
 from ..bags.twist import lag_of_speed, when
 from .speed import CHORD_S, beyond_for_a_while, chords, fresh
 
-__all__ = ["late_speed", "speed_doubts", "speed_warning"]
+__all__ = ["is_measured", "late_speed", "speed_doubts", "speed_warning"]
 
 # Speed [m/s] of a car that drives; and usual limits of measured speed over motion of the poses,
 # which noise lengthens a little.
@@ -27,7 +27,14 @@ _HELD_S, _VARIES = 0.8, 0.5
 
 
 def speed_doubts(
-    topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray, begin: float, end: float
+    topic: str,
+    t: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    v: np.ndarray,
+    found: tuple[np.ndarray, np.ndarray, np.ndarray],
+    begin: float,
+    end: float,
 ) -> list[str]:
     """All warnings about a measured speed; none without one.
 
@@ -37,12 +44,13 @@ def speed_doubts(
         Name of the poses.
     t, x, y, v : ndarray, shape (n,)
         Times [s], positions [m], and measured speeds [m/s].
+    found : tuple
+        The `chords` of them.
     begin, end : float
         Speeds that are wrong for a while count only between these times [s].
     """
-    if not _is_measured(v):
+    if not is_measured(v):
         return []
-    found = chords(t, x, y, v)
     doubts = [
         _not_the_motion(topic, *found)
         or _for_a_while(topic, t, v, begin, end, *found)
@@ -62,7 +70,7 @@ def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np
     t, x, y, v : ndarray, shape (n,)
         Times [s], positions [m], and measured speeds [m/s].
     """
-    return _not_the_motion(topic, *chords(t, x, y, v)) if _is_measured(v) else ""
+    return _not_the_motion(topic, *chords(t, x, y, v)) if is_measured(v) else ""
 
 
 def late_speed(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
@@ -70,7 +78,7 @@ def late_speed(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.nd
 
     Parameters as of `speed_warning`.
     """
-    if not _is_measured(v):
+    if not is_measured(v):
         return ""
     new = fresh(t, x, y)
     lag, of = lag_of_speed(t, v, t[new], x[new], y[new]), ""
@@ -89,7 +97,8 @@ def late_speed(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.nd
     )
 
 
-def _is_measured(v):
+def is_measured(v: np.ndarray) -> bool:
+    """Whether speeds [m/s] were measured."""
     # Odometry whose velocity is never filled in contains 0.
     return bool(np.isfinite(v).all() and v.any())
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..bags.clocks import LONGEST_LAG_S, lag_of_effect
+from ..bags.lags import LONGEST_LAG_S, lag_of_effect
 from ..bags.twist import lag_of_speed, lag_of_turning, when
 from ..vehicle.parameters import Vehicle
 from ..vehicle.size import size_of

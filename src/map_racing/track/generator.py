@@ -20,7 +20,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..validation import positive
-from .crossings import crossings
+from .crossings import Polyline, crossings
 from .raceline import Raceline
 from .speed_profile import raceline_speeds
 
@@ -223,12 +223,9 @@ def _walled(path, shape):
     centerline = smoothed(path, CENTERLINE * shape.tightest_radius)
     if np.max(np.abs(centerline.kappa)) * half > 0.98:
         return None
-    walls = [np.stack(centerline.to_cartesian(centerline.s, d), axis=1) for d in (half, -half)]
-    outer = [
-        np.stack(centerline.to_cartesian(centerline.s, d), axis=1)
-        for d in (half + 0.5 * WALL, -half - 0.5 * WALL)
-    ]
-    if any(crossings(wall).size for wall in (*walls, *outer)) or crossings(*outer).size:
+    beside = half, -half, half + 0.5 * WALL, -half - 0.5 * WALL
+    walls = [Polyline(np.stack(centerline.to_cartesian(centerline.s, d), axis=1)) for d in beside]
+    if any(crossings(wall).size for wall in walls) or crossings(*walls[2:]).size:
         return None
     raceline = smoothed(path, RACELINE * shape.tightest_radius)
     count = round(raceline.length / SPACING)

@@ -334,12 +334,16 @@ class Raceline:
             Arrays of the shape of `s`.
         """
         s = np.mod(np.asarray(s, dtype=float), self.length)
+        return CurveSamples(s, *self._curve(s), *self.speed_and_walls(s))
+
+    def speed_and_walls(self, s: _Array) -> list[np.ndarray | None]:
+        """Those of `sample` alone: speed and distances to the left and the right wall."""
+        s = np.mod(np.asarray(s, dtype=float), self.length)
         knots = np.append(self.s, self.length)
-        columns = [
+        return [
             None if column is None else np.interp(s, knots, np.append(column, column[0]))
             for column in (self.speed, self.d_left, self.d_right)
         ]
-        return CurveSamples(s, *self._curve(s), *columns)
 
     def to_cartesian(self, s: _Array, d: _Array) -> tuple[np.ndarray, np.ndarray]:
         """Positions at arc length `s` and lateral error `d`: the inverse of `project`.

@@ -7,8 +7,8 @@ import pytest
 
 from map_racing.bags import encoding
 from map_racing.bags import messages as msg
-from map_racing.bags.bag import Connection, Message
-from map_racing.bags.clocks import lag_of_effect
+from map_racing.bags.bag import Connection, Message, batched
+from map_racing.bags.lags import lag_of_effect
 from map_racing.bags.reader import read_recording, read_signals
 from map_racing.bags.series import Series, commands_of_two
 from map_racing.bags.topics import DRIVE_TOPIC
@@ -67,13 +67,15 @@ def test_commands_are_not_received_long_after_they_are_sent(tmp_path):
 def test_commands_of_two_nodes(gone):
     """Commands of the first node count, of another one only once the first is gone."""
     connections = {n: Connection(DRIVE_TOPIC, msg.ACKERMANN, "", "", f"/{n}") for n in (0, 1)}
-    series = Series(msg.decode_drive, connections=connections)
+    series, sent = Series(msg.decode_drive, connections=connections), []
     for i in range(COUNT):
         if not (gone and i >= 40):
             data = encoding.encode_drive(i, 10**10 + 10**8 * i, "", 0.0, 4.0, 0.0, 0.0, 0.0)
-            series.add(Message(0, 10**10 + 10**8 * i, data))
+            sent.append(Message(0, 10**10 + 10**8 * i, data))
         data = encoding.encode_drive(i, 10**10 + 10**8 * i + 1, "", 0.0, 0.0, 0.0, 0.0, 0.0)
-        series.add(Message(1, 10**10 + 10**8 * i + 1, data))
+        sent.append(Message(1, 10**10 + 10**8 * i + 1, data))
+    for batch in batched(iter(sent)):
+        series.extend(batch)
     notes = []
     _, (_, speed) = series.columns(notes, DRIVE_TOPIC)
     assert np.count_nonzero(speed == 4.0) == (40 if gone else COUNT)

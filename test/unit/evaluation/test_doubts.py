@@ -16,7 +16,7 @@ from map_racing.evaluation.doubts import (
     time_jump,
     unfollowed,
 )
-from map_racing.evaluation.speed import speed_of
+from map_racing.evaluation.speed import chords, speed_of
 from map_racing.evaluation.speed_doubts import speed_warning
 from map_racing.evaluation.statistics import mean
 from map_racing.evaluation.turning import speed_driven
@@ -251,11 +251,9 @@ def test_commands_that_are_not_of_the_time_at_which_the_car_turns(shift, said, t
     ],
 )
 def test_commands_in_other_units(angle, speed, said):
-    x, y = circling()
-    unknown, same = np.full(T.size, np.nan), np.full(T.size, 1.0)
+    same = np.full(T.size, 1.0)
     commands = Commands(T, angle * same, speed * same, "/drive")
-    driven = Recording(T, x, y, unknown, unknown, unknown, unknown, commands=commands)
-    doubts = command_units(driven)
+    doubts = command_units(commands, *chords(T, *circling())[:2])
     assert len(doubts) == len(said) and all(a in b for a, b in zip(said, doubts))
 
 

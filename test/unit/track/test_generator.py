@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import ParameterError
-from map_racing.track.crossings import crossings
+from map_racing.track.crossings import Polyline, crossings
 from map_racing.track.files.load import load_raceline
 from map_racing.track.generator import TrackShape
 from map_racing.track.generator import draw_track as draw
@@ -44,6 +44,7 @@ def test_a_track_is_as_asked_for(kind, seed):
     assert np.max(np.abs(np.diff(track.kappa))) < 0.5 / shape.tightest_radius**2 * 0.1 * 4.0
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("kind", SHAPES)
 def test_neither_line_nor_walls_cross(kind):
     shape = SHAPES[kind]
@@ -52,8 +53,8 @@ def test_neither_line_nor_walls_cross(kind):
         np.stack(track.to_cartesian(track.s, d), axis=1)
         for d in (track.d_left, np.zeros(track.n), -track.d_right)
     ]
-    assert not any(len(crossings(line)) for line in lines)
-    assert not len(crossings(lines[0], lines[2]))
+    assert not any(len(crossings(Polyline(line))) for line in lines)
+    assert not len(crossings(Polyline(lines[0]), Polyline(lines[2])))
     across = track.d_left + track.d_right
     assert across.min() > 0.95 * shape.width and across.max() < 1.3 * shape.width
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ...angles import wrap
-from ..crossings import crossings
+from ..crossings import Polyline, crossings
 from ..findings import ERROR, NOTE, WARNING, points
 from ..speed_profile import lap_time
 from .draft import Draft
@@ -231,7 +231,7 @@ def _bends(draft):
 
 def _crossings(draft):
     line = draft.raceline
-    pairs = crossings(np.stack((line.x, line.y), axis=1))
+    pairs = crossings(Polyline(np.stack((line.x, line.y), axis=1)))
     if not len(pairs):
         return
     apart = (pairs[:, 1] - pairs[:, 0]) * line.ds

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ..crossings import crossings
+from ..crossings import Polyline, crossings
 from ..findings import NOTE, WARNING, points
 from ..loops import turns
 from ..tree import point_tree
@@ -87,10 +87,10 @@ def check_polygons(draft: Draft) -> None:
         draft.add("swapped-walls", WARNING, text)
         return
     _folds(draft)
-    left, right = _wall(line, line.d_left), _wall(line, -line.d_right)
+    left, right = Polyline(_wall(line, line.d_left)), Polyline(_wall(line, -line.d_right))
     widest = float(max(line.d_left.max(), line.d_right.max()))
     usual = float(np.median(line.d_left + line.d_right))
-    own = np.stack((line.x, line.y), axis=1)
+    own = Polyline(np.stack((line.x, line.y), axis=1))
     for name, a, b in (
         ("left wall crosses the track", own, left),
         ("right wall crosses the track", own, right),
@@ -114,11 +114,14 @@ def check_polygons(draft: Draft) -> None:
 def _at_crossings(own, at, width):
     """Whether places lie where the track crosses itself, and so the walls cross it, too."""
     found = np.zeros(len(at), dtype=bool)
-    ways = np.roll(own, -1, axis=0) - own
-    for i, j in crossings(own) if len(at) else ():
+    if not len(at):
+        return found
+    vertices = own.vertices
+    ways = np.roll(vertices, -1, axis=0) - vertices
+    for i, j in crossings(own):
         area = ways[i, 0] * ways[j, 1] - ways[i, 1] * ways[j, 0]
         across = abs(area) / (np.hypot(*ways[i]) * np.hypot(*ways[j]))
-        found |= np.hypot(*(own[at] - own[i]).T) < 1.5 * width / max(across, 0.2)
+        found |= np.hypot(*(vertices[at] - vertices[i]).T) < 1.5 * width / max(across, 0.2)
     return found
 
 
