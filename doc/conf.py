@@ -1,9 +1,16 @@
 """The site of these pages: ``pip install '.[docs]'``, then ``sphinx-build doc site``."""
 
+import builtins
 import collections
+import gc
 import pkgutil
 
+from sphinx.addnodes import pending_xref
+
 import map_racing
+
+# A build keeps nearly all that it makes: to look for garbage takes a good part of its time.
+gc.disable()
 
 project = "map_racing"
 version = release = map_racing.__version__
@@ -60,11 +67,26 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 
 
+# Types of others, and words that napoleon takes for types.
+NO_LINKS = {
+    *(*dir(builtins), "ndarray", "np.ndarray", "numpy.ndarray", "pathlib.Path", "pandas.DataFrame"),
+    *("optional", "callable", "sequence", "iterable", "array_like", "shape", "n", "k", "2"),
+}
+
+
 def skip_field(app, what, name, obj, skip, options):
     """Leave out the fields of named tuples, which the docstring of their class explains."""
     return True if isinstance(obj, collections._tuplegetter) else None
 
 
+def leave_unlinked(app, doctree):
+    """Look for nothing where there is no link: it takes going through all names of the package."""
+    for node in list(doctree.findall(pending_xref)):
+        if node.get("refdomain") == "py" and node["reftarget"] in NO_LINKS:
+            node.replace_self(node.children)
+
+
 def setup(app):
-    """Connect the hook."""
+    """Connect the hooks."""
     app.connect("autodoc-skip-member", skip_field)
+    app.connect("doctree-read", leave_unlinked)

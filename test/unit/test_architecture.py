@@ -40,6 +40,11 @@ TOP_LEVEL = {
 # Starting points of the programs; they may import all packages.
 ENTRIES = ("start.py", "__main__.py")
 ROS = ("rospy", "rosbag", "genpy", "tf2_ros", "roslib")
+# What the extras bring.
+EXTRAS = (
+    *("distributed", "dask", "plotly", "zstandard", "osqp", "vehiclemodels"),
+    *("pytest", "hypothesis"),
+)
 
 
 def modules():
@@ -97,8 +102,11 @@ def test_imports_run_one_way(path):
 
 
 @pytest.mark.once
-def test_all_but_the_nodes_runs_without_ros():
-    """Import every module in a process in which ROS cannot be imported."""
+def test_all_but_the_nodes_runs_without_ros_and_without_any_extra():
+    """Import every module in a process in which neither can be imported.
+
+    So does the site, which is built beside all extras here, but has only its own elsewhere.
+    """
     names = []
     for path in modules():
         if "nodes" in path.parts:
@@ -107,7 +115,7 @@ def test_all_but_the_nodes_runs_without_ros():
         names.append(".".join(part for part in parts if part != "__init__"))
     code = (
         "import sys, importlib\n"
-        f"for name in {ROS!r}: sys.modules[name] = None\n"
+        f"for name in {ROS + EXTRAS!r}: sys.modules[name] = None\n"
         f"sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
         f"for name in {names!r}: importlib.import_module(name)\n"
     )

@@ -144,6 +144,8 @@ def test_installed_copy_finds_its_data(tmp_path):
         "sys.exit(main(['race', '--laps', '1', '--output', 'a.bag']))"
     )
     environment = {"PYTHONPATH": str(tmp_path / "target"), "PATH": "/usr/bin:/bin"}
+    # Where its libraries lie compiled.
+    environment["PYTHONPYCACHEPREFIX"] = os.environ.get("PYTHONPYCACHEPREFIX", "")
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=str(tmp_path),

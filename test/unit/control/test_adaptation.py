@@ -136,6 +136,7 @@ def test_straights_say_nothing():
     assert untouched(driven(steer=lambda t: 0.0))
 
 
+@pytest.mark.once
 def test_it_says_why_a_pose_taught_nothing_and_from_how_much_it_learned(drive):
     adaptation = learned([])
     assert (adaptation.frozen, adaptation.learned_s) == ("no earlier pose", 0.0)

@@ -79,6 +79,7 @@ def test_a_straight_is_driven_straight(solver, model):
         assert -0.02 > side * angle > -NUC4.delta_max
 
 
+@pytest.mark.once
 def test_a_circle_is_held_with_the_steady_state_angle(solver):
     radius, speed = 4.0, 4.0
     controller = build_law(GIVEN, NUC4, circle(radius, speed))

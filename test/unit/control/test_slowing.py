@@ -27,6 +27,7 @@ def held_angle(v, share=1.0):
     return TABLE.steering(v, share * PEAK)[0]
 
 
+@pytest.mark.once
 @settings(max_examples=60, deadline=None)
 @given(v=st.floats(0.0, 15.0), angle=st.floats(-0.5, 0.5), braking=st.floats(0.0, 4.8))
 def test_steering_stays_within_the_grip_that_braking_leaves(v, angle, braking):

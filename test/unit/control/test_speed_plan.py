@@ -99,6 +99,7 @@ def test_never_faster_than_asked_and_less_grip_is_never_faster(use, scale, speed
     assert np.all(less.speed <= plan.speed * (1.0 + 1e-8) + 1e-12)
 
 
+@pytest.mark.once
 @settings(deadline=None, max_examples=50)
 @given(st.sampled_from([TABLE, LINEAR]), st.floats(0.1, 1.2), st.floats(0.5, 1.0))
 def test_the_lateral_limit_is_a_share_or_the_lock(table, share, part):

@@ -18,6 +18,7 @@ MAPS = {
 speeds, accelerations = st.floats(0.0, 20.0), st.floats(-30.0, 30.0)
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("v_max", [1e-3, 1e9])
 def test_tables_are_made_for_any_largest_speed(v_max):
     table = build_steering_map("table", NUC4, v_max)

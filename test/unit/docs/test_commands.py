@@ -26,6 +26,7 @@ from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.control.parameters import STEERING_MAPS, ControllerParameters
 from map_racing.experiments import tuning
+from map_racing.identification import robust_fit
 from map_racing.identification.data import load_run
 from map_racing.resources import find_config
 from map_racing.simulation.faults import KINDS
@@ -332,7 +333,7 @@ def nodes():
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Figures are composed but not rendered; tuning tries few pairs; speed plans are coarser.
+    """Figures are composed but not rendered; tuning tries few pairs; plans and fits are coarser.
 
     Other tests cover these in full.
     """
@@ -341,6 +342,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(tuning, "GRID", range(8, 17, 8))
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
     monkeypatch.setattr(speed_profile, "_CELL", 0.1)
+    monkeypatch.setattr(robust_fit, "MOST_STEPS", 2)
 
 
 @pytest.fixture(scope="module")

@@ -65,6 +65,7 @@ def bump(s, at, height, reference):
     return height * np.exp(-0.5 * (away / 0.3) ** 2)
 
 
+@pytest.mark.once
 def test_slow_laps_may_be_driven_faster_by_the_step(heat, reference):
     advice = advise(heat(0.4), step=0.1)
     assert {one.why for one in advice.sectors} == {"step"}
@@ -80,6 +81,7 @@ def test_no_scale_is_larger_than_a_file_may_have(heat, reference):
     assert advice.predicted_s == pytest.approx(advice.driven_s * 1.9 / 2.0, rel=0.005)
 
 
+@pytest.mark.once
 def test_a_command_that_the_speed_does_not_follow_is_no_base(heat, reference, limits):
     run = heat(0.4)
     commands = run.recording.commands
@@ -103,6 +105,7 @@ def test_no_sector_is_faster_than_step_and_grip_allow(heat):
             assert factor**2 * one.grip_used == pytest.approx(1.0, abs=0.005)
 
 
+@pytest.mark.once
 def test_grip_used_is_speed_squared_times_curvature_over_the_limit(heat, reference, limits):
     advice = advise(heat(0.5))
     demand = (0.5 * reference.speed) ** 2 * np.abs(reference.kappa)
@@ -123,6 +126,7 @@ def test_where_the_car_was_off_the_line_it_gets_no_faster(heat, reference):
     assert at[0.35]["third left"] == pytest.approx(0.97, abs=0.005)
 
 
+@pytest.mark.once
 def test_a_scale_that_is_kept_does_not_shrink_from_heat_to_heat(heat):
     """It used to shrink by a thousandth if the driven scale is slightly below its rounded value."""
     sectors = advise(heat(0.4, lambda s: 0.0 * s + 0.25)).sectors

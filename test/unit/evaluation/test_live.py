@@ -215,6 +215,7 @@ def test_commands_that_come_too_late_are_told(line, drive):
     assert said == [False, False, True, False]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("lap", [1, 2])
 def test_late_commands_of_a_lap_that_lasts_are_kept_in_a_few_numbers(track, line, lap):
     """The car stands in it for a while, with every command too late; other laps have no late

@@ -15,7 +15,7 @@ from map_racing.track.walls import Walls
     "track, wide",
     [
         ("reference", False),
-        ("club", True),
+        pytest.param("club", True, marks=pytest.mark.once),
         pytest.param("reference", True, marks=pytest.mark.once),
         pytest.param("club", False, marks=pytest.mark.once),
     ],

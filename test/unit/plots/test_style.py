@@ -32,18 +32,25 @@ with own_settings():
 """
 
 
-def drawn(folder, arguments=("-c", PROGRAM), **environment):
-    """Bytes of a figure drawn by a program in a folder; fails with its output."""
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
-    run = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=str(folder),
-        env={**os.environ, "MPLCONFIGDIR": str(folder), **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    return picture(folder / "figures"), run.stdout
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Bytes of a figure of a program in a folder; its output if it fails."""
+    # Not the user's, and one for all: matplotlib scans the fonts once.
+    config = str(tmp_path_factory.mktemp("matplotlib"))
+
+    def run(folder, arguments=("-c", PROGRAM), **environment):
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+        done = subprocess.run(
+            [sys.executable, *arguments],
+            cwd=str(folder),
+            env={**os.environ, "MPLCONFIGDIR": config, **environment},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        return picture(folder / "figures"), done.stdout
+
+    return run
 
 
 def picture(folder):
@@ -64,14 +71,14 @@ def expected(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "backend, settings", [("nonsense", ""), ("module://no_such_module", ""), ("", SETTINGS)]
 )
-def test_any_backend_and_matplotlibrc(tmp_path, expected, backend, settings):
+def test_any_backend_and_matplotlibrc(tmp_path, drawn, expected, backend, settings):
     assert expected
     (tmp_path / "elsewhere").write_text(settings)
     environment = {"MPLBACKEND": backend, "MATPLOTLIBRC": str(tmp_path / "elsewhere")}
     assert drawn(tmp_path, **environment)[0] == expected
 
 
-def test_commands_draw_the_same_whatever_matplotlibrc_there_is(tmp_path):
+def test_commands_draw_the_same_whatever_matplotlibrc_there_is(tmp_path, drawn):
     assert main([*COMMAND, str(tmp_path / "plain")]) == 0
     expected = picture(tmp_path / "plain")
     command = ["-m", "map_racing", *COMMAND, "figures"]

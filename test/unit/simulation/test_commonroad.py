@@ -79,6 +79,7 @@ def test_one_step_per_millisecond_is_converged(models, parameters, speed, amplit
     np.testing.assert_allclose(coarse, fine, rtol=0.0, atol=5e-5)
 
 
+@pytest.mark.once
 def test_the_drift_model_turns_as_its_cornering_stiffness_says(models):
     plant, v, delta = car(F1TENTH, 4.0), 4.0, 0.01
     # The drive holds the speed: the command is above it because of cornering drag.

@@ -44,6 +44,7 @@ def test_a_track_is_as_asked_for(kind, seed):
     assert np.max(np.abs(np.diff(track.kappa))) < 0.5 / shape.tightest_radius**2 * 0.1 * 4.0
 
 
+@pytest.mark.rest_once
 @pytest.mark.parametrize("kind", SHAPES)
 def test_neither_line_nor_walls_cross(kind):
     shape = SHAPES[kind]
