@@ -12,7 +12,10 @@ import numpy as np
 from ..bags.messages import BELIEF_FIELDS
 from ..track.raceline import Raceline
 
-__all__ = ["Lap", "LapTrace", "RunResult", "Summary"]
+__all__ = ["NOT_FOLLOWED", "Lap", "LapTrace", "RunResult", "Summary"]
+
+# In the warning about a commanded speed that is none, such as a throttle.
+NOT_FOLLOWED = "the car's speed does not follow the speed commanded"
 
 
 class LapTrace(NamedTuple):
@@ -234,6 +237,11 @@ class RunResult:
         if not driven:
             return "no lap was completed"
         return f"no lap counts ({'; '.join(dict.fromkeys(driven))})"
+
+    @property
+    def commands_followed(self) -> bool:
+        """Whether no warning says that the commanded speed is none that the car follows."""
+        return not any(NOT_FOLLOWED in text for text in self.warnings)
 
     @property
     def warnings(self) -> list[str]:

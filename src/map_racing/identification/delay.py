@@ -17,6 +17,7 @@ from ..vehicle.parameters import Vehicle
 from .data import Run, is_age
 from .drive import drive_windows, fit_drive
 from .driving import AT_LONGEST_S, LONGEST_DELAY_S, driving_of, windows_of
+from .one_floor import mixed_parts
 from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE
 from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
@@ -120,7 +121,7 @@ def estimate_delays(
     models = [(vehicle, OWN)] if vehicle else [(other, ANY) for other in others]
     if not models:
         raise ParameterError("delays: expected the car's vehicle, or others of about its size")
-    drives, notes = [], []
+    used, drives, notes = [], [], []
     for run in runs:
         notes += [f"{run.label}: {note}" for note in run.notes]
         try:
@@ -128,10 +129,11 @@ def estimate_delays(
         except IdentificationError as error:
             notes.append(f"{run.label}: left out: {error}")
             continue
+        used.append(run)
         drives.append(drive)
         notes += [f"{run.label}: {note}" for note in drive.notes]
     age, shifted = _pose_age(runs)
-    total, dead, lag = _steering(drives, models, notes)
+    total, dead, lag = _steering(used, drives, models)
     drive_dead, drive_lag = _drive(drives)
     delay = total
     if total.value is None:
@@ -183,7 +185,7 @@ def _pose_age(runs):
     return Part(middle, low, high, recorded), shifted
 
 
-def _steering(drives, models, notes):
+def _steering(runs, drives, models):
     """Sum of dead time and lag of the steering, and each."""
     if not drives:
         return (Part(reason="no drive with commands and yaw rate"),) * 3
@@ -205,6 +207,9 @@ def _steering(drives, models, notes):
     if explained < LEAST_SHARE:
         reason = f"the commands explain {max(explained, 0.0):.0%} of how the yaw rate varies"
         return (Part(reason=reason),) * 3
+    odd = mixed_parts(vehicle, windows, beliefs, found, runs)
+    if odd:
+        return (Part(reason=f"{value:.3f} s, but {odd}"),) * 3
     samples = _stepping(drives, vehicle, beliefs, found)
     if samples is not None:
         text = f"the servo moves in steps of {SAMPLE_S:g} s, with a dead time of {samples} steps"

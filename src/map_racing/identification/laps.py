@@ -36,7 +36,8 @@ from .driving import (
 )
 from .filters import low_passed
 from .kinematic_checks import LOCK_MARGIN
-from .output_error import believed, fit_car, simulate
+from .one_floor import mixed_parts, mixed_runs
+from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE, Fitted
 from .sensor_findings import SensorFinding
 from .tire_fit import Parameter
@@ -65,9 +66,6 @@ DETERMINED = {"front": 0.1, "rear": 0.15, "grip": 0.07, "shape": 0.075, "bend": 
 # A drive that used less than this share of the friction never determines it, whatever the fit says:
 # at small slip the tire curve bends so little that errors of its assumed shape dominate.
 LEAST_USE = 0.5
-# Runs differ in car or floor if the residual of the common fit exceeds this many times that of a
-# fit to one run alone.
-MIXED = 1.5
 # Deviations of steering gain and offset from 1 and 0 that are worth a finding.
 LEAST_GAIN_ERROR, LEAST_OFFSET_RAD = 0.05, 0.01
 # The shape of the curves stays the file's unless that changes the logarithm of the friction by more
@@ -101,12 +99,12 @@ class LapTires:
     explained : float
         Share of the variance of the yaw rate that the model explains.
     widest : float
-        Largest commanded wheel angle [rad]: 99th percentile.
+        Largest wheel angle, with the identified gain and offset [rad]: 99th percentile.
     noise : dict of str to float
         Standard deviation of the residuals, by quantity [SI].
     fitted : Fitted
     runs_finding : SensorFinding or None
-        Finding that the runs differ in car or floor.
+        Finding that the runs, or parts of one, differ in car or floor.
     """
 
     vehicle: Vehicle
@@ -165,10 +163,12 @@ class LapTires:
             f"{offset.value:+.4f} rad ({offset.low:+.4f} to {offset.high:+.4f}); the "
             "table is for the angle of the wheels"
         )
-        if gain.value * self.widest > LOCK_MARGIN * self.base.delta_max:
+        if off[0]:
+            text += f"; or {self.base.l_wb:.3f} m is not the car's wheelbase"
+        if self.widest > LOCK_MARGIN * self.base.delta_max:
             return SensorFinding(
                 "steering",
-                f"{text}; but that is {gain.value * self.widest:.3f} rad, beyond their lock of "
+                f"{text}; but that is {self.widest:.3f} rad, beyond their lock of "
                 f"{self.base.delta_max:.3f} rad (delta_max), so there must be another cause",
             )
         return SensorFinding(
@@ -218,7 +218,8 @@ def tires_from_laps(
     labels = [run.label for run in used]
     if not drives:
         raise IdentificationError("; ".join(notes))
-    windows = windows_of(drives, excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
+    cut = {"excited": "r", "least": LEAST_TURNING_RADPS, "most": MOST_WINDOWS}
+    windows = windows_of(drives, **cut)
     if windows.count < FEWEST_WINDOWS:
         raise IdentificationError(
             f"{', '.join(labels)}: expected at least {FEWEST_WINDOWS} s in which the yaw rate "
@@ -229,7 +230,7 @@ def tires_from_laps(
     if not isinstance(base.front, PacejkaTire):
         prior.update(grip=0.0, shape=0.0, bend=0.0)  # linear tires have none of them
     demonstrated = _demonstrated(drives)
-    free, fitted, unknown = _fitted(base, windows, prior, demonstrated)
+    free, fitted, unknown, prior = _fitted(base, windows, prior, demonstrated)
     explained = _explained(windows, fitted)
     if explained < LEAST_EXPLAINED:
         raise IdentificationError(
@@ -243,7 +244,12 @@ def tires_from_laps(
             f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "
             "one clock (--steering-delay corrects a known delay)?"
         )
-    angles = [drive.steering.value for drive in drives]
+    mixed = mixed_runs(base, drives, labels, prior, fitted, **cut) if len(drives) > 1 else None
+    if mixed is None:
+        odd = mixed_parts(base, windows, believed(**prior), free, used)
+        mixed = SensorFinding("runs", f"runs: {odd}", critical=True) if odd else None
+    commands = np.concatenate([drive.steering.value for drive in drives])
+    angles = math.exp(fitted["gain"]) * commands + fitted["offset"]
     vehicle = holding(car_of(base, fitted), demonstrated)
     vehicle = replace(vehicle, name=name or base.name + "_identified")
     return LapTires(
@@ -255,10 +261,10 @@ def tires_from_laps(
         parameters=_parameters(vehicle, fitted, free, unknown),
         largest_a_y=demonstrated,
         explained=explained,
-        widest=float(np.percentile(np.abs(np.concatenate(angles)), 99.0)),
+        widest=float(np.percentile(np.abs(angles), 99.0)),
         noise=fitted.noise,
         fitted=fitted,
-        runs_finding=_mixture(base, drives, labels, prior, fitted) if len(drives) > 1 else None,
+        runs_finding=mixed,
     )
 
 
@@ -297,7 +303,7 @@ def car_of(base: Vehicle, fitted: Fitted) -> Vehicle:
 
 
 def _fitted(base, windows, prior, demonstrated):
-    """Fit with all parameters free, final fit, and names of the undetermined parameters.
+    """Fit with all parameters free, final fit, names of the undetermined parameters, and prior.
 
     In the final fit undetermined parameters are held at the prior.
     """
@@ -324,39 +330,16 @@ def _fitted(base, windows, prior, demonstrated):
         unknown |= {"grip", "shape", "bend"}
     held = {**prior, **dict.fromkeys(unknown, 0.0)}
     if held == prior:
-        return free, free, unknown
+        return free, free, unknown, prior
     fitted = fit_car(base, windows, beliefs(held), near=free)
     if "grip" not in unknown and abs(fitted["grip"] - free["grip"]) > SHAPE_MATTERS:
         # The file's shape changes the friction, so the shape is wrong.
         if free.deviation({"grip": 1.0}) <= SURE:
-            return free, free, unknown - {"shape", "bend"}
+            return free, free, unknown - {"shape", "bend"}, prior
         unknown = unknown | {"grip"}
         held["grip"] = 0.0
         fitted = fit_car(base, windows, beliefs(held), near=free)
-    return free, fitted, unknown
-
-
-def _mixture(base, drives, labels, prior, fitted):
-    """Finding that the runs differ in car or floor, if some run's own fit is much better."""
-    odd = []
-    for drive, label in zip(drives, labels):
-        windows = windows_of([drive], excited="r", least=LEAST_TURNING_RADPS, most=MOST_WINDOWS)
-        if windows.count < FEWEST_WINDOWS:
-            continue
-        own = fit_car(base, windows, believed(**prior), near=fitted)
-        common, alone = (_residual(base, windows, values) for values in (fitted, own))
-        if common > MIXED * alone:
-            odd.append(f"{label}: {common:.3f} rad/s of yaw rate, its own {alone:.3f} rad/s")
-    if not odd:
-        return None
-    text = "runs: not of one car on one floor: residuals of the common fit: " + "; ".join(odd)
-    return SensorFinding("runs", text, critical=True)
-
-
-def _residual(base, windows, fitted):
-    """Robust standard deviation of a fit's yaw rate residuals [rad/s]."""
-    simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
-    return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))
+    return free, fitted, unknown, prior
 
 
 def _limit(vehicle: Vehicle) -> float:

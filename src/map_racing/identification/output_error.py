@@ -16,9 +16,9 @@ from ..vehicle.parameters import Vehicle
 from ..vehicle.single_track import GRAVITY
 from ..vehicle.tires import PacejkaTire
 from .driving import LONGEST_DELAY_S, Windows
-from .robust_fit import Believed, Fitted, fit
+from .robust_fit import Believed, Fitted, fit, own_fits
 
-__all__ = ["NAMES", "at_sensors", "believed", "fit_car", "simulate"]
+__all__ = ["NAMES", "at_sensors", "believed", "fit_car", "own_errors", "simulate"]
 
 NAMES = (
     "front",
@@ -186,8 +186,10 @@ def _wheels(vehicle, windows, theta):
     """Wheel angle at each step, and by how much its mean over the step exceeds it."""
     total, share, gain, offset = theta[:, 3], theta[:, 4], np.exp(theta[:, 5]), theta[:, 6]
     command = windows.commands("steering", total * (1.0 - share))
-    command = gain[:, None] * np.clip(command, -vehicle.delta_max, vehicle.delta_max)
-    command += offset[:, None]
+    # The lock is that of the wheels, which commands that turn them less, or shifted ones, pass only
+    # in number.
+    lock = (vehicle.delta_max * np.maximum(gain, 1.0) + np.abs(offset))[:, None]
+    command = np.clip(gain[:, None] * command + offset[:, None], -lock, lock)
     lag = np.maximum(total * share, 1e-6)[:, None]
     follow = -np.expm1(-windows.step / lag)
     # Mean of an exponential approach; a turn at full rate is halfway on average.
@@ -266,12 +268,45 @@ def fit_car(
     Fitted
         Parameters are `NAMES`.
     """
+    starts = [{"delay": delay} for delay in START_DELAYS]
+    if near is not None:
+        starts = [dict(zip(near.names, near.values))]
+    observed = windows.observed
+    return fit(_predictor(vehicle, windows), observed, beliefs or believed(), starts, NOISE)
+
+
+def own_errors(
+    vehicle: Vehicle,
+    windows: Windows,
+    beliefs: dict[str, Believed],
+    fitted: Fitted,
+    parts: list[np.ndarray],
+) -> list[tuple[float, float]]:
+    """What a fit leaves of the yaw rate in parts of the windows, and what fits of their own would.
+
+    Parameters
+    ----------
+    vehicle, windows, beliefs
+        As of `fit_car`.
+    fitted : Fitted
+        To all windows.
+    parts : list of ndarray of bool, shape (n,)
+        Windows of each part.
+
+    Returns
+    -------
+    list of tuple of float
+        Standard deviations without outliers [rad/s].
+    """
+    predict = _predictor(vehicle, windows)
+    return own_fits(predict, windows.observed, beliefs, fitted, "r", parts)
+
+
+def _predictor(vehicle, windows):
+    """What `fit` needs: the measurements that parameters predict."""
 
     def predict(lanes):
         found = at_sensors(vehicle, windows, simulate(vehicle, windows, lanes))
         return {name: windows.at(name, found[name]) for name in windows.observed}
 
-    starts = [{"delay": delay} for delay in START_DELAYS]
-    if near is not None:
-        starts = [dict(zip(near.names, near.values))]
-    return fit(predict, windows.observed, beliefs or believed(), starts, NOISE)
+    return predict

@@ -13,13 +13,14 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
-__all__ = ["CONFIDENCE", "Believed", "Fitted", "fit"]
+__all__ = ["CONFIDENCE", "Believed", "Fitted", "fit", "own_fits"]
 
 CONFIDENCE = 1.96  # of a normal distribution: 95 %
 HUBER = 2.5  # standard deviations beyond which the pull of a residual does not grow
 MOST_STEPS = 25
 ROUGH, FINE = 1e-3, 1e-6  # relative gain of a step below which the search ends
 LEAST_NOISE = 1e-4
+OWN_STEPS = 8  # of the weights of linearized fits
 
 
 class Believed(NamedTuple):
@@ -118,6 +119,65 @@ def fit(
         noise = problem.noise_of(errors)
         theta, errors, _ = problem.minimize(theta, errors, noise, FINE)
     return problem.result(theta, errors, noise)
+
+
+def own_fits(
+    predict: Callable[[np.ndarray], dict[str, np.ndarray]],
+    observed: dict[str, tuple],
+    believed: dict[str, Believed],
+    fitted: Fitted,
+    name: str,
+    parts: list[np.ndarray],
+) -> list[tuple[float, float]]:
+    """What a fit leaves of one quantity in parts of the windows, and what fits of their own would.
+
+    Own fits are linearized: that tells whether they differ, at the cost of one step of a fit.
+
+    Parameters
+    ----------
+    predict, observed, believed
+        As of `fit`.
+    fitted : Fitted
+        To all windows.
+    name : str
+        Of the quantity.
+    parts : list of ndarray of bool
+        Windows of each part.
+
+    Returns
+    -------
+    list of tuple of float
+        Of each part the standard deviations, without outliers.
+    """
+    problem = _Problem(predict, observed, believed)
+    theta = fitted.values
+    residual, jacobian = problem.linearized(theta, problem.errors(theta), fitted.noise)
+    kind = np.concatenate([np.full(rows[0].size, key == name) for key, rows in observed.items()])
+    left = []
+    for part in parts:
+        rows = part[problem.window]
+        own = _linear_fit(problem, theta, residual[rows], jacobian[rows])
+        both = residual[rows], residual[rows] + jacobian[rows] @ own
+        left.append(
+            tuple(
+                1.4826 * fitted.noise[name] * float(np.median(np.abs(values[kind[rows]])))
+                for values in both
+            )
+        )
+    return left
+
+
+def _linear_fit(problem, theta, residual, jacobian):
+    """Changes of the free parameters that fit linearized residuals."""
+    low, high = ((bound - theta)[problem.free] for bound in (problem.low, problem.high))
+    change = np.zeros(problem.free.size)
+    moved = theta.copy()
+    for _ in range(OWN_STEPS):
+        moved[problem.free] = theta[problem.free] + change
+        hessian, gradient = problem.normal(moved, residual + jacobian @ change, jacobian)
+        hessian += np.diag(1e-9 * np.diag(hessian) + 1e-12)  # as none may show in a part
+        change = np.clip(change - np.linalg.solve(hessian, gradient), low, high)
+    return change
 
 
 class _Problem:

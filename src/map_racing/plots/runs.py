@@ -11,6 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ..errors import EvaluationError, ParameterError
+from ..printing import amount
 from .style import COLORS, DEVIATION, RACELINE, finished, legend_above, new_figure, size_for
 from .track import draw_track
 
@@ -101,11 +102,13 @@ def plot_laps(result, title: str | None = None) -> Figure:
         label = f"best lap, {best.lap_time_s:.3f} s"
         _draw_lap(top, bottom, best.trace, label=label, color=COLORS[0], lw=1.5)
     reference = {"color": COLORS[1], "lw": 1.2, "ls": "--"}
-    if np.isfinite(shown.trace.command).any():
+    commanded = bool(np.isfinite(shown.trace.command).any())
+    if commanded and result.commands_followed:
         bottom.plot(shown.trace.s, shown.trace.command, label="commanded in it", **reference)
     elif line.speed is not None:
         s = np.linspace(0.0, line.length, 2 * line.n)
-        label = "raceline, unscaled (no commands recorded)"
+        why = "the car does not follow the commands" if commanded else "no commands recorded"
+        label = f"raceline, unscaled ({why})"
         bottom.plot(s, line.sample(s + result.start_s).speed, label=label, **reference)
     top.axhline(0.0, color=RACELINE, lw=0.8)
     top.set_ylabel("lateral deviation,\nleft positive [m]")
@@ -114,8 +117,7 @@ def plot_laps(result, title: str | None = None) -> Figure:
     bottom.set_xlim(0.0, line.length)
     for axes in (top, bottom):
         axes.grid(alpha=0.25)
-    counted = f"{len(laps)} lap" + ("s" if len(laps) != 1 else "")
-    legend_above(top, title or f"{_name(result)}: {counted}")
+    legend_above(top, title or f"{_name(result)}: {amount(len(laps), 'lap')}")
     legend_above(bottom)
     return finished(figure)
 
@@ -212,7 +214,8 @@ def plot_differences(named_results) -> Figure:
         low, high = run.deviation.min(axis=0), run.deviation.max(axis=0)
         top.fill_between(s, low, high, color=color, alpha=0.2)
         rms = math.sqrt(float(np.mean(run.error**2)))
-        label = f"{name}: {len(run.deviation)} laps, RMS over distance {rms:.3f} m"
+        laps = amount(len(run.deviation), "lap")
+        label = f"{name}: {laps}, RMS over distance {rms:.3f} m"
         top.plot(s, run.deviation.mean(axis=0), color=color, lw=1.3, label=label)
         if not place:
             continue

@@ -36,6 +36,8 @@ __all__ = [
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 WALL, RACELINE = "0.5", "0.1"
+# Widths in a legend [in]: a symbol with the space around it, and a small letter.
+_SYMBOL, _LETTER = 0.55, 0.07
 DPI = 130
 # Gray in the middle: with white, as in common diverging maps, a path without error would be
 # invisible.
@@ -86,6 +88,11 @@ def finished(figure: Figure, top: float = 1.0, bottom: float = 0.0) -> Figure:
 def legend_above(axes: Axes, title: str = "", columns: int = 4) -> None:
     """Title, and below it the legend in rows above the axes, where it hides no data."""
     handles, labels = axes.get_legend_handles_labels()
+    # What is wider than the figure would be cut off, and leave the axes no room.
+    place = axes.get_subplotspec() if hasattr(axes, "get_subplotspec") else None
+    room = axes.figure.get_figwidth() / (place.get_gridspec().get_geometry()[1] if place else 1)
+    widest = _SYMBOL + _LETTER * max(map(len, labels), default=0)
+    columns = max(min(columns, int(room / widest)), 1)
     rows = -(-len(handles) // columns)
     axes.set_title(title, pad=6.0 + 15.0 * rows)
     if handles:

@@ -104,7 +104,14 @@ def read_map_image(path: str | Path) -> MapImage:
     """
     path = Path(path)
     header = _read_header(path)
-    free, findings = _free_cells(_gray(path.parent / header.image), header)
+    gray, clear = _pixels(path.parent / header.image)
+    free, findings = _free_cells(gray, header)
+    if clear is not None and np.any(free & clear):
+        text = f"{np.count_nonzero(free & clear)} transparent pixels: taken as unknown"
+        findings.append(Finding("transparent", WARNING, text))
+        free &= ~clear
+        if not free.any():
+            raise FileFormatError(f"{path}: expected free cells, all of them are transparent")
     if header.origin[2] != 0.0:
         text = (
             f"the map is rotated by the yaw of its origin, {header.origin[2]:g} rad, as in "
@@ -161,6 +168,8 @@ def _read_header(path):
     if not isinstance(origin, list) or len(origin) != 3:
         raise FileFormatError(f"{path}: origin: expected [x, y, yaw], got {origin!r}")
     origin = tuple(_number(path, {"origin": value}, "origin") for value in origin)
+    if abs(origin[2]) > 2.0 * math.pi:
+        raise FileFormatError(f"{path}: origin: expected a yaw in rad, got {origin[2]:g}: in deg?")
     thresholds = {
         key: _number(path, content, key, usual)
         for key, usual in (("free_thresh", _SAVERS_FREE), ("occupied_thresh", 0.65))
@@ -221,8 +230,11 @@ def _number(path, content, key, default=None):
     return float(value)
 
 
-def _gray(path):
-    """Gray values of an image: color channels averaged, transparency ignored."""
+def _pixels(path):
+    """Gray values of an image, color channels averaged, and where it is transparent, if it can be.
+
+    What an editor erases is transparent, whatever its color.
+    """
     # Imported here, because commands and nodes that read no map do not need Pillow.
     from PIL import Image
 
@@ -236,14 +248,17 @@ def _gray(path):
             file.load()  # np.asarray may hide the error of a damaged image
             # Pillow clips more than 8 bits, so that nearly all would be white, that is, free.
             if file.mode in ("F", "I") or file.mode.startswith("I;"):
-                return _of_16_bits(path, np.asarray(file))
+                return _of_16_bits(path, np.asarray(file)), None
+            clear = None
+            if file.mode[-1] in "Aa" or "transparency" in file.info:
+                clear = np.asarray(file.convert("RGBA"))[:, :, 3] < 128
             if file.mode not in ("L", "RGB"):
                 file = file.convert("RGB")
             gray = np.asarray(file)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise FileFormatError(f"{path}: expected an image: {reason}") from None
-    return gray if gray.ndim == 2 else gray.mean(axis=2)
+    return (gray if gray.ndim == 2 else gray.mean(axis=2)), clear
 
 
 def _of_16_bits(path, gray):

@@ -86,6 +86,33 @@ def test_runs_on_different_floors_are_no_silent_mixture(low, scale, mu_scale, mi
     assert ("check: runs: " in provenance(found)) == mixed == ("check: runs: " in car_text(found))
 
 
+@pytest.mark.parametrize(
+    "scale, mu_scale, change, half",
+    [
+        (0.6, 0.88, {"factor": 0.7, "after_s": 10.0}, "second half"),
+        pytest.param(
+            *(0.7, 1.0, {"factor": 0.6, "from_m": 0.0, "to_m": 18.0}, "half with smaller y"),
+            marks=pytest.mark.once,
+        ),
+    ],
+)
+def test_floors_of_one_drive_are_no_silent_mixture(scale, mu_scale, change, half):
+    """A spill, or the other carpet behind the second bend, made soft tires and late steering."""
+    run, _ = laps_of(scale, mu_scale=mu_scale, grip_changes=[change])
+    doubt = tires_from_laps([run], NUC4).runs_finding
+    assert doubt.critical
+    text = f"runs: laps.bag is not of one car on one floor: of its {half} the common fit leaves"
+    assert doubt.text.startswith(text)
+    found = estimate_delays([run], NUC4)
+    for part in (found.steering, found.delay, found.speed_lookahead):
+        assert part.value is None
+
+
+def test_one_floor_is_one(low, found):
+    assert found.runs_finding is None
+    assert found.delays.delay.value == pytest.approx(0.07, abs=0.01)
+
+
 @pytest.mark.once
 def test_far_from_the_limit_friction_stays_as_it_was():
     run, true = laps_of(0.45, mu_scale=0.88)
@@ -213,6 +240,27 @@ def test_not_beyond_their_lock(low):
     found = identify_car([run], car, fix=True)
     assert found.setup.steering_gain == 1.0
     assert any("beyond their lock" in finding.text for finding in found.findings)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("gain, offset", [(0.7, 0.0), (1.0, -0.15)])
+def test_commands_whose_numbers_alone_are_beyond_the_lock(low, found, gain, offset):
+    """The same tires come out as of commands in the angle of the wheels."""
+    run, _ = low
+    t, angle = run.signals["steering"]
+    wrong = Signal(t, (angle - offset) / gain)
+    run = dataclasses.replace(run, signals={**run.signals, "steering": wrong})
+    other = identify_car([run], NUC4)
+    (finding,) = [f for f in other.findings if f.text.startswith("steering: in ordinary")]
+    assert ("is not the car's wheelbase" in finding.text) == (gain != 1.0)
+    right = found.parameters["gain"].value
+    assert finding.fix["steering_gain"] == pytest.approx(gain * right, rel=0.005)
+    added = right * offset + found.parameters["offset_rad"].value
+    assert finding.fix["steering_offset_rad"] == pytest.approx(added, abs=0.001)
+    for axle in ("front", "rear"):
+        name = f"{axle}_stiffness_n_per_rad"
+        value = other.laps.parameters[name].value
+        assert value == pytest.approx(found.parameters[name].value, rel=0.02)
 
 
 @pytest.mark.once

@@ -9,7 +9,7 @@ from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, MapRacingError, ParameterError
 from map_racing.evaluation.laps import LapEvaluator
 from map_racing.evaluation.runs import evaluate
-from map_racing.plots.runs import plot_boxes, plot_laps, plot_path
+from map_racing.plots.runs import plot_boxes, plot_differences, plot_laps, plot_path
 from map_racing.plots.style import save
 
 
@@ -84,6 +84,24 @@ def test_the_speed_stands_beside_its_command(driven, track):
     np.testing.assert_allclose(bottom.get_lines()[-1].get_ydata(), 4.0)
     low, high = bottom.get_ylim()
     assert 2.7 < low < 3.1 and 4.9 < high < 5.3
+
+
+def test_a_command_that_is_no_speed_is_not_drawn_as_one(driven, track):
+    throttle = Commands(driven.t, 0.0 * driven.t, 2.0 + np.sin(7.0 * driven.t))
+    slow = dataclasses.replace(driven, v_x=4.0 + np.sin(driven.t), commands=throttle)
+    result = evaluate(slow, track.raceline(speed=6.0))
+    labels = [line.get_label() for line in plot_laps(result).axes[1].get_lines()]
+    assert "raceline, unscaled (the car does not follow the commands)" in labels
+
+
+def test_long_names_leave_room_for_the_data(result):
+    named = [(f"map_racing_2026-11-29-2{k}-03-56_second_heat", result) for k in range(3)]
+    figure = plot_differences(named)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        assert axes.get_position().width > 0.8
+        legend = axes.get_legend().get_window_extent()
+        assert legend.x0 >= 0.0 and legend.x1 <= figure.bbox.x1
 
 
 def test_without_commands_the_raceline_is_named_as_that(result):

@@ -141,6 +141,32 @@ def test_color_and_transparent_images(tmp_path):
     assert np.abs(deviations(track, bean())).max() < 0.05
 
 
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+def test_what_was_erased_from_an_image_is_unknown(tmp_path, mode):
+    """Editors keep some color below what is transparent, such as white."""
+    gray = drawn(outside=UNKNOWN)
+    erased = (gray == UNKNOWN) | (np.arange(gray.size).reshape(gray.shape) < 320)
+    image = Image.fromarray(np.where(erased, 255, gray).astype(np.uint8)).convert(mode)
+    image.putalpha(Image.fromarray(np.where(erased, 0, 255).astype(np.uint8)))
+    path = written(tmp_path, gray)
+    expected = read_map_image(path).free
+    image.save(str(tmp_path / "map.png"))
+    found = read_map_image(path)
+    assert np.array_equal(found.free, expected)
+    (finding,) = found.findings
+    assert finding.text == f"{np.count_nonzero(erased)} transparent pixels: taken as unknown"
+    image.putalpha(Image.fromarray(np.zeros_like(gray)))
+    image.save(str(tmp_path / "map.png"))
+    with pytest.raises(FileFormatError, match="expected free cells, all of them are transparent"):
+        read_map_image(path)
+
+
+def test_a_yaw_in_degrees_is_refused(tmp_path):
+    path = written(tmp_path, drawn(), origin=[-8.0, -8.0, 90])
+    with pytest.raises(FileFormatError, match="origin: expected a yaw in rad, got 90: in deg?"):
+        read_map_image(path)
+
+
 def test_16_bits_are_those_of_8(tmp_path):
     gray = drawn(outside=UNKNOWN)
     expected = read_map_image(written(tmp_path, gray)).free

@@ -23,6 +23,8 @@ _ELSEWHERE, _APART, _MANY = 0.15, 0.08, 3.0
 # A line jitters if it turns by this factor more than after smoothing over this share of the track's
 # width; real racelines and centerlines turn by up to 1.09 times as much.
 _JITTERS, _SMOOTHED = 1.2, 0.25
+# A single distance is mistyped if it is off by this share of the track's width.
+_SINGLE = 0.4
 _FOLD = math.pi  # a wall folds over at most half a turn around a bend, in widths
 
 
@@ -36,10 +38,32 @@ def check_distances(draft: Draft) -> None:
         if beyond.size:
             text = f"{points(beyond.size)} beyond the {side} wall"
             draft.add("beyond-wall", WARNING, text, beyond)
+        if not np.any(columns[f"d_{side}"]):
+            text = f"every distance to the {side} wall is 0: not given?"
+            draft.add("wall-zero", WARNING, text)
+        else:
+            _check_single(draft, side)
     closed = np.flatnonzero(columns["d_left"] + columns["d_right"] <= 0.0)
     if closed.size:
         text = f"the walls leave no width at {points(closed.size)}"
         draft.add("no-width", WARNING, text, closed)
+
+
+def _check_single(draft, side):
+    """Single distances far from those at the points before and after, which agree."""
+    columns = draft.columns
+    d = columns[f"d_{side}"]
+    before, after = np.roll(d, 1), np.roll(d, -1)
+    off = np.abs(d - 0.5 * (before + after))
+    usual = float(np.median(columns["d_left"] + columns["d_right"]))
+    found = np.flatnonzero((off > _SINGLE * usual) & (np.abs(before - after) < 0.2 * off))
+    if found.size:
+        k = found[np.argmax(off[found])]
+        text = (
+            f"the distance to the {side} wall is {d[k]:.2f} m between {before[k]:.2f} and "
+            f"{after[k]:.2f} m: mistyped? At {points(found.size)}"
+        )
+        draft.add("wall-single", WARNING, text, found)
 
 
 def check_polygons(draft: Draft) -> None:

@@ -386,6 +386,25 @@ def test_speeds():
     assert list(codes(table(ax=-GOOD["ax"]))) == ["acceleration"]
 
 
+@pytest.mark.parametrize("value", [0.0, 50.0])
+def test_a_mistyped_distance_to_a_wall(value):
+    finding = codes(table(d_right=set_at("d_right", 30, value)))["wall-single"]
+    near = GOOD["d_right"][[29, 31]]
+    assert finding.text == (
+        f"the distance to the right wall is {value:.2f} m between {near[0]:.2f} and "
+        f"{near[1]:.2f} m: mistyped? At 1 point"
+    )
+    assert [place.line for place in finding.places] == [34]
+    # Walls with steps are none.
+    step = np.where(np.arange(N) < 200, 0.8, 2.5)
+    assert "wall-single" not in codes(table(d_left=step, d_right=step))
+
+
+def test_one_wall_that_is_not_given():
+    finding = codes(table(d_left=0.0 * KAPPA))["wall-zero"]
+    assert finding.text == "every distance to the left wall is 0: not given?"
+
+
 def test_speeds_beyond_grip_that_are_so_only_in_kmh():
     found = codes(table(speed=3.6 * (GOOD["speed"] + 2.0), without=("ax",)))
     assert "in km/h?" in found["too-fast"].text
