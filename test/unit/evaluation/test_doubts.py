@@ -405,6 +405,14 @@ def test_a_speed_that_is_nonsense_for_a_second(wrong, said):
     assert len(doubts) == bool(said) and all(said in doubt for doubt in doubts)
 
 
+@pytest.mark.parametrize(("factor", "seconds"), [(1.5, 3.0), (3.0, 0.6)])
+def test_a_speed_that_is_wrong_for_a_short_time(factor, seconds):
+    wrong = np.abs(T - 10.0 - 0.5 * seconds) <= 0.5 * seconds
+    v = 4.8 * np.where(wrong, factor, 1.0)
+    (doubt,) = doubts_of(of_poses(*circling(), v), [(5.0, 20.0)])
+    assert doubt.startswith("/odom: from 10.") and "s the measured speed is" in doubt
+
+
 def test_a_speed_that_is_held_while_the_car_goes_on():
     v = 4.0 + 1.2 * np.sin(1.3 * T)
     way = 4.0 * T - 1.2 / 1.3 * np.cos(1.3 * T)
