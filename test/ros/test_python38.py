@@ -48,7 +48,10 @@ def environment(tmp_path, roscore):
         source = origin.parent if origin.name == "__init__.py" else origin
         (folder / source.name).symlink_to(source)
     devel = Path(os.environ["CMAKE_PREFIX_PATH"].split(":")[0]) / "lib/python3/dist-packages"
-    return {**os.environ, "PYTHONPATH": f"{devel}:{folder}"}
+    # ./scripts/test has compiled the libraries there.
+    compiled = str(Path(sys.prefix).parent / "compiled")
+    found = {"PYTHONPATH": f"{devel}:{folder}", "PYTHONPYCACHEPREFIX": compiled}
+    return {**os.environ, **found}
 
 
 def test_a_race_on_python_38(ros, start, listen, car_python, environment):

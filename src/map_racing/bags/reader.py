@@ -15,6 +15,7 @@ from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
 from .topics import belief_connections, drive_connections, imu_topic, pose_sources
+from .transforms import FramePoses
 from .waypoints import WaypointCollection
 
 __all__ = ["read_recording", "read_signals"]
@@ -203,8 +204,8 @@ def _use_receive_time(path, pose, command, notes):
             return False
     # If a recording was sorted by times of receipt whose clock was set back, only the order of the
     # stamps gives a continuous path.
-    way = getattr(pose, "way", None)
-    if way and way() < _SHORTER * way(received=True):
+    of_topic = not isinstance(pose, FramePoses)
+    if of_topic and pose.way() < _SHORTER * pose.way(received=True):
         notes.append(f"warning: {why}, but the path is continuous in their order: used")
         return False
     again = pose.jump_back(received=True) or command.jump_back(received=True)

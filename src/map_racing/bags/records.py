@@ -128,7 +128,7 @@ class BagFile(Bag):
         super().__init__(path)
         self._damage = set()
         # Fewest messages found by a complete pass of `messages`; None before the first.
-        self._found = None
+        self._found, self._last = None, (None, None)
         if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
             # Opening a pipe would wait for a writer.
             raise BagError(f"{path}: expected a bag, got a pipe or a device")
@@ -295,7 +295,7 @@ class BagFile(Bag):
                 whole = length > 0 and end <= self._size
                 length = length if whole else min(self._size - start, _MAX_OPEN_CHUNK)
                 compression = header.text(b"compression") or "unknown"
-                contents, sound = decompress(compression, self._read_at(start, length))
+                contents, sound = self._decompressed(compression, start, length)
                 index, position = {}, end
                 if whole and sound and len(contents) == header.u32(b"size"):
                     if self.indexed:
@@ -311,6 +311,12 @@ class BagFile(Bag):
                 if end > self._size:
                     self._add_damage(position)
                 position = end
+
+    def _decompressed(self, compression, start, length):
+        """Contents of a chunk, and whether they are sound; the last are kept for another look."""
+        if self._last[0] != start:
+            self._last = start, decompress(compression, self._read_at(start, length))
+        return self._last[1]
 
     def _chunk_index(self, begin):
         """Offsets of each connection's messages in the chunk that ends there; end of the index."""

@@ -87,23 +87,20 @@ class FrameChoice:
         return True
 
 
-def followed(count: int, what: str, before: str, frame: str, early: int) -> str:
+def followed(lost: str, before: str, frame: str, early: int = 0) -> str:
     """Warning that a frame replaced another.
 
     Parameters
     ----------
-    count : int
-        Messages or rows lost in the previous frame.
-    what : str
-        What is counted.
+    lost : str
+        What is lost in the previous frame, such as ``"12 messages"``.
     before, frame : str
-    early : int
+    early : int, optional
         Number in the new frame that came before the other was gone, and are lost as well.
     """
     also = f" and {early} in {frame}" if early else ""
     return (
-        f"{count} {what} in frame {before}{also} left out: {before} fell silent, and {frame} took "
-        "its place"
+        f"{lost} in frame {before}{also} left out: {before} fell silent, and {frame} took its place"
     )
 
 
@@ -305,7 +302,7 @@ class PoseSeries(Series):
                 count = len(kept) + sum(times.size for times in self._times)
                 early = self._elsewhere.pop(self._choice.frame, 0)
                 self._before[before] = followed(
-                    count, "messages", before, self._choice.frame, early
+                    f"{count} messages", before, self._choice.frame, early
                 )
                 self._stamps, self._times, self._values, kept = [], [], [], []
                 self._broken = 0

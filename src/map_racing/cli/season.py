@@ -16,7 +16,7 @@ from ..experiments.season_bags import find_bags, first_part, parts_of
 from ..files import make_folder, replacing
 from ..pages.html import plotly_script
 from ..pages.season import season_page
-from ..printing import printable
+from ..printing import amount, printable
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
 from .evaluate import check_evaluation
@@ -57,7 +57,8 @@ def run(arguments):
     if len(unread) > 20:
         print(f"... and {len(unread) - 20} more, see the table")
     print(
-        f"{len(bags)} bags: {season.read} read, {season.kept} known; {len(heats)} heats, "
+        f"{len(bags)} bags: {season.read} read, {season.kept} known; "
+        f"{amount(len(heats) - len(unread), 'heat')}, "
         f"{sum(int(heat['laps']) for heat in heats)} laps count"
     )
     print(f"written to {output / 'season.csv'} and {output / 'season.html'}")

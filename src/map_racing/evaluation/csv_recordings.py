@@ -284,7 +284,7 @@ def _keep_one_frame(table):
             continue
         if last not in (None, frame):
             count = np.count_nonzero(kept)
-            said = followed(count, "rows", last, frame, early.pop(frame, 0))
+            said = followed(f"{count} rows", last, frame, early.pop(frame, 0))
             table.notes.append(f"warning: {said}")
             kept[:row] = False
         kept[row] = True

@@ -113,9 +113,9 @@ class IdentifiedCar:
         if friction <= HIGHEST_FRICTION:
             return []
         return [
-            f"a friction of {friction:.2f}{why} expected at most {HIGHEST_FRICTION:g} for rubber "
-            "on a floor without downforce: check units and scales of speed, yaw rate and "
-            "acceleration"
+            f"a friction (mu times D) of {friction:.2f}{why} expected at most "
+            f"{HIGHEST_FRICTION:g} for rubber on a floor without downforce: check units and scales "
+            "of speed, yaw rate and acceleration"
         ]
 
 

@@ -15,7 +15,7 @@ from map_racing.msg import Belief, LapResult
 
 from ..bags.messages import BELIEF_FIELDS
 from ..bags.samples import child_warning
-from ..bags.series import FrameChoice
+from ..bags.series import FrameChoice, followed
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
@@ -230,8 +230,7 @@ class LapEvaluatorNode:
             doubt = f"{topic}: messages in another frame, {name}, left out: only {only} counts"
         elif before not in (None, only):
             self._laps.finish()
-            doubt = f"{topic}: messages in frame {before} left out: {before} fell silent, and "
-            doubt += f"{only} took its place"
+            doubt = f"{topic}: {followed('messages', before, only)}"
         self._frame = only
         if doubt:
             rospy.logwarn_throttle(30.0, doubt)

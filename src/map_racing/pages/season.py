@@ -58,7 +58,7 @@ def season_page(heats: Sequence[dict]) -> str:
     tracks = list(dict.fromkeys(heat["track"] for heat in read))
     controllers = list(dict.fromkeys(_driver(heat) for heat in read))
     colors = {name: _COLORS[i % len(_COLORS)] for i, name in enumerate(controllers)}
-    text = f"Heats: {len(heats)}; laps that count: {laps}; tracks: {len(tracks)}"
+    text = f"Heats: {len(read)}; laps that count: {laps}; tracks: {len(tracks)}"
     if len(read) < len(heats):
         text += f"; bags that cannot be evaluated: {len(heats) - len(read)}"
     parts = [f"<header><h1>Season</h1><p>{escape(text)}</p></header>\n"]

@@ -118,8 +118,9 @@ def friction_doubt(vehicle: Vehicle) -> list[str]:
     grip = min(peaks)
     if 0.1 <= grip <= HIGHEST_FRICTION:
         return []
+    name = "friction (mu times D)" if hasattr(vehicle.front, "D") else "friction"
     return [
-        f"friction: expected 0.1 to {HIGHEST_FRICTION:g} for rubber on a floor without downforce, "
+        f"{name}: expected 0.1 to {HIGHEST_FRICTION:g} for rubber on a floor without downforce, "
         f"got {grip:.3g}"
     ]
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from map_racing.control.controller import Controller, build_controller
 from map_racing.control.parameters import ControllerParameters, load_controller_parameters
-from map_racing.control.speed_plan import WALKING_PACE, SpeedPlan, lateral_limit
+from map_racing.control.speed_plan import WALKING_PACE, SpeedPlan, lateral_limit, scaled_speed
 from map_racing.control.speed_sectors import SpeedSectors
 from map_racing.control.state import CarState
 from map_racing.control.steering import build_steering_map
@@ -209,6 +209,45 @@ def test_tables_that_end_early_or_have_no_stable_state_are_used_as_steering_uses
         v = plan.speed_at(1.0)
         assert v**2 / 4.0 == pytest.approx(0.8 * table.max_lateral_acceleration(v), rel=2e-3)
         assert not table.steering(v, v**2 / 4.0)[1]
+
+
+def test_between_cells_speeds_are_interpolated_also_across_the_start():
+    plan = SpeedPlan(oval(straight=20.0, speed=9.0), LIMITED, TABLE)
+    middles = [plan.speed_at(s) for s in (plan.s + 0.5 * plan.ds).tolist()]
+    np.testing.assert_allclose(middles, 0.5 * (plan.speed + np.roll(plan.speed, -1)), rtol=1e-9)
+
+
+def test_sectors_and_top_speed_hold_for_a_raceline_without_speeds():
+    bare = oval(straight=15.0, speed=None)
+    sectors = SpeedSectors([(2.0, 8.0, 0.5)], bare.length)
+    plan, full = (SpeedPlan(bare, LIMITED, TABLE, sectors=which) for which in (sectors, None))
+    inside = (plan.s > 2.1) & (plan.s < 7.9)
+    np.testing.assert_allclose(plan.requested[inside], 0.5 * full.requested[inside], rtol=1e-9)
+    np.testing.assert_allclose(
+        plan.requested[~inside & (plan.s > 8.1)], full.requested[plan.s > 8.1]
+    )
+    faster = SpeedPlan(bare, LIMITED.with_(speed_scale=1.5, v_max_mps=6.0), TABLE)
+    assert faster.requested.max() == faster.speed.max() == 6.0
+
+
+def test_a_place_where_the_car_shall_stand_is_not_the_slowest():
+    line = oval(straight=20.0, speed=6.0)
+    stands = SpeedSectors([(5.0, 10.0, 0.0)], line.length)
+    s, planned, requested = SpeedPlan(line, LIMITED, TABLE, sectors=stands).slowest_place
+    assert 0.0 < planned < requested and not 5.0 <= s <= 10.0
+
+
+@pytest.mark.parametrize("share, told", [(0.05, "5 %"), (0.005, "less than 1 %")])
+def test_small_shares_of_the_lap_are_told(share, told):
+    plan = SpeedPlan(oval(speed=2.0), LIMITED, TABLE)
+    plan.speed[: round(share * plan.speed.size)] = 1.0
+    assert str(plan).startswith(f"slower than the raceline on {told} of the lap")
+
+
+@pytest.mark.parametrize("scale", [-0.1, 2.1, math.nan])
+def test_speeds_are_not_scaled_by_what_is_no_scale(scale):
+    with pytest.raises(ParameterError, match="speed_scale"):
+        scaled_speed(REFERENCE, scale)
 
 
 def test_a_speed_of_zero_everywhere_is_a_plan_that_stands():

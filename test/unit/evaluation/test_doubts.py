@@ -173,6 +173,9 @@ def test_a_speed_that_is_not_the_motion_of_the_poses(factor, said):
         (3.6, 1.0, "from 10.1 to 14.9 s the measured speed is 3.61 times the motion of the poses"),
         (0.0, 1.0, "from 10.1 to 14.9 s the measured speed is 0.00 times"),
         (1.3, 1.0, ""),
+        (1.5, 1.0, "from 10.1 to 14.9 s the measured speed is 1.50 times"),
+        (0.7, 1.0, ""),
+        (0.6, 1.0, "from 10.1 to 14.9 s the measured speed is 0.60 times"),
         (1.0, 3.6, "from 10.1 to 14.9 s the speed commanded is 3.61 times"),
         (1.0, 0.0, "from 10.1 to 14.9 s the speed commanded is 0.00 times"),
         (1.0, -1.0, "from 10.1 to 14.9 s the speed commanded is -1.00 times"),
@@ -190,16 +193,28 @@ def test_speeds_that_are_wrong_for_a_while(factor, told, said, noise):
     assert len(doubts) == bool(said)
     if said and noise == 0.0:
         assert said in doubts[0]
-    assert doubts_of(driven, []) == doubts_of(driven, [(20.0, 25.0)]) == []
+    for spans in ([], [(20.0, 25.0)], [(1.0, 9.5)]):
+        assert doubts_of(driven, spans) == []
 
 
-def test_a_single_speed_that_no_car_has():
+@pytest.mark.parametrize(("top", "said"), [(25.0, True), (13.0, True), (11.0, False)])
+def test_a_single_speed_that_no_car_has(top, said):
+    """More than 2 m/s above twice the speed of the poses."""
     v, unknown = np.full(T.size, 4.8), np.full(T.size, np.nan)
-    v[1000] = 25.0
+    v[1000] = top
     driven = Recording(T, *circling(), unknown, v, unknown, unknown, topic="/odom")
-    (doubt,) = doubts_of(driven, [(5.0, 20.0)])
-    assert doubt.startswith("/odom: the measured speed reaches 25.0 m/s at 12.5 s, where the poses")
+    doubts = doubts_of(driven, [(5.0, 20.0)])
+    told = f"/odom: the measured speed reaches {top} m/s at 12.5 s, where the poses"
+    assert len(doubts) == said and all(doubt.startswith(told) for doubt in doubts)
     assert doubts_of(driven, [(5.0, 10.0)]) == []
+
+
+def test_a_few_samples_tell_nothing_and_ten_seconds_the_unit():
+    for few in (2, 3, 20):
+        driven = of_poses(*(c[:few] for c in circling()), np.full(few, 20.0), T[:few])
+        assert doubts_of(driven, []) == []
+    x, y = (c[:800] for c in circling())
+    assert "in km/h?" in speed_warning("/odom", T[:800], x, y, np.full(800, 3.6 * 4.8))
 
 
 @pytest.mark.parametrize("repeated", [1, 5])
@@ -378,7 +393,10 @@ def test_positions_that_were_rounded(digits):
     [
         (lambda v: 0.0 * v, "from 10.1 to 10.9 s the measured speed is 0.0"),
         (lambda v: 9.0 * v, "from 10.1 to 10.9 s the measured speed is 9."),
+        (lambda v: 3.0 * v, "from 10.1 to 10.9 s the measured speed is 3."),
+        (lambda v: 2.2 * v, ""),
         (lambda v: 0.7 * v, ""),
+        (lambda v: 0.25 * v, "from 10.1 to 10.9 s the measured speed is 0.25"),
     ],
 )
 def test_a_speed_that_is_nonsense_for_a_second(wrong, said):
@@ -392,9 +410,12 @@ def test_a_speed_that_is_held_while_the_car_goes_on():
     way = 4.0 * T - 1.2 / 1.3 * np.cos(1.3 * T)
     x, y = 8.0 * np.cos(way / 8.0), 8.0 * np.sin(way / 8.0)
     assert doubts_of(of_poses(x, y, v), [(5.0, 20.0)]) == []
-    v[(T > 12.0) & (T < 14.0)] = v[T > 12.0][0]
-    (doubt,) = doubts_of(of_poses(x, y, v), [(5.0, 20.0)])
-    assert "from 12.0 to 14.0 s the measured speed stays the same" in doubt
+    for end in (13.3, 14.0):
+        v[(T > 12.0) & (end > T)] = v[T > 12.0][0]
+        (doubt,) = doubts_of(of_poses(x, y, v), [(5.0, 20.0)])
+        assert f"from 12.0 to {end} s the measured speed stays the same" in doubt
+    for span in ((5.0, 11.0), (15.0, 20.0)):
+        assert doubts_of(of_poses(x, y, v), [span]) == []
     still = np.full(T.size, 4.8)
     assert doubts_of(of_poses(*circling(), still), [(5.0, 20.0)]) == []
 

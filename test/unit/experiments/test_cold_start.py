@@ -11,22 +11,26 @@ from map_racing.simulation.plants import load_plant
 from map_racing.track.files.load import load_raceline
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def job():
     plant, settings = load_plant("nuc4"), load_controller_parameters("map")
     return RaceJob("map", settings, plant.vehicle, plant, load_raceline("reference"), 1, 1)
 
 
-def test_the_last_lap_of_a_cold_start_is_beside_one_that_was_told(job):
-    found = cold_start(job)
+@pytest.fixture(scope="module")
+def found(job):
+    return cold_start(job)
+
+
+def test_the_last_lap_of_a_cold_start_is_beside_one_that_was_told(found):
     assert found.outcome == "completed"
     assert abs(found.slower) < 0.03 and found.slower == found.lap_s / found.told_lap_s - 1.0
     assert 0.0 < found.error_m < 0.1 and found.clearance_m > 0.3
 
 
 @pytest.mark.once
-def test_after_a_loss_of_grip_laps_are_those_of_less_grip(job):
-    lost, told_before = loss_of_grip(job), cold_start(job).told_lap_s
+def test_after_a_loss_of_grip_laps_are_those_of_less_grip(job, found):
+    lost, told_before = loss_of_grip(job), found.told_lap_s
     assert lost.outcome == "completed" and lost.told_lap_s > 1.05 * told_before
     assert abs(lost.slower) < 0.02
     # No controller could cope with losing nearly all friction.

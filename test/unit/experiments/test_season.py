@@ -368,10 +368,18 @@ def test_the_row_of_a_damaged_bag_says_so(tmp_path, ring):
     assert row["laps"] == 1 and row["warnings"].startswith("damaged bag: ") and not row["reason"]
 
 
+def test_bags_without_a_heat_are_not_counted_as_heats(tmp_path, ring, capsys):
+    heat(tmp_path / "bags" / "a.bag", ring)
+    (tmp_path / "bags" / "empty.bag").write_bytes(b"")
+    assert main(["season", str(tmp_path / "bags"), "--output", str(tmp_path / "out")]) == 0
+    assert "2 bags: 2 read, 0 known; 1 heat, " in capsys.readouterr().out
+
+
 def test_bags_without_a_heat_stand_apart(tmp_path, ring):
     heat(tmp_path / "bags" / "a.bag", ring)
     (tmp_path / "bags" / "empty.bag").write_bytes(b"")
     page = season_page(evaluated(tmp_path / "bags", tmp_path / "out").heats)
     heats, others = page.split("Bags that cannot be evaluated</h2>")
     assert "<td>a.bag</td>" in heats and "<td>empty.bag</td>" not in heats
+    assert "Heats: 1; laps" in heats and "bags that cannot be evaluated: 1" in heats
     assert "got an empty file" in others

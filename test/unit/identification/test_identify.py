@@ -403,7 +403,7 @@ def test_a_friction_that_no_floor_has_is_doubted(ramps):
     found = identify_car([dataclasses.replace(ramps.run, signals=signals)], ramps.base)
     assert found.largest_a_y > 1.3 * 9.81
     assert "expected at most 1.3 for rubber" in car_text(found)
-    held = f"warning: a friction of {found.largest_a_y / 9.80665:.2f}, needed for the "
+    held = f"warning: a friction (mu times D) of {found.largest_a_y / 9.80665:.2f}, needed for the "
     held += f"sustained {found.largest_a_y:.2f} m/s^2, expected"
     assert held in provenance(found)
     assert any(held in note for note in car_data(found)["notes"])

@@ -1,5 +1,7 @@
 """Values in wrong units are recognized by the size of the car."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import yaml
@@ -7,7 +9,12 @@ import yaml
 from map_racing.errors import ParameterError
 from map_racing.vehicle.lookup import LookupTable, load_table
 from map_racing.vehicle.parameters import linearized, load_vehicle, vehicle_values
-from map_racing.vehicle.plausibility import doubts_of_cells, doubts_of_peak, doubts_of_table
+from map_racing.vehicle.plausibility import (
+    doubts_of_cells,
+    doubts_of_peak,
+    doubts_of_table,
+    friction_doubt,
+)
 from map_racing.vehicle.steady_state import steady_state_table
 
 SMALL = vehicle_values(load_vehicle("sim"))
@@ -91,6 +98,13 @@ def test_stiffness_and_shape_of_a_tire_exchanged_are_doubted(tmp_path):
     lines = {**vehicle_values(load_vehicle("nuc4")), "C_Pf": [2.2, 4.8, 0.65, 0.37]}
     path.write_text(yaml.safe_dump(lines))
     assert load_vehicle(path).notes == ("warning: front tire: C: expected 0.3 to 3, got 4.8",)
+
+
+def test_the_friction_of_a_tire_with_a_peak_is_a_product():
+    nuc4 = load_vehicle("nuc4")
+    (doubt,) = friction_doubt(dataclasses.replace(nuc4, mu=2.226))
+    assert doubt.startswith("friction (mu times D): expected 0.1 to 1.3 ")
+    assert doubt.endswith("got 1.6")
 
 
 @pytest.mark.parametrize(
