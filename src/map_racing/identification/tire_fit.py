@@ -50,6 +50,8 @@ UNDETERMINED = 0.5
 AT_PEAK, ABOVE = 0.95, 1.1
 # and the smallest forces are below this share of the largest, so that they rise to it.
 RISEN = 0.75
+# A curve that still rises with this share of its first slope is straight: a chord is that slope.
+STRAIGHT = 0.8
 FEWEST_POINTS = 20
 NEAREST_STEPS = 5  # iterations to the nearest point of a curve
 FEW_POINTS = 300  # enough for the first fit
@@ -206,9 +208,10 @@ def fit_pacejka(
     rise = float(tire.slope(covered)) / tire.stiffness
     reach = float(tire.normalized_force(min(covered, tire.peak_slip))) / tire.peak
     least, largest = (float(f) for f in np.percentile(np.abs(force[inlier]), (2.0, 98.0)))
-    ends = reach >= AT_PEAK and least < RISEN * largest
-    most = ABOVE * largest if ends else 0.0
-    parameters, saturated = _intervals(theta, jacobian, noise, points.load, most)
+    rises = least < RISEN * largest
+    most = ABOVE * largest if reach >= AT_PEAK and rises else 0.0
+    begins = rises or rise > STRAIGHT
+    parameters, saturated = _intervals(theta, jacobian, noise, points.load, most, begins)
     residual = force - points.load * tire.normalized_force(slip)
     return PacejkaFit(tire, inlier, error, residual, parameters, covered, rise, reach, saturated)
 
@@ -347,12 +350,13 @@ def _least_squares(begin, slip, force, load, ratio, prior, noise):
     return solution.x, solution.jac[: slip.size]
 
 
-def _intervals(theta, jacobian, noise, load, most):
+def _intervals(theta, jacobian, noise, load, most, begins):
     """95 % intervals from the covariance, what is determined, and whether the peak was reached.
 
     A parameter is determined if the data reduce its spread well below the prior's. The peak, and
     the parameters that shape it, also need data that reach it, so that its interval ends below
-    `most` [N].
+    `most` [N]. The slope at zero slip, and B, need forces that begin well below the largest
+    (`begins`): those at a single slip tell a chord of the curve.
     """
     information = jacobian.T @ jacobian / max(noise, 1e-9) ** 2
     spread = np.array(
@@ -379,12 +383,12 @@ def _intervals(theta, jacobian, noise, load, most):
         known = deviation[i] < UNDETERMINED * spread[i]
         # A parameter at its bound is not measured.
         known &= LOWER[i] + 1e-3 < theta[i] < UPPER[i] - 1e-3
-        known &= saturated or name in "B"
+        known &= begins if name == "B" else saturated
         low, high = theta[i] - CONFIDENCE * deviation[i], theta[i] + CONFIDENCE * deviation[i]
         low, high = max(low, LOWER[i]), min(high, UPPER[i])
         parameters[name] = Parameter(float(theta[i]), float(low), float(high), bool(known))
     for name, (value, deviation), known in (
-        ("stiffness_n_per_rad", derived(lambda p: load * p[0] * p[1] * p[2]), True),
+        ("stiffness_n_per_rad", derived(lambda p: load * p[0] * p[1] * p[2]), begins),
         ("peak_n", (peak, unsure), saturated),
     ):
         known = known and CONFIDENCE * deviation < 0.5 * value

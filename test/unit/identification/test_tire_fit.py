@@ -232,6 +232,25 @@ def test_the_peak_is_reached_only_where_the_forces_end_at_it(tire, share):
         assert fit.reach == pytest.approx(share, abs=0.06)
 
 
+@pytest.mark.parametrize("least, widest, known", [(0.12, 0.16, False), (0.0, 0.16, True)])
+def test_forces_at_a_single_slip_tell_no_stiffness(least, widest, known):
+    """As of a car that circles at one speed: they tell a chord of the curve."""
+    slip = np.linspace(least, widest, 400)
+    slip[::2] *= -1.0
+    noise = np.random.default_rng(3).normal(0.0, 0.1, slip.size)
+    points = AxlePoints(slip, noise - LOAD * FRONT.normalized_force(slip), LOAD, 0.001, 0.1)
+    fit = fit_pacejka(points, PacejkaTire(20.0, 1.5, 0.8, 0.0))
+    found = fit.parameters["stiffness_n_per_rad"]
+    assert found.determined == known
+    assert fit.parameters["B"].determined <= known
+    if known:
+        assert found.low < LOAD * FRONT.stiffness < found.high
+    else:
+        chord = fit_linear(points).stiffness_n_per_rad
+        expected = LOAD * FRONT.normalized_force(0.14) / 0.14
+        assert chord.determined and chord.value == pytest.approx(expected, rel=0.02)
+
+
 def test_forces_at_a_single_slip_tell_no_peak():
     """One steering angle at one speed: even a flat curve through it is a guess."""
     rng = np.random.default_rng(1)
