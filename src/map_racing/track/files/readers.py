@@ -161,6 +161,8 @@ def _csv_table(text, path, key=None):
     values, numbers = _values([number for number, _ in data], rows, header, path)
     if header is not None:
         how = "as given" if key is not None else "named in the file"
+        if key is None:
+            findings += _without_name(header.names, rows)
         columns = _named_columns(header, values.T, findings)
     elif width < 2:
         raise FileFormatError(f"{path}:{numbers[0]}: expected two columns or more, got 1")
@@ -189,6 +191,18 @@ def _values(numbers, rows, header, path):
     values = np.full((len(kept), width), np.nan)
     values[:, picked] = parsed
     return values, kept
+
+
+def _without_name(names, rows):
+    """Warning about columns with an empty name, unless they are empty or only count up the rows."""
+    listed = []
+    for k in (k for k, name in enumerate(names) if not name):
+        cells = [row[k] for row in rows if k < len(row) and row[k]]
+        numbers = [float(cell) for cell in cells if re.fullmatch(r"\d{1,9}(\.\d*)?", cell)]
+        if cells and (len(numbers) < len(cells) or not np.all(np.diff(numbers) > 0.0)):
+            listed.append(str(k + 1))
+    text = f"columns without a name are not used: {', '.join(listed)}"
+    return [Finding("unknown-columns", WARNING, text)] if listed else []
 
 
 class _Header(NamedTuple):

@@ -284,6 +284,25 @@ def test_cells_that_are_not_used_may_hold_anything(tmp_path, cell):
     assert codes(read.findings) == {"unknown-columns": WARNING}
 
 
+@pytest.mark.parametrize(
+    "cells, warned",
+    [
+        ([f"{k}" for k in range(500)], False),
+        ([f"{s:.4f}" for s in COLUMNS["s"]], False),
+        ([""] * 500, False),
+        (["0.5", "0.6"] * 250, True),
+    ],
+)
+def test_a_column_without_a_name_under_a_header(tmp_path, cells, warned):
+    """A number of the row, as pandas writes it, an arc length and an empty one need no name."""
+    rows = [f"{c},{x:.6f},{y:.6f}" for c, x, y in zip(cells, COLUMNS["x"], COLUMNS["y"])]
+    (tmp_path / "c.csv").write_text("\n".join([",x,y", *rows]))
+    read = read_raceline(tmp_path / "c.csv")
+    np.testing.assert_allclose(read.columns["x"], COLUMNS["x"], atol=1e-6)
+    assert codes(read.findings) == ({"unknown-columns": WARNING} if warned else {})
+    assert [f.text for f in read.findings] == ["columns without a name are not used: 1"][:warned]
+
+
 def test_the_shared_cases(shared_cases):
     """Compared with the column "right" in their README."""
     for name in ("wp_xyyawv.csv", "wp_xyyawv_2pi.csv"):
