@@ -68,7 +68,7 @@ ready() {
         say "preparing $folder with $("$python" -V) ..."
         make_venv "$python" "$folder"
         # Behind the nodes' tests, which drive in real time.
-        nice -n 5 "$folder/bin/python" -m pip install -q --disable-pip-version-check "$@" ||
+        nice -n 10 "$folder/bin/python" -m pip install -q --disable-pip-version-check "$@" ||
             die "could not install the dependencies with pip (is there a network?)"
         printf '%s\n' "$wanted" >"$folder/ready"
     fi

@@ -186,9 +186,9 @@ def test_a_huge_raceline_while_driving(rig, advertise):
     raceline = load_raceline("reference")
     publisher = advertise("/global_waypoints", waypoint_array_class()[0])
     publisher.publish(waypoints(raceline))
+    huge = waypoints(raceline, points=20000)  # before driving: this process is the car, too
     rig.driving()
     mark = len(rig.drive)
-    huge = waypoints(raceline, points=20000)
     publisher.publish(huge)
     wait_for(lambda: rig.node.output.count("raceline of /global_waypoints") == 2)
     wait_for(lambda: len(rig.drive) > mark + 100)
