@@ -233,8 +233,10 @@ def test_speed_sectors(rig, listen, tmp_path):
         f"Sector0: {{start: 0, end: {half - 1}, scaling: 0.25}}\n"
         f"Sector1: {{start: {half}, end: {len(raceline.s_points)}, scaling: 1.0}}\n"
     )
-    # The car of this test drives faster than commanded.
+    # The car of this test drives faster than commanded, but by less than 2 m/s: beyond that, the
+    # command ramps down from the measured speed, which shows after a late pose.
     rig = rig({**AS_ASKED, "sectors": str(path), "grip_use": 0.0, "max_overspeed_mps": 10.0})
+    rig.car.speed = 2.5
     told(rig, "speed sectors: 25 to 100 % of the raceline's speed")
     guidance = listen("/guidance", Guidance)
     rig.driving()

@@ -115,7 +115,7 @@ def test_all_is_drawn_where_guidance_says(drawing):
         steering.pose.orientation.z, steering.pose.orientation.w
     ) == pytest.approx(-0.05)
     assert drawing.point[-1].type == Marker.SPHERE
-    assert drawing.point[-1].pose.position.x == last.lookahead_x
+    drawing.point.wait(lambda _: drawing.point[-1].pose.position.x == last.lookahead_x)
 
 
 def test_the_trail_is_colored_by_the_error_and_bounded(drawing):
