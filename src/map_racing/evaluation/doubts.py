@@ -12,7 +12,7 @@ from ..bags.samples import Commands, Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
 from .pose_doubts import rounded, set_aside, to_and_fro
 from .results import NOT_FOLLOWED, Lap
-from .speed import beyond_for_a_while, chords, speed_of
+from .speed import MOVING_MPS, beyond_for_a_while, chords, speed_of
 from .speed_doubts import is_measured, speed_doubts
 
 __all__ = [
@@ -55,8 +55,6 @@ _FARTHEST_ANGLE, _OBEYS = 1.2, 2.5
 # samples that are used.
 _FOLLOWS, _LAGS = 0.6, np.arange(0.0, 0.61, 0.05)
 _TELLING, _VARIED, _EVENLY, _ENOUGH = 200, 0.2, 1e-9, 10000
-# Speed [m/s] of a car that drives.
-_MOVING = 0.5
 # Over this many chords, a commanded speed may be off by less than the factor above, because the car
 # brakes; it is compared above this speed [m/s].
 _LONG_WHILE, _BRAKES = 16, 1.5
@@ -249,7 +247,7 @@ def time_jump(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
         near = slice(k - 2, k + 4)
         spent = float(np.sum(way[near])) / v if v > 0.0 else math.inf
         ahead = float(np.sum(steps[near])) - spent
-        steady = min(speeds) > 2.0 * _MOVING and max(speeds) < 1.2 * min(speeds)
+        steady = min(speeds) > 2.0 * MOVING_MPS and max(speeds) < 1.2 * min(speeds)
         if steady and ahead > max(_AHEAD, 0.8 * (steps[k] - usual)):
             return (
                 f"{topic}: time jumps ahead by {ahead:.2f} s at {t[k]:.1f} s, while the car "
@@ -276,7 +274,7 @@ def command_clock(recording: Recording) -> str:
     known = np.isfinite(psi)
     turning = np.gradient(np.unwrap(np.where(known, psi, 0.0)), t)
     with np.errstate(divide="ignore", invalid="ignore"):
-        curvature = np.where(speed > _MOVING, turning / speed, math.nan)
+        curvature = np.where(speed > MOVING_MPS, turning / speed, math.nan)
     lag = lag_of_effect(commands.t, commands.steering_angle, t[known], curvature[known])
     # With commands of two nodes, about which the reader warns, the lag is meaningless.
     if lag is None or commands_of_two(commands.topic, commands.steering_angle, commands.speed):
@@ -307,7 +305,7 @@ def command_units(commands: Commands, at: np.ndarray, driven: np.ndarray) -> lis
         )
     commanded = commands.held(at, commands.speed)
     with np.errstate(invalid="ignore"):
-        moving = (driven > _MOVING) & (np.abs(commanded) > _MOVING)
+        moving = (driven > MOVING_MPS) & (np.abs(commanded) > MOVING_MPS)
     if np.count_nonzero(moving) < 10:
         return doubts
     ratio = float(np.median(commanded[moving] / driven[moving]))
@@ -352,7 +350,7 @@ def unfollowed(recording: Recording) -> str:
     for lag in _LAGS:
         commanded = commands.held(t - lag, commands.speed)
         with np.errstate(invalid="ignore"):
-            moving = (commanded > _MOVING) & (v > _MOVING)
+            moving = (commanded > MOVING_MPS) & (v > MOVING_MPS)
         commanded, driven = commanded[moving], v[moving]
         if commanded.size >= _TELLING and np.std(commanded) > _VARIED and np.std(driven) > _EVENLY:
             for pair in ((commanded, driven), (_ranks(commanded), _ranks(driven))):

@@ -9,13 +9,12 @@ import numpy as np
 
 from ..bags.samples import Recording
 from .laps import LapLimits
+from .speed import MOVING_MPS
 
 __all__ = ["PoseTiming", "SpeedTracking", "pose_timing", "speed_tracking"]
 
 # Largest lag tried [s], and step.
 _LONGEST_LAG, _LAG_STEP = 0.6, 0.01
-# Below this speed [m/s] a car starts, stops or stands.
-_MOVING = 0.5
 # Fewest samples.
 _FEWEST = 50
 # Speeds that vary less than this [m/s] show no lag.
@@ -93,7 +92,7 @@ def speed_tracking(recording: Recording) -> SpeedTracking | None:
     now = commands.held(t, commands.speed)
     before = commands.held(t - _LONGEST_LAG, commands.speed)
     with np.errstate(invalid="ignore"):  # numpy 1.17 warns of NaN
-        driven = np.minimum(np.minimum(np.abs(v), now), before) > _MOVING
+        driven = np.minimum(np.minimum(np.abs(v), now), before) > MOVING_MPS
     if np.count_nonzero(driven) < _FEWEST:
         return None
     t, v, now = t[driven], v[driven], now[driven]

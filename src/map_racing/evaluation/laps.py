@@ -430,8 +430,8 @@ class LapEvaluator:
         def at(times):
             return np.interp(times, t_new, x_new), np.interp(times, t_new, y_new)
 
-        def speed(begin, end, spent):
-            return np.hypot(end[0] - begin[0], end[1] - begin[1]) / spent
+        def distance(begin, end):
+            return np.hypot(end[0] - begin[0], end[1] - begin[1])
 
         def place(time):
             s = float(np.interp(time, t, progress)) + self._start_s
@@ -439,8 +439,7 @@ class LapEvaluator:
 
         reasons = []
         begin = t[t <= t[-1] - _STANDING_TIME]
-        end = begin + _STANDING_TIME
-        slow = begin[speed(at(begin), at(end), end - begin) * _STANDING_TIME < _STANDING]
+        slow = begin[distance(at(begin), at(begin + _STANDING_TIME)) < _STANDING]
         if slow.size:
             # Only the longest stop is reported.
             pieces = np.split(slow, np.flatnonzero(np.diff(slow) > _STANDING_TIME) + 1)
@@ -455,14 +454,14 @@ class LapEvaluator:
         now = t[(t >= t[0] + wait) & (t <= t[-1] - 3.0 * wait)]
         least = self.limits.max_deceleration * wait
         at_now, at_end = at(now), at(now + wait)
-        before = speed(at(now - wait), at_now, now - (now - wait))
-        after = speed(at_now, at_end, now + wait - now)
+        before = distance(at(now - wait), at_now) / wait
+        after = distance(at_now, at_end) / wait
         if now.size and np.max(before - after) > least:
             s_1, s_2, s_3 = (np.interp(now + by, t, progress) for by in (-wait, 0.0, wait))
             # Corrections of the localization are not stops: neither sideways ones nor those
             # backwards after which the car is no slower.
             drop = np.minimum(before - after, (2.0 * s_2 - s_1 - s_3) / wait)
-            later = speed(at_end, at(now + 3.0 * wait), now + 3.0 * wait - (now + wait))
+            later = distance(at_end, at(now + 3.0 * wait)) / (2.0 * wait)
             drop = np.where(later < 0.5 * before, drop, 0.0)
             worst = int(np.argmax(drop))
             if drop[worst] > least:

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["CHORD_S", "REPEATED_M", "beyond_for_a_while", "chords", "fresh", "speed_of"]
+__all__ = [
+    "CHORD_S",
+    "MOVING_MPS",
+    "REPEATED_M",
+    "beyond_for_a_while",
+    "chords",
+    "fresh",
+    "speed_of",
+]
 
 REPEATED_M = 1e-5
 """A pose within this distance [m] of the previous one, in x and y, repeats it except for
@@ -12,6 +20,9 @@ rounding."""
 
 CHORD_S = 0.25
 """Usual length of a chord [s]."""
+
+MOVING_MPS = 0.5
+"""Below this speed a car starts, stops or stands."""
 
 # Fewest chords, and longest time without new poses within a chord [s].
 _FEWEST, _BARE = 40, 0.25

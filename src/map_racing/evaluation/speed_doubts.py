@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..bags.twist import lag_of_speed, when
-from .speed import CHORD_S, beyond_for_a_while, chords, fresh
+from .speed import CHORD_S, MOVING_MPS, beyond_for_a_while, chords, fresh
 
 __all__ = ["is_measured", "late_speed", "speed_doubts", "speed_warning"]
 
-# Speed [m/s] of a car that drives; and usual limits of measured speed over motion of the poses,
-# which noise lengthens a little.
-_MOVING, _SLOWEST, _FASTEST = 0.5, 0.88, 1.1
+# Usual limits of measured speed over motion of the poses, which noise lengthens a little.
+_SLOWEST, _FASTEST = 0.88, 1.1
 # Wider limits where the wheels slip for a while, over this many chords; compared only above this
 # speed [m/s].
 _WHILE, _SLIP, _DRIVES = 12, (0.65, 1.4), 1.0
@@ -63,12 +62,7 @@ def speed_doubts(
 def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
     """Warning that a measured speed does not match the poses, as in km/h; otherwise empty.
 
-    Parameters
-    ----------
-    topic : str
-        Name of the poses.
-    t, x, y, v : ndarray, shape (n,)
-        Times [s], positions [m], and measured speeds [m/s].
+    Parameters as of `speed_doubts`.
     """
     return _not_the_motion(topic, *chords(t, x, y, v)) if is_measured(v) else ""
 
@@ -76,7 +70,7 @@ def speed_warning(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np
 def late_speed(topic: str, t: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray) -> str:
     """Warning that a measured speed is late or early for its pose; otherwise empty.
 
-    Parameters as of `speed_warning`.
+    Parameters as of `speed_doubts`.
     """
     if not is_measured(v):
         return ""
@@ -105,7 +99,7 @@ def is_measured(v: np.ndarray) -> bool:
 
 def _not_the_motion(topic, at, moved, measured):
     """Warning about the whole speed, from the results of `chords`."""
-    moving = (moved > _MOVING) | (measured > _MOVING)
+    moving = (moved > MOVING_MPS) | (measured > MOVING_MPS)
     if np.count_nonzero(moving) < 10:
         return ""
     with np.errstate(divide="ignore"):

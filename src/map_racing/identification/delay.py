@@ -16,7 +16,7 @@ from ..errors import IdentificationError, ParameterError
 from ..vehicle.parameters import Vehicle
 from .data import Run, is_age
 from .drive import drive_windows, fit_drive
-from .driving import AT_LONGEST_S, LONGEST_DELAY_S, driving_of, windows_of
+from .driving import AT_LONGEST_S, FEWEST_WINDOWS, LONGEST_DELAY_S, driving_of, windows_of
 from .one_floor import mixed_parts
 from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE
@@ -25,10 +25,9 @@ from .stepping_servo import SAMPLE_S, behind_stepping_servo, on_raster
 __all__ = ["Delays", "Part", "delay_data", "delay_text", "estimate_delays"]
 
 ESTIMATED, NOT_DETERMINED = "estimated", "not determined"
-# Standard deviation of the yaw rate that a window needs to show a delay of the steering; number of
-# windows needed.
-LEAST_TURNING_RADPS, FEWEST_WINDOWS = 0.3, 5
-MOST_WINDOWS = 30
+# Standard deviation of the yaw rate that a window needs to show a delay of the steering [rad/s];
+# most windows used.
+LEAST_TURNING_RADPS, MOST_WINDOWS = 0.3, 30
 # Largest half-width of a useful interval [s].
 WIDEST_STEERING_S, WIDEST_DRIVE_S = 0.015, 0.04
 # The model must explain this share of the variance.

@@ -35,8 +35,8 @@ SLOPES = (0.7, 1.4)
 # Window of the median [samples]; an outlier is farther from it than OUTLIER median distances and
 # than LEAST_OUTLIER [m/s, rad/s].
 NEIGHBORS, OUTLIER, LEAST_OUTLIER = 7, 6.0, 0.5
-# Shorter drives [s] are not used.
-SHORTEST_S = 3.0
+# Shorter drives [s] are not used. Fewer windows determine nothing.
+SHORTEST_S, FEWEST_WINDOWS = 3.0, 5
 # A car faster than UNDERWAY_MPS does not stay below its command by a factor of OBEYS for OBEYING_S.
 OBEYING_S, OBEYS, UNDERWAY_MPS = 3.0, 2.5, 2.0
 

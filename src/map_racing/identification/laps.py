@@ -27,6 +27,7 @@ from .data import Run
 from .delay import Delays, estimate_delays
 from .driving import (
     AT_LONGEST_S,
+    FEWEST_WINDOWS,
     GRID_HZ,
     LONGEST_DELAY_S,
     Driving,
@@ -44,9 +45,8 @@ from .tire_fit import Parameter
 
 __all__ = ["LapTires", "tires_from_laps"]
 
-# Standard deviation of the yaw rate that a window needs [rad/s]; number of windows needed, and most
-# used.
-LEAST_TURNING_RADPS, FEWEST_WINDOWS, MOST_WINDOWS = 0.15, 5, 60
+# Standard deviation of the yaw rate that a window needs [rad/s]; most windows used.
+LEAST_TURNING_RADPS, MOST_WINDOWS = 0.15, 60
 # The model must explain this share of the variance of the yaw rate.
 LEAST_EXPLAINED = 0.8
 # Standard deviations of the prior, of logarithms of factors (except `bend`).

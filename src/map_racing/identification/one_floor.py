@@ -8,7 +8,7 @@ import numpy as np
 
 from ..vehicle.parameters import Vehicle
 from .data import Run
-from .driving import Driving, Windows, windows_of
+from .driving import FEWEST_WINDOWS, Driving, Windows, windows_of
 from .output_error import believed, fit_car, own_errors, simulate
 from .robust_fit import Believed, Fitted
 from .sensor_findings import SensorFinding
@@ -19,8 +19,6 @@ __all__ = ["mixed_parts", "mixed_runs"]
 # that of a fit to one of them alone. Halves of drives of simulated and real cars: 0.5 to 1.3 times;
 # with 0.5 to 0.8 of the grip in a part of the drive or of the track: 1.5 to 3.3 times.
 MIXED = 1.5
-# Fewer windows tell nothing.
-FEWEST_WINDOWS = 5
 
 
 def mixed_runs(

@@ -19,7 +19,15 @@ from .cornering import motion_of
 from .data import Run
 from .drive import BELIEVED as DRIVE_BELIEVED
 from .drive import drive_windows, driven_speed, fit_drive
-from .driving import GRID_HZ, SMOOTH_HZ, Driving, driving_of, windows_of, without_outliers
+from .driving import (
+    FEWEST_WINDOWS,
+    GRID_HZ,
+    SMOOTH_HZ,
+    Driving,
+    driving_of,
+    windows_of,
+    without_outliers,
+)
 from .filters import low_passed
 from .limits import REPLAY_WINDOW_S
 from .output_error import NAMES, at_sensors, believed, fit_car, simulate
@@ -40,7 +48,7 @@ STEP_S, BURN_IN_S, SHORTEST_S, LONGEST_S = 0.005, 0.3, 0.2, 60.0
 ALL = 100000  # more windows than any recording has
 # Prior of the sum of a servo's dead time and lag, and its standard deviation [s].
 USUAL_DELAY_S, DELAY_SPREAD_S = 0.05, 0.03
-FEWEST_WINDOWS, MOST_WINDOWS = 5, 40
+MOST_WINDOWS = 40
 # Lowest speed of the model [m/s]; it does not hold at standstill.
 SLOWEST_MPS = 0.3
 HEADING_HZ = 3.0
