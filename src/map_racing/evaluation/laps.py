@@ -42,6 +42,8 @@ _NAN = math.nan
 _JITTER, _JITTER_TIME = 0.5, 1.0
 _MOST_SECTORS = 1000
 _WIDEST_CAR = 10.0
+# Times are rounded, by loggers often to this [s]: 4 Hz is not beyond 0.25 s.
+_ROUNDING = 1e-3
 _FAULTS = {"gap": "s", "jump": "m", "shortcut": "m", "reverse": "m"}  # with their units
 # In a tight bend the nearest point of the raceline may move this far [m] while the car hardly
 # moves.
@@ -86,6 +88,10 @@ class LapLimits:
     max_deviation: float | None = None
     max_stop: float = 0.3
     max_deceleration: float = 25.0
+
+    def is_gap(self, time: float | np.ndarray) -> bool | np.ndarray:
+        """Whether a time between two samples [s] is longer than `max_gap`, not only by rounding."""
+        return time > self.max_gap + _ROUNDING
 
     def on(self, raceline: Raceline) -> LapLimits:
         """These limits with a `max_speed` of at least 1.5 times the raceline's largest speed."""
@@ -299,7 +305,7 @@ class LapEvaluator:
         if crossed > self._crossed:
             last, sample = _Sample._make(last), _Sample._make(sample)
             # A localization slower than its messages repeats its pose while the car drives on.
-            if changed < last.t and t - changed <= limits.max_gap:
+            if changed < last.t and not limits.is_gap(t - changed):
                 last = last._replace(t=changed)
             self._cross(crossed, last, sample, faults)
 
@@ -312,14 +318,14 @@ class LapEvaluator:
         limits, faults, gap = self.limits, {}, sample.t - last.t
         if moved > limits.jump_margin:
             gap = since
-        if gap > limits.max_gap:
+        if limits.is_gap(gap):
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
         fastest = 1.5 * min(last.v, sample.v)
         if not fastest > limits.max_speed:  # also if no speed is measured (NaN)
             fastest = limits.max_speed
         if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
-        elif self._tracker.reacquired and gap <= limits.max_gap:
+        elif self._tracker.reacquired and not limits.is_gap(gap):
             along = abs(sample.progress - last.progress)
             if along > 3.0 * moved + _SHORTCUT:
                 faults["shortcut"] = max(along, self._faults.get("shortcut", 0.0))
