@@ -13,7 +13,7 @@ from ..evaluation.laps import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs
-from ..files import write_json
+from ..files import together, write_json
 from ..printing import printable
 from ..track.files.load import load_raceline
 from .figures import draw_runs
@@ -48,11 +48,14 @@ def run(arguments):
         print(summary_table(zip(names, results)), end="\n\n")
     if not results:
         return failed
+    with together():
+        if arguments.csv:
+            write_csv(arguments.csv, results)
+        if arguments.json:
+            write_json(arguments.json, lap_data(results))
     if arguments.csv:
-        write_csv(arguments.csv, results)
         print(f"laps written to {arguments.csv}")
     if arguments.json:
-        write_json(arguments.json, lap_data(results))
         print(f"laps and summaries written to {arguments.json}")
     if arguments.plots:
         draw_runs(arguments.plots, names, results)

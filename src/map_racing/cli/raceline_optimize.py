@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
+from ..files import together
 from ..printing import printable
 from ..track.centerline import track_from_map, widest_place
 from ..track.files.formats import choose_format
@@ -108,15 +109,20 @@ def run_optimize(arguments):
 
 def write(arguments, forms, optimized, middle):
     """Write the lines in their formats, and the sectors."""
-    for path, form, line in zip((arguments.output, arguments.middle), forms, (optimized, middle)):
-        if path:
-            save_raceline(line, path, form)
-            without = "" if line.speed is not None else ", without speeds"
-            print(f"{path}: format {form}, {line.n} points{without}")
-    if arguments.sectors:
-        sectors = corners_and_straights(optimized)
-        save_speed_sectors(arguments.sectors, optimized, sectors)
-        print(f"{arguments.sectors}: {len(sectors)} sectors")
+    said = []
+    with together():
+        lines = zip((arguments.output, arguments.middle), forms, (optimized, middle))
+        for path, form, line in lines:
+            if path:
+                save_raceline(line, path, form)
+                without = "" if line.speed is not None else ", without speeds"
+                said.append(f"{path}: format {form}, {line.n} points{without}")
+        if arguments.sectors:
+            sectors = corners_and_straights(optimized)
+            save_speed_sectors(arguments.sectors, optimized, sectors)
+            said.append(f"{arguments.sectors}: {len(sectors)} sectors")
+    for text in said:
+        print(text)
 
 
 def label(name, other, taken):

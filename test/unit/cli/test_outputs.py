@@ -27,6 +27,18 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, refused):
     assert (ours.read_bytes(), car.read_text()) == (before, text)
 
 
+def test_outputs_of_a_call_appear_together(bags, tmp_path, refused, full_disk):
+    full_disk(".json")
+    table, report = tmp_path / "laps.csv", tmp_path / "laps.json"
+    line = refused("evaluate", bags["map"], "--csv", table, "--json", report)
+    assert "laps.json: cannot write: No space left on device" in line
+    full_disk("speed.png")
+    line = refused("evaluate", bags["map"], "--plots", tmp_path / "figures")
+    assert "speed.png: cannot write: No space left on device" in line
+    left = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert [path.name for path in left if not path.name.endswith("_laps.png")] == []
+
+
 def test_only_own_figures_of_earlier_calls_are_removed(tmp_path):
     for name in ("run_1.png", "run_12.png", "run_notes.png", "run_1_mine.png", "my_run_1.png"):
         (tmp_path / name).write_text("")
