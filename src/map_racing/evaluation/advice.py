@@ -195,7 +195,9 @@ class _Heat:
         self.time = float(np.mean([lap.lap.lap_time_s for lap in profile.counted]))
         self.v = self._mean("v")
         # A command that the car does not follow says nothing about the drive.
-        self.command = self._mean("v_command") if run.followed else np.full(self.v.size, math.nan)
+        self.command = np.full(self.v.size, math.nan)
+        if run.result.commands_followed:
+            self.command = self._mean("v_command")
         controller = run.settings.controller if run.settings is not None else None
         known = {
             name: getattr(controller, key)

@@ -88,6 +88,7 @@ def test_a_command_that_the_speed_does_not_follow_is_no_base(heat, reference, li
     other = replace(run.recording, commands=replace(commands, speed=4.0 - 0.8 * commands.speed))
     result = evaluate(other, reference)
     assert any("does not follow the speed commanded" in warning for warning in result.warnings)
+    assert not result.commands_followed
     run = analyze(other, result, limits=limits)
     assert run.tracking is None
     advice = advise(run, step=0.1)
