@@ -11,7 +11,7 @@ from ..bags.remarks import Remarks
 from ..bags.samples import Recording
 from ..control.settings import Settings
 from .driving import PoseTiming, SpeedTracking, pose_timing, speed_tracking
-from .laps import LapLimits
+from .lap_limits import LapLimits
 from .places import (
     Corner,
     Ideal,

@@ -12,7 +12,8 @@ from ..errors import EvaluationError
 from ..track.findings import WARNING, raceline_warnings
 from ..track.raceline import Raceline
 from .doubts import alternation, doubts_of, uncommanded, unfollowed
-from .laps import NO_WALLS, LapEvaluator, LapLimits
+from .lap_limits import NO_WALLS, LapLimits
+from .laps import LapEvaluator
 from .recordings import recorded_runs
 from .results import RunResult
 
