@@ -155,7 +155,7 @@ def _fault(recording, begin, end, relative_length, size):
     inside = (recording.t >= begin) & (recording.t <= end)
     t = np.concatenate(([begin], recording.t[inside], [end]))
     faults = []
-    if np.max(np.diff(t)) > limits.max_gap:
+    if limits.is_gap(np.max(np.diff(t))):
         faults.append("gap")
     step = np.hypot(np.diff(recording.x[inside]), np.diff(recording.y[inside]))
     fastest, margin = limits.max_speed * size.time, limits.jump_margin * size.length

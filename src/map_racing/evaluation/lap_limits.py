@@ -13,6 +13,9 @@ __all__ = ["NO_WALLS", "LapLimits"]
 NO_WALLS = 2.0
 """Largest deviation [m] if neither walls nor a limit are known."""
 
+# Times are rounded, by loggers often to this [s]: 4 Hz is not beyond 0.25 s.
+_ROUNDING = 1e-3
+
 
 @dataclass(frozen=True)
 class LapLimits:
@@ -46,6 +49,10 @@ class LapLimits:
     max_deviation: float | None = None
     max_stop: float = 0.3
     max_deceleration: float = 25.0
+
+    def is_gap(self, time: float | np.ndarray) -> bool | np.ndarray:
+        """Whether a time between two samples [s] is longer than `max_gap`, not only by rounding."""
+        return time > self.max_gap + _ROUNDING
 
     def on(self, raceline: Raceline) -> LapLimits:
         """These limits with a `max_speed` of at least 1.5 times the raceline's largest speed."""

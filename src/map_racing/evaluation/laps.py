@@ -254,7 +254,7 @@ class LapEvaluator:
         if crossed > self._crossed:
             last, sample = _Sample._make(last), _Sample._make(sample)
             # A localization slower than its messages repeats its pose while the car drives on.
-            if changed < last.t and t - changed <= limits.max_gap:
+            if changed < last.t and not limits.is_gap(t - changed):
                 last = last._replace(t=changed)
             self._cross(crossed, last, sample, faults)
 
@@ -267,14 +267,14 @@ class LapEvaluator:
         limits, faults, gap = self.limits, {}, sample.t - last.t
         if moved > limits.jump_margin:
             gap = since
-        if gap > limits.max_gap:
+        if limits.is_gap(gap):
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
         fastest = 1.5 * min(last.v, sample.v)
         if not fastest > limits.max_speed:  # also if no speed is measured (NaN)
             fastest = limits.max_speed
         if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
-        elif self._tracker.reacquired and gap <= limits.max_gap:
+        elif self._tracker.reacquired and not limits.is_gap(gap):
             along = abs(sample.progress - last.progress)
             if along > 3.0 * moved + _SHORTCUT:
                 faults["shortcut"] = max(along, self._faults.get("shortcut", 0.0))
