@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from ..bags.opening import source_name
 from ..errors import MapRacingError, ParameterError
-from ..evaluation.laps import LapLimits
+from ..evaluation.lap_limits import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs

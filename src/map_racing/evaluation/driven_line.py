@@ -16,7 +16,7 @@ from ..bags.samples import Recording
 from ..errors import EvaluationError, ParameterError
 from ..track.files.table import RacelineTable
 from ..vehicle.size import ONE_TENTH, Size
-from .laps import LapLimits
+from .lap_limits import LapLimits
 from .runs import evaluate
 
 __all__ = ["DrivenLap", "driven_laps", "line_of_lap"]

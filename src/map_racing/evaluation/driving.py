@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..bags.samples import Recording
-from .laps import LapLimits
+from .lap_limits import LapLimits
 from .speed import MOVING_MPS
 
 __all__ = ["PoseTiming", "SpeedTracking", "pose_timing", "speed_tracking"]

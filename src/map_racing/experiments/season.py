@@ -26,7 +26,7 @@ from ..bags.ros2 import METADATA, SUFFIXES
 from ..bags.samples import SIMULATED, date_of
 from ..control.settings import parse_settings
 from ..errors import EvaluationError, MapRacingError
-from ..evaluation.laps import LapLimits
+from ..evaluation.lap_limits import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.runs import evaluate_runs
 from ..files import make_folder, write_json
@@ -100,7 +100,7 @@ class BagOptions(NamedTuple):
     car_width : float
         See `map_racing.evaluation.laps.LapEvaluator`.
     max_deviation : float or None
-        See `map_racing.evaluation.laps.LapLimits`.
+        See `map_racing.evaluation.lap_limits.LapLimits`.
     """
 
     tracks: tuple = ()

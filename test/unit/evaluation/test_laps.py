@@ -10,7 +10,8 @@ from map_racing.bags.reader import read_recording
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, ParameterError
 from map_racing.evaluation.driving import pose_timing
-from map_racing.evaluation.laps import LapEvaluator, LapLimits
+from map_racing.evaluation.lap_limits import LapLimits
+from map_racing.evaluation.laps import LapEvaluator
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.evaluation.results import Summary
 from map_racing.evaluation.runs import evaluate
