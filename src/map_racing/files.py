@@ -6,7 +6,8 @@ import json
 import math
 import os
 import re
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Iterator
 
@@ -20,6 +21,8 @@ __all__ = [
     "read_yaml_mapping",
     "refuse_special",
     "replacing",
+    "together",
+    "unfinished",
     "write_json",
 ]
 
@@ -107,6 +110,76 @@ _UniqueKeyLoader.add_implicit_resolver(
 )
 
 
+# Files that appear together: their temporary names by their final ones; None outside of `together`.
+_waiting: ContextVar[dict | None] = ContextVar("waiting", default=None)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Write files that belong together: they appear when all are complete, or none does.
+
+    Until the end, what `replacing` and `unfinished` write within has temporary names; after an
+    error existing files are unchanged. A group within a group is part of it.
+
+    Raises
+    ------
+    MapRacingError
+        If a file cannot be written.
+    """
+    if _waiting.get() is not None:
+        yield
+        return
+    waiting: dict[Path, Path] = {}
+    token = _waiting.set(waiting)
+    try:
+        yield
+        for target, temporary in waiting.items():
+            _appear(temporary, target, target)
+    finally:
+        _waiting.reset(token)
+        for temporary in waiting.values():
+            with suppress(OSError):
+                temporary.unlink()
+
+
+@contextmanager
+def unfinished(path: str | Path) -> Iterator[Path]:
+    """Temporary name in the folder of a file, under which it is written; renamed at the end.
+
+    After an error the file is removed, and an existing one is unchanged. The target of a link is
+    replaced.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Raises
+    ------
+    MapRacingError
+        If it cannot be renamed.
+    """
+    target = Path(os.path.realpath(str(path)))
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    waiting = _waiting.get()
+    try:
+        yield temporary
+        if waiting is None:
+            _appear(temporary, target, path)
+        else:
+            waiting[target] = temporary
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _appear(temporary, target, path):
+    try:
+        os.replace(str(temporary), str(target))
+    except OSError as error:
+        raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
+
+
 @contextmanager
 def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
     """Open a file for atomic writing: it appears under its name only when it is complete.
@@ -130,22 +203,17 @@ def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
     if not Path(path).name or target.is_dir():
         raise MapRacingError(f"{path}: cannot write: expected the name of a file")
     special = target.exists() and not target.is_file()
-    temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
+    # File names that are not UTF-8 are written unchanged.
+    text = {"encoding": "utf-8", "errors": "surrogateescape", "newline": ""}
+    mode, options = ("wb", {}) if binary else ("w", text)
     try:
-        # File names that are not UTF-8 are written unchanged.
-        text = {"encoding": "utf-8", "errors": "surrogateescape", "newline": ""}
-        with open(temporary, "wb" if binary else "w", **({} if binary else text)) as file:
+        writing = nullcontext(target) if special else unfinished(path)
+        with writing as name, open(name, mode, **options) as file:
             yield file
-        if not special:
-            os.replace(str(temporary), str(target))
     except BrokenPipeError:  # writing to /dev/stdout with `| head`
         raise
     except OSError as error:
         raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
-    finally:
-        if not special:
-            with suppress(OSError):
-                temporary.unlink()
 
 
 def write_json(path: str | Path, content: object, indent: int | None = 1) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError
-from map_racing.files import read_yaml_mapping, replacing, write_json
+from map_racing.files import read_yaml_mapping, replacing, together, write_json
 
 
 def test_reads_a_mapping(tmp_path):
@@ -146,6 +146,42 @@ def test_bytes_appear_only_when_they_are_complete(tmp_path):
         assert not path.exists()
     assert path.read_bytes() == b"\x00\xff\r\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["race.bag"]
+
+
+def test_files_that_belong_together_appear_together(tmp_path):
+    with together():
+        with replacing(tmp_path / "table.csv") as file:
+            file.write("0,1")
+        with together(), replacing(tmp_path / "table.meta.yaml") as file:
+            file.write("l_wb: 0.3")
+        with replacing(tmp_path / "table.csv") as file:
+            file.write("0,2")
+        assert all(entry.name.startswith(".") for entry in tmp_path.iterdir())
+    assert (tmp_path / "table.csv").read_text() == "0,2"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["table.csv", "table.meta.yaml"]
+    write_json(tmp_path / "alone.json", {})
+    assert (tmp_path / "alone.json").exists()
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MapRacingError])
+def test_after_an_error_none_of_the_files_appears(tmp_path, error):
+    (tmp_path / "b.txt").write_text("old")
+    with pytest.raises(error), together():
+        for name in ("a.txt", "b.txt", "c.txt"):
+            with replacing(tmp_path / name) as file:
+                file.write("new")
+                if name == "c.txt":
+                    raise error
+    assert [entry.name for entry in tmp_path.iterdir()] == ["b.txt"]
+    assert (tmp_path / "b.txt").read_text() == "old"
+
+
+def test_a_name_that_cannot_be_taken_is_told(tmp_path):
+    with pytest.raises(MapRacingError, match=r"a\.txt: cannot write: "), together():
+        with replacing(tmp_path / "a.txt") as file:
+            file.write("new")
+        (tmp_path / "a.txt").mkdir()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
 
 
 def test_json_has_no_nan_and_no_numpy(tmp_path):

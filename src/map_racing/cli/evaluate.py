@@ -13,18 +13,19 @@ from ..evaluation.lap_limits import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs
-from ..files import write_json
+from ..files import together, write_json
 from ..printing import printable
 from ..track.files.load import load_raceline
 from .figures import draw_runs
 from .inputs import joined
-from .outputs import check_outputs
+from .outputs import CSV, JSON, check_outputs
 
 
 def run(arguments):
     """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
     check_evaluation(arguments)
-    check_outputs([arguments.csv, arguments.json], [*arguments.recordings, arguments.raceline])
+    outputs = [(arguments.csv, CSV), (arguments.json, JSON)]
+    check_outputs(outputs, [*arguments.recordings, arguments.raceline])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
     sources = joined(arguments.recordings, arguments.join)
@@ -48,11 +49,14 @@ def run(arguments):
         print(summary_table(zip(names, results)), end="\n\n")
     if not results:
         return failed
+    with together():
+        if arguments.csv:
+            write_csv(arguments.csv, results)
+        if arguments.json:
+            write_json(arguments.json, lap_data(results))
     if arguments.csv:
-        write_csv(arguments.csv, results)
         print(f"laps written to {arguments.csv}")
     if arguments.json:
-        write_json(arguments.json, lap_data(results))
         print(f"laps and summaries written to {arguments.json}")
     if arguments.plots:
         draw_runs(arguments.plots, names, results)

@@ -20,7 +20,7 @@ import scipy
 from .. import __version__
 from ..control.parameters import ControllerParameters, MpcParameters
 from ..errors import FileFormatError, ParameterError
-from ..files import replacing, write_json
+from ..files import replacing, together, write_json
 from .jobs import code_fingerprint, plain
 from .paper import Setting
 
@@ -141,15 +141,16 @@ def provenance_of(
 def write_results(folder: str | Path, results: Results, **frames: pd.DataFrame) -> None:
     """Write results, and further tables as ``NAME.csv``."""
     folder = Path(folder)
-    for name, frame in {"table": results.table, **frames}.items():
-        with replacing(folder / f"{name}.csv") as file:
-            frame.to_csv(file, index=False)
     content = {
         "kind": results.kind,
         "rows": results.table.to_dict("records"),
         "provenance": results.provenance,
     }
-    write_json(folder / FILE, content)
+    with together():
+        for name, frame in {"table": results.table, **frames}.items():
+            with replacing(folder / f"{name}.csv") as file:
+                frame.to_csv(file, index=False)
+        write_json(folder / FILE, content)
 
 
 def read_results(folder: str | Path) -> Results:

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from ..errors import FileFormatError, ParameterError
-from ..files import read_yaml_mapping, replacing
+from ..files import read_yaml_mapping, replacing, together
 from ..tables import open_text, parse_rows
 from ..validation import positive
 
@@ -253,23 +253,24 @@ class LookupTable:
         """Write the table as CSV in the published layout, the provenance as ``<stem>.meta.yaml``.
 
         The first row has the speeds, the first column the angles, cell [0, 0] is 0; numbers read
-        back exactly.
+        back exactly. Both files appear, or none.
 
         Raises
         ------
-        OSError
+        MapRacingError
             If a file cannot be written.
         """
         path = Path(path)
         rows = np.column_stack((np.r_[0.0, self.angles], np.vstack((self.speeds, self.a_lat))))
         text = "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
-        if self.provenance is not None:
-            with replacing(_sidecar(path)) as file:
-                yaml.safe_dump(dataclasses.asdict(self.provenance), file, sort_keys=False)
-        elif _sidecar(path).exists():
+        with together():
+            if self.provenance is not None:
+                with replacing(_sidecar(path)) as file:
+                    yaml.safe_dump(dataclasses.asdict(self.provenance), file, sort_keys=False)
+            with replacing(path) as file:
+                file.write(text)
+        if self.provenance is None and _sidecar(path).exists():
             _sidecar(path).unlink()
-        with replacing(path) as file:
-            file.write(text)
 
     def _estimate_wheelbase(self):
         """Wheelbase [m]: at small angles ``delta / a = l_wb / v^2 + K'``, a line over 1/v^2."""

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from map_racing.errors import FileFormatError, ParameterError
+from map_racing.errors import FileFormatError, MapRacingError, ParameterError
 from map_racing.vehicle.grids import default_grid, published_grid
 from map_racing.vehicle.lookup import LookupTable, Provenance, load_table
 from map_racing.vehicle.parameters import linearized, load_vehicle
@@ -333,6 +333,15 @@ def test_saved_table_reads_back_equal(tmp_path, table):
     np.testing.assert_array_equal(back.a_lat, table.a_lat)
     assert back.provenance == table.provenance
     assert sorted(path.name for path in tmp_path.iterdir()) == ["table.csv", "table.meta.yaml"]
+
+
+@pytest.mark.parametrize("part", ["table.csv", "table.meta.yaml"])
+def test_table_and_provenance_are_written_both_or_not_at_all(tmp_path, full_disk, part):
+    table = steady_state_table(load_vehicle("nuc4"), *published_grid())
+    full_disk(part)
+    with pytest.raises(MapRacingError, match=f"{part}: cannot write: No space left on device"):
+        table.save(tmp_path / "table.csv")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_saved_layout_is_the_published_one(tmp_path):
